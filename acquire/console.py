@@ -1,0 +1,97 @@
+"""What both commands share at the terminal: errors in one line, exit codes, progress, JSON."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import typer
+
+from drivers.errors import PhotocalError
+
+
+def application(help_text: str) -> typer.Typer:
+    """Make a command line application with the shared settings.
+
+    Parameters
+    ----------
+    help_text : str
+        The text above the list of commands.
+
+    Returns
+    -------
+    typer.Typer
+        The application, without commands.
+    """
+    return typer.Typer(
+        help=help_text,
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode="markdown",
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+
+
+def run(app: typer.Typer) -> None:
+    """Run an application; failures that we know become one line and their exit code.
+
+    Parameters
+    ----------
+    app : typer.Typer
+        The application to run on the arguments of the process.
+    """
+    try:
+        app()
+    except PhotocalError as failure:
+        sys.stderr.write(f"error: {failure}\n")
+        sys.exit(failure.exit_code)
+    except BrokenPipeError:
+        # The reader of our output went away (`| head`): nothing is left to say.
+        sys.stderr.close()
+        sys.exit(0)
+
+
+def answer(as_json: bool, figures: Callable[[], Any], text: Callable[[], str]) -> None:
+    """Print an answer for a program or for a person.
+
+    Parameters
+    ----------
+    as_json : bool
+        Whether a program asked.
+    figures, text : callable
+        Make the JSON value or the text; only the one that is needed is called.
+    """
+    if as_json:
+        typer.echo(json.dumps(figures(), indent=2, allow_nan=False))
+    else:
+        typer.echo(text())
+
+
+@contextmanager
+def progress(title: str, total: float | None) -> Iterator[Callable[[float], None]]:
+    """Show a progress bar on standard error while a longer piece of work runs.
+
+    Parameters
+    ----------
+    title : str
+        What is going on.
+    total : float or None
+        The amount of work, in any unit; None when it is not known.
+
+    Yields
+    ------
+    callable
+        Takes the amount of work done since the last call.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(title, total=total)
+        yield lambda amount: bar.advance(task, amount)

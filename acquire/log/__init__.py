@@ -1,0 +1,1 @@
+"""The flight log: raw frames first, everything decoded beside them, in one MCAP file."""

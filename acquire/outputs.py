@@ -1,0 +1,102 @@
+"""Outputs that are whole or not there: written aside, then renamed."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from drivers.errors import OutputError
+
+
+@contextmanager
+def output_file(path: Path) -> Iterator[Path]:
+    """Give a temporary path beside `path`; on success it takes the place of `path`.
+
+    Parameters
+    ----------
+    path : Path
+        The file to be made; its folder is created.
+
+    Yields
+    ------
+    Path
+        Where to write.
+
+    Raises
+    ------
+    OutputError
+        When the folder cannot be made or written, or `path` is a folder.
+    """
+    if path.is_dir():
+        raise OutputError("is a folder, a file was expected", where=path, remedy="name a file")
+    with _refusals(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent)
+        os.close(handle)
+    aside = Path(name)
+    try:
+        yield aside
+        with _refusals(path):
+            # mkstemp makes private files; a result is as readable as any file that the user makes.
+            aside.chmod(0o666 & ~_umask())
+            aside.replace(path)
+    finally:
+        aside.unlink(missing_ok=True)
+
+
+@contextmanager
+def output_folder(path: Path) -> Iterator[Path]:
+    """Give a temporary folder beside `path`; on success its files take their places in `path`.
+
+    Files of an earlier run that this one does not make again stay where they are.
+
+    Parameters
+    ----------
+    path : Path
+        The folder to be made or renewed.
+
+    Yields
+    ------
+    Path
+        The folder to write into.
+
+    Raises
+    ------
+    OutputError
+        When the folder cannot be made or written, or `path` is a file.
+    """
+    if path.exists() and not path.is_dir():
+        raise OutputError("is a file, a folder was expected", where=path, remedy="name a folder")
+    with _refusals(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        aside = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent))
+    try:
+        yield aside
+        with _refusals(path):
+            for made in sorted(p for p in aside.rglob("*") if p.is_file()):
+                final = path / made.relative_to(aside)
+                final.parent.mkdir(parents=True, exist_ok=True)
+                made.replace(final)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+@contextmanager
+def _refusals(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as refusal:
+        reason = refusal.strerror or str(refusal)
+        raise OutputError(
+            f"cannot be written ({reason})", where=path, remedy="choose a place that you may write to"
+        ) from refusal
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

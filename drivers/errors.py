@@ -1,0 +1,78 @@
+"""The one exception tree: each class of failure has its exit code and teaches in one line."""
+
+from __future__ import annotations
+
+
+class PhotocalError(Exception):
+    """A failure that a person can act on: what happened, where, and what to do.
+
+    Parameters
+    ----------
+    what : str
+        What happened, in the user's words, without a final full stop.
+    where : object, optional
+        File, line, image or point that is concerned.
+    remedy : str, optional
+        What to do about it.
+    """
+
+    exit_code = 1
+
+    def __init__(self, what: str, *, where: object = None, remedy: str = "") -> None:
+        super().__init__(what)
+        self.what = what
+        self.where = "" if where is None else str(where)
+        self.remedy = remedy
+
+    def __str__(self) -> str:
+        place = f"{self.where}: " if self.where else ""
+        advice = f"; {self.remedy}" if self.remedy else ""
+        return " ".join(f"{place}{self.what}{advice}".split())
+
+
+class InputNotFoundError(PhotocalError):
+    """A file or folder that should be read is missing, empty or of another kind."""
+
+    exit_code = 3
+
+
+class InputMalformedError(PhotocalError):
+    """A file was read but its content cannot be what it claims to be."""
+
+    exit_code = 4
+
+
+class ConfigurationError(PhotocalError):
+    """A configuration or set-up file has an unknown key or an impossible value."""
+
+    exit_code = 5
+
+
+class IllPosedError(PhotocalError):
+    """The observations do not determine the unknowns."""
+
+    exit_code = 6
+
+
+class NotConvergedError(PhotocalError):
+    """The iteration ended without reaching the minimum."""
+
+    exit_code = 7
+
+
+class OutputError(PhotocalError):
+    """A result cannot be written where it was asked for."""
+
+    exit_code = 8
+
+
+class ProgramMissingError(PhotocalError):
+    """A program or package of the system that is needed is not installed."""
+
+    exit_code = 9
+
+
+class DeviceError(PhotocalError):
+    """A port, a receiver or an autopilot does not answer as it should."""
+
+    exit_code = 10

@@ -1,0 +1,1 @@
+"""The processing side: from flight log, images and control to a calibrated camera and its certificate."""

@@ -1,0 +1,1 @@
+"""The network: unknowns, observations, normal equations, solution and its statistics."""

@@ -1,0 +1,14 @@
+"""The command `photocal`: a list of its commands, each in a module of its own."""
+
+from __future__ import annotations
+
+from acquire.console import application, run
+from photocal.commands import adjust
+
+app = application("From flight log, images and control points to a calibrated camera and its certificate.")
+app.command()(adjust.adjust)
+
+
+def main() -> None:
+    """Run the command line."""
+    run(app)

@@ -1,0 +1,1 @@
+"""Cameras, distortion, rotations and collinearity: the geometry of one ray."""
