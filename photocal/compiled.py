@@ -1,0 +1,63 @@
+"""How kernels are compiled: once, for this machine, kept on disk until their source changes."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+PACKAGE = Path(__file__).resolve().parent
+
+
+def _fingerprint() -> str:
+    """Digest of the source of every kernel.
+
+    The compiler's own cache looks only at the file of the outermost function; a change in a function
+    that it calls would go unnoticed.
+    """
+    digest = hashlib.sha256()
+    for folder in ("geometry", "adjustment"):
+        for source in sorted((PACKAGE / folder).glob("*.py")):
+            text = source.read_bytes()
+            if b"compiled import" in text:
+                digest.update(text)
+    return digest.hexdigest()[:16]
+
+
+def _cache_folder() -> Path:
+    """First folder that can be written: beside the package, the user's cache, a temporary one."""
+    name = f"kernels-{_fingerprint()}"
+    user = Path(os.environ.get("XDG_CACHE_HOME", Path("~/.cache").expanduser())) / "photocal"
+    for parent in (PACKAGE / "__pycache__", user, Path(tempfile.gettempdir()) / f"photocal-{os.getuid()}"):
+        try:
+            (parent / name).mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(parent / name, os.W_OK):
+            return parent / name
+    return Path(tempfile.mkdtemp(prefix="photocal-"))
+
+
+os.environ["NUMBA_CACHE_DIR"] = str(_cache_folder())
+
+import numba  # noqa: E402  (the folder must be known first)
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def compiled(function: Function) -> Function:
+    """Compile a function of numbers and arrays; it may be called by other compiled functions."""
+    return cast(Function, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+
+
+def compiled_parallel(function: Function) -> Function:
+    """Compile a function whose `numba.prange` loops run on all threads."""
+    return cast(Function, numba.njit(cache=True, nogil=True, error_model="numpy", parallel=True)(function))
+
+
+def inlined(function: Function) -> Function:
+    """Compile a small function so that it melts into its caller."""
+    return cast(Function, numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)(function))

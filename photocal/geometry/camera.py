@@ -1,0 +1,180 @@
+"""The camera: interior orientation parameters, their roles, and from pixels to the image plane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+
+Model = Literal["brown-observed", "brown-ideal"]
+Affinity = Literal["additive", "before", "after"]
+AffinityForm = Literal["fraser", "canon-elph", "tank"]
+
+PARAMETERS = ("c", "x0", "y0", "K1", "K2", "K3", "K4", "P1", "P2", "P3", "P4", "B1", "B2")
+MODELS: tuple[Model, ...] = ("brown-observed", "brown-ideal")
+AFFINITIES: tuple[Affinity, ...] = ("additive", "before", "after")
+AFFINITY_FORMS: tuple[AffinityForm, ...] = ("fraser", "canon-elph", "tank")
+
+# Where B1 and B2 stand in the 2 x 2 matrix F of the affinity: F = B1 * first + B2 * second.
+AFFINITY_MATRICES: dict[AffinityForm, tuple[list[list[float]], list[list[float]]]] = {
+    "fraser": ([[1, 0], [0, 0]], [[0, 1], [0, 0]]),
+    "canon-elph": ([[1, 0], [0, 0]], [[0, 0], [1, 0]]),
+    "tank": ([[0, 1], [0, 0]], [[0, 0], [0, 1]]),
+}
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera and what is known of its interior orientation.
+
+    Attributes
+    ----------
+    id : str
+        Name within the block.
+    model : {"brown-observed", "brown-ideal"}
+        Where the distortion polynomial is evaluated: at the measured coordinates, which it corrects
+        (photogrammetry), or at the ideal ones, which it distorts (vision).
+    unit : {"mm", "px"}
+        Unit of the image plane and so of c, x0, y0 and, in its powers, of the coefficients.
+    size_px : tuple of int
+        Width and height of the image.
+    pitch : tuple of float
+        Size of a pixel in x and y, in `unit`; (1, 1) when the unit is the pixel.
+    values : ndarray, shape (13,)
+        Values in the order of `PARAMETERS`.
+    estimated : ndarray of bool, shape (13,)
+        Which parameters the adjustment estimates; the others are held.
+    prior_sigma : ndarray, shape (13,)
+        Standard deviation of the value as an observation; infinite where it is a start value only.
+    reference_radius : float
+        R0 of the balanced radial distortion, in `unit`; 0 for the unbalanced form.
+    affinity : {"additive", "before", "after"}
+        Where the affinity acts.
+    affinity_form : {"fraser", "canon-elph", "tank"}
+        Which terms B1 and B2 stand for.
+    """
+
+    id: str
+    model: Model
+    unit: Literal["mm", "px"]
+    size_px: tuple[int, int]
+    pitch: tuple[float, float]
+    values: Floats
+    estimated: NDArray[np.bool_]
+    prior_sigma: Floats
+    reference_radius: float = 0.0
+    affinity: Affinity = "additive"
+    affinity_form: AffinityForm = "fraser"
+
+    def value(self, name: str) -> float:
+        """Value of one parameter by its name."""
+        return float(self.values[PARAMETERS.index(name)])
+
+    def with_values(self, values: ArrayLike) -> Camera:
+        """Return the same camera with other parameter values, shape (13,)."""
+        return replace(self, values=np.array(values, dtype=float))
+
+
+def camera(
+    camera_id: str,
+    model: Model,
+    unit: Literal["mm", "px"],
+    size_px: tuple[int, int],
+    pitch: tuple[float, float],
+    parameters: dict[str, float],
+    *,
+    estimate: tuple[str, ...] = (),
+    prior_sigma: dict[str, float] | None = None,
+    reference_radius: float = 0.0,
+    affinity: Affinity = "additive",
+    affinity_form: AffinityForm = "fraser",
+) -> Camera:
+    """Make a camera from named parameters; those not named are zero and held.
+
+    Parameters
+    ----------
+    camera_id, model, unit, size_px, pitch, reference_radius, affinity, affinity_form
+        As the attributes of `Camera`.
+    parameters : dict
+        Values by the names of `PARAMETERS`.
+    estimate : tuple of str
+        Names of the parameters to estimate.
+    prior_sigma : dict, optional
+        Standard deviations of values that are observations too.
+
+    Returns
+    -------
+    Camera
+
+    Raises
+    ------
+    KeyError
+        For a name that is no parameter.
+    """
+    values = np.zeros(len(PARAMETERS))
+    estimated = np.zeros(len(PARAMETERS), dtype=np.bool_)
+    sigma = np.full(len(PARAMETERS), np.inf)
+    index = {name: i for i, name in enumerate(PARAMETERS)}
+    for name, value in parameters.items():
+        values[index[name]] = value
+    for name in estimate:
+        estimated[index[name]] = True
+    for name, value in (prior_sigma or {}).items():
+        sigma[index[name]] = value
+    return Camera(
+        camera_id,
+        model,
+        unit,
+        size_px,
+        pitch,
+        values,
+        estimated,
+        sigma,
+        reference_radius,
+        affinity,
+        affinity_form,
+    )
+
+
+def pixel_to_plane(size_px: ArrayLike, pitch: ArrayLike, pixel: Floats) -> Floats:
+    """Turn pixel coordinates into image plane coordinates.
+
+    Parameters
+    ----------
+    size_px : array_like, shape (..., 2)
+        Width and height of the image, px.
+    pitch : array_like, shape (..., 2)
+        Size of a pixel in x and y, in the unit of the image plane.
+    pixel : ndarray, shape (..., 2)
+        Column and row; the centre of the upper-left pixel is (0, 0).
+
+    Returns
+    -------
+    ndarray, shape (..., 2)
+        x to the right, y up, from the middle of the image.
+    """
+    middle = (np.asarray(size_px, dtype=float) - 1) / 2
+    return np.asarray((pixel - middle) * np.asarray(pitch) * [1.0, -1.0])
+
+
+def plane_to_pixel(size_px: ArrayLike, pitch: ArrayLike, plane: Floats) -> Floats:
+    """Turn image plane coordinates into pixel coordinates, the inverse of `pixel_to_plane`.
+
+    Parameters
+    ----------
+    size_px, pitch : array_like, shape (..., 2)
+        As in `pixel_to_plane`.
+    plane : ndarray, shape (..., 2)
+        x to the right, y up, from the middle of the image.
+
+    Returns
+    -------
+    ndarray, shape (..., 2)
+        Column and row, px.
+    """
+    middle = (np.asarray(size_px, dtype=float) - 1) / 2
+    return np.asarray(plane / np.asarray(pitch) * [1.0, -1.0] + middle)

@@ -1,0 +1,159 @@
+"""Distortion of whole sets of points: correction, projection and the radial curve."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.geometry.camera import AFFINITY_MATRICES, Camera
+
+Floats = NDArray[np.float64]
+
+
+def polynomial_distortion(camera: Camera, plane: Floats) -> Floats:
+    """Radial and decentering distortion, without the affinity.
+
+    Parameters
+    ----------
+    camera : Camera
+    plane : ndarray, shape (n, 2)
+        Points from the principal point, in the camera's unit: measured ones for `brown-observed`, ideal
+        ones for `brown-ideal`.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        The polynomial of Brown (1971), to be added to the projection.
+    """
+    k1, k2, k3, k4, p1, p2, p3, p4 = camera.values[3:11]
+    x, y = plane[:, 0], plane[:, 1]
+    r2, s = x * x + y * y, camera.reference_radius**2
+    radial = sum(k * (r2**n - s**n) for n, k in enumerate((k1, k2, k3, k4), start=1))
+    swell = 1 + p3 * r2 + p4 * r2 * r2
+    dx = x * radial + (p1 * (r2 + 2 * x * x) + 2 * p2 * x * y) * swell
+    dy = y * radial + (p2 * (r2 + 2 * y * y) + 2 * p1 * x * y) * swell
+    return np.column_stack([dx, dy])
+
+
+def affinity_matrix(camera: Camera) -> Floats:
+    """Matrix F, shape (2, 2), of the affinity: x becomes (I + F) x where it acts."""
+    first, second = AFFINITY_MATRICES[camera.affinity_form]
+    b1, b2 = camera.values[11:]
+    return b1 * np.array(first, dtype=float) + b2 * np.array(second, dtype=float)
+
+
+def undistorted(camera: Camera, measured: Floats) -> Floats:
+    """Correct measured image coordinates to those of a perfect central projection.
+
+    Parameters
+    ----------
+    camera : Camera
+    measured : ndarray, shape (n, 2)
+        Image plane coordinates in the camera's unit.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        p = -c (u, v)/w, from the principal point.
+    """
+    xb = measured - camera.values[1:3]
+    affine = np.eye(2) + affinity_matrix(camera)
+    if camera.model == "brown-observed":
+        if camera.affinity == "additive":
+            return xb - polynomial_distortion(camera, xb) - xb @ (affine - np.eye(2)).T
+        if camera.affinity == "before":
+            xb = xb @ affine.T
+            return xb - polynomial_distortion(camera, xb)
+        return (xb - polynomial_distortion(camera, xb)) @ affine.T
+    if camera.affinity == "before":
+        xb = xb @ affine.T
+    elif camera.affinity == "after":
+        xb = np.linalg.solve(affine, xb.T).T
+    extra = affine - np.eye(2) if camera.affinity == "additive" else np.zeros((2, 2))
+    return _solve(lambda p: p + polynomial_distortion(camera, p) + p @ extra.T, xb)
+
+
+def distorted(camera: Camera, ideal: Floats) -> Floats:
+    """Image coordinates at which the camera records ideal ones, the inverse of `undistorted`.
+
+    Parameters
+    ----------
+    camera : Camera
+    ideal : ndarray, shape (n, 2)
+        p = -c (u, v)/w, from the principal point.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        Image plane coordinates in the camera's unit; NaN where the polynomial folds and no solution is
+        found.
+    """
+    principal = camera.values[1:3]
+    if camera.model == "brown-observed":
+        return _solve(lambda x: undistorted(camera, x + principal), ideal) + principal
+    affine = np.eye(2) + affinity_matrix(camera)
+    xb = ideal + polynomial_distortion(camera, ideal)
+    if camera.affinity == "additive":
+        xb = xb + ideal @ (affine - np.eye(2)).T
+    elif camera.affinity == "after":
+        xb = xb @ affine.T
+    else:
+        xb = np.linalg.solve(affine, xb.T).T
+    return xb + principal
+
+
+def projected(camera: Camera, q: Floats) -> Floats:
+    """Project points in camera axes to measured image coordinates.
+
+    Parameters
+    ----------
+    camera : Camera
+    q : ndarray, shape (n, 3)
+        Points in camera axes (x right, y up, z backwards), m; visible ones have q_z < 0.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        Image plane coordinates in the camera's unit; NaN for points that are not in front.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ideal = -camera.values[0] * q[:, :2] / q[:, 2:]
+    ideal[q[:, 2] >= 0] = np.nan
+    return distorted(camera, ideal)
+
+
+def radial_profile(camera: Camera, radius: Floats) -> Floats:
+    """Radial distortion over the radius, shape (n,), in the camera's unit: r rad(r)."""
+    along_x = np.column_stack([radius, np.zeros_like(radius)])
+    radial_only = camera.values.copy()
+    radial_only[7:11] = 0.0
+    return polynomial_distortion(camera.with_values(radial_only), along_x)[:, 0]
+
+
+def _solve(function: Callable[[Floats], Floats], target: Floats, tolerance: float = 1e-13) -> Floats:
+    """Solve function(x) = target point by point with Newton's method."""
+    scale = max(float(np.nanmax(np.abs(target), initial=1e-9)), 1e-9)
+    step = 1e-6 * scale
+    x = target.copy()
+    for _ in range(50):
+        value = function(x)
+        columns = [(function(x + step * axis) - function(x - step * axis)) / (2 * step) for axis in np.eye(2)]
+        a, c = columns[0].T
+        b, d = columns[1].T
+        miss = target - value
+        determinant = a * d - b * c
+        with np.errstate(divide="ignore", invalid="ignore"):
+            change = np.column_stack(
+                [
+                    (d * miss[:, 0] - b * miss[:, 1]) / determinant,
+                    (a * miss[:, 1] - c * miss[:, 0]) / determinant,
+                ]
+            )
+        x = x + change
+        if not np.any(np.abs(change) > tolerance * scale):
+            break
+    lost = ~(np.abs(function(x) - target).max(axis=1, initial=0) <= 1e-9 * scale)
+    x[lost] = np.nan
+    return x

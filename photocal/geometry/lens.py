@@ -1,0 +1,201 @@
+"""The lens of one ray: distortion and residual with their derivatives, for every camera model.
+
+This is the only place that knows how the models differ; normal equations, residuals, statistics and
+plots all call it. Coordinates are in the image plane, in the unit of the camera.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.compiled import compiled, inlined
+from photocal.geometry.camera import AFFINITIES, AFFINITY_MATRICES, MODELS, PARAMETERS, Camera
+
+Floats = NDArray[np.float64]
+
+COUNT = len(PARAMETERS)
+# Positions in the parameter vector.
+_C, _X0, _K1, _P1, _B1 = (PARAMETERS.index(name) for name in ("c", "x0", "K1", "P1", "B1"))
+_OBSERVED, _IDEAL = MODELS.index("brown-observed"), MODELS.index("brown-ideal")
+_ADDITIVE, _BEFORE, _AFTER = (AFFINITIES.index(name) for name in ("additive", "before", "after"))
+
+
+def optics(camera: Camera) -> Floats:
+    """What a kernel must know of a camera beside its parameters.
+
+    Parameters
+    ----------
+    camera : Camera
+
+    Returns
+    -------
+    ndarray, shape (11,)
+        Code of the model, code of the affinity's place, R0, and the two affinity matrices row by row.
+    """
+    first, second = AFFINITY_MATRICES[camera.affinity_form]
+    head = [MODELS.index(camera.model), AFFINITIES.index(camera.affinity), camera.reference_radius]
+    return np.array([*head, *np.ravel(first), *np.ravel(second)], dtype=float)
+
+
+@inlined
+def polynomial(
+    values: Floats, reference_radius: float, x: float, y: float, slope: Floats, terms: Floats
+) -> tuple[float, float]:
+    """Radial and decentering distortion at a point (Brown 1971).
+
+    dx = x rad + (P1 (r^2 + 2 x^2) + 2 P2 x y) (1 + P3 r^2 + P4 r^4), dy likewise, with
+    rad = K1 (r^2 - R0^2) + K2 (r^4 - R0^4) + K3 (r^6 - R0^6) + K4 (r^8 - R0^8).
+
+    Parameters
+    ----------
+    values : ndarray, shape (13,)
+        Camera parameters.
+    reference_radius : float
+        R0.
+    x, y : float
+        Where to evaluate, from the principal point.
+    slope : ndarray, shape (4,)
+        Receives d dx/dx, d dx/dy, d dy/dx, d dy/dy.
+    terms : ndarray, shape (2, 8)
+        Receives the derivatives with respect to K1..K4, P1..P4.
+
+    Returns
+    -------
+    tuple of float
+        dx, dy.
+    """
+    k1, k2, k3, k4 = values[_K1], values[_K1 + 1], values[_K1 + 2], values[_K1 + 3]
+    p1, p2, p3, p4 = values[_P1], values[_P1 + 1], values[_P1 + 2], values[_P1 + 3]
+    s = reference_radius * reference_radius
+    r2 = x * x + y * y
+    e1, e2 = r2 - s, r2 * r2 - s * s
+    e3, e4 = r2 * r2 * r2 - s * s * s, r2 * r2 * r2 * r2 - s * s * s * s
+    radial = k1 * e1 + k2 * e2 + k3 * e3 + k4 * e4
+    radial_slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3 + r2 * 4.0 * k4)))
+    swell = 1.0 + r2 * (p3 + r2 * p4)
+    swell_slope = 2.0 * (p3 + 2.0 * p4 * r2)
+    gx, gy, cross = r2 + 2.0 * x * x, r2 + 2.0 * y * y, 2.0 * x * y
+    ax, ay = p1 * gx + p2 * cross, p2 * gy + p1 * cross
+    mixed = 2.0 * (p1 * y + p2 * x) * swell
+    slope[0] = radial + x * x * radial_slope + (6.0 * p1 * x + 2.0 * p2 * y) * swell + ax * swell_slope * x
+    slope[1] = x * y * radial_slope + mixed + ax * swell_slope * y
+    slope[2] = x * y * radial_slope + mixed + ay * swell_slope * x
+    slope[3] = radial + y * y * radial_slope + (6.0 * p2 * y + 2.0 * p1 * x) * swell + ay * swell_slope * y
+    terms[0, 0], terms[0, 1], terms[0, 2], terms[0, 3] = x * e1, x * e2, x * e3, x * e4
+    terms[1, 0], terms[1, 1], terms[1, 2], terms[1, 3] = y * e1, y * e2, y * e3, y * e4
+    terms[0, 4], terms[0, 5], terms[0, 6], terms[0, 7] = gx * swell, cross * swell, ax * r2, ax * r2 * r2
+    terms[1, 4], terms[1, 5], terms[1, 6], terms[1, 7] = cross * swell, gy * swell, ay * r2, ay * r2 * r2
+    return x * radial + ax * swell, y * radial + ay * swell
+
+
+@compiled
+def ray_residual(
+    values: Floats,
+    optic: Floats,
+    x: float,
+    y: float,
+    q: Floats,
+    by_q: Floats,
+    by_camera: Floats,
+    work: Floats,
+) -> tuple[float, float]:
+    """Residual (computed minus measured) of one ray and its derivatives.
+
+    Parameters
+    ----------
+    values : ndarray, shape (13,)
+        Camera parameters.
+    optic : ndarray, shape (11,)
+        From `optics`.
+    x, y : float
+        Measured coordinates in the image plane.
+    q : ndarray, shape (3,)
+        Object point in camera axes.
+    by_q : ndarray, shape (2, 3)
+        Receives the derivatives with respect to q.
+    by_camera : ndarray, shape (2, 13)
+        Receives the derivatives with respect to the camera parameters.
+    work : ndarray, shape (10, 2)
+        Scratch.
+
+    Returns
+    -------
+    tuple of float
+        Residual in x and y.
+    """
+    c, x0, y0, b1, b2 = values[_C], values[_X0], values[_X0 + 1], values[_B1], values[_B1 + 1]
+    place, r0 = optic[1], optic[2]
+    f00, f01 = b1 * optic[3] + b2 * optic[7], b1 * optic[4] + b2 * optic[8]
+    f10, f11 = b1 * optic[5] + b2 * optic[9], b1 * optic[6] + b2 * optic[10]
+    ux, uy = -q[0] / q[2], -q[1] / q[2]
+    px, py = c * ux, c * uy
+    bx, by = x - x0, y - y0
+    slope, terms = work.ravel()[:4], work.ravel()[4:].reshape(2, 8)
+    # Each case sets: the residual (vx, vy); a: d/dp; z: d/d(x0, y0); m: what multiplies the polynomial's
+    # terms; (sx, sy): the vector that the affinity acts on, t: what multiplies it.
+    if optic[0] == _OBSERVED:
+        a00, a01, a10, a11 = 1.0, 0.0, 0.0, 1.0
+        if place == _BEFORE:
+            sx, sy = bx, by
+            ex, ey = bx + f00 * bx + f01 * by, by + f10 * bx + f11 * by
+            dx, dy = polynomial(values, r0, ex, ey, slope, terms)
+            vx, vy = px + dx - ex, py + dy - ey
+            t00, t01, t10, t11 = slope[0] - 1.0, slope[1], slope[2], slope[3] - 1.0
+            z00, z01 = -(t00 * (1.0 + f00) + t01 * f10), -(t00 * f01 + t01 * (1.0 + f11))
+            z10, z11 = -(t10 * (1.0 + f00) + t11 * f10), -(t10 * f01 + t11 * (1.0 + f11))
+            m00, m01, m10, m11 = 1.0, 0.0, 0.0, 1.0
+        else:
+            dx, dy = polynomial(values, r0, bx, by, slope, terms)
+            if place == _ADDITIVE:
+                sx, sy = bx, by
+                vx, vy = px + dx + f00 * bx + f01 * by - bx, py + dy + f10 * bx + f11 * by - by
+                t00, t01, t10, t11 = 1.0, 0.0, 0.0, 1.0
+                z00, z01 = 1.0 - slope[0] - f00, -slope[1] - f01
+                z10, z11 = -slope[2] - f10, 1.0 - slope[3] - f11
+                m00, m01, m10, m11 = 1.0, 0.0, 0.0, 1.0
+            else:
+                sx, sy = bx - dx, by - dy
+                vx, vy = px - sx - f00 * sx - f01 * sy, py - sy - f10 * sx - f11 * sy
+                t00, t01, t10, t11 = -1.0, 0.0, 0.0, -1.0
+                m00, m01, m10, m11 = 1.0 + f00, f01, f10, 1.0 + f11
+                h00, h01, h10, h11 = 1.0 - slope[0], -slope[1], -slope[2], 1.0 - slope[3]
+                z00, z01 = m00 * h00 + m01 * h10, m00 * h01 + m01 * h11
+                z10, z11 = m10 * h00 + m11 * h10, m10 * h01 + m11 * h11
+    else:
+        dx, dy = polynomial(values, r0, px, py, slope, terms)
+        z00, z01, z10, z11 = 1.0, 0.0, 0.0, 1.0
+        m00, m01, m10, m11 = 1.0, 0.0, 0.0, 1.0
+        t00, t01, t10, t11 = 1.0, 0.0, 0.0, 1.0
+        if place == _ADDITIVE:
+            sx, sy = px, py
+            vx, vy = px + dx + f00 * px + f01 * py - bx, py + dy + f10 * px + f11 * py - by
+            a00, a01, a10, a11 = 1.0 + slope[0] + f00, slope[1] + f01, slope[2] + f10, 1.0 + slope[3] + f11
+        elif place == _BEFORE:
+            sx, sy = bx, by
+            vx, vy = px + dx - bx - f00 * bx - f01 * by, py + dy - by - f10 * bx - f11 * by
+            a00, a01, a10, a11 = 1.0 + slope[0], slope[1], slope[2], 1.0 + slope[3]
+            z00, z01, z10, z11 = 1.0 + f00, f01, f10, 1.0 + f11
+            t00, t11 = -1.0, -1.0
+        else:
+            sx, sy = px + dx, py + dy
+            vx, vy = sx + f00 * sx + f01 * sy - bx, sy + f10 * sx + f11 * sy - by
+            m00, m01, m10, m11 = 1.0 + f00, f01, f10, 1.0 + f11
+            h00, h01, h10, h11 = 1.0 + slope[0], slope[1], slope[2], 1.0 + slope[3]
+            a00, a01 = m00 * h00 + m01 * h10, m00 * h01 + m01 * h11
+            a10, a11 = m10 * h00 + m11 * h10, m10 * h01 + m11 * h11
+    s = c / q[2]
+    by_q[0, 0], by_q[0, 1], by_q[0, 2] = -s * a00, -s * a01, -s * (a00 * ux + a01 * uy)
+    by_q[1, 0], by_q[1, 1], by_q[1, 2] = -s * a10, -s * a11, -s * (a10 * ux + a11 * uy)
+    by_camera[0, _C], by_camera[1, _C] = a00 * ux + a01 * uy, a10 * ux + a11 * uy
+    by_camera[0, _X0], by_camera[0, _X0 + 1] = z00, z01
+    by_camera[1, _X0], by_camera[1, _X0 + 1] = z10, z11
+    for k in range(8):
+        by_camera[0, _K1 + k] = m00 * terms[0, k] + m01 * terms[1, k]
+        by_camera[1, _K1 + k] = m10 * terms[0, k] + m11 * terms[1, k]
+    for k in range(2):
+        gx = optic[3 + 4 * k] * sx + optic[4 + 4 * k] * sy
+        gy = optic[5 + 4 * k] * sx + optic[6 + 4 * k] * sy
+        by_camera[0, _B1 + k] = t00 * gx + t01 * gy
+        by_camera[1, _B1 + k] = t10 * gx + t11 * gy
+    return vx, vy

@@ -1,0 +1,107 @@
+"""Rotations from object to camera axes: M = R3(kappa) R2(phi) R1(omega)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+def matrix_from_angles(angles: Floats) -> Floats:
+    """Rotation matrices from object to camera axes.
+
+    Parameters
+    ----------
+    angles : ndarray, shape (..., 3)
+        omega, phi, kappa in radians.
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+        M = R3(kappa) R2(phi) R1(omega), passive (Kraus 2007, eq. 2.1-13 transposed).
+    """
+    so, sp, sk = np.moveaxis(np.sin(angles), -1, 0)
+    co, cp, ck = np.moveaxis(np.cos(angles), -1, 0)
+    rows = [
+        [cp * ck, co * sk + so * sp * ck, so * sk - co * sp * ck],
+        [-cp * sk, co * ck - so * sp * sk, so * ck + co * sp * sk],
+        [sp, -so * cp, co * cp],
+    ]
+    return np.moveaxis(np.array(rows, dtype=float), (0, 1), (-2, -1))
+
+
+def angles_from_matrix(matrix: Floats) -> Floats:
+    """Angles of rotation matrices, the inverse of `matrix_from_angles`.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (..., 3, 3)
+        Rotations from object to camera axes.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        omega and kappa in (-pi, pi], phi in [-pi/2, pi/2], radians. At phi = +-90 degrees only the sum
+        or difference of omega and kappa is defined; omega is then 0.
+    """
+    m31, m32, m33 = matrix[..., 2, 0], matrix[..., 2, 1], matrix[..., 2, 2]
+    cos_phi = np.hypot(m32, m33)
+    locked = cos_phi < 1e-12
+    omega = np.where(locked, 0.0, np.arctan2(-m32, m33))
+    kappa = np.where(
+        locked,
+        np.arctan2(matrix[..., 0, 1], matrix[..., 1, 1]),
+        np.arctan2(-matrix[..., 1, 0], matrix[..., 0, 0]),
+    )
+    return np.stack([omega, np.arctan2(m31, cos_phi), kappa], axis=-1)
+
+
+def turn_per_angle(angles: Floats) -> Floats:
+    """Derivative of the small turn t, in camera axes, with respect to omega, phi and kappa.
+
+    The turned matrix is (I + [t]x) M. With M a product of passive rotations, dM M' is
+    -[e3]x d kappa - [R3 e2]x d phi - [R3 R2 e1]x d omega.
+
+    Parameters
+    ----------
+    angles : ndarray, shape (..., 3)
+        omega, phi, kappa in radians.
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+        Columns: the turn per radian of omega, phi, kappa. Singular at phi = +-90 degrees.
+    """
+    sp, sk = np.sin(angles[..., 1]), np.sin(angles[..., 2])
+    cp, ck = np.cos(angles[..., 1]), np.cos(angles[..., 2])
+    zero, one = np.zeros_like(sp), np.ones_like(sp)
+    columns = [[-cp * ck, cp * sk, -sp], [-sk, -ck, zero], [zero, zero, -one]]
+    return np.moveaxis(np.array(columns, dtype=float), (0, 1), (-1, -2))
+
+
+def turned(matrix: Floats, turn: Floats) -> Floats:
+    """Apply turns to rotation matrices: exp([t]x) M, exactly orthogonal.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (n, 3, 3)
+        Rotations from object to camera axes.
+    turn : ndarray, shape (n, 3)
+        Turn vectors in camera axes, radians.
+
+    Returns
+    -------
+    ndarray, shape (n, 3, 3)
+        The turned rotations.
+    """
+    angle = np.linalg.norm(turn, axis=-1)[:, None, None]
+    x, y, z = np.moveaxis(turn, -1, 0)
+    zero = np.zeros_like(x)
+    skew = np.moveaxis(np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]), (0, 1), (-2, -1))
+    # sinc keeps both factors exact for the smallest turns: sin(a)/a and (1 - cos a)/a^2.
+    exponential = np.eye(3) + np.sinc(angle / np.pi) * skew
+    exponential = exponential + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (skew @ skew)
+    product = exponential @ matrix
+    # One Newton step towards the nearest orthogonal matrix keeps rounding from piling up.
+    return np.asarray(product @ (1.5 * np.eye(3) - 0.5 * np.swapaxes(product, -1, -2) @ product))
