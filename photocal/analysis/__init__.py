@@ -1,0 +1,1 @@
+"""What a calibration is worth: significance, components, stability, hidden errors, method."""

@@ -1,0 +1,240 @@
+"""Estimated parameters with their covariance: the common input of the statistical tests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError, IllPosedError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Parameters of an adjustment with their covariance.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the p parameters, in the order of the arrays.
+    values : (p,) array
+        Estimated values, each in its own unit.
+    covariance : (p, p) array
+        Their covariance, in products of those units.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+
+    @property
+    def sigmas(self) -> Array:
+        """Standard deviations, (p,), in the units of the values."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation matrix, (p, p)."""
+        return self.covariance / np.outer(self.sigmas, self.sigmas)
+
+    def indices(self, parameters: Iterable[str]) -> list[int]:
+        """Give the places of the named parameters.
+
+        Parameters
+        ----------
+        parameters : iterable of str
+            Names, each one of `names`.
+
+        Returns
+        -------
+        list of int
+            Their places in the arrays.
+
+        Raises
+        ------
+        ConfigurationError
+            When a name is not among the parameters.
+        """
+        place = {name: i for i, name in enumerate(self.names)}
+        wanted = tuple(parameters)
+        unknown = [name for name in wanted if name not in place]
+        if unknown:
+            raise ConfigurationError(
+                f"parameter {unknown[0]} is not among the estimated ones ({' '.join(self.names)})",
+                remedy="name parameters that were estimated",
+            )
+        return [place[name] for name in wanted]
+
+    def select(self, parameters: Iterable[str]) -> Estimates:
+        """Give some of the parameters; the others stay estimated (marginal covariance).
+
+        Parameters
+        ----------
+        parameters : iterable of str
+            Names to keep.
+
+        Returns
+        -------
+        Estimates
+            These parameters alone.
+        """
+        at = self.indices(parameters)
+        return Estimates(tuple(self.names[i] for i in at), self.values[at], self.covariance[np.ix_(at, at)])
+
+
+def from_sigmas(
+    names: Sequence[str], values: Sequence[float], sigmas: Sequence[float], correlation: Array | None = None
+) -> Estimates:
+    """Build estimates from standard deviations and correlations, the way they are published.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the p parameters.
+    values, sigmas : sequence of float
+        Estimated values and standard deviations, each in its own unit.
+    correlation : (p, p) array, optional
+        Correlation matrix; without it the parameters count as uncorrelated.
+
+    Returns
+    -------
+    Estimates
+        The parameters with the covariance S R S.
+
+    Raises
+    ------
+    ConfigurationError
+        When lengths differ, a standard deviation is not positive, or the matrix is no correlation matrix.
+    """
+    p = len(names)
+    x, s = np.asarray(values, dtype=np.float64), np.asarray(sigmas, dtype=np.float64)
+    r = np.eye(p) if correlation is None else np.asarray(correlation, dtype=np.float64)
+    if x.shape != (p,) or s.shape != (p,) or r.shape != (p, p):
+        raise ConfigurationError(
+            f"{p} names, {x.size} values, {s.size} sigmas and correlations {r.shape} do not fit together",
+            remedy="give one value, one sigma and one row of correlations for each parameter",
+        )
+    wrong = [name for name, sigma in zip(names, s, strict=True) if not (np.isfinite(sigma) and sigma > 0.0)]
+    if wrong:
+        raise ConfigurationError(
+            f"sigma of {wrong[0]} is not a positive number", remedy="leave out what was held fixed"
+        )
+    if not (np.allclose(np.diag(r), 1.0) and np.allclose(r, r.T) and np.all(np.abs(r) <= 1.0 + 1e-9)):
+        raise ConfigurationError(
+            "the correlation matrix is not symmetric with ones on its diagonal and entries within -1 and 1",
+            remedy="give the full matrix in the order of the names",
+        )
+    return Estimates(tuple(names), x, r * np.outer(s, s))
+
+
+def scaled(estimates: Estimates, variance_factor: float) -> Estimates:
+    """Multiply the covariance by a variance factor (from a priori to a posteriori).
+
+    Parameters
+    ----------
+    estimates : Estimates
+        Parameters with their covariance.
+    variance_factor : float
+        The factor, for instance the a posteriori variance of unit weight.
+
+    Returns
+    -------
+    Estimates
+        The same values with the scaled covariance.
+    """
+    return Estimates(estimates.names, estimates.values, estimates.covariance * variance_factor)
+
+
+def without(estimates: Estimates, removed: Iterable[str]) -> tuple[Estimates, float]:
+    """Take parameters out of the adjustment: hold them at zero, and let the others follow.
+
+    Deleting a parameter from an adjustment deletes its row and column of the reduced normal
+    matrix, the inverse of the covariance: exact for a linear model, a prediction for ours.
+
+    Parameters
+    ----------
+    estimates : Estimates
+        All parameters as they were estimated together.
+    removed : iterable of str
+        Those to be left out.
+
+    Returns
+    -------
+    remaining : Estimates
+        The other parameters as an adjustment without the removed ones gives them.
+    increase : float
+        By how much the weighted sum of squares grows, x_b' S_bb^-1 x_b.
+
+    Raises
+    ------
+    IllPosedError
+        When the covariance of the removed parameters is not positive definite.
+    """
+    out = estimates.indices(removed)
+    stay = [i for i in range(len(estimates.names)) if i not in out]
+    S, x = estimates.covariance, estimates.values
+    gain = np.linalg.solve(
+        positive_definite(estimates.select([estimates.names[i] for i in out])), S[np.ix_(out, stay)]
+    )
+    remaining = Estimates(
+        tuple(estimates.names[i] for i in stay),
+        x[stay] - gain.T @ x[out],
+        S[np.ix_(stay, stay)] - S[np.ix_(stay, out)] @ gain,
+    )
+    return remaining, quadratic_form(estimates.select([estimates.names[i] for i in out]))
+
+
+def positive_definite(estimates: Estimates) -> Array:
+    """Give the covariance, or refuse it.
+
+    Parameters
+    ----------
+    estimates : Estimates
+        The parameters concerned.
+
+    Returns
+    -------
+    (p, p) array
+        Their covariance.
+
+    Raises
+    ------
+    IllPosedError
+        When the correlation matrix has an eigenvalue that is not positive: no adjustment gives such a matrix.
+    """
+    least = float(np.linalg.eigvalsh(estimates.correlation)[0]) if estimates.names else 1.0
+    if not least > 1e-14:
+        raise IllPosedError(
+            f"the correlation matrix of {' '.join(estimates.names)} is not positive definite "
+            f"(least eigenvalue {least:.3g})",
+            remedy="give more decimals, or correct the entry that was misprinted",
+        )
+    return estimates.covariance
+
+
+def quadratic_form(estimates: Estimates) -> float:
+    """Give x' S^-1 x of the parameters.
+
+    Parameters
+    ----------
+    estimates : Estimates
+        Parameters with their covariance.
+
+    Returns
+    -------
+    float
+        The squared length of x in units of its own uncertainty.
+
+    Raises
+    ------
+    IllPosedError
+        When the covariance is not positive definite.
+    """
+    sigma = estimates.sigmas
+    positive_definite(estimates)
+    t = estimates.values / sigma
+    return float(t @ np.linalg.solve(estimates.correlation, t))
