@@ -1,0 +1,265 @@
+"""Symmetric matrices with a band and a border: Cholesky factor, solution and selected inverse.
+
+The lower triangle is kept in panels of some hundred columns, each dense from its diagonal to the last
+row that its columns, or any before them, reach; below stand the rows of the border. All arithmetic is
+done panel by panel with dense kernels of the linear algebra library. A small matrix is one panel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import blas, lapack
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+PANEL = 144
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """Structure of a matrix.
+
+    Attributes
+    ----------
+    panel : int
+        Columns in a panel (the last one may have fewer).
+    last : ndarray of int, shape (panels,)
+        One past the last row of the band part of each panel.
+    width : ndarray of int, shape (panels + 1,)
+        Columns of each panel; the border is the last.
+    offset : ndarray of int, shape (panels + 2,)
+        Where each panel begins in the array of values; the border is the last but one.
+    band, border : int
+        Columns of the band and of the border.
+    """
+
+    panel: int
+    last: Integers
+    width: Integers
+    offset: Integers
+    band: int
+    border: int
+
+    @property
+    def size(self) -> int:
+        """Order of the matrix."""
+        return self.band + self.border
+
+    def panels(self, values: Floats) -> list[Floats]:
+        """Views of the panels, each (rows, columns); the border's own panel is the last."""
+        return [
+            values[self.offset[j] : self.offset[j + 1]].reshape(-1, w) if w else np.zeros((0, 0))
+            for j, w in enumerate(self.width)
+        ]
+
+    def start(self, j: int) -> int:
+        """First column of panel j."""
+        return j * self.panel
+
+    def zeros(self) -> Floats:
+        """Make the array of values of a matrix of this structure."""
+        return np.zeros(int(self.offset[-1]))
+
+
+def envelope(reach: Integers, block: int, border: int) -> Envelope:
+    """Make the structure from how far down each block of columns reaches.
+
+    Parameters
+    ----------
+    reach : ndarray of int, shape (blocks,)
+        One past the last row that is not zero in the columns of each block.
+    block : int
+        Columns in a block; panels hold whole blocks.
+    border : int
+        Columns of the border.
+
+    Returns
+    -------
+    Envelope
+    """
+    band = len(reach) * block
+    panel = max(PANEL // block, 1) * block
+    starts = np.arange(0, band, panel)
+    # The factor fills each row from its first entry on: no panel may end before an earlier one.
+    running = np.maximum.accumulate(reach) if band else reach
+    ends = np.minimum(starts + panel, band)
+    last = running[ends // block - 1] if band else np.zeros(0, dtype=np.int64)
+    width = np.append(ends - starts, border)
+    rows = np.append(last - starts + border, border)
+    offset = np.concatenate([[0], np.cumsum(rows * width)])
+    return Envelope(panel, last, width, offset, band, border)
+
+
+def factorise(structure: Envelope, values: Floats) -> int:
+    """Replace a matrix by its Cholesky factor, in place.
+
+    Parameters
+    ----------
+    structure : Envelope
+    values : ndarray
+        Values of the matrix; receives those of L with L L' = matrix.
+
+    Returns
+    -------
+    int
+        -1, or the column at which the matrix is not positive definite.
+    """
+    panels = structure.panels(values)
+    for j, panel in enumerate(panels):
+        width = int(structure.width[j])
+        if width == 0:
+            continue
+        start = structure.start(j)
+        # The transposed view of a C panel is what Fortran takes; its upper factor is our lower one.
+        diagonal = panel[:width].T
+        _, info = lapack.dpotrf(diagonal, lower=0, overwrite_a=1, clean=0)
+        if info > 0:
+            return start + info - 1
+        below = panel[width:].T
+        if below.shape[1] == 0:
+            continue
+        blas.dtrsm(1.0, diagonal, below, side=0, lower=0, trans_a=1, overwrite_b=1)
+        _update_later(structure, panels, j, below)
+    return -1
+
+
+def _update_later(structure: Envelope, panels: list[Floats], j: int, below: Floats) -> None:
+    """Subtract the outer product of panel j's rows from the panels that they reach."""
+    first = structure.start(j) + int(structure.width[j])
+    last = int(structure.last[j]) if j < len(structure.last) else first
+    border = below[:, last - first :]
+    k = j + 1
+    while k < len(structure.last) and structure.start(k) < last:
+        top, width = structure.start(k), int(structure.width[k])
+        stop = min(top + width, last)
+        rows = below[:, top - first : stop - first]
+        used = stop - top
+        target = panels[k]
+        band_rows = int(structure.last[k]) - top
+        _subtract(target[: last - top, :used], below[:, top - first : last - first], rows)
+        _subtract(target[band_rows:, :used], border, rows)
+        k += 1
+    if structure.border and j < len(structure.last):
+        _subtract(panels[-1], border, border)
+
+
+def _subtract(target: Floats, left: Floats, right: Floats) -> None:
+    """Subtract left' right from the target: (m, n) -= (k, m)' (k, n)."""
+    if target.shape[0] and target.shape[1]:
+        whole = target.base is not None and target.T.flags.f_contiguous
+        if whole:
+            blas.dgemm(-1.0, right, left, beta=1.0, c=target.T, trans_a=1, overwrite_c=1)
+        else:
+            target -= left.T @ right
+
+
+def solve(structure: Envelope, factor: Floats, right: Floats) -> Floats:
+    """Solve with a factorised matrix.
+
+    Parameters
+    ----------
+    structure : Envelope
+    factor : ndarray
+        From `factorise`.
+    right : ndarray, shape (n,) or (n, m)
+        Right-hand sides.
+
+    Returns
+    -------
+    ndarray, shape of `right`
+    """
+    x = np.array(right.reshape(structure.size, -1))
+    panels = structure.panels(factor)
+    for j, panel in enumerate(panels):
+        rows, width = _rows(structure, j), int(structure.width[j])
+        if width == 0:
+            continue
+        top = structure.start(j) if j < len(structure.last) else structure.band
+        x[top : top + width] = blas.dtrsm(1.0, panel[:width].T, x[top : top + width], lower=0, trans_a=1)
+        x[rows] -= panel[width:] @ x[top : top + width]
+    for j in reversed(range(len(panels))):
+        panel, rows, width = panels[j], _rows(structure, j), int(structure.width[j])
+        if width == 0:
+            continue
+        top = structure.start(j) if j < len(structure.last) else structure.band
+        part = x[top : top + width] - panel[width:].T @ x[rows]
+        x[top : top + width] = blas.dtrsm(1.0, panel[:width].T, part, lower=0)
+    return x.reshape(right.shape)
+
+
+def _rows(structure: Envelope, j: int) -> Integers:
+    """Rows below the diagonal block of panel j."""
+    if j == len(structure.last):
+        return np.zeros(0, dtype=np.int64)
+    first = structure.start(j) + int(structure.width[j])
+    return np.concatenate(
+        [np.arange(first, structure.last[j]), np.arange(structure.band, structure.size)]
+    ).astype(np.int64)
+
+
+def selected_inverse(structure: Envelope, factor: Floats) -> Floats:
+    """Elements of the inverse within the structure (Takahashi, Fagan and Chin 1973, by panels).
+
+    Parameters
+    ----------
+    structure : Envelope
+    factor : ndarray
+        From `factorise`.
+
+    Returns
+    -------
+    ndarray
+        Values of the inverse's lower triangle; the diagonal blocks are complete.
+    """
+    inverse = structure.zeros()
+    factors, results = structure.panels(factor), structure.panels(inverse)
+    for j in reversed(range(len(factors))):
+        width = int(structure.width[j])
+        if width == 0:
+            continue
+        lower = np.tril(factors[j][:width])
+        root = lapack.dtrtri(lower, lower=1)[0]
+        results[j][:width] = root.T @ root
+        if len(factors[j]) == width:
+            continue
+        scaled = factors[j][width:] @ root
+        below = _gathered(structure, results, j)
+        product = below @ scaled
+        results[j][width:] = -product
+        results[j][:width] += scaled.T @ product
+    return inverse
+
+
+def _gathered(structure: Envelope, results: list[Floats], j: int) -> Floats:
+    """Inverse among the rows below panel j, full and symmetric."""
+    first = structure.start(j) + int(structure.width[j])
+    last, border = int(structure.last[j]), structure.border
+    band = last - first
+    square = np.empty((band + border, band + border))
+    k = j + 1
+    while k < len(structure.last) and structure.start(k) < last:
+        top = structure.start(k)
+        stop = min(top + int(structure.width[k]), last)
+        here = slice(top - first, stop - first)
+        square[top - first : band, here] = results[k][: last - top, : stop - top]
+        square[band:, here] = results[k][int(structure.last[k]) - top :, : stop - top]
+        square[here, stop - first :] = square[stop - first :, here].T
+        k += 1
+    square[band:, band:] = results[-1]
+    return square
+
+
+def dense(structure: Envelope, values: Floats) -> Floats:
+    """Matrix of a structure as a full symmetric array, shape (n, n)."""
+    full = np.zeros((structure.size, structure.size))
+    panels = structure.panels(values)
+    for j, panel in enumerate(panels):
+        width = int(structure.width[j])
+        top = structure.start(j) if j < len(structure.last) else structure.band
+        full[top : top + width, top : top + width] = np.tril(panel[:width])
+        full[_rows(structure, j), top : top + width] = panel[width:]
+    return full + np.tril(full, -1).T

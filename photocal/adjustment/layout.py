@@ -1,0 +1,95 @@
+"""Where each unknown stands in the reduced normal equations.
+
+Object points are eliminated. What remains is ordered so that images which see the same points stand
+close together (a band), followed by the unknowns that touch every image (the border).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+from photocal.adjustment.envelope import Envelope, envelope
+from photocal.adjustment.network import Network
+from photocal.compiled import compiled
+
+Integers = NDArray[np.int64]
+
+POSE = 6
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Columns of the reduced system.
+
+    Attributes
+    ----------
+    image_columns : ndarray of int, shape (images, 6)
+        Columns of the three rotation unknowns and of X, Y, Z of each image.
+    camera_columns : tuple of (ndarray, ndarray)
+        For each camera the positions of its estimated parameters and their columns.
+    envelope : Envelope
+        Structure of the matrix.
+    size : int
+        Number of columns.
+    """
+
+    image_columns: Integers
+    camera_columns: tuple[tuple[Integers, Integers], ...]
+    envelope: Envelope
+    size: int
+
+
+def layout(network: Network, ray_start: Integers) -> Layout:
+    """Order the unknowns of a network.
+
+    Parameters
+    ----------
+    network : Network
+    ray_start : ndarray of int, shape (points + 1,)
+        First ray of each point.
+
+    Returns
+    -------
+    Layout
+    """
+    count = len(network.image_names)
+    together = np.zeros((count, count), dtype=np.bool_)
+    mark_together(ray_start, network.rays.image, together)
+    order = reverse_cuthill_mckee(csr_array(together), symmetric_mode=True)
+    position = np.empty(count, dtype=np.int64)
+    position[order] = np.arange(count)
+    image_columns = POSE * position[:, None] + np.arange(POSE)
+    camera_columns = []
+    column = POSE * count
+    for camera in network.cameras:
+        active = np.flatnonzero(camera.estimated)
+        camera_columns.append((active, column + np.arange(len(active))))
+        column += len(active)
+    # The last image, in the new order, that each one shares a point with.
+    sorted_together = together[order][:, order]
+    last = count - 1 - np.argmax(sorted_together[:, ::-1], axis=1) if count else np.zeros(0, dtype=np.int64)
+    last = np.maximum(last, np.arange(count))
+    structure = envelope(POSE * (last + 1), POSE, column - POSE * count)
+    return Layout(image_columns, tuple(camera_columns), structure, column)
+
+
+@compiled
+def mark_together(ray_start: Integers, ray_image: Integers, together: NDArray[np.bool_]) -> None:
+    """Mark the pairs of images that see a common point.
+
+    Parameters
+    ----------
+    ray_start : ndarray of int, shape (points + 1,)
+    ray_image : ndarray of int, shape (rays,)
+    together : ndarray of bool, shape (images, images)
+        Receives True for every pair, both ways.
+    """
+    for point in range(len(ray_start) - 1):
+        for a in range(ray_start[point], ray_start[point + 1]):
+            for b in range(ray_start[point], ray_start[point + 1]):
+                together[ray_image[a], ray_image[b]] = True

@@ -1,0 +1,113 @@
+"""The network: what is adjusted and what was observed, as arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.geometry.camera import Camera
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Exposures:
+    """Exterior orientation of the images: start values, and observations where a sigma stands.
+
+    Attributes
+    ----------
+    camera : ndarray of int, shape (n,)
+        Index of the camera of each image.
+    values : ndarray, shape (n, 6)
+        omega, phi, kappa in radians, X, Y, Z of the projection centre in m.
+    sigma : ndarray, shape (n, 6)
+        0 holds the value, a positive sigma makes it an observation, infinity leaves it free.
+    """
+
+    camera: Integers
+    values: Floats
+    sigma: Floats
+
+
+@dataclass(frozen=True)
+class Points:
+    """Object points: start values, and observations where a covariance stands.
+
+    Attributes
+    ----------
+    values : ndarray, shape (n, 3)
+        X, Y, Z in m: start values and, where weighted, observed values.
+    held : ndarray of bool, shape (n, 3)
+        Coordinates that keep their value.
+    weight : ndarray, shape (n, 3, 3)
+        Inverse of the covariance of the observed coordinates; zero rows and columns where free.
+    """
+
+    values: Floats
+    held: NDArray[np.bool_]
+    weight: Floats
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Image observations, sorted by point.
+
+    Attributes
+    ----------
+    image, point : ndarray of int, shape (n,)
+        What was seen where.
+    plane : ndarray, shape (n, 2)
+        Measured coordinates in the image plane (x right, y up), in the unit of the camera.
+    sigma : ndarray, shape (n, 2)
+        Standard deviations in the same unit.
+    """
+
+    image: Integers
+    point: Integers
+    plane: Floats
+    sigma: Floats
+
+
+@dataclass(frozen=True)
+class Network:
+    """Everything that enters one adjustment.
+
+    Attributes
+    ----------
+    cameras : tuple of Camera
+    exposures : Exposures
+    points : Points
+    rays : Rays
+    image_names, point_names : tuple of str
+        What to call images and points in messages.
+    """
+
+    cameras: tuple[Camera, ...]
+    exposures: Exposures
+    points: Points
+    rays: Rays
+    image_names: tuple[str, ...]
+    point_names: tuple[str, ...]
+
+
+def point_weights(sigma: Floats) -> tuple[NDArray[np.bool_], Floats]:
+    """Held coordinates and weight matrices from the standard deviations of coordinates.
+
+    Parameters
+    ----------
+    sigma : ndarray, shape (n, 3)
+        0 holds a coordinate, a positive value weights it, infinity leaves it free.
+
+    Returns
+    -------
+    held : ndarray of bool, shape (n, 3)
+    weight : ndarray, shape (n, 3, 3)
+    """
+    held = sigma == 0
+    weight = np.zeros((len(sigma), 3, 3))
+    diagonal = np.where(held, 0.0, np.divide(1.0, sigma, where=~held, out=np.zeros_like(sigma)) ** 2)
+    weight[:, [0, 1, 2], [0, 1, 2]] = diagonal
+    return held, weight

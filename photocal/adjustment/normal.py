@@ -1,0 +1,182 @@
+"""Normal equations of a network, reduced to images and cameras."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.adjustment.kernels import Design, Structure, Values, accumulate
+from photocal.adjustment.layout import Layout, layout
+from photocal.adjustment.network import Network
+from photocal.adjustment.observations import (
+    Equations,
+    add_equations,
+    camera_equations,
+    exposure_equations,
+)
+from photocal.adjustment.state import State, turn_basis
+from photocal.geometry.camera import PARAMETERS
+from photocal.geometry.lens import optics
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A network made ready for the kernels.
+
+    Attributes
+    ----------
+    network : Network
+    layout : Layout
+    design : Design
+    structure : Structure
+    held : ndarray of bool, shape (layout.size,)
+        Columns of the reduced system that are no unknowns.
+    """
+
+    network: Network
+    layout: Layout
+    design: Design
+    structure: Structure
+    held: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Reduced normal equations at one state.
+
+    Attributes
+    ----------
+    matrix : ndarray
+        Values within the structure of the layout.
+    gradient : ndarray, shape (layout.size,)
+        A'Pv of the reduced system.
+    chi_squared : float
+        Sum of v'Pv.
+    singular : ndarray of int
+        Points that their rays do not determine.
+    """
+
+    matrix: Floats
+    gradient: Floats
+    chi_squared: float
+    singular: NDArray[np.int64]
+
+
+def prepare(network: Network) -> Problem:
+    """Order a network's unknowns and lay out its arrays for the kernels.
+
+    Parameters
+    ----------
+    network : Network
+        Its rays sorted by point.
+
+    Returns
+    -------
+    Problem
+    """
+    rays, points, exposures = network.rays, network.points, network.exposures
+    ray_start = np.searchsorted(rays.point, np.arange(len(points.values) + 1))
+    where = layout(network, ray_start)
+    cameras = len(network.cameras)
+    active = np.zeros((cameras, len(PARAMETERS)), dtype=np.int64)
+    for k, (positions, _) in enumerate(where.camera_columns):
+        active[k, : len(positions)] = positions
+    count = np.array([len(positions) for positions, _ in where.camera_columns], dtype=np.int64)
+    threads = numba.get_num_threads()
+    shares = np.linspace(0, len(rays.image), threads + 1)
+    pieces = np.searchsorted(ray_start, shares)
+    pieces[0], pieces[-1] = 0, len(points.values)
+    design = Design(
+        pieces.astype(np.int64),
+        ray_start.astype(np.int64),
+        rays.image.astype(np.int64),
+        rays.plane,
+        rays.sigma**-2.0,
+        exposures.camera.astype(np.int64),
+        where.image_columns[:, 0].copy(),
+        (exposures.sigma != 0).astype(float),
+        np.array([optics(camera) for camera in network.cameras]),
+        active,
+        count,
+        np.concatenate([[0], np.cumsum(count)[:-1]]).astype(np.int64),
+        (~points.held).astype(float),
+        points.values,
+        points.weight,
+    )
+    envelope = where.envelope
+    structure = Structure(
+        envelope.panel, envelope.last, envelope.width, envelope.offset, envelope.band, envelope.border
+    )
+    held = np.zeros(where.size, dtype=np.bool_)
+    held[where.image_columns[exposures.sigma == 0]] = True
+    return Problem(network, where, design, structure, held)
+
+
+def values_of(problem: Problem, state: State) -> Values:
+    """Arrange a state for the kernels."""
+    return Values(
+        state.cameras, state.rotation, turn_basis(problem.network, state), state.centre, state.points
+    )
+
+
+def other_equations(problem: Problem, state: State) -> dict[str, Equations]:
+    """Observations beside the rays and the points, by group."""
+    return {
+        "camera": camera_equations(problem.network, problem.layout, state),
+        "exposure": exposure_equations(problem.network, problem.layout, state),
+    }
+
+
+def normal_equations(problem: Problem, state: State, damping: float = 0.0) -> Normal:
+    """Set up the reduced normal equations at a state.
+
+    Parameters
+    ----------
+    problem : Problem
+    state : State
+    damping : float
+        Relative addition to the diagonal (Marquardt 1963).
+
+    Returns
+    -------
+    Normal
+    """
+    design, structure, where = problem.design, problem.structure, problem.layout
+    threads = len(design.pieces) - 1
+    matrices = np.zeros((threads, int(structure.offset[-1])))
+    gradients, totals = np.zeros((threads, where.size)), np.zeros(threads)
+    singular = np.zeros(len(design.point_free), dtype=np.bool_)
+    accumulate(
+        design, values_of(problem, state), structure, damping, matrices, gradients, totals, singular
+    )
+    matrix, gradient, total = matrices[0], gradients[0], float(totals.sum())
+    for more, gradient_more in zip(matrices[1:], gradients[1:], strict=True):
+        matrix += more
+        gradient += gradient_more
+    for equations in other_equations(problem, state).values():
+        add_equations(*equations, structure, matrix, gradient)
+        total += equations.chi_squared()
+    diagonal = diagonal_addresses(problem)
+    matrix[diagonal] *= 1.0 + damping
+    matrix[diagonal[problem.held]] = 1.0
+    return Normal(matrix, gradient, total, np.flatnonzero(singular))
+
+
+def diagonal_addresses(problem: Problem) -> NDArray[np.int64]:
+    """Where the diagonal stands among the values of the reduced matrix, shape (layout.size,)."""
+    structure = problem.structure
+    column = np.arange(structure.band)
+    home = column // structure.panel
+    inside = column - home * structure.panel
+    border = np.arange(structure.border)
+    return np.concatenate(
+        [
+            structure.offset[home] + inside * structure.width[home] + inside,
+            structure.offset[len(structure.width) - 1] + border * (structure.border + 1),
+        ]
+    )

@@ -1,0 +1,118 @@
+"""Observations beside the rays: equations of a few unknowns of the reduced system each."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.adjustment.kernels import Structure, element_address
+from photocal.adjustment.layout import Layout
+from photocal.adjustment.network import Network
+from photocal.adjustment.state import State, turn_basis
+from photocal.compiled import compiled
+from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+class Equations(NamedTuple):
+    """Linearised observations in compressed rows.
+
+    Attributes
+    ----------
+    start : ndarray of int, shape (n + 1,)
+        Where the coefficients of each observation begin.
+    column : ndarray of int
+    coefficient : ndarray
+    residual, weight : ndarray, shape (n,)
+        Computed minus observed, and 1 / sigma^2.
+    """
+
+    start: Integers
+    column: Integers
+    coefficient: Floats
+    residual: Floats
+    weight: Floats
+
+    def chi_squared(self) -> float:
+        """Sum of v'Pv."""
+        return float(np.sum(self.weight * self.residual**2))
+
+
+def camera_equations(network: Network, layout: Layout, state: State) -> Equations:
+    """Interior orientation parameters as observations, where they have a prior sigma."""
+    columns, residuals, sigmas = [], [], []
+    for camera, values, (active, column) in zip(
+        network.cameras, state.cameras, layout.camera_columns, strict=True
+    ):
+        weighted = np.isfinite(camera.prior_sigma[active])
+        columns.append(column[weighted])
+        residuals.append((values - camera.values)[active][weighted])
+        sigmas.append(camera.prior_sigma[active][weighted])
+    column = np.concatenate(columns)
+    ones = np.ones(len(column))
+    return Equations(
+        np.arange(len(column) + 1), column, ones, np.concatenate(residuals), np.concatenate(sigmas) ** -2.0
+    )
+
+
+def exposure_equations(network: Network, layout: Layout, state: State) -> Equations:
+    """Exterior orientation elements as observations, where they have a sigma."""
+    sigma = network.exposures.sigma
+    weighted = np.isfinite(sigma) & (sigma > 0)
+    image, which = np.nonzero(weighted)
+    turning = which < 3
+    angles = angles_from_matrix(state.rotation)
+    current = np.hstack([angles, state.centre])
+    residual = (current - network.exposures.values)[image, which]
+    residual[turning] = (residual[turning] + np.pi) % (2 * np.pi) - np.pi
+    # One unknown for a coordinate of the centre, three for an angle.
+    count = np.where(turning, 3, 1)
+    start = np.concatenate([[0], np.cumsum(count)])
+    column, coefficient = np.empty(start[-1], dtype=np.int64), np.ones(start[-1])
+    column[start[:-1][~turning]] = layout.image_columns[image, which][~turning]
+    if turning.any():
+        images = np.unique(image[turning])
+        row_of = {int(i): k for k, i in enumerate(images)}
+        angle_per_turn = np.linalg.inv(turn_per_angle(angles[images])) @ turn_basis(network, state)[images]
+        at = start[:-1][turning][:, None] + np.arange(3)
+        rows = [row_of[int(i)] for i in image[turning]]
+        column[at] = layout.image_columns[image[turning], :3]
+        coefficient[at] = angle_per_turn[rows, which[turning]]
+    free = np.ones(layout.size)
+    free[layout.image_columns[sigma == 0]] = 0.0
+    return Equations(start, column, coefficient * free[column], residual, sigma[image, which] ** -2.0)
+
+
+@compiled
+def add_equations(
+    start: Integers,
+    column: Integers,
+    coefficient: Floats,
+    residual: Floats,
+    weight: Floats,
+    structure: Structure,
+    matrix: Floats,
+    gradient: Floats,
+) -> None:
+    """Add observations to the normal equations.
+
+    Parameters
+    ----------
+    start, column, coefficient, residual, weight
+        As in `Equations`.
+    structure : Structure
+    matrix, gradient : ndarray
+        Receive the sums.
+    """
+    for row in range(len(residual)):
+        p = weight[row]
+        for a in range(start[row], start[row + 1]):
+            gradient[column[a]] += coefficient[a] * p * residual[row]
+            for b in range(start[row], start[row + 1]):
+                if column[b] <= column[a]:
+                    at = element_address(structure, column[a], column[b])
+                    matrix[at] += p * coefficient[a] * coefficient[b]

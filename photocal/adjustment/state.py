@@ -1,0 +1,90 @@
+"""The current values of all unknowns, and how a step changes them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.adjustment.layout import Layout
+from photocal.adjustment.network import Network
+from photocal.geometry.camera import PARAMETERS
+from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles, turn_per_angle, turned
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class State:
+    """Values of all unknowns.
+
+    Attributes
+    ----------
+    cameras : ndarray, shape (cameras, 13)
+    rotation : ndarray, shape (images, 3, 3)
+        Object to camera axes.
+    centre : ndarray, shape (images, 3)
+    points : ndarray, shape (points, 3)
+    """
+
+    cameras: Floats
+    rotation: Floats
+    centre: Floats
+    points: Floats
+
+
+def start_state(network: Network) -> State:
+    """State of the network's start values."""
+    exposures = network.exposures
+    return State(
+        np.array([camera.values for camera in network.cameras]).reshape(-1, len(PARAMETERS)),
+        matrix_from_angles(exposures.values[:, :3]),
+        exposures.values[:, 3:].copy(),
+        network.points.values.copy(),
+    )
+
+
+def turn_basis(network: Network, state: State) -> Floats:
+    """For each image the turn that its three rotation unknowns make, shape (images, 3, 3).
+
+    Free rotations have the turn itself as unknown (identity), so that no orientation is singular. Where
+    an angle is held, the unknowns are the angles.
+    """
+    basis = np.broadcast_to(np.eye(3), state.rotation.shape).copy()
+    some = _angles_held(network)
+    basis[some] = turn_per_angle(angles_from_matrix(state.rotation[some]))
+    return basis
+
+
+def _angles_held(network: Network) -> NDArray[np.bool_]:
+    held = network.exposures.sigma[:, :3] == 0
+    return np.asarray(held.any(axis=1) & ~held.all(axis=1))
+
+
+def moved_exposures(
+    network: Network, layout: Layout, state: State, step: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Cameras, rotations and centres after a step of the reduced system.
+
+    Parameters
+    ----------
+    network : Network
+    layout : Layout
+    state : State
+    step : ndarray, shape (layout.size,)
+        Change of the unknowns of the reduced system.
+
+    Returns
+    -------
+    tuple of ndarray
+        New `cameras`, `rotation` and `centre`.
+    """
+    pose = step[layout.image_columns]
+    rotation = turned(state.rotation, pose[:, :3])
+    some = _angles_held(network)
+    rotation[some] = matrix_from_angles(angles_from_matrix(state.rotation[some]) + pose[some, :3])
+    cameras = state.cameras.copy()
+    for row, (active, columns) in zip(cameras, layout.camera_columns, strict=True):
+        row[active] += step[columns]
+    return cameras, rotation, state.centre + pose[:, 3:]
