@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from acquire.console import application, run
-from photocal.commands import adjust
+from photocal.commands import adjust, compare
 
 app = application("From flight log, images and control points to a calibrated camera and its certificate.")
 app.command()(adjust.adjust)
+app.command()(compare.compare)
 
 
 def main() -> None:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError, IllPosedError
-from photocal.analysis.estimates import Array, Estimates, from_sigmas, quadratic_form, scaled, without
+from photocal.analysis.estimates import Estimates, from_sigmas, quadratic_form, scaled, without
 from photocal.analysis.significance import f_test, significance
 from photocal.analysis.variance import two_sided_global_test, upper_global_test
 
@@ -120,8 +120,8 @@ def test_two_sided_global_test_of_the_convergent_camera_study() -> None:
 def test_without_agrees_with_an_adjustment_made_anew() -> None:
     generator = np.random.default_rng(4)
     A, l = generator.standard_normal((60, 5)), generator.standard_normal(60)  # noqa: E741
-    x0: Array = np.linalg.lstsq(A, l)[0]
-    S: Array = np.linalg.inv(A.T @ A)
+    x0 = np.array(np.linalg.lstsq(A, l)[0], dtype=np.float64)
+    S = np.array(np.linalg.inv(A.T @ A), dtype=np.float64)
     full = Estimates(tuple("abcde"), x0, S)
     kept, increase = without(full, ("b", "d"))
     B = A[:, [0, 2, 4]]
@@ -136,7 +136,7 @@ def test_without_agrees_with_an_adjustment_made_anew() -> None:
 def test_false_alarms_keep_the_level() -> None:
     generator = np.random.default_rng(7)
     A = generator.standard_normal((40, 6))
-    Q: Array = np.linalg.inv(A.T @ A)
+    Q = np.array(np.linalg.inv(A.T @ A), dtype=np.float64)
     alarms = 0
     for _ in range(2000):
         l = generator.standard_normal(40) * 3.0  # noqa: E741

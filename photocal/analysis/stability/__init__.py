@@ -1,0 +1,1 @@
+"""Whether two calibrations are the same camera: misclosure, zero rotation, rotation, resection."""

@@ -1,0 +1,266 @@
+"""The file of cameras to compare: `[[camera]]` entries as in block.toml, with sigmas and correlations."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError, PhotocalError
+from photocal.analysis.estimates import Estimates, from_sigmas
+from photocal.analysis.stability.calibration import Calibration
+from photocal.analysis.stability.manufacturer import PIX4D_PARAMETERS, brown_from_pix4d
+from photocal.analysis.stability.methods import Terrain
+from photocal.analysis.stability.verdict import Printed
+from photocal.geometry.camera import PARAMETERS, Camera, camera
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+# Two decimals of p correlations move an eigenvalue by no more than 0.005 p: more is no rounding.
+ROUNDING_OF_A_CORRELATION = 0.005
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _Correlation(_Strict):
+    names: list[str]
+    matrix: list[list[Finite]]
+
+
+class _Camera(_Strict):
+    id: str
+    model: Literal["brown-observed", "brown-ideal", "pix4d"]
+    unit: Literal["mm", "px"]
+    size_px: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
+    parameters: dict[str, Finite]
+    pitch_mm: Positive | tuple[Positive, Positive] | None = None
+    sigma: dict[str, Positive] | None = None
+    correlation: _Correlation | None = None
+    reference_radius: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
+    affinity: Literal["additive", "before", "after"] = "additive"
+    affinity_form: Literal["fraser", "canon-elph", "tank"] = "fraser"
+
+
+class _Terrain(_Strict):
+    height_m: Positive
+    relief_m: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+
+
+class _Setup(_Strict):
+    grid_step_px: Positive | None = None
+    thresholds_px: Annotated[list[Positive], Field(min_length=1)] = [0.33, 0.5]
+    terrain: list[_Terrain] = [
+        _Terrain(height_m=250.0, relief_m=100.0),
+        _Terrain(height_m=250.0, relief_m=20.0),
+    ]
+    terrains_each: Annotated[int, Field(gt=0, le=100)] = 5
+    seed: Annotated[int, Field(ge=0)] = 1
+
+
+class _Published(_Strict):
+    method: Literal["MIS", "ZROT", "ROT", "SPR"]
+    definition: str
+    tolerance_px: Positive
+    values: list[tuple[str, str, Finite]]
+
+
+class _File(_Strict):
+    camera: Annotated[list[_Camera], Field(min_length=1)]
+    comparison: _Setup = _Setup()
+    published: list[_Published] = []
+
+
+@dataclass(frozen=True)
+class CameraFile:
+    """What a comparison was asked for.
+
+    Attributes
+    ----------
+    calibrations : tuple of Calibration
+        The calibrations in the order of the file.
+    grid_step_px : float or None
+        Distance of the grid points, px.
+    thresholds_px : tuple of float
+        Limits of likeness, px.
+    terrains : tuple of Terrain
+        Grounds for the single photo resection.
+    terrains_each : int
+        Random grounds of each kind.
+    seed : int
+        Of the random grounds and of the distributions.
+    printed : tuple of Printed
+        Figures printed elsewhere.
+    """
+
+    calibrations: tuple[Calibration, ...]
+    grid_step_px: float | None
+    thresholds_px: tuple[float, ...]
+    terrains: tuple[Terrain, ...]
+    terrains_each: int
+    seed: int
+    printed: tuple[Printed, ...]
+
+
+def read_camera_file(path: Path) -> CameraFile:
+    """Read a file of cameras.
+
+    Parameters
+    ----------
+    path : Path
+        TOML: `[[camera]]` as in block.toml with optional `sigma` and `correlation` (names, matrix); optional
+        `[comparison]` and `[[published]]`. The model "pix4d" takes f, Px, Py, R1, R2, R3, T1, T2.
+
+    Returns
+    -------
+    CameraFile
+        Its content.
+
+    Raises
+    ------
+    InputNotFoundError
+        When the file is missing or empty.
+    InputMalformedError
+        When it is not TOML.
+    ConfigurationError
+        When a key is unknown or missing, or a value impossible.
+    """
+    if not path.is_file():
+        raise InputNotFoundError(
+            "no such file", where=path, remedy="name a TOML file with [[camera]] entries"
+        )
+    content = path.read_bytes()
+    if not content.strip():
+        raise InputNotFoundError(
+            "the file is empty", where=path, remedy="write two or more [[camera]] entries"
+        )
+    try:
+        tables = tomllib.loads(content.decode("utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as broken:
+        raise InputMalformedError(f"is not TOML ({broken})", where=path, remedy="correct the file") from None
+    return _parsed(tables, path)
+
+
+def _parsed(tables: dict[str, Any], path: Path) -> CameraFile:
+    try:
+        file = _File.model_validate(tables)
+    except ValidationError as refusal:
+        first = refusal.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise ConfigurationError(
+            f"{place}: {first['msg'].lower()}", where=path, remedy="see `photocal compare --help`"
+        ) from None
+    setup = file.comparison
+    printed = tuple(
+        Printed(one.method, one.definition, a, b, value, one.tolerance_px)
+        for one in file.published
+        for a, b, value in one.values
+    )
+    return CameraFile(
+        tuple(_calibration(one, path) for one in file.camera),
+        setup.grid_step_px,
+        tuple(sorted(setup.thresholds_px)),
+        tuple(Terrain(one.height_m, _below(one, path)) for one in setup.terrain),
+        setup.terrains_each,
+        setup.seed,
+        printed,
+    )
+
+
+def _below(terrain: _Terrain, path: Path) -> float:
+    if terrain.relief_m >= terrain.height_m:
+        raise ConfigurationError(
+            f"relief of {terrain.relief_m:g} m reaches the exposure at {terrain.height_m:g} m",
+            where=path,
+            remedy="give a height_m above the highest ground",
+        )
+    return terrain.relief_m
+
+
+def _calibration(one: _Camera, path: Path) -> Calibration:
+    where = f"{path}, camera {one.id}"
+    known = PIX4D_PARAMETERS if one.model == "pix4d" else PARAMETERS
+    unknown = [name for name in one.parameters if name not in known]
+    if unknown:
+        raise ConfigurationError(
+            f"parameter {unknown[0]} is unknown", where=where, remedy=f"the model has {' '.join(known)}"
+        )
+    made = _brown(one, where)
+    if not made.value("c") > 0.0:
+        raise ConfigurationError("has no positive principal distance", where=where, remedy="give c")
+    return Calibration(made, _uncertainty(one, made, where))
+
+
+def _brown(one: _Camera, where: str) -> Camera:
+    if one.unit == "mm" and one.pitch_mm is None:
+        raise ConfigurationError("has no pitch_mm", where=where, remedy="give the size of a pixel in mm")
+    if one.unit == "px" and one.pitch_mm is not None and one.model == "pix4d":
+        raise ConfigurationError("model pix4d is in mm here", where=where, remedy='set unit = "mm"')
+    given = (1.0, 1.0) if one.unit == "px" or one.pitch_mm is None else one.pitch_mm
+    pitch = given if isinstance(given, tuple) else (given, given)
+    if one.model == "pix4d":
+        missing = [name for name in ("f", "Px", "Py") if name not in one.parameters]
+        if missing:
+            raise ConfigurationError(f"has no {missing[0]}", where=where, remedy="give f, Px and Py in mm")
+        if not one.parameters["f"] > 0.0:
+            raise ConfigurationError("has no positive focal length f", where=where, remedy="give f in mm")
+        return brown_from_pix4d(one.id, one.size_px, pitch, one.parameters)
+    return camera(
+        one.id,
+        one.model,
+        one.unit,
+        one.size_px,
+        pitch,
+        one.parameters,
+        reference_radius=one.reference_radius,
+        affinity=one.affinity,
+        affinity_form=one.affinity_form,
+    )
+
+
+def _uncertainty(one: _Camera, made: Camera, where: str) -> Estimates | None:
+    if one.sigma is None:
+        if one.correlation is not None:
+            raise ConfigurationError(
+                "has correlations but no sigma", where=where, remedy="add [camera.sigma]"
+            )
+        return None
+    if one.model == "pix4d":
+        raise ConfigurationError(
+            "sigmas of model pix4d are not known here", where=where, remedy="leave them out"
+        )
+    names = tuple(one.sigma) if one.correlation is None else tuple(one.correlation.names)
+    stray = [name for name in names if name not in PARAMETERS or name not in one.sigma]
+    if stray or len(set(names)) != len(one.sigma):
+        raise ConfigurationError(
+            "sigma and correlation do not name the same parameters",
+            where=where,
+            remedy="name each estimated parameter once in both",
+        )
+    rows = one.correlation.matrix if one.correlation else None
+    if rows is not None and any(len(row) != len(rows) for row in rows):
+        raise ConfigurationError(
+            "the correlation matrix is not square", where=where, remedy="give every row in full"
+        )
+    try:
+        estimates = from_sigmas(
+            names,
+            [made.value(name) for name in names],
+            [one.sigma[name] for name in names],
+            None if rows is None else np.array(rows, dtype=np.float64),
+        )
+    except PhotocalError as refusal:
+        raise ConfigurationError(refusal.what, where=where, remedy=refusal.remedy) from None
+    least = float(np.linalg.eigvalsh(estimates.correlation)[0])
+    if least < -ROUNDING_OF_A_CORRELATION * len(names):
+        raise ConfigurationError(
+            f"the correlation matrix is not positive definite (least eigenvalue {least:.3f})",
+            where=where,
+            remedy="correct the entry that was misprinted",
+        )
+    return estimates

@@ -1,0 +1,222 @@
+"""Every pair of calibrations by every method, with the uncertainty of each figure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from drivers.errors import ConfigurationError
+from photocal.analysis.estimates import Array
+from photocal.analysis.stability.calibration import Calibration, View, sensitivity, view
+from photocal.analysis.stability.methods import Method, Misfit, figure, fitted_pose, redundancy
+
+PROBABILITY = 0.95
+
+
+@dataclass(frozen=True)
+class Figure:
+    """How much two calibrations differ, by one method.
+
+    Attributes
+    ----------
+    method, definition, source : str
+        As in `Method`.
+    value_px : float
+        The figure, px.
+    sigma_px : float or None
+        Its standard deviation from the covariances of both calibrations.
+    noise_px : float or None
+        What it stays below in 95 of 100 cases when both are the same camera.
+    p_value : float or None
+        Probability of so large a figure when both are the same camera.
+    """
+
+    method: str
+    definition: str
+    source: str
+    value_px: float
+    sigma_px: float | None
+    noise_px: float | None
+    p_value: float | None
+
+    @property
+    def different(self) -> bool | None:
+        """Whether the calibrations differ beyond their noise; None when the noise is unknown."""
+        return None if self.noise_px is None else self.value_px > self.noise_px
+
+
+@dataclass(frozen=True)
+class Pair:
+    """All figures of one pair of calibrations.
+
+    Attributes
+    ----------
+    first, second : str
+        Names of the calibrations: set I and set II.
+    figures : tuple of Figure
+        One for each method and definition.
+    """
+
+    first: str
+    second: str
+    figures: tuple[Figure, ...]
+
+
+def compare(
+    calibrations: tuple[Calibration, ...],
+    pixels: Array,
+    chosen: tuple[Method, ...],
+    generator: np.random.Generator,
+    draws: int = 1000,
+    done: Callable[[], None] = lambda: None,
+) -> tuple[Pair, ...]:
+    """Compare every pair of calibrations; set I is the one that comes first.
+
+    Parameters
+    ----------
+    calibrations : tuple of Calibration
+        Two or more, of one format.
+    pixels : (n, 2) array
+        The grid, column and row, px.
+    chosen : tuple of Method
+        Methods to apply, made for n points.
+    generator : numpy.random.Generator
+        For the distribution of each figure.
+    draws : int
+        Random draws for each distribution.
+    done : callable
+        Called after each pair.
+
+    Returns
+    -------
+    tuple of Pair
+        Pairs in the order of the calibrations.
+
+    Raises
+    ------
+    ConfigurationError
+        When there is only one calibration, a name occurs twice, or formats differ.
+    NotConvergedError
+        When two bundles cannot be brought together.
+    """
+    _check(calibrations)
+    views = {one.id: view(one.camera, pixels) for one in calibrations}
+    wobbles = {one.id: _wobble(one, pixels) for one in calibrations}
+    pairs = []
+    for a, b in combinations(calibrations, 2):
+        figures = tuple(
+            _figure(method, views[a.id], views[b.id], wobbles[a.id], wobbles[b.id], generator, draws)
+            for method in chosen
+        )
+        pairs.append(Pair(a.id, b.id, figures))
+        done()
+    return tuple(pairs)
+
+
+Wobble = tuple[View, ...]
+
+
+def _wobble(calibration: Calibration, pixels: Array) -> Wobble | None:
+    """Give the change of the view for each independent unit normal variable of the calibration."""
+    if calibration.uncertainty is None:
+        return None
+    ideal, c = sensitivity(calibration, pixels)
+    return tuple(View(d, float(dc)) for d, dc in zip(ideal, c, strict=True))
+
+
+def _figure(
+    method: Method,
+    first: View,
+    second: View,
+    first_wobble: Wobble | None,
+    second_wobble: Wobble | None,
+    generator: np.random.Generator,
+    draws: int,
+) -> Figure:
+    poses = [fitted_pose(method, misfit, first, second) for misfit in method.misfits]
+    values = [
+        float(figure(method, misfit(first, second, pose)))
+        for misfit, (pose, _) in zip(method.misfits, poses, strict=True)
+    ]
+    value = float(np.mean(values))
+    if first_wobble is None or second_wobble is None:
+        return Figure(method.name, method.definition, method.source, value, None, None, None)
+    z = generator.standard_normal((draws, len(first_wobble) + len(second_wobble)))
+    around, noise = np.zeros(draws), np.zeros(draws)
+    for misfit, (pose, design) in zip(method.misfits, poses, strict=True):
+        field = misfit(first, second, pose)
+        change = _after_fit(_changes(misfit, first, second, first_wobble, second_wobble, pose), design)
+        noise += _drawn(method, np.zeros_like(field), change, z) / len(poses)
+        around += _drawn(method, field, change, z) / len(poses)
+    return Figure(
+        method.name,
+        method.definition,
+        method.source,
+        value,
+        float(np.std(around)),
+        float(np.quantile(noise, PROBABILITY)),
+        float((1 + np.sum(noise >= value)) / (1 + draws)),
+    )
+
+
+def _drawn(method: Method, field: Array, change: Array, z: Array) -> Array:
+    """Give the figure of field + z change for every row of z."""
+    if method.mean_distance:
+        parts = np.array_split(z, max(1, len(z) // 250))
+        return np.concatenate([figure(method, field + np.tensordot(part, change, axes=1)) for part in parts])
+    # A sum of squares needs only the products of the changes, not the grid for every draw.
+    flat = change.reshape(len(change), -1)
+    products, along, start = flat @ flat.T, flat @ field.ravel(), float(np.sum(field**2))
+    squares = start + 2.0 * z @ along + np.einsum("di,ij,dj->d", z, products, z)
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0) / redundancy(method, len(field))))
+
+
+def _changes(
+    misfit: Misfit, first: View, second: View, first_wobble: Wobble, second_wobble: Wobble, pose: Array
+) -> Array:
+    """Give the change of the misfit, (p, n, 2) px, for each unit normal variable, at a fixed pose."""
+
+    def moved(one: View, by: View, sign: float) -> View:
+        return View(one.ideal + sign * by.ideal, one.c + sign * by.c)
+
+    of_first = [
+        (misfit(moved(first, by, 1.0), second, pose) - misfit(moved(first, by, -1.0), second, pose)) / 2.0
+        for by in first_wobble
+    ]
+    of_second = [
+        (misfit(first, moved(second, by, 1.0), pose) - misfit(first, moved(second, by, -1.0), pose)) / 2.0
+        for by in second_wobble
+    ]
+    return np.array(of_first + of_second)
+
+
+def _after_fit(changes: Array, design: Array) -> Array:
+    """Take away what the pose follows: only the rest remains in the misfit."""
+    if design.shape[1] == 0:
+        return changes
+    basis, _ = np.linalg.qr(design)
+    flat = changes.reshape(len(changes), -1)
+    return np.asarray((flat - (flat @ basis) @ basis.T).reshape(changes.shape))
+
+
+def _check(calibrations: tuple[Calibration, ...]) -> None:
+    if len(calibrations) < 2:
+        raise ConfigurationError(
+            f"{len(calibrations)} calibration cannot be compared",
+            remedy="give two or more [[camera]] entries",
+        )
+    names = [one.id for one in calibrations]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise ConfigurationError(f"camera {twice[0]} occurs twice", remedy="give each calibration its own id")
+    size = calibrations[0].camera.size_px
+    for one in calibrations[1:]:
+        if one.camera.size_px != size:
+            raise ConfigurationError(
+                f"camera {one.id} has {one.camera.size_px[0]} x {one.camera.size_px[1]} px, "
+                f"camera {names[0]} has {size[0]} x {size[1]} px",
+                remedy="compare calibrations of one image format",
+            )

@@ -1,0 +1,252 @@
+"""The four ways of comparing two bundles of rays, each as a misfit on the grid.
+
+A misfit is a function of a pose (nothing, three angles, or angles and position of the second camera)
+that gives image coordinate differences in px; the pose is chosen by least squares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drivers.errors import NotConvergedError
+from photocal.analysis.estimates import Array
+from photocal.analysis.stability.calibration import View
+from photocal.geometry.rotation import matrix_from_angles
+
+Misfit = Callable[[View, View, Array], Array]
+
+
+@dataclass(frozen=True)
+class Method:
+    """One definition of likeness.
+
+    Attributes
+    ----------
+    name : str
+        "MIS", "ZROT", "ROT" or "SPR".
+    definition : str
+        What distinguishes it from the other definitions of the same name.
+    source : str
+        "equations": as the study defines it; "tables": as its printed figures were computed; "both".
+    pose_size : int
+        Number of free elements of the pose.
+    mean_distance : bool
+        Whether the figure is the mean length of the misfit instead of its root mean square.
+    misfits : tuple of callable
+        The misfit, one for each terrain where there are terrains.
+    """
+
+    name: str
+    definition: str
+    source: str
+    pose_size: int
+    mean_distance: bool
+    misfits: tuple[Misfit, ...] = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """Ground for the single photo resection.
+
+    Attributes
+    ----------
+    height_m : float
+        Height of the exposure over the lowest ground.
+    relief_m : float
+        Heights of the ground are spread evenly from 0 to this.
+    """
+
+    height_m: float
+    relief_m: float
+
+
+def misclosure_misfit(first: View, second: View, _pose: Array) -> Array:
+    """Same centre, same principal distance, no rotation (equation 14 of the Canon ELPH study)."""
+    return second.ideal - first.ideal
+
+
+def zero_rotation_misfit(first: View, second: View, _pose: Array) -> Array:
+    """Same centre, no rotation: set II scaled onto the plane of set I (equation 16)."""
+    return second.ideal * (first.c / second.c) - first.ideal
+
+
+def rotation_misfit(first: View, second: View, pose: Array) -> Array:
+    """Same centre, free rotation, each with its principal distance (equations 17 to 19)."""
+    return _imaged(second.ideal, second.c, pose, first.c) - first.ideal
+
+
+def common_rotation_misfit(first: View, second: View, pose: Array) -> Array:
+    """Same centre, free rotation, the principal distance of set I for both: so the tables were made."""
+    return _imaged(second.ideal, first.c, pose, first.c) - first.ideal
+
+
+def resection_misfit(heights: Array) -> Misfit:
+    """Make the misfit of the single photo resection over given ground.
+
+    Parameters
+    ----------
+    heights : (n,) array
+        Depth of the ground below the exposure for every grid point, in units of the flying height.
+
+    Returns
+    -------
+    callable
+        Projects set I onto the ground and images it with set II from a free pose, whose position is in
+        units of the flying height.
+    """
+
+    def misfit(first: View, second: View, pose: Array) -> Array:
+        ground = np.column_stack([first.ideal / first.c, -np.ones(len(heights))]) * heights[:, None]
+        rays = (ground - pose[3:]) @ matrix_from_angles(pose[:3]).T
+        return np.asarray(-second.c * rays[:, :2] / rays[:, 2:] - second.ideal)
+
+    return misfit
+
+
+def methods(points: int, terrains: tuple[Terrain, ...], repeats: int, seed: int) -> tuple[Method, ...]:
+    """List every method with every definition.
+
+    Parameters
+    ----------
+    points : int
+        Number of grid points.
+    terrains : tuple of Terrain
+        Grounds for the single photo resection.
+    repeats : int
+        Random grounds of each kind, over which the figure is averaged.
+    seed : int
+        Of the random heights.
+
+    Returns
+    -------
+    tuple of Method
+        Misclosure, zero rotation, rotation, and a resection for each kind of ground.
+    """
+    fixed = (
+        Method("MIS", "root mean square", "equations", 0, False, (misclosure_misfit,)),
+        Method("MIS", "mean distance", "tables", 0, True, (misclosure_misfit,)),
+        Method("ZROT", "root mean square", "equations", 0, False, (zero_rotation_misfit,)),
+        Method("ZROT", "mean distance", "tables", 0, True, (zero_rotation_misfit,)),
+        Method("ROT", "two principal distances", "equations", 3, False, (rotation_misfit,)),
+        Method("ROT", "one principal distance", "tables", 3, False, (common_rotation_misfit,)),
+    )
+    generator = np.random.default_rng(seed)
+    resections = tuple(
+        Method(
+            "SPR",
+            f"relief {terrain.relief_m:g} m",
+            "both",
+            6,
+            False,
+            _over(terrain, points, repeats, generator),
+        )
+        for terrain in terrains
+    )
+    return fixed + resections
+
+
+def fitted_pose(method: Method, misfit: Misfit, first: View, second: View) -> tuple[Array, Array]:
+    """Find the pose of least misfit.
+
+    Parameters
+    ----------
+    method : Method
+        Gives the number of free elements.
+    misfit : callable
+        One of its misfits.
+    first, second : View
+        The two bundles.
+
+    Returns
+    -------
+    pose : (k,) array
+        Angles in radians, position in units of the flying height.
+    design : (2n, k) array
+        Derivative of the misfit with respect to the pose there.
+
+    Raises
+    ------
+    NotConvergedError
+        When the iteration does not settle: the two calibrations have nothing in common.
+    """
+    pose = np.zeros(method.pose_size)
+    for _ in range(30):
+        design = _design(misfit, first, second, pose)
+        if method.pose_size == 0:
+            return pose, design
+        change = np.linalg.lstsq(design, -misfit(first, second, pose).ravel(), rcond=None)[0]
+        if not np.all(np.isfinite(change)):
+            break
+        pose = pose + change
+        if np.max(np.abs(change)) < 1e-10:
+            return pose, design
+    raise NotConvergedError(
+        f"the two bundles cannot be brought together by method {method.name}",
+        remedy="check that both cameras have the same format, unit and sign of the distortion",
+    )
+
+
+def figure(method: Method, misfit_px: Array) -> Array:
+    """Condense misfits into the figure of a method.
+
+    Parameters
+    ----------
+    method : Method
+        Root mean square with the redundancy 2n - k, or mean distance.
+    misfit_px : (..., n, 2) array
+        Differences, px.
+
+    Returns
+    -------
+    (...) array
+        The figure, px.
+
+    Notes
+    -----
+    Without a pose the root mean square is that of the distances, sqrt(sum(dx^2 + dy^2) / n); with a pose it
+    is the standard deviation of unit weight of a coordinate, sqrt(v'v / (2n - k)), as in the study.
+    """
+    squares = np.sum(misfit_px**2, axis=-1)
+    if method.mean_distance:
+        return np.asarray(np.mean(np.sqrt(squares), axis=-1))
+    return np.asarray(np.sqrt(np.sum(squares, axis=-1) / redundancy(method, misfit_px.shape[-2])))
+
+
+def redundancy(method: Method, points: int) -> int:
+    """Give the divisor of the sum of squares: 2n - k with a pose, n (distances) without.
+
+    Parameters
+    ----------
+    method : Method
+        With its k pose elements.
+    points : int
+        Number n of grid points.
+
+    Returns
+    -------
+    int
+        The divisor.
+    """
+    return 2 * points - method.pose_size if method.pose_size else points
+
+
+def _over(terrain: Terrain, points: int, repeats: int, generator: np.random.Generator) -> tuple[Misfit, ...]:
+    ratio = terrain.relief_m / terrain.height_m
+    return tuple(resection_misfit(1.0 - ratio * generator.random(points)) for _ in range(repeats))
+
+
+def _imaged(ideal: Array, c: float, pose: Array, c_of_plane: float) -> Array:
+    rays = np.column_stack([ideal, np.full(len(ideal), -c)]) @ matrix_from_angles(pose).T
+    return np.asarray(-c_of_plane * rays[:, :2] / rays[:, 2:])
+
+
+def _design(misfit: Misfit, first: View, second: View, pose: Array) -> Array:
+    step = 1e-5
+    columns = [
+        (misfit(first, second, pose + move) - misfit(first, second, pose - move)).ravel() / (2.0 * step)
+        for move in step * np.eye(len(pose))
+    ]
+    return np.column_stack(columns) if columns else np.zeros((2 * len(first.ideal), 0))

@@ -1,0 +1,158 @@
+"""`photocal compare`: whether two or more calibrations are the same camera."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from photocal.analysis.stability.camera_file import CameraFile
+    from photocal.analysis.stability.comparison import Figure, Pair
+    from photocal.analysis.stability.verdict import Followed
+
+SCHEMA = "photocal.comparison/1"
+
+
+def compare(
+    cameras: Annotated[Path, typer.Argument(help="TOML file with two or more [[camera]] entries.")],
+    picture: Annotated[
+        Path | None, typer.Option("--picture", help="Draw the matrices of all pairs (.png, .svg, .pdf).")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+) -> None:
+    """Compare calibrations: misclosure, zero rotation, rotation and single photo resection of every pair.
+
+    [[camera]] as in block.toml: id, model, unit, size_px, pitch_mm, parameters, and optionally sigma
+    (parameter = value), correlation (names, matrix), reference_radius, affinity, affinity_form; model "pix4d"
+    takes f, Px, Py, R1, R2, R3, T1, T2 in mm. [comparison] sets grid_step_px, thresholds_px, terrain
+    (height_m, relief_m), terrains_each and seed. [[published]] gives printed figures to follow: method,
+    definition, tolerance_px, values = [[first, second, px], ...].
+
+    Example: `photocal compare configs/studies/canon-elph.toml --picture pairs.png`
+    """
+    import numpy as np
+
+    from acquire.console import answer, progress
+    from acquire.outputs import output_file
+    from photocal.analysis.stability.calibration import sensor_grid
+    from photocal.analysis.stability.camera_file import read_camera_file
+    from photocal.analysis.stability.comparison import compare as compare_pairs
+    from photocal.analysis.stability.methods import methods
+    from photocal.analysis.stability.verdict import follow
+
+    asked = read_camera_file(cameras)
+    ending = _picture_format(picture)
+    pixels = sensor_grid(asked.calibrations[0].camera.size_px, asked.grid_step_px)
+    chosen = methods(len(pixels), asked.terrains, asked.terrains_each, asked.seed)
+    count = len(asked.calibrations) * (len(asked.calibrations) - 1) // 2
+    with progress("comparing pairs", count) as advance:
+        pairs = compare_pairs(
+            asked.calibrations, pixels, chosen, np.random.default_rng(asked.seed), done=lambda: advance(1)
+        )
+    followed = follow(asked.printed, pairs)
+    if picture is not None:
+        from photocal.analysis.stability.picture import draw
+
+        with output_file(picture) as aside:
+            draw(pairs, tuple(one.id for one in asked.calibrations), asked.thresholds_px, aside, ending)
+    answer(
+        as_json,
+        lambda: _figures(asked, len(pixels), pairs, followed),
+        lambda: _text(asked, pairs, followed),
+    )
+
+
+def _picture_format(picture: Path | None) -> str:
+    from drivers.errors import ConfigurationError
+
+    ending = "png" if picture is None else picture.suffix.lower().lstrip(".")
+    if ending not in ("png", "svg", "pdf"):
+        raise ConfigurationError(
+            f"pictures of kind {ending!r} are not made",
+            where=picture,
+            remedy="end the name in .png, .svg or .pdf",
+        )
+    return ending
+
+
+def _figures(
+    asked: CameraFile, points: int, pairs: tuple[Pair, ...], followed: tuple[Followed, ...]
+) -> dict[str, Any]:
+    from photocal.analysis.stability.verdict import sentences
+
+    return {
+        "schema": SCHEMA,
+        "cameras": [one.id for one in asked.calibrations],
+        "grid": {"points": points, "step_px": asked.grid_step_px},
+        "thresholds_px": list(asked.thresholds_px),
+        "terrains": [{"height_m": one.height_m, "relief_m": one.relief_m} for one in asked.terrains],
+        "terrains_each": asked.terrains_each,
+        "seed": asked.seed,
+        "pairs": [
+            {
+                "first": pair.first,
+                "second": pair.second,
+                "figures": [_figure(figure, asked.thresholds_px) for figure in pair.figures],
+            }
+            for pair in pairs
+        ],
+        "published": [
+            {
+                "first": one.printed.first,
+                "second": one.printed.second,
+                "method": one.printed.method,
+                "definition": one.printed.definition,
+                "printed_px": one.printed.value_px,
+                "computed_px": one.computed_px,
+                "tolerance_px": one.printed.tolerance_px,
+                "follows": one.follows,
+            }
+            for one in followed
+        ],
+        "findings": list(sentences(pairs, asked.thresholds_px, followed)),
+    }
+
+
+def _figure(figure: Figure, thresholds_px: tuple[float, ...]) -> dict[str, Any]:
+    from photocal.analysis.stability.verdict import likeness
+
+    return {
+        "method": figure.method,
+        "definition": figure.definition,
+        "source": figure.source,
+        "value_px": figure.value_px,
+        "sigma_px": figure.sigma_px,
+        "noise_px": figure.noise_px,
+        "p_value": figure.p_value,
+        "different": figure.different,
+        "within_px": likeness(figure, thresholds_px),
+    }
+
+
+def _text(asked: CameraFile, pairs: tuple[Pair, ...], followed: tuple[Followed, ...]) -> str:
+    from photocal.analysis.stability.verdict import sentences
+
+    names = tuple(one.id for one in asked.calibrations)
+    blocks = [_matrix(pairs, names, k) for k in range(len(pairs[0].figures))]
+    if any(figure.sigma_px is not None for pair in pairs for figure in pair.figures):
+        blocks.append("value +- its standard deviation, px; * differs beyond the noise of both (95 %)")
+    return "\n\n".join([*blocks, "\n".join(sentences(pairs, asked.thresholds_px, followed))])
+
+
+def _matrix(pairs: tuple[Pair, ...], names: tuple[str, ...], which: int) -> str:
+    cells = {(pair.first, pair.second): _cell(pair.figures[which]) for pair in pairs}
+    kind = pairs[0].figures[which]
+    table = [["", *names[:-1]]] + [
+        [second, *(cells.get((first, second), "") for first in names[:-1])] for second in names[1:]
+    ]
+    widths = [max(len(row[j]) for row in table) for j in range(len(names))]
+    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in table]
+    return "\n".join([f"{kind.method}, {kind.definition}, px", *(line.rstrip() for line in lines)])
+
+
+def _cell(figure: Figure) -> str:
+    if figure.sigma_px is None:
+        return f"{figure.value_px:.2f} "
+    return f"{figure.value_px:.2f}+-{figure.sigma_px:.2f}{'*' if figure.different else ' '}"
