@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from acquire.console import application, run
-from photocal.commands import adjust, compare
+from photocal.commands import adjust, certificate, check, compare
 
 app = application("From flight log, images and control points to a calibrated camera and its certificate.")
 app.command()(adjust.adjust)
+app.command()(certificate.certificate)
 app.command()(compare.compare)
+app.command()(check.check)
 
 
 def main() -> None:

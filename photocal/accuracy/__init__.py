@@ -1,0 +1,1 @@
+"""Check points against the product: statistics, tests, accuracy standards and plausibility."""

@@ -1,0 +1,223 @@
+"""An assessment as text for the terminal: tables, then the findings in words."""
+
+from __future__ import annotations
+
+import io
+import math
+import textwrap
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from photocal.accuracy.assessment import Assessment, TableResult, VectorResult
+from photocal.accuracy.classes import smallest_listed
+from photocal.accuracy.discrepancies import COMPONENTS, SIGN
+from photocal.accuracy.findings import Finding
+from photocal.accuracy.wording import findings, scale_text, size_text, value_class_text
+
+_WIDTH = 118
+_NONE = "-"
+
+
+def to_text(assessment: Assessment) -> str:
+    """Write an assessment for people.
+
+    Parameters
+    ----------
+    assessment : Assessment
+        The figures.
+
+    Returns
+    -------
+    str
+        Several lines, figures in m.
+    """
+    parts = [
+        _heading(assessment),
+        _points(assessment),
+        _statistics(assessment),
+        _vectors(assessment),
+        _tests(assessment),
+    ]
+    similarity = assessment.similarity
+    if similarity is not None:
+        parts.append(
+            f"Similarity over the plane: scale {similarity.scale:+.3%}, rotation "
+            f"{similarity.rotation_rad * 1e3:+.3f} mrad; "
+            f"planimetric RMSE left {similarity.rmse_left_m:.3f} m.\n"
+        )
+    parts += [_standard(table) for table in assessment.tables]
+    parts += [f"{value.standard.title}: {value_class_text(value)}\n" for value in assessment.values]
+    parts.append(findings_text(findings(assessment)))
+    return "\n".join(parts)
+
+
+def findings_text(said: tuple[Finding, ...]) -> str:
+    """Write findings one below the other.
+
+    Parameters
+    ----------
+    said : tuple of Finding
+        The findings.
+
+    Returns
+    -------
+    str
+        One paragraph each, or a line that says that there is nothing.
+    """
+    if not said:
+        return "Nothing to remark."
+    return "\n".join(
+        textwrap.fill(finding.text, _WIDTH, initial_indent="* ", subsequent_indent="  ") for finding in said
+    )
+
+
+def _heading(assessment: Assessment) -> str:
+    return (
+        f"{len(assessment.discrepancies.points)} check points; discrepancies are {SIGN}, in metres; "
+        f"tests at {assessment.question.confidence:.0%}."
+    )
+
+
+def _points(assessment: Assessment) -> str:
+    table = _table("Discrepancies", "point", *(f"d{name}" for name in COMPONENTS))
+    for point, row in zip(
+        assessment.discrepancies.points, assessment.discrepancies.d_m.tolist(), strict=True
+    ):
+        table.add_row(point, *(_metres(value, sign=True) for value in row))
+    return _render(table)
+
+
+def _statistics(assessment: Assessment) -> str:
+    table = _table(
+        "Statistics", "", "n", "mean", "std (n-1)", "RMSE", "without trend", "min", "max", "median", "NMAD"
+    )
+    for c in assessment.components:
+        table.add_row(
+            f"d{c.name}",
+            str(c.moments.n),
+            _metres(c.moments.mean_m, sign=True),
+            _metres(c.moments.std_m),
+            _metres(c.moments.rmse_m),
+            _metres(c.rmse_after_trend_removal_m),
+            _metres(c.spread.minimum_m, sign=True),
+            _metres(c.spread.maximum_m, sign=True),
+            _metres(c.spread.median_m, sign=True),
+            _metres(c.spread.nmad_m),
+        )
+    return _render(table)
+
+
+def _vectors(assessment: Assessment) -> str:
+    table = _table("Lengths", "", "n", "RMSE", "mean length", "maximum", "90 % normal", "90 % counted")
+    named: tuple[tuple[str, VectorResult | None], ...] = (
+        ("planimetry (CE90)", assessment.plane),
+        ("height (LE90)", assessment.height),
+        ("3D", assessment.space),
+    )
+    for name, result in named:
+        if result is not None:
+            s = result.statistics
+            figures = (s.rms_m, s.mean_m, s.maximum_m, result.probable_m, result.counted_m)
+            table.add_row(name, str(s.n), *(_metres(figure) for figure in figures))
+    return _render(table)
+
+
+def _tests(assessment: Assessment) -> str:
+    table = _table("Tests", "", "t", "limit", "bias", "Shapiro-Wilk p", "normal", "outliers")
+    for c in assessment.components:
+        table.add_row(
+            f"d{c.name}",
+            _NONE if c.bias is None else f"{c.bias.t:.3f}",
+            _NONE if c.bias is None else f"{c.bias.critical:.4f}",
+            _NONE if c.bias is None else ("yes" if c.bias.significant else "no"),
+            _NONE if c.normality is None else f"{c.normality.p_value:.3f}",
+            _NONE if c.normality is None else ("no" if c.normality.rejected else "yes"),
+            ", ".join(c.outliers) or _NONE,
+        )
+    return _render(table)
+
+
+def _standard(result: TableResult) -> str:
+    title = f"{result.standard_title}: {result.table.product}"
+    parts = [] if result.size is None else [_decisions(result, title)]
+    parts.append(_smallest(result, title))
+    if result.table.second_hand:
+        parts.append(textwrap.fill(f"(second-hand figures: {result.table.source})", _WIDTH) + "\n")
+    return "\n".join(parts)
+
+
+def _decisions(result: TableResult, title: str) -> str:
+    at = "" if result.size is None else size_text(result.table.basis, result.size)
+    table = _table(
+        f"{title} at {at}",
+        "class",
+        "PEC",
+        "EP",
+        "chi2",
+        "limit",
+        "precision",
+        "within PEC",
+        "RMSE",
+        "accuracy",
+    )
+    for decision in result.decisions:
+        table.add_row(
+            decision.limit.name,
+            f"{decision.limit.pec_m:.3f}",
+            f"{decision.limit.ep_m:.3f}",
+            " ".join(f"{test.chi_squared:.2f}" for test in decision.precision) or _NONE,
+            f"{decision.precision[0].critical:.2f}" if decision.precision else _NONE,
+            _yes(decision.precise),
+            _NONE if decision.share_within is None else f"{decision.share_within:.0%}",
+            "within EP" if decision.rmse_within else "above EP",
+            _yes(decision.accurate),
+        )
+    return _render(table) + (
+        f"precision class {result.precision_class or 'none'} (bias removed), "
+        f"accuracy class {result.accuracy_class or 'none'} (90 % rule and RMSE)\n"
+    )
+
+
+def _smallest(result: TableResult, title: str) -> str:
+    basis = result.table.basis
+    what = "largest scale" if basis == "scale" else "smallest contour interval (m)"
+    table = _table(
+        f"{title}: {what}", "class", "by precision", "by accuracy", "= RMSE", "and 90 %", "next listed"
+    )
+    for admitted in result.admitted:
+        listed = smallest_listed(result.table.sizes(), admitted.accuracy)
+        sizes = (admitted.precision, admitted.accuracy, admitted.rmse, admitted.share, listed)
+        table.add_row(admitted.name, *(_size(basis, size) for size in sizes))
+    return _render(table)
+
+
+def _size(basis: str, size: float | None) -> str:
+    if size is None:
+        return _NONE
+    return scale_text(size) if basis == "scale" else f"{size:.4f}"
+
+
+def _yes(decision: bool) -> str:
+    return "yes" if decision else "no"
+
+
+def _table(title: str, first: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, title_style="")
+    table.add_column(first)
+    for column in columns:
+        table.add_column(column, justify="right")
+    return table
+
+
+def _render(table: Table) -> str:
+    page = io.StringIO()
+    Console(file=page, width=_WIDTH, color_system=None).print(table, markup=False)
+    return "\n".join(line.rstrip() for line in page.getvalue().splitlines()) + "\n"
+
+
+def _metres(value: float | None, *, sign: bool = False) -> str:
+    if value is None or not math.isfinite(value):
+        return _NONE
+    return f"{value:+.3f}" if sign else f"{value:.3f}"

@@ -1,0 +1,228 @@
+"""Precision class and accuracy class of a product, and the largest scale that each admits.
+
+Many papers take the chi-square test of the spread for a test of accuracy. It is a test of precision:
+the bias is removed first. The class that the standards mean asks for 90 % of the points within PEC
+and for an RMSE, which contains the bias, within the standard error. Both are given side by side.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from photocal.accuracy.probable_error import counted_error
+from photocal.accuracy.significance_tests import PrecisionTest, precision_quantile, precision_test
+from photocal.accuracy.standard import ClassLimit, LimitTable
+from photocal.accuracy.statistics import FloatArray, Moments, combined_rmse, lengths, moments
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What is known of the check points of one product.
+
+    Attributes
+    ----------
+    components : tuple of Moments
+        E and N for planimetry, h for heights.
+    lengths_m : ndarray, shape (n,), or None
+        Plane distances or absolute height differences, m; None when only moments were published.
+    """
+
+    components: tuple[Moments, ...]
+    lengths_m: FloatArray | None = None
+
+    @property
+    def rmse_m(self) -> float:
+        """Planimetric or height RMSE, m."""
+        return combined_rmse(*self.components)
+
+
+@dataclass(frozen=True)
+class ClassDecision:
+    """Whether a product reaches one class at one scale or interval.
+
+    Attributes
+    ----------
+    limit : ClassLimit
+        What the class allows.
+    precision : tuple of PrecisionTest
+        One for each component; empty with a single point.
+    rmse_within : bool
+        Whether the RMSE is within the standard error.
+    share_within : float or None
+        Share of the points within PEC; None when only moments are known.
+    share_passes : bool or None
+        Whether that share is enough.
+    """
+
+    limit: ClassLimit
+    precision: tuple[PrecisionTest, ...]
+    rmse_within: bool
+    share_within: float | None
+    share_passes: bool | None
+
+    @property
+    def precise(self) -> bool:
+        """Whether the spread alone reaches the class."""
+        return bool(self.precision) and all(test.accepted for test in self.precision)
+
+    @property
+    def accurate(self) -> bool:
+        """Whether RMSE, and the 90 % rule where points are known, reach the class."""
+        return self.rmse_within and self.share_passes is not False
+
+
+@dataclass(frozen=True)
+class AdmittedSize:
+    """Smallest scale denominator, or contour interval in m, at which a class is reached.
+
+    Attributes
+    ----------
+    name : str
+        The class.
+    precision : float or None
+        By the chi-square test of the spread; None with a single point.
+    rmse : float
+        By RMSE within the standard error.
+    share : float or None
+        By the 90 % rule; None when only moments are known.
+    """
+
+    name: str
+    precision: float | None
+    rmse: float
+    share: float | None
+
+    @property
+    def accuracy(self) -> float:
+        """By both conditions of the standard."""
+        return self.rmse if self.share is None else max(self.rmse, self.share)
+
+
+def sample(vectors_m: FloatArray) -> Sample:
+    """Make a sample from discrepancies.
+
+    Parameters
+    ----------
+    vectors_m : ndarray, shape (n, k)
+        Discrepancies in two (plane) or one (height) components, m, n at least 1.
+
+    Returns
+    -------
+    Sample
+        With moments and lengths.
+    """
+    return Sample(tuple(moments(column) for column in vectors_m.T), lengths(vectors_m))
+
+
+def component_sigma(ep_m: float, components: int) -> float:
+    """Divide the standard error of a class among the components.
+
+    Parameters
+    ----------
+    ep_m : float
+        Standard error of the class, m.
+    components : int
+        2 for planimetry, 1 for heights.
+
+    Returns
+    -------
+    float
+        Standard deviation for each component, m (Alves Junior et al. 2015, equations 5-6).
+    """
+    return ep_m / math.sqrt(components)
+
+
+def decide(product: Sample, limit: ClassLimit, share_required: float, confidence: float) -> ClassDecision:
+    """Decide whether a product reaches a class.
+
+    Parameters
+    ----------
+    product : Sample
+        Its check points.
+    limit : ClassLimit
+        What the class allows at the scale or interval in question.
+    share_required : float
+        Share of the points that must lie within PEC, 0 to 1.
+    confidence : float
+        Level of the chi-square test, 0 to 1.
+
+    Returns
+    -------
+    ClassDecision
+        Precision and accuracy apart.
+    """
+    sigma = component_sigma(limit.ep_m, len(product.components))
+    testable = all(component.n > 1 for component in product.components)
+    precision = (
+        tuple(precision_test(component, sigma, confidence) for component in product.components)
+        if testable
+        else ()
+    )
+    share = None if product.lengths_m is None else float(np.mean(product.lengths_m <= limit.pec_m))
+    return ClassDecision(
+        limit,
+        precision,
+        product.rmse_m <= limit.ep_m,
+        share,
+        None if share is None else share >= share_required - 1e-9,
+    )
+
+
+def admitted_size(
+    product: Sample, table: LimitTable, name: str, share_required: float, confidence: float
+) -> AdmittedSize:
+    """Give the exact smallest scale denominator or contour interval at which a class is reached.
+
+    Parameters
+    ----------
+    product : Sample
+        Its check points.
+    table : LimitTable
+        The limits, by the rule and not by printed figures.
+    name : str
+        Class of the table.
+    share_required : float
+        Share of the points that must lie within PEC, 0 to 1.
+    confidence : float
+        Level of the chi-square test, 0 to 1.
+
+    Returns
+    -------
+    AdmittedSize
+        Scale denominators, or intervals in m, as the table's basis says.
+    """
+    unit = next(limit for limit in table.unit_limits if limit.name == name)
+    precision = None
+    n = min(component.n for component in product.components)
+    if n > 1:
+        # chi^2 = (n - 1) s^2 / sigma^2 reaches its quantile at this sigma, for the worst component.
+        sigma = max(
+            component.std_m * math.sqrt((component.n - 1) / precision_quantile(component.n, confidence))
+            for component in product.components
+        )
+        precision = sigma / component_sigma(unit.ep_m, len(product.components))
+    share = (
+        None if product.lengths_m is None else counted_error(product.lengths_m, share_required) / unit.pec_m
+    )
+    return AdmittedSize(name, precision, product.rmse_m / unit.ep_m, share)
+
+
+def smallest_listed(sizes: tuple[float, ...], exact: float) -> float | None:
+    """Give the next listed scale denominator or contour interval.
+
+    Parameters
+    ----------
+    sizes : tuple of float
+        Those that a standard or a client lists, smallest first.
+    exact : float
+        Exact smallest size.
+
+    Returns
+    -------
+    float or None
+        The first that is not smaller; None beyond the list.
+    """
+    return next((size for size in sizes if size >= exact), None)

@@ -1,0 +1,229 @@
+"""Statistical tests on discrepancies: bias (Student), precision (chi-square), normality."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from scipy import stats
+
+from drivers.errors import ConfigurationError, IllPosedError
+from photocal.accuracy.statistics import FloatArray, Moments
+
+SHAPIRO_WILK_SMALLEST_SAMPLE = 3
+
+
+@dataclass(frozen=True)
+class BiasTest:
+    """Two-sided Student test of a mean against zero.
+
+    Attributes
+    ----------
+    t : float
+        Mean over its standard deviation, with the sign of the mean; infinite when the spread is zero.
+    critical : float
+        Value that |t| must stay below.
+    confidence : float
+        Two-sided level of confidence, 0 to 1.
+    p_value : float
+        Probability of a larger |t| without bias.
+    """
+
+    t: float
+    critical: float
+    confidence: float
+    p_value: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether the mean differs from zero, that is, whether there is a bias."""
+        return not abs(self.t) < self.critical
+
+
+@dataclass(frozen=True)
+class PrecisionTest:
+    """One-sided chi-square test of a standard deviation against a required one.
+
+    Attributes
+    ----------
+    chi_squared : float
+        Degrees of freedom times the ratio of the variances.
+    critical : float
+        Value that it must stay below.
+    confidence : float
+        One-sided level of confidence, 0 to 1.
+    """
+
+    chi_squared: float
+    critical: float
+    confidence: float
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the spread agrees with the required standard deviation."""
+        return self.chi_squared < self.critical
+
+
+@dataclass(frozen=True)
+class NormalityTest:
+    """Shapiro-Wilk test of normality.
+
+    Attributes
+    ----------
+    w : float
+        Statistic of Shapiro and Wilk, 1 for normal data.
+    p_value : float
+        Probability of a smaller value for normal data.
+    confidence : float
+        Level of confidence of the decision, 0 to 1.
+    """
+
+    w: float
+    p_value: float
+    confidence: float
+
+    @property
+    def rejected(self) -> bool:
+        """Whether the data are not normal at the level of confidence."""
+        return self.p_value < 1.0 - self.confidence
+
+
+def bias_test(component: Moments, confidence: float) -> BiasTest:
+    """Test whether the mean of a component is zero.
+
+    Parameters
+    ----------
+    component : Moments
+        Of at least two points.
+    confidence : float
+        Two-sided level, 0 to 1: 0.90 compares with the 0.95 quantile.
+
+    Returns
+    -------
+    BiasTest
+        Alves Junior et al. 2015, equations 12-15; canon-elph study, equations 23-25.
+
+    Raises
+    ------
+    IllPosedError
+        With fewer than two points.
+    """
+    dof = _degrees_of_freedom(component)
+    _require_level(confidence)
+    critical = float(stats.t.ppf(0.5 + confidence / 2.0, dof))
+    if component.std_m == 0.0:
+        t = 0.0 if component.mean_m == 0.0 else math.copysign(math.inf, component.mean_m)
+    else:
+        t = component.mean_m / component.std_m * math.sqrt(component.n)
+    return BiasTest(t, critical, confidence, 2.0 * float(stats.t.sf(abs(t), dof)))
+
+
+def precision_test(component: Moments, sigma_m: float, confidence: float) -> PrecisionTest:
+    """Test whether the spread of a component is not larger than a required standard deviation.
+
+    It sees precision only: a bias of any size passes.
+
+    Parameters
+    ----------
+    component : Moments
+        Of at least two points.
+    sigma_m : float
+        Required standard deviation of the component, m.
+    confidence : float
+        One-sided level, 0 to 1.
+
+    Returns
+    -------
+    PrecisionTest
+        Alves Junior et al. 2015, equations 7-8.
+
+    Raises
+    ------
+    IllPosedError
+        With fewer than two points.
+    ConfigurationError
+        For a standard deviation or level that cannot be.
+    """
+    dof = _degrees_of_freedom(component)
+    if not sigma_m > 0.0:
+        raise ConfigurationError(f"required standard deviation {sigma_m} m is not positive")
+    chi_squared = dof * (component.std_m / sigma_m) ** 2
+    return PrecisionTest(chi_squared, precision_quantile(component.n, confidence), confidence)
+
+
+def precision_quantile(n: int, confidence: float) -> float:
+    """Give the chi-square value that the precision test compares with.
+
+    Parameters
+    ----------
+    n : int
+        Number of points, at least 2.
+    confidence : float
+        One-sided level, 0 to 1.
+
+    Returns
+    -------
+    float
+        Quantile of chi-square with n - 1 degrees of freedom.
+    """
+    _require_level(confidence)
+    return float(stats.chi2.ppf(confidence, n - 1))
+
+
+def normality_test(values_m: FloatArray, confidence: float) -> NormalityTest | None:
+    """Test whether a component is normally distributed (Shapiro and Wilk 1965).
+
+    Parameters
+    ----------
+    values_m : ndarray, shape (n,)
+        Discrepancies, m.
+    confidence : float
+        Level of the decision, 0 to 1.
+
+    Returns
+    -------
+    NormalityTest or None
+        None for fewer than three points, or when all are equal: nothing can be said then.
+    """
+    _require_level(confidence)
+    if len(values_m) < SHAPIRO_WILK_SMALLEST_SAMPLE or float(values_m.max()) == float(values_m.min()):
+        return None
+    result = stats.shapiro(values_m)
+    return NormalityTest(float(result.statistic), float(result.pvalue), confidence)
+
+
+def std_interval_factors(n: int, confidence: float) -> tuple[float, float]:
+    """Say how badly a standard deviation from n points is known.
+
+    Parameters
+    ----------
+    n : int
+        Number of points, at least 2.
+    confidence : float
+        Two-sided level, 0 to 1.
+
+    Returns
+    -------
+    tuple of float
+        Factors of the computed standard deviation between which the true one lies (normal data).
+    """
+    _require_level(confidence)
+    dof = n - 1
+    low = float(stats.chi2.ppf(0.5 - confidence / 2.0, dof))
+    high = float(stats.chi2.ppf(0.5 + confidence / 2.0, dof))
+    return math.sqrt(dof / high), math.sqrt(dof / low)
+
+
+def _degrees_of_freedom(component: Moments) -> int:
+    if component.n < 2:
+        raise IllPosedError(
+            "a test needs at least two check points, there is one", remedy="measure more check points"
+        )
+    return component.n - 1
+
+
+def _require_level(confidence: float) -> None:
+    if not 0.0 < confidence < 1.0:
+        raise ConfigurationError(
+            f"confidence {confidence} is not between 0 and 1", remedy="give for example 0.90"
+        )

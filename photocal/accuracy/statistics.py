@@ -1,0 +1,222 @@
+"""Moments of discrepancies: mean, standard deviation, root mean square error, lengths.
+
+A discrepancy is reference minus product, everywhere in this package.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputMalformedError
+
+FloatArray = NDArray[np.float64]
+
+# 1 / the 0.75 quantile of the standard normal distribution: the median of absolute deviations
+# times this estimates the standard deviation of normal data (Hoehle and Hoehle 2009).
+_MAD_TO_STD = 1.482602218505602
+
+
+@dataclass(frozen=True)
+class Moments:
+    """First two moments of one component of the discrepancies.
+
+    Published studies often print nothing else, therefore tests and classes are computed from these.
+
+    Attributes
+    ----------
+    n : int
+        Number of points.
+    mean_m : float
+        Mean discrepancy, m.
+    std_m : float
+        Standard deviation about the mean with n - 1, m; NaN for a single point.
+    """
+
+    n: int
+    mean_m: float
+    std_m: float
+
+    @property
+    def rmse_m(self) -> float:
+        """Root mean square error, m: bias and spread together."""
+        spread = 0.0 if self.n == 1 else (self.n - 1) / self.n * self.std_m**2
+        return math.sqrt(self.mean_m**2 + spread)
+
+    @property
+    def rmse_without_mean_m(self) -> float:
+        """Root mean square error after the mean has been subtracted, m."""
+        return 0.0 if self.n == 1 else self.std_m * math.sqrt((self.n - 1) / self.n)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Figures of one component beyond its moments, all in m.
+
+    Attributes
+    ----------
+    minimum_m, maximum_m, median_m : float
+        Extremes and median.
+    nmad_m : float
+        Normalised median absolute deviation: the standard deviation that a few outliers cannot spoil.
+    """
+
+    minimum_m: float
+    maximum_m: float
+    median_m: float
+    nmad_m: float
+
+
+@dataclass(frozen=True)
+class LengthStatistics:
+    """Lengths of residual vectors (2D or 3D) summed up in the two ways that the literature mixes.
+
+    Attributes
+    ----------
+    n : int
+        Number of vectors.
+    mean_m : float
+        Arithmetic mean of the lengths, m. Smaller than, or equal to, the root mean square.
+    rms_m : float
+        Root mean square of the lengths, m: the 2D or 3D RMSE.
+    maximum_m : float
+        Longest vector, m.
+    """
+
+    n: int
+    mean_m: float
+    rms_m: float
+    maximum_m: float
+
+
+def moments(values_m: FloatArray) -> Moments:
+    """Compute number, mean and standard deviation of one component.
+
+    Parameters
+    ----------
+    values_m : ndarray, shape (n,)
+        Discrepancies, m, all finite.
+
+    Returns
+    -------
+    Moments
+        With the standard deviation over n - 1 (NaN for one point).
+
+    Raises
+    ------
+    InputMalformedError
+        Without any point.
+
+    Notes
+    -----
+    Alves Junior et al. 2015, equations 2-4 and 9-11.
+    """
+    n = len(values_m)
+    if n == 0:
+        raise InputMalformedError(
+            "no discrepancy to compute statistics from", remedy="give at least one check point"
+        )
+    return Moments(n, float(np.mean(values_m)), float(np.std(values_m, ddof=1)) if n > 1 else math.nan)
+
+
+def spread(values_m: FloatArray) -> Spread:
+    """Compute extremes, median and the robust standard deviation of one component.
+
+    Parameters
+    ----------
+    values_m : ndarray, shape (n,)
+        Discrepancies, m, n at least 1.
+
+    Returns
+    -------
+    Spread
+        The figures in m. Normalised median absolute deviation after Hoehle and Hoehle 2009.
+    """
+    median = float(np.median(values_m))
+    return Spread(
+        float(np.min(values_m)),
+        float(np.max(values_m)),
+        median,
+        _MAD_TO_STD * float(np.median(np.abs(values_m - median))),
+    )
+
+
+def lengths(vectors_m: FloatArray) -> FloatArray:
+    """Compute the lengths of residual vectors.
+
+    Parameters
+    ----------
+    vectors_m : ndarray, shape (n, k)
+        Discrepancies in k components, m.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Euclidean lengths, m.
+    """
+    squares: FloatArray = np.sum(np.square(vectors_m), axis=1)
+    return np.sqrt(squares)
+
+
+def length_statistics(lengths_m: FloatArray) -> LengthStatistics:
+    """Sum up lengths of residual vectors by mean and by root mean square.
+
+    Silva (tank survey, equation 5) defines Rxyz as the root mean square but prints the mean of the
+    lengths, so both are given and named.
+
+    Parameters
+    ----------
+    lengths_m : ndarray, shape (n,)
+        Lengths, m, n at least 1.
+
+    Returns
+    -------
+    LengthStatistics
+        Mean, root mean square and maximum, m.
+    """
+    return LengthStatistics(
+        len(lengths_m),
+        float(np.mean(lengths_m)),
+        math.sqrt(float(np.mean(np.square(lengths_m)))),
+        float(np.max(lengths_m)),
+    )
+
+
+def combined_rmse(*components: Moments) -> float:
+    """Join the RMSE of components into the 2D or 3D RMSE.
+
+    Parameters
+    ----------
+    *components : Moments
+        Two (E, N) or three (E, N, h) components of the same points.
+
+    Returns
+    -------
+    float
+        Square root of the sum of the squared component RMSE, m.
+    """
+    return math.sqrt(sum(component.rmse_m**2 for component in components))
+
+
+def moments_from_rmse_and_t(rmse_m: float, t: float, n: int) -> Moments:
+    """Recover mean and standard deviation from a published RMSE and Student statistic.
+
+    Parameters
+    ----------
+    rmse_m : float
+        Root mean square error about zero, m.
+    t : float
+        Student statistic mean * sqrt(n) / std, with its sign.
+    n : int
+        Number of points, at least 2.
+
+    Returns
+    -------
+    Moments
+        Those that give back `rmse_m` and `t`.
+    """
+    std = rmse_m * math.sqrt(n / (t**2 + n - 1))
+    return Moments(n, t * std / math.sqrt(n), std)

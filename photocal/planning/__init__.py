@@ -1,0 +1,1 @@
+"""Before the flight: heights, overlaps, expected precision, error budget, strips and missions."""
