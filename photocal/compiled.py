@@ -50,14 +50,16 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 def compiled(function: Function) -> Function:
     """Compile a function of numbers and arrays; it may be called by other compiled functions."""
-    return cast(Function, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    return cast("Function", numba.njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
 def compiled_parallel(function: Function) -> Function:
     """Compile a function whose `numba.prange` loops run on all threads."""
-    return cast(Function, numba.njit(cache=True, nogil=True, error_model="numpy", parallel=True)(function))
+    return cast("Function", numba.njit(cache=True, nogil=True, error_model="numpy", parallel=True)(function))
 
 
 def inlined(function: Function) -> Function:
     """Compile a small function so that it melts into its caller."""
-    return cast(Function, numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)(function))
+    return cast(
+        "Function", numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)(function)
+    )

@@ -1,1 +1,38 @@
 """Compile the kernels once, at setup, so that the first adjustment does not wait for it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from photocal.adjustment.adjust import adjust
+from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
+from photocal.geometry.camera import camera
+
+
+def compile_kernels() -> None:
+    """Adjust the smallest network that passes through every kernel."""
+    grid = np.array([[x, y, 0.1 * x * y] for x in (-2.0, -1.0, 1.0, 2.0) for y in (-2.0, -1.0, 1.0, 2.0)])
+    stations = np.array([[-1.0, 0.0, 5.0], [1.0, 0.0, 5.0]])
+    values = np.hstack([np.zeros((2, 3)), stations])
+    sigma = np.full((2, 6), np.inf)
+    sigma[0, 0], sigma[1, 3] = 1.0, 1.0
+    held, weight = point_weights(np.full((16, 3), 0.01))
+    q = grid[:, None, :] - stations
+    plane = (-20.0 * q[..., :2] / q[..., 2:]).reshape(-1, 2)
+    image, point = np.tile([0, 1], 16), np.repeat(np.arange(16), 2)
+    lens = camera("c", "brown-observed", "mm", (100, 100), (0.1, 0.1), {"c": 20.0}, estimate=("c",))
+    rays = Rays(image, point, plane, np.full(plane.shape, 0.01))
+    names = tuple(str(j) for j in range(16))
+    network = Network(
+        (lens,),
+        Exposures(np.zeros(2, np.int64), values, sigma),
+        Points(grid, held, weight),
+        rays,
+        ("a", "b"),
+        names,
+    )
+    adjust(network)
+
+
+if __name__ == "__main__":
+    compile_kernels()

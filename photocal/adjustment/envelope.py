@@ -118,7 +118,7 @@ def factorise(structure: Envelope, values: Floats) -> int:
         diagonal = panel[:width].T
         _, info = lapack.dpotrf(diagonal, lower=0, overwrite_a=1, clean=0)
         if info > 0:
-            return start + info - 1
+            return int(start + info - 1)
         below = panel[width:].T
         if below.shape[1] == 0:
             continue

@@ -453,7 +453,9 @@ def element_address(structure: Structure, row: int, column: int) -> int:
     """Where an element of the lower triangle stands among the values of the reduced matrix."""
     panel, band = structure.panel, structure.band
     if column >= band:
-        return int(structure.offset[len(structure.width) - 1] + (row - band) * structure.border + column - band)
+        return int(
+            structure.offset[len(structure.width) - 1] + (row - band) * structure.border + column - band
+        )
     home = column // panel
     top = home * panel
     line = row - top if row < band else structure.last[home] - top + row - band

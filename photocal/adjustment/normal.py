@@ -151,9 +151,7 @@ def normal_equations(problem: Problem, state: State, damping: float = 0.0) -> No
     matrices = np.zeros((threads, int(structure.offset[-1])))
     gradients, totals = np.zeros((threads, where.size)), np.zeros(threads)
     singular = np.zeros(len(design.point_free), dtype=np.bool_)
-    accumulate(
-        design, values_of(problem, state), structure, damping, matrices, gradients, totals, singular
-    )
+    accumulate(design, values_of(problem, state), structure, damping, matrices, gradients, totals, singular)
     matrix, gradient, total = matrices[0], gradients[0], float(totals.sum())
     for more, gradient_more in zip(matrices[1:], gradients[1:], strict=True):
         matrix += more

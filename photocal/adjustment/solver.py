@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.errors import NotConvergedError
 from photocal.adjustment.envelope import factorise, solve
 from photocal.adjustment.kernels import back_substitute
 from photocal.adjustment.normal import (
@@ -20,7 +21,6 @@ from photocal.adjustment.normal import (
 )
 from photocal.adjustment.rank import explain_singular, weakest_pivot
 from photocal.adjustment.state import State, moved_exposures
-from drivers.errors import NotConvergedError
 
 Floats = NDArray[np.float64]
 
@@ -68,9 +68,7 @@ class Minimum:
     iterations: tuple[Iteration, ...]
 
 
-def minimise(
-    problem: Problem, state: State, report: Callable[[Iteration], None] | None = None
-) -> Minimum:
+def minimise(problem: Problem, state: State, report: Callable[[Iteration], None] | None = None) -> Minimum:
     """Find the state of least v'Pv.
 
     Parameters
@@ -117,7 +115,7 @@ def minimise(
         damping = damping / 10 if damping > 1e-6 and decrement >= CONVERGED else 0.0
     explain_singular(problem, state)
     raise NotConvergedError(
-        f"not converged after {ITERATIONS} iterations (last step {np.sqrt(decrement):.2g} standard deviations)",
+        f"not converged after {ITERATIONS} iterations (last step {np.sqrt(decrement):.2g} sigma)",
         remedy="check the start values, and what the network leaves undetermined",
     )
 

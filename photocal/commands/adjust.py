@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from acquire.console import answer
+
 
 def adjust(
-    block: Annotated[Path, typer.Argument(help="Block folder (block.toml, images.csv, points.csv, observations).")],
+    block: Annotated[
+        Path, typer.Argument(help="Block folder (block.toml, images.csv, points.csv, observations.csv).")
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print result.json instead of a summary.")] = False,
 ) -> None:
@@ -17,3 +21,34 @@ def adjust(
 
     Example: `photocal adjust configs/demo/dcs460 -o run`
     """
+    from photocal.block.process import adjust_block
+
+    result = adjust_block(block, output)
+    answer(as_json, lambda: result, lambda: _text(result, output))
+
+
+def _text(result: dict[str, Any], output: Path) -> str:
+    """What a person wants to know first."""
+    test = result["global_test"]
+    lines = [
+        f"{result['block']['name']}: converged after {result['iterations']} iterations, "
+        f"{result['observations']} observations, {result['unknowns']} unknowns, "
+        f"{result['degrees_of_freedom']} degrees of freedom",
+    ]
+    if test:
+        verdict = "accepted" if test["accepted"] else "REJECTED"
+        lines.append(
+            f"chi-squared {result['chi_squared']:.2f}, expected {test['lower']:.1f} to {test['upper']:.1f} "
+            f"(95 %): {verdict}; a posteriori variance factor {result['sigma0_squared']:.4f}"
+        )
+    for name, camera in result["cameras"].items():
+        lines.append(f"camera {name} ({camera['model']}, {camera['unit']})")
+        for parameter, figures in camera["parameters"].items():
+            if figures["estimated"]:
+                lines.append(f"  {parameter:<3}{figures['value']:>15.8g}  +- {figures['sigma']:.3g}")
+    checks = result["checks"]
+    if checks["n"]:
+        rmse = ", ".join(f"{axis} {value * 1000:.1f}" for axis, value in checks["rmse_m"].items())
+        lines.append(f"check points: {checks['n']}, RMSE {rmse} mm")
+    lines.append(f"written to {output}")
+    return "\n".join(lines)

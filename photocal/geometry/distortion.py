@@ -41,7 +41,7 @@ def affinity_matrix(camera: Camera) -> Floats:
     """Matrix F, shape (2, 2), of the affinity: x becomes (I + F) x where it acts."""
     first, second = AFFINITY_MATRICES[camera.affinity_form]
     b1, b2 = camera.values[11:]
-    return b1 * np.array(first, dtype=float) + b2 * np.array(second, dtype=float)
+    return np.asarray(b1 * np.array(first, dtype=float) + b2 * np.array(second, dtype=float))
 
 
 def undistorted(camera: Camera, measured: Floats) -> Floats:
@@ -58,17 +58,17 @@ def undistorted(camera: Camera, measured: Floats) -> Floats:
     ndarray, shape (n, 2)
         p = -c (u, v)/w, from the principal point.
     """
-    xb = measured - camera.values[1:3]
+    xb: Floats = measured - camera.values[1:3]
     affine = np.eye(2) + affinity_matrix(camera)
     if camera.model == "brown-observed":
         if camera.affinity == "additive":
             return xb - polynomial_distortion(camera, xb) - xb @ (affine - np.eye(2)).T
         if camera.affinity == "before":
-            xb = xb @ affine.T
-            return xb - polynomial_distortion(camera, xb)
+            bent = np.asarray(xb @ affine.T)
+            return np.asarray(bent - polynomial_distortion(camera, bent))
         return (xb - polynomial_distortion(camera, xb)) @ affine.T
     if camera.affinity == "before":
-        xb = xb @ affine.T
+        xb = np.asarray(xb @ affine.T)
     elif camera.affinity == "after":
         xb = np.linalg.solve(affine, xb.T).T
     extra = affine - np.eye(2) if camera.affinity == "additive" else np.zeros((2, 2))
@@ -94,11 +94,11 @@ def distorted(camera: Camera, ideal: Floats) -> Floats:
     if camera.model == "brown-observed":
         return _solve(lambda x: undistorted(camera, x + principal), ideal) + principal
     affine = np.eye(2) + affinity_matrix(camera)
-    xb = ideal + polynomial_distortion(camera, ideal)
+    xb: Floats = ideal + polynomial_distortion(camera, ideal)
     if camera.affinity == "additive":
         xb = xb + ideal @ (affine - np.eye(2)).T
     elif camera.affinity == "after":
-        xb = xb @ affine.T
+        xb = np.asarray(xb @ affine.T)
     else:
         xb = np.linalg.solve(affine, xb.T).T
     return xb + principal

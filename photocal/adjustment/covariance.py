@@ -1,0 +1,157 @@
+"""Covariance of everything and redundancy numbers, from the selected inverse of the reduced system."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.adjustment.envelope import factorise, selected_inverse
+from photocal.adjustment.kernels import Structure, element_address, statistics
+from photocal.adjustment.normal import Problem, normal_equations, other_equations, values_of
+from photocal.adjustment.observations import Equations
+from photocal.adjustment.rank import explain_singular
+from photocal.adjustment.solution import Group, Solution
+from photocal.adjustment.solver import Minimum
+from photocal.adjustment.state import turn_basis
+from photocal.compiled import compiled
+from photocal.geometry.camera import PARAMETERS
+from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+def complete(problem: Problem, minimum: Minimum) -> Solution:
+    """Give the minimum its statistics.
+
+    Parameters
+    ----------
+    problem : Problem
+    minimum : Minimum
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    IllPosedError
+        When the normal equations are singular at the minimum.
+    """
+    network, state, structure = problem.network, minimum.state, problem.structure
+    normal = normal_equations(problem, state)
+    if factorise(problem.layout.envelope, normal.matrix) >= 0:
+        explain_singular(problem, state)
+    inverse = selected_inverse(problem.layout.envelope, normal.matrix)
+    point_covariance = np.zeros((len(state.points), 3, 3))
+    residuals, redundancy = np.zeros((2, *network.rays.plane.shape))
+    statistics(
+        problem.design, values_of(problem, state), structure, inverse, point_covariance, residuals, redundancy
+    )
+    rays = Group(
+        "image",
+        residuals.size,
+        float(np.sum(problem.design.weight * residuals**2)),
+        float(redundancy.sum()),
+    )
+    groups = [rays, _control_group(problem, state.points, point_covariance)]
+    for name, equations in other_equations(problem, state).items():
+        groups.append(_equation_group(name, equations, structure, inverse))
+    observations = sum(group.observations for group in groups)
+    unknowns = int(np.sum(~problem.held) + np.sum(~network.points.held))
+    angles = angles_from_matrix(state.rotation)
+    return Solution(
+        minimum.iterations,
+        minimum.chi_squared,
+        observations,
+        unknowns,
+        tuple(group for group in groups if group.observations),
+        state.cameras,
+        _camera_covariance(problem, inverse),
+        np.hstack([angles, state.centre]),
+        _exposure_covariance(problem, minimum, inverse, angles),
+        state.points,
+        point_covariance,
+        residuals,
+        redundancy,
+    )
+
+
+def _control_group(problem: Problem, points: Floats, covariance: Floats) -> Group:
+    """Coordinates of points as observations."""
+    weight = problem.network.points.weight
+    deviation = points - problem.network.points.values
+    count = int(np.sum(np.diagonal(weight, axis1=1, axis2=2) > 0))
+    chi_squared = float(np.einsum("na,nab,nb->", deviation, weight, deviation))
+    return Group("control", count, chi_squared, count - float(np.einsum("nab,nba->", weight, covariance)))
+
+
+def _equation_group(name: str, equations: Equations, structure: Structure, inverse: Floats) -> Group:
+    """Observations of the reduced system's unknowns."""
+    variance = equation_variance(equations.start, equations.column, equations.coefficient, structure, inverse)
+    redundancy = len(variance) - float(np.sum(equations.weight * variance))
+    return Group(name, len(variance), equations.chi_squared(), redundancy)
+
+
+@compiled
+def equation_variance(
+    start: Integers, column: Integers, coefficient: Floats, structure: Structure, inverse: Floats
+) -> Floats:
+    """Variance of each adjusted observation a x, shape (n,).
+
+    Parameters
+    ----------
+    start, column, coefficient
+        As in `Equations`.
+    structure : Structure
+    inverse : ndarray
+        Selected inverse.
+    """
+    variance = np.zeros(len(start) - 1)
+    for row in range(len(start) - 1):
+        for a in range(start[row], start[row + 1]):
+            for b in range(start[row], start[row + 1]):
+                high, low = max(column[a], column[b]), min(column[a], column[b])
+                q = inverse[element_address(structure, high, low)]
+                variance[row] += coefficient[a] * q * coefficient[b]
+    return variance
+
+
+@compiled
+def blocks(columns: Integers, structure: Structure, inverse: Floats) -> Floats:
+    """Diagonal blocks of the selected inverse, shape (n, m, m).
+
+    Parameters
+    ----------
+    columns : ndarray of int, shape (n, m)
+        Columns of each block.
+    structure : Structure
+    inverse : ndarray
+        Selected inverse.
+    """
+    count, size = columns.shape
+    result = np.zeros((count, size, size))
+    for k in range(count):
+        for a in range(size):
+            for b in range(size):
+                high, low = max(columns[k, a], columns[k, b]), min(columns[k, a], columns[k, b])
+                result[k, a, b] = inverse[element_address(structure, high, low)]
+    return result
+
+
+def _camera_covariance(problem: Problem, inverse: Floats) -> Floats:
+    covariance = np.zeros((len(problem.network.cameras), len(PARAMETERS), len(PARAMETERS)))
+    for own, (active, columns) in zip(covariance, problem.layout.camera_columns, strict=True):
+        own[np.ix_(active, active)] = blocks(columns[None, :], problem.structure, inverse)[0]
+    return covariance
+
+
+def _exposure_covariance(problem: Problem, minimum: Minimum, inverse: Floats, angles: Floats) -> Floats:
+    """Covariance of the angles and coordinates from that of the rotation unknowns and coordinates."""
+    own = blocks(problem.layout.image_columns, problem.structure, inverse)
+    free = problem.network.exposures.sigma != 0
+    own *= free[:, :, None] * free[:, None, :]
+    jacobian = np.broadcast_to(np.eye(6), own.shape).copy()
+    basis = turn_basis(problem.network, minimum.state)
+    jacobian[:, :3, :3] = np.linalg.solve(turn_per_angle(angles), basis)
+    return np.asarray(jacobian @ own @ np.swapaxes(jacobian, 1, 2))

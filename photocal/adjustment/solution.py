@@ -1,0 +1,133 @@
+"""What an adjustment found: values, covariances, residuals and how far each can be believed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from photocal.adjustment.solver import Iteration
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Group:
+    """One kind of observation.
+
+    Attributes
+    ----------
+    name : str
+    observations : int
+    chi_squared : float
+        Its part of v'Pv.
+    redundancy : float
+        Sum of its redundancy numbers.
+    """
+
+    name: str
+    observations: int
+    chi_squared: float
+    redundancy: float
+
+
+@dataclass(frozen=True)
+class GlobalTest:
+    """Two-sided chi-square test of the a posteriori against the a priori unit variance.
+
+    Attributes
+    ----------
+    probability : float
+        Confidence of the interval.
+    lower, upper : float
+        Interval of v'Pv when the model and the weights are right.
+    p_value : float
+        Two-sided.
+    accepted : bool
+    """
+
+    probability: float
+    lower: float
+    upper: float
+    p_value: float
+    accepted: bool
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Result of an adjustment; covariances are scaled by the a priori unit variance 1.
+
+    Attributes
+    ----------
+    iterations : tuple of Iteration
+    chi_squared : float
+        v'Pv at the minimum.
+    observations, unknowns : int
+    groups : tuple of Group
+    cameras : ndarray, shape (cameras, 13)
+    camera_covariance : ndarray, shape (cameras, 13, 13)
+        Zero for parameters that are held.
+    exposures : ndarray, shape (images, 6)
+        omega, phi, kappa in radians, X, Y, Z in m.
+    exposure_covariance : ndarray, shape (images, 6, 6)
+    points : ndarray, shape (points, 3)
+    point_covariance : ndarray, shape (points, 3, 3)
+    residuals, redundancy : ndarray, shape (rays, 2)
+        Computed minus measured, in the image plane; redundancy numbers.
+    """
+
+    iterations: tuple[Iteration, ...]
+    chi_squared: float
+    observations: int
+    unknowns: int
+    groups: tuple[Group, ...]
+    cameras: Floats
+    camera_covariance: Floats
+    exposures: Floats
+    exposure_covariance: Floats
+    points: Floats
+    point_covariance: Floats
+    residuals: Floats
+    redundancy: Floats
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Observations less unknowns."""
+        return self.observations - self.unknowns
+
+    @property
+    def variance_factor(self) -> float:
+        """A posteriori variance of unit weight; NaN without redundancy."""
+        return self.chi_squared / self.degrees_of_freedom if self.degrees_of_freedom > 0 else float("nan")
+
+    def standardised(self, sigma: Floats) -> Floats:
+        """Standardised residuals w = v / (sigma sqrt(r)) (Baarda 1968); NaN where nothing checks a ray."""
+        checked = self.redundancy > 1e-9
+        scale = np.where(checked, sigma * np.sqrt(np.where(checked, self.redundancy, 1.0)), np.nan)
+        return np.asarray(self.residuals / scale)
+
+
+def global_test(chi_squared: float, degrees_of_freedom: int, probability: float = 0.95) -> GlobalTest | None:
+    """Test whether v'Pv is as large as the weights claim.
+
+    Parameters
+    ----------
+    chi_squared : float
+    degrees_of_freedom : int
+    probability : float
+        Confidence of the two-sided interval.
+
+    Returns
+    -------
+    GlobalTest or None
+        None without redundancy.
+    """
+    if degrees_of_freedom <= 0:
+        return None
+    distribution = stats.chi2(degrees_of_freedom)
+    lower, upper = distribution.ppf([(1 - probability) / 2, (1 + probability) / 2])
+    p_value = 2 * min(distribution.cdf(chi_squared), distribution.sf(chi_squared))
+    accepted = bool(lower <= chi_squared <= upper)
+    return GlobalTest(probability, float(lower), float(upper), min(float(p_value), 1.0), accepted)

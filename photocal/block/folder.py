@@ -1,0 +1,198 @@
+"""Reading a block folder: block.toml, images, points and observations."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.block.model import ROLES, Block, Images, InputFile, ObjectPoints, Observations
+from photocal.block.setup import ObservationKeys, make_camera, read_setup
+from photocal.block.table import Table, read_table
+from photocal.geometry.camera import Camera
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+IMAGE_COLUMNS = ("image", "camera", "X", "Y", "Z", "omega", "phi", "kappa")
+IMAGE_SIGMAS = ("so", "sp", "sk", "sX", "sY", "sZ")
+POINT_COLUMNS = ("point", "X", "Y", "Z", "role")
+POINT_SIGMAS = ("sX", "sY", "sZ")
+OBSERVATION_COLUMNS = ("image", "point", "x", "y")
+
+
+def read_block(folder: Path) -> Block:
+    """Read a block folder.
+
+    Parameters
+    ----------
+    folder : Path
+        With block.toml, images.csv, points.csv and observations.csv or .parquet.
+
+    Returns
+    -------
+    Block
+
+    Raises
+    ------
+    InputNotFoundError
+        For a missing or empty file.
+    ConfigurationError
+        For a wrong key or value in block.toml.
+    InputMalformedError
+        For a wrong table or cell, an unknown name, or a name that comes twice.
+    """
+    if not folder.is_dir():
+        what = "is a file, a block folder was expected" if folder.exists() else "does not exist"
+        raise InputNotFoundError(what, where=folder, remedy="name the folder that has block.toml")
+    setup = read_setup(folder / "block.toml")
+    cameras = tuple(make_camera(keys, folder / "block.toml") for keys in setup.camera)
+    if len({camera.id for camera in cameras}) < len(cameras):
+        raise ConfigurationError(
+            "two cameras have the same id", where=folder / "block.toml", remedy="rename one"
+        )
+    images = _read_images(folder / "images.csv", cameras)
+    points = _read_points(folder / "points.csv")
+    table = _observations_path(folder)
+    observations = _read_observations(table, setup.observations, images.names, points.names)
+    datum = setup.block.datum
+    return Block(
+        setup.block.name or folder.resolve().name,
+        setup.block.frame,
+        setup.block.height,
+        datum if isinstance(datum, str) else "free",
+        tuple(setup.block.datum_points if isinstance(datum, str) else datum),
+        cameras,
+        images,
+        points,
+        observations,
+        tuple(fingerprint(folder, name) for name in ("block.toml", "images.csv", "points.csv", table.name)),
+    )
+
+
+def fingerprint(folder: Path, name: str) -> InputFile:
+    """Digest of an input file, so that a certificate can name what it was made from."""
+    content = (folder / name).read_bytes()
+    return InputFile(name, hashlib.sha256(content).hexdigest(), len(content))
+
+
+def _read_images(path: Path, cameras: tuple[Camera, ...]) -> Images:
+    table = read_table(path, IMAGE_COLUMNS, IMAGE_SIGMAS)
+    names = table.unique_names("image")
+    index, found = table.names("camera")
+    known = {camera.id: k for k, camera in enumerate(cameras)}
+    _refuse_unknown(table, index, found, known, "camera", "block.toml")
+    camera = np.array([known[name] for name in found], dtype=np.int64)[index]
+    values = np.column_stack([table.numbers(c) for c in ("omega", "phi", "kappa", "X", "Y", "Z")])
+    sigma = np.column_stack([_sigmas(table, c) for c in IMAGE_SIGMAS])
+    values[:, :3] = np.radians(values[:, :3])
+    sigma[:, :3] = np.radians(sigma[:, :3])
+    return Images(names, camera, values, sigma)
+
+
+def _read_points(path: Path) -> ObjectPoints:
+    table = read_table(path, POINT_COLUMNS, POINT_SIGMAS)
+    names = table.unique_names("point")
+    index, found = table.names("role")
+    _refuse_unknown(table, index, found, dict.fromkeys(ROLES, 0), "role", f"({', '.join(ROLES)})")
+    role = np.array([ROLES.index(name) for name in found], dtype=np.int64)[index]
+    values = np.column_stack([table.numbers(c, empty=np.nan) for c in ("X", "Y", "Z")])
+    sigma = np.column_stack([_sigmas(table, c) for c in POINT_SIGMAS])
+    tie = role == ROLES.index("tie")
+    surveyed = np.isfinite(sigma)
+    _refuse(
+        table,
+        np.asarray(~tie & np.isnan(values).any(axis=1)),
+        "a control or check point lacks a coordinate",
+        "give X, Y and Z",
+    )
+    _refuse(
+        table,
+        np.asarray(tie & surveyed.any(axis=1)),
+        "a tie point has a sigma",
+        "make it control, or leave the sigmas empty",
+    )
+    control = role == ROLES.index("control")
+    _refuse(
+        table,
+        np.asarray(control & ~surveyed.any(axis=1)),
+        "a control point has no sigma",
+        "give sX, sY or sZ (0 holds a coordinate)",
+    )
+    return ObjectPoints(names, values, sigma, role)
+
+
+def _read_observations(
+    path: Path, keys: ObservationKeys, images: tuple[str, ...], points: tuple[str, ...]
+) -> Observations:
+    table = read_table(path, OBSERVATION_COLUMNS, ("sx", "sy"))
+    image = _known_rows(table, "image", images, "images.csv")
+    point = _known_rows(table, "point", points, "points.csv")
+    pair = image * len(points) + point
+    _, first = np.unique(pair, return_index=True)
+    again = np.ones(len(pair), dtype=np.bool_)
+    again[first] = False
+    _refuse(table, again, "the point was already observed in this image", "keep one of the observations")
+    common = keys.sigma if isinstance(keys.sigma, tuple) else (keys.sigma, keys.sigma)
+    sigma = np.column_stack(
+        [table.numbers(c, empty=s or np.nan) for c, s in zip(("sx", "sy"), common, strict=True)]
+    )
+    _refuse(
+        table,
+        np.asarray(np.isnan(sigma).any(axis=1)),
+        "the observation has no sigma",
+        "give sx and sy, or sigma in [observations]",
+    )
+    _refuse(
+        table,
+        np.asarray((sigma <= 0).any(axis=1)),
+        "the sigma of an observation is not positive",
+        "give a positive number",
+    )
+    values = np.column_stack([table.numbers("x"), table.numbers("y")])
+    return Observations(keys.unit, keys.axes, image, point, values, sigma)
+
+
+def _observations_path(folder: Path) -> Path:
+    parquet, text = folder / "observations.parquet", folder / "observations.csv"
+    if parquet.exists() and text.exists():
+        raise InputMalformedError(
+            "has both observations.csv and observations.parquet", where=folder, remedy="keep one of them"
+        )
+    return parquet if parquet.exists() else text
+
+
+def _sigmas(table: Table, column: str) -> Floats:
+    """Standard deviations; an empty cell leaves the value free."""
+    sigma = table.numbers(column, empty=np.inf)
+    _refuse(table, sigma < 0, f"{column} is negative", "give a standard deviation")
+    return sigma
+
+
+def _known_rows(table: Table, column: str, known: tuple[str, ...], where: str) -> Integers:
+    index, found = table.names(column)
+    position = {name: k for k, name in enumerate(known)}
+    _refuse_unknown(table, index, found, position, column, where)
+    return np.array([position[name] for name in found], dtype=np.int64)[index]
+
+
+def _refuse_unknown(
+    table: Table, index: Integers, found: tuple[str, ...], known: dict[str, int], what: str, where: str
+) -> None:
+    unknown = np.array([name not in known for name in found], dtype=np.bool_)
+    if unknown.any():
+        row = int(np.flatnonzero(unknown[index])[0])
+        raise InputMalformedError(
+            f"{what} {found[index[row]]!r} is not in {where}",
+            where=table.place(row),
+            remedy="correct the name",
+        )
+
+
+def _refuse(table: Table, bad: NDArray[np.bool_], what: str, remedy: str) -> None:
+    rows = np.flatnonzero(bad)
+    if len(rows):
+        raise InputMalformedError(what, where=table.place(int(rows[0])), remedy=remedy)

@@ -1,0 +1,134 @@
+"""A block: cameras, images, points and their observations, as the surveyor gave them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.geometry.camera import Camera
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+Role = Literal["control", "check", "tie"]
+ROLES: tuple[Role, ...] = ("control", "check", "tie")
+
+
+@dataclass(frozen=True)
+class InputFile:
+    """A file that was read, so that it can be recognised again.
+
+    Attributes
+    ----------
+    path : str
+        Relative to the block folder.
+    sha256 : str
+    size : int
+        Bytes.
+    """
+
+    path: str
+    sha256: str
+    size: int
+
+
+@dataclass(frozen=True)
+class Images:
+    """Images with their exterior orientation in the block's frame.
+
+    Attributes
+    ----------
+    names : tuple of str
+    camera : ndarray of int, shape (n,)
+        Index into the block's cameras.
+    values, sigma : ndarray, shape (n, 6)
+        omega, phi, kappa in radians, X, Y, Z in m; sigma 0 holds a value, infinity leaves it free.
+    """
+
+    names: tuple[str, ...]
+    camera: Integers
+    values: Floats
+    sigma: Floats
+
+
+@dataclass(frozen=True)
+class ObjectPoints:
+    """Object points.
+
+    Attributes
+    ----------
+    names : tuple of str
+    values : ndarray, shape (n, 3)
+        X, Y, Z in m; NaN where a tie point has no start value.
+    sigma : ndarray, shape (n, 3)
+        Of the surveyed coordinates; 0 holds a coordinate, infinity leaves it free.
+    role : ndarray of int, shape (n,)
+        Index into `ROLES`.
+    """
+
+    names: tuple[str, ...]
+    values: Floats
+    sigma: Floats
+    role: Integers
+
+    def of_role(self, role: Role) -> NDArray[np.bool_]:
+        """Which points play a role, shape (n,)."""
+        return np.asarray(self.role == ROLES.index(role))
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Image observations, in the order of their table.
+
+    Attributes
+    ----------
+    unit : {"px", "mm"}
+    axes : {"pixel", "photo"}
+        Column and row from the upper-left pixel, or x right and y up from the middle of the image.
+    image, point : ndarray of int, shape (n,)
+    values, sigma : ndarray, shape (n, 2)
+        In `unit` and `axes`.
+    """
+
+    unit: Literal["px", "mm"]
+    axes: Literal["pixel", "photo"]
+    image: Integers
+    point: Integers
+    values: Floats
+    sigma: Floats
+
+
+@dataclass(frozen=True)
+class Block:
+    """Everything in a block folder.
+
+    Attributes
+    ----------
+    name : str
+    frame : str
+        "local", or the name of a coordinate reference system.
+    height : str
+        Kind of the heights.
+    datum : {"control", "free"}
+    datum_points : tuple of str
+        Points over which a free datum is taken; empty for all.
+    cameras : tuple of Camera
+    images : Images
+    points : ObjectPoints
+    observations : Observations
+    inputs : tuple of InputFile
+    """
+
+    name: str
+    frame: str
+    height: str
+    datum: Literal["control", "free"]
+    datum_points: tuple[str, ...]
+    cameras: tuple[Camera, ...]
+    images: Images
+    points: ObjectPoints
+    observations: Observations
+    inputs: tuple[InputFile, ...]

@@ -1,0 +1,196 @@
+"""From a block to the network that is adjusted: units, axes, origin, start values, and what is missing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError
+from photocal.adjustment.intersection import intersect
+from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
+from photocal.block.model import Block
+from photocal.geometry.camera import pixel_to_plane
+from photocal.geometry.distortion import undistorted
+from photocal.geometry.rotation import matrix_from_angles
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """A network and how its arrays correspond to those of its block.
+
+    Attributes
+    ----------
+    network : Network
+    points : ndarray of int, shape (m,)
+        The block's points that are in the network: those with rays.
+    rays : ndarray of int, shape (n,)
+        The block's observation of each ray.
+    origin : ndarray, shape (3,)
+        What was subtracted from all coordinates to keep their digits, m.
+    """
+
+    network: Network
+    points: Integers
+    rays: Integers
+    origin: Floats
+
+
+def assemble(block: Block) -> Assembly:
+    """Make the network of a block.
+
+    Parameters
+    ----------
+    block : Block
+
+    Returns
+    -------
+    Assembly
+
+    Raises
+    ------
+    ConfigurationError
+        For a frame or a datum that cannot be adjusted in.
+    InputMalformedError
+        For points with too few rays.
+    IllPosedError
+        When nothing fixes the datum or an image.
+    """
+    if block.frame != "local":
+        raise ConfigurationError(
+            f"frame {block.frame!r} cannot be adjusted in",
+            where="block.toml",
+            remedy='give local Cartesian coordinates in metres and frame = "local"',
+        )
+    rays_of_point = np.bincount(block.observations.point, minlength=len(block.points.names))
+    _require_rays(block, rays_of_point)
+    _require_datum(block, rays_of_point)
+    used = np.flatnonzero(rays_of_point)
+    position = np.full(len(rays_of_point), -1)
+    position[used] = np.arange(len(used))
+    order = np.argsort(position[block.observations.point], kind="stable")
+    places = np.vstack([block.images.values[:, 3:], block.points.values])
+    origin = np.round(np.nanmean(places, axis=0)).astype(np.float64)
+    exposures = Exposures(
+        block.images.camera, block.images.values - np.concatenate([np.zeros(3), origin]), block.images.sigma
+    )
+    plane, sigma = observed_plane(block)
+    rays = Rays(
+        block.observations.image[order], position[block.observations.point[order]], plane[order], sigma[order]
+    )
+    control = block.points.of_role("control")[used]
+    prior = np.where(control[:, None], block.points.sigma[used], np.inf)
+    held, weight = point_weights(prior)
+    values = _with_start_values(block, exposures, rays, block.points.values[used] - origin, used)
+    names = tuple(block.points.names[j] for j in used)
+    network = Network(block.cameras, exposures, Points(values, held, weight), rays, block.images.names, names)
+    return Assembly(network, used, order, origin)
+
+
+def observed_plane(block: Block) -> tuple[Floats, Floats]:
+    """Observations and their sigmas in the image plane, in the unit of each camera.
+
+    Parameters
+    ----------
+    block : Block
+
+    Returns
+    -------
+    plane, sigma : ndarray, shape (n, 2)
+        x right, y up, from the middle of the image.
+    """
+    observations = block.observations
+    camera = block.images.camera[observations.image]
+    size = np.array([c.size_px for c in block.cameras], dtype=float)[camera]
+    pitch = np.array([c.pitch for c in block.cameras])[camera]
+    scale = plane_per_unit(block)[camera]
+    if observations.axes == "pixel":
+        return pixel_to_plane(size, pitch, observations.values * scale / pitch), observations.sigma * scale
+    return observations.values * scale, observations.sigma * scale
+
+
+def plane_per_unit(block: Block) -> Floats:
+    """Image plane units of each camera per unit of the observations, shape (cameras, 2).
+
+    Raises
+    ------
+    ConfigurationError
+        For observations in mm of a camera in px.
+    """
+    scales = []
+    for camera in block.cameras:
+        if block.observations.unit == "px":
+            scales.append(camera.pitch)
+        elif camera.unit == "mm":
+            scales.append((1.0, 1.0))
+        else:
+            raise ConfigurationError(
+                f"observations are in mm, but camera {camera.id} is in px",
+                where="block.toml",
+                remedy="give the camera in mm with its pixel pitch",
+            )
+    return np.array(scales)
+
+
+def _require_rays(block: Block, rays_of_point: Integers) -> None:
+    alone = np.flatnonzero((rays_of_point == 1) & ~block.points.of_role("control"))
+    if len(alone):
+        name = block.points.names[alone[0]]
+        role = "check" if block.points.of_role("check")[alone[0]] else "tie"
+        raise InputMalformedError(
+            f"{role} point {name} has one ray" + (f", as {len(alone) - 1} more" if len(alone) > 1 else ""),
+            where=f"point {name}",
+            remedy="measure it in a second image or take it out",
+        )
+    weak = np.bincount(block.observations.image, minlength=len(block.images.names)) * 2
+    free = np.sum(np.isinf(block.images.sigma), axis=1)
+    for image in np.flatnonzero(weak < free):
+        name = block.images.names[image]
+        raise IllPosedError(
+            f"image {name} has {weak[image] // 2} observation(s) for {free[image]} unknown(s)",
+            where=f"image {name}",
+            remedy="measure more points in it, give its exterior orientation a sigma, or take it out",
+        )
+
+
+def _require_datum(block: Block, rays_of_point: Integers) -> None:
+    control = block.points.of_role("control") & (rays_of_point > 0)
+    carried = np.sum(np.isfinite(block.points.sigma[control])) + np.sum(np.isfinite(block.images.sigma))
+    if block.datum == "control" and carried == 0:
+        raise IllPosedError(
+            "nothing fixes the datum: no control point and no exposure has a sigma",
+            where="block.toml",
+            remedy="add control points or weighted positions",
+        )
+
+
+def _with_start_values(
+    block: Block, exposures: Exposures, rays: Rays, values: Floats, used: Integers
+) -> Floats:
+    """Fill the coordinates of points that have none by intersecting their rays."""
+    missing = np.asarray(np.isnan(values).any(axis=1))
+    if not missing.any():
+        return values
+    some = missing[rays.point]
+    image = rays.image[some]
+    camera = exposures.camera[image]
+    ideal = np.empty((len(image), 2))
+    for k, own in enumerate(block.cameras):
+        mine = camera == k
+        ideal[mine] = undistorted(own, rays.plane[some][mine])
+    distance = np.array([own.value("c") for own in block.cameras])[camera]
+    rotation = matrix_from_angles(exposures.values[:, :3])[image]
+    start = intersect(rays.point[some], len(values), exposures.values[image, 3:], rotation, ideal, distance)
+    lost = np.flatnonzero(missing & np.isnan(start).any(axis=1))
+    if len(lost):
+        name = block.points.names[used[lost[0]]]
+        raise IllPosedError(
+            f"the rays of point {name} are parallel",
+            where=f"point {name}",
+            remedy="give it start coordinates",
+        )
+    return np.where(missing[:, None], start, values)

@@ -1,0 +1,183 @@
+"""`block.toml`: what the tables of a block folder mean, checked key by key."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    AliasChoices,
+    BaseModel,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    PositiveFloat,
+    PositiveInt,
+    ValidationError,
+)
+
+from drivers.errors import ConfigurationError
+from photocal.block.table import require_file
+from photocal.geometry.camera import PARAMETERS, Affinity, AffinityForm, Camera, Model, camera
+
+NonNegative = Annotated[FiniteFloat, Field(ge=0)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class BlockKeys(_Strict):
+    """Section `[block]`."""
+
+    name: str = ""
+    frame: str
+    height: Literal["ellipsoidal", "orthometric", "local", ""] = Field(
+        default="", validation_alias=AliasChoices("height", "height_kind")
+    )
+    datum: Literal["control", "free"] | list[str] = "control"
+    datum_points: list[str] = []
+
+
+class ObservationKeys(_Strict):
+    """Section `[observations]`."""
+
+    unit: Literal["px", "mm"]
+    axes: Literal["pixel", "photo"]
+    sigma: PositiveFloat | tuple[PositiveFloat, PositiveFloat] | None = None
+
+
+class CameraKeys(_Strict):
+    """One `[[camera]]`."""
+
+    id: str
+    model: Model
+    unit: Literal["mm", "px"]
+    size_px: tuple[PositiveInt, PositiveInt]
+    pitch_mm: PositiveFloat | tuple[PositiveFloat, PositiveFloat] | None = None
+    parameters: dict[str, FiniteFloat]
+    estimate: list[str] = []
+    prior_sigma: dict[str, NonNegative] = {}
+    R0: NonNegative = Field(default=0.0, validation_alias=AliasChoices("R0", "reference_radius"))
+    affinity: Affinity = "additive"
+    affinity_form: AffinityForm = "fraser"
+
+
+class Setup(_Strict):
+    """The whole of `block.toml`."""
+
+    block: BlockKeys
+    observations: ObservationKeys
+    camera: list[CameraKeys] = Field(min_length=1)
+
+
+def read_setup(path: Path) -> Setup:
+    """Read and check `block.toml`.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Setup
+
+    Raises
+    ------
+    InputNotFoundError
+        When there is no such file.
+    ConfigurationError
+        For what is not TOML, an unknown key, a missing one, or an impossible value.
+    """
+    require_file(path)
+    try:
+        with path.open("rb") as text:
+            return Setup.model_validate(tomllib.load(text))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as failure:
+        raise ConfigurationError(
+            f"is not valid TOML ({failure})", where=path, remedy="correct it"
+        ) from failure
+    except ValidationError as failure:
+        raise _complaint(path, failure.errors()[0]) from failure
+
+
+def _complaint(path: Path, error: Any) -> ConfigurationError:
+    """Say in words what is wrong with a key."""
+    key = ".".join(str(part + 1) if isinstance(part, int) else part for part in error["loc"])
+    if error["type"] == "extra_forbidden":
+        return ConfigurationError(
+            f"unknown key {key}", where=path, remedy="correct its spelling or remove it"
+        )
+    if error["type"] == "missing":
+        return ConfigurationError(f"key {key} is missing", where=path, remedy="add it")
+    return ConfigurationError(
+        f"{key} = {error['input']!r}: {error['msg'].lower()}", where=path, remedy="correct the value"
+    )
+
+
+def make_camera(keys: CameraKeys, where: object) -> Camera:
+    """Make the camera that a `[[camera]]` describes.
+
+    Parameters
+    ----------
+    keys : CameraKeys
+    where : object
+        What to name in messages.
+
+    Returns
+    -------
+    Camera
+
+    Raises
+    ------
+    ConfigurationError
+        For unknown parameters, a missing pitch or principal distance, or sigmas that do not fit.
+    """
+    place = f"{where}, camera {keys.id}"
+    for section, names in (
+        ("parameters", list(keys.parameters)),
+        ("estimate", keys.estimate),
+        ("prior_sigma", list(keys.prior_sigma)),
+    ):
+        unknown = [name for name in names if name not in PARAMETERS]
+        if unknown:
+            raise ConfigurationError(
+                f"{section} names {unknown[0]}, which is no camera parameter",
+                where=place,
+                remedy=f"use {', '.join(PARAMETERS)}",
+            )
+    if not keys.parameters.get("c", 0.0) > 0:
+        raise ConfigurationError(
+            "the principal distance c is missing or not positive", where=place, remedy="give c in parameters"
+        )
+    if keys.unit == "mm" and keys.pitch_mm is None:
+        raise ConfigurationError(
+            "pitch_mm is missing", where=place, remedy='give the pixel pitch, or unit = "px"'
+        )
+    if keys.unit == "px":
+        pitch = (1.0, 1.0)
+    else:
+        pitch = keys.pitch_mm if isinstance(keys.pitch_mm, tuple) else (keys.pitch_mm or 0.0,) * 2
+    estimate = tuple(name for name in PARAMETERS if name in keys.estimate)
+    # A prior sigma of 0 holds the parameter, as it does for coordinates.
+    held = {name for name, sigma in keys.prior_sigma.items() if sigma == 0}
+    weighted = {name: sigma for name, sigma in keys.prior_sigma.items() if sigma > 0}
+    idle = [name for name in weighted if name not in estimate]
+    if idle:
+        raise ConfigurationError(
+            f"{idle[0]} has a prior sigma but is not estimated", where=place, remedy="list it in estimate"
+        )
+    return camera(
+        keys.id,
+        keys.model,
+        keys.unit,
+        keys.size_px,
+        pitch,
+        keys.parameters,
+        estimate=tuple(name for name in estimate if name not in held),
+        prior_sigma=weighted,
+        reference_radius=keys.R0,
+        affinity=keys.affinity,
+        affinity_form=keys.affinity_form,
+    )

@@ -1,0 +1,243 @@
+"""Tables of a block folder: read whole, checked cell by cell, every complaint with its line."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv
+import pyarrow.parquet
+from numpy.typing import NDArray
+
+from drivers.errors import InputMalformedError, InputNotFoundError
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table whose cells are still text (CSV) or typed (Parquet).
+
+    Attributes
+    ----------
+    path : Path
+    columns : pyarrow.Table
+    lines : bool
+        Whether rows can be named by their line.
+    """
+
+    path: Path
+    columns: Any
+    lines: bool
+
+    def __len__(self) -> int:
+        return int(self.columns.num_rows)
+
+    def has(self, name: str) -> bool:
+        """Whether there is a column of this name."""
+        return name in self.columns.column_names
+
+    def place(self, row: int) -> str:
+        """Name a row for a message."""
+        if not self.lines:
+            return f"{self.path}, row {row + 1}"
+        # Lines without content are skipped when reading, so that rows and lines may differ.
+        seen = -1
+        with self.path.open(encoding="utf-8", errors="replace") as text:
+            for number, line in enumerate(text, start=1):
+                seen += bool(line.strip("\r\n"))
+                if seen == row + 1:
+                    return f"{self.path}, line {number}"
+        return str(self.path)
+
+    def names(self, column: str) -> tuple[Integers, tuple[str, ...]]:
+        """Identifiers of a column: index of each row's name, and the distinct names in order."""
+        cells = self.columns[column]
+        if not pa.types.is_string(cells.type):
+            cells = cells.cast(pa.string())
+        cells = pc.utf8_trim_whitespace(cells)
+        empty = pc.or_kleene(pc.is_null(cells), pc.equal(cells, ""))
+        self._refuse(np.asarray(empty), f"{column} is empty", "give every row its name")
+        encoded = cells.combine_chunks().dictionary_encode()
+        return np.asarray(encoded.indices, dtype=np.int64), tuple(encoded.dictionary.to_pylist())
+
+    def unique_names(self, column: str) -> tuple[str, ...]:
+        """Identifiers of a column in which no name may come twice."""
+        index, names = self.names(column)
+        if len(names) < len(index):
+            first = np.zeros(len(names), dtype=np.int64)
+            first[index[::-1]] = np.arange(len(index))[::-1]
+            row = int(np.flatnonzero(first[index] != np.arange(len(index)))[0])
+            raise InputMalformedError(
+                f"{column} {names[index[row]]} is listed twice",
+                where=self.place(row),
+                remedy="keep one of the rows",
+            )
+        return names
+
+    def numbers(self, column: str, *, empty: float | None = None) -> Floats:
+        """Numbers of a column; `empty` stands for empty cells, None forbids them."""
+        if not self.has(column):
+            return np.full(len(self), np.nan if empty is None else empty)
+        cells = self.columns[column]
+        if pa.types.is_string(cells.type) or pa.types.is_large_string(cells.type):
+            cells = pc.utf8_trim_whitespace(cells)
+            blank = np.asarray(pc.fill_null(pc.equal(cells, ""), True))
+            values = self._parsed(column, pc.if_else(pc.equal(cells, ""), None, cells))
+        else:
+            blank = np.asarray(pc.is_null(cells))
+            values = np.asarray(cells.cast(pa.float64()).fill_null(0.0))
+        self._refuse(~np.isfinite(values) & ~blank, f"{column} is not finite", "give a number")
+        if empty is None:
+            self._refuse(blank, f"{column} is empty", "give a number")
+            return np.array(values)
+        return np.where(blank, empty, values)
+
+    def _parsed(self, column: str, cells: Any) -> Floats:
+        try:
+            return np.asarray(cells.cast(pa.float64()).fill_null(0.0))
+        except pa.ArrowInvalid:
+            pass
+        for row, cell in enumerate(cells.to_pylist()):
+            try:
+                float(cell or 0)
+            except ValueError:
+                raise InputMalformedError(
+                    f"{column} is {cell!r}, not a number",
+                    where=self.place(row),
+                    remedy="write numbers with a decimal point and without unit",
+                ) from None
+        # Spellings that only one of the two readers takes, such as "+1.5".
+        return np.array([float(cell or 0) for cell in cells.to_pylist()])
+
+    def _refuse(self, bad: NDArray[np.bool_], what: str, remedy: str) -> None:
+        rows = np.flatnonzero(bad)
+        if len(rows):
+            raise InputMalformedError(what, where=self.place(int(rows[0])), remedy=remedy)
+
+
+def read_table(path: Path, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> Table:
+    """Read a table of CSV or Parquet.
+
+    Parameters
+    ----------
+    path : Path
+    required, optional : tuple of str
+        Names of the columns; no others are allowed.
+
+    Returns
+    -------
+    Table
+
+    Raises
+    ------
+    InputNotFoundError
+        When there is no such file, or it is empty.
+    InputMalformedError
+        When it cannot be read as a table, is cut, or has other columns.
+    """
+    require_file(path)
+    table = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
+    found = list(table.columns.column_names)
+    for name in required:
+        if name not in found:
+            raise InputMalformedError(
+                f"column {name} is missing (found {', '.join(found)})",
+                where=path,
+                remedy=f"the header must have {', '.join(required)}",
+            )
+    for name in found:
+        if name not in required + optional or found.count(name) > 1:
+            what = "comes twice" if found.count(name) > 1 else "is not known"
+            raise InputMalformedError(
+                f"column {name} {what}", where=path, remedy=f"allowed are {', '.join(required + optional)}"
+            )
+    return table
+
+
+def require_file(path: Path) -> None:
+    """Complain when a path is no file with content.
+
+    Raises
+    ------
+    InputNotFoundError
+    """
+    if path.is_dir():
+        raise InputNotFoundError("is a folder, a file was expected", where=path, remedy="name the file")
+    if not path.exists():
+        raise InputNotFoundError("does not exist", where=path, remedy="check the path")
+    if path.stat().st_size == 0:
+        raise InputNotFoundError("is empty", where=path, remedy="was it written completely?")
+
+
+def _read_parquet(path: Path) -> Table:
+    try:
+        return Table(path, pyarrow.parquet.read_table(path), lines=False)
+    except (pa.ArrowInvalid, OSError) as failure:
+        raise InputMalformedError(
+            f"is no readable Parquet file ({str(failure).splitlines()[0]})",
+            where=path,
+            remedy="write it again",
+        ) from failure
+
+
+def _read_csv(path: Path) -> Table:
+    with path.open("rb") as text:
+        header = text.readline().decode("utf-8", errors="replace")
+    if ";" in header and "," not in header:
+        raise InputMalformedError(
+            "is separated by semicolons", where=path, remedy="separate by commas, with decimal points"
+        )
+    names = header.lstrip("\ufeff").rstrip("\r\n").split(",")
+    texts = pyarrow.csv.ConvertOptions(
+        column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=False
+    )
+    try:
+        columns = pyarrow.csv.read_csv(
+            path, read_options=pyarrow.csv.ReadOptions(use_threads=False), convert_options=texts
+        )
+    except pa.ArrowInvalid as failure:
+        raise _cut(path, str(failure)) from failure
+    table = Table(path, columns.rename_columns([name.strip() for name in columns.column_names]), lines=True)
+    _refuse_cut_end(table)
+    return table
+
+
+def _cut(path: Path, message: str) -> InputMalformedError:
+    """Say what the reader found wrong with the rows."""
+    found = re.search(r"Row #(\d+): Expected (\d+) columns, got (\d+)", message)
+    if found:
+        row, expected, got = found.groups()
+        return InputMalformedError(
+            f"has {got} cells where the header has {expected}",
+            where=f"{path}, row {row}",
+            remedy="complete the row, or is the table cut?",
+        )
+    return InputMalformedError(
+        f"is no readable table ({message.splitlines()[0]})", where=path, remedy="write it as UTF-8 text"
+    )
+
+
+def _refuse_cut_end(table: Table) -> None:
+    """Refuse a table that seems cut inside its last cell.
+
+    Without a final line end the last number may have lost digits. That is taken for granted when it is
+    shorter than every other number of its column.
+    """
+    with table.path.open("rb") as text:
+        text.seek(-1, 2)
+        if text.read(1) in b"\r\n" or len(table) < 3:
+            return
+    lengths = np.asarray(pc.utf8_length(table.columns.columns[-1]))
+    if lengths[-1] < lengths[:-1].min():
+        raise InputMalformedError(
+            "seems cut inside its last cell (no line end, fewer digits than in all other rows)",
+            where=table.place(len(table) - 1),
+            remedy="end the last line with a line end if it is complete",
+        )
