@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from acquire.console import application, run
-from photocal.commands import adjust, certificate, check, compare
+from photocal.commands import adjust, certificate, check, compare, plan
 
 app = application("From flight log, images and control points to a calibrated camera and its certificate.")
 app.command()(adjust.adjust)
 app.command()(certificate.certificate)
 app.command()(compare.compare)
 app.command()(check.check)
+app.command()(plan.plan)
 
 
 def main() -> None:

@@ -1,0 +1,281 @@
+"""Sections of a certificate about the adjustment as a whole: method, orientations, checks, test, inputs."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.report.catalogue import Catalogue
+from photocal.report.digits import decimals_of, fixed, probability
+from photocal.report.document import Column, KeyValues, Paragraph, Piece, Section, Table
+from photocal.report.run import CheckPoint, InputFile, Run
+
+Floats = NDArray[np.float64]
+
+ROWS = 60
+ARCSECONDS = 3600.0
+
+
+def method(title: str, run: Run, say: Catalogue) -> Section:
+    """Say how the calibration was done and from what.
+
+    Parameters
+    ----------
+    title : str
+        Title of the section.
+    run : Run
+        The adjustment.
+    say : Catalogue
+        Language.
+
+    Returns
+    -------
+    Section
+    """
+    result = run.result
+    models = sorted({camera.model for camera in result.cameras.values()})
+    texts = [
+        say("method.text"),
+        *(say(f"method.model_{m.removeprefix('brown-')}") for m in models),
+        say("method.terms"),
+    ]
+    pieces: list[Piece] = [Paragraph(" ".join(texts[:-1])), Paragraph(texts[-1]), _block_facts(run, say)]
+    columns = (
+        Column(say("method.group"), align="left"),
+        Column(say("method.group_n")),
+        Column(say("method.group_chi2")),
+        Column(say("method.group_redundancy")),
+        Column(say("method.group_factor")),
+    )
+    rows = tuple(
+        (
+            say(f"group.{g.name}") if f"group.{g.name}" in say.messages else g.name,
+            str(g.observations),
+            fixed(g.chi_squared, 2, say.mark),
+            fixed(g.redundancy, 1, say.mark),
+            fixed(g.chi_squared / g.redundancy, 3, say.mark) if g.redundancy > 0.0 else say("word.none"),
+        )
+        for g in result.groups
+    )
+    if rows:
+        pieces.append(Table(say("method.groups"), columns, rows))
+    return Section(title, tuple(pieces))
+
+
+def _block_facts(run: Run, say: Catalogue) -> KeyValues:
+    result = run.result
+    roles = Counter(run.points.role)
+    datum = (
+        say(f"method.datum_{result.block.datum}")
+        if result.block.datum in ("control", "free")
+        else result.block.datum
+    )
+    rows = [
+        (say("title.block"), result.block.name),
+        (say("method.datum"), datum),
+        (say("method.frame"), result.block.frame),
+    ]
+    if result.block.height:
+        rows.append((say("method.height"), result.block.height))
+    counts = {role: roles.get(role, 0) for role in ("control", "check", "tie")}
+    unit = f"{result.block.observation_unit}, {say(f'word.{result.block.observation_axes}')}"
+    rows += [
+        (say("method.images"), str(result.images.n)),
+        (say("method.points"), say("method.points_value", **counts)),
+        (say("method.observations"), str(result.observations)),
+        (say("method.unknowns"), str(result.unknowns)),
+        (say("method.dof"), str(result.degrees_of_freedom)),
+        (say("method.iterations"), str(result.iterations)),
+        (say("method.unit"), unit),
+    ]
+    return KeyValues(tuple(rows))
+
+
+def exterior_orientation(title: str, run: Run, say: Catalogue) -> Section:
+    """Make the table of exterior orientations and the summary of their standard deviations.
+
+    Parameters
+    ----------
+    title : str
+        Title of the section.
+    run : Run
+        The adjustment.
+    say : Catalogue
+        Language.
+
+    Returns
+    -------
+    Section
+    """
+    n = len(run.exposures.image)
+    order, caption, remark = list(range(n)), say("eop.table"), ""
+    if n > ROWS:
+        size = np.linalg.norm(run.exposures.position_sigma_m, axis=1)
+        order = [int(i) for i in np.argsort(-size, kind="stable")[: ROWS // 3]]
+        caption, remark = say("eop.table_worst", shown=len(order), n=n), say("eop.all")
+    quantities = (("X", "m"), ("Y", "m"), ("Z", "m"), ("ω", "(°)"), ("φ", "(°)"), ("κ", "(°)"))
+    columns = [Column(say("eop.image"), align="left")]
+    columns += [Column(name, unit) for name, unit in quantities]
+    columns += [Column(f"σ {name}", "mm" if unit == "m" else "(″)") for name, unit in quantities]
+    rows = _eop_rows(run, order, say)
+    table = Table(caption, tuple(columns), rows, say("eop.note", all=remark).strip(), dense=True)
+    return Section(title, (_eop_quality(run, say), table) if n else (table,))
+
+
+def _eop_rows(run: Run, order: list[int], say: Catalogue) -> tuple[tuple[str, ...], ...]:
+    e = run.exposures
+    values = np.hstack([e.position_m, e.angles_deg])
+    sigmas = np.hstack([e.position_sigma_m, e.angles_sigma_deg])
+    # One number of decimals for a column, two digits of its median standard deviation.
+    decimals = [_decimals(column) for column in sigmas.T]
+    small = sigmas * ([1e3] * 3 + [ARCSECONDS] * 3)
+    return tuple(
+        (
+            e.image[i],
+            *(fixed(float(v), d, say.mark) for v, d in zip(values[i], decimals, strict=True)),
+            *(_sigma(float(s), say) for s in small[i]),
+        )
+        for i in order
+    )
+
+
+def _decimals(sigma: Floats) -> int:
+    """Decimals for two digits of the median of standard deviations; six where everything is held."""
+    free = sigma[sigma > 0.0]
+    return min(max(decimals_of(float(np.median(free))), 0), 6) if free.size else 6
+
+
+def _sigma(sigma: float, say: Catalogue) -> str:
+    return fixed(sigma, max(decimals_of(sigma), 0), say.mark) if sigma > 0.0 else say("word.held")
+
+
+def _eop_quality(run: Run, say: Catalogue) -> Table:
+    e = run.exposures
+    sigma = np.hstack([1e3 * e.position_sigma_m, ARCSECONDS * e.angles_sigma_deg])
+    columns = (
+        Column(say("eop.quantity"), align="left"),
+        *(Column(f"σ {name}", unit) for name, unit in zip("XYZωφκ", ["mm"] * 3 + ["(″)"] * 3, strict=True)),
+    )
+    rows = tuple(
+        (say(f"eop.{key}"), *(_sigma(float(v), say) for v in function(sigma, axis=0)))
+        for key, function in (("least", np.min), ("median", np.median), ("most", np.max))
+    )
+    return Table(say("eop.quality", n=len(e.image)), columns, rows)
+
+
+def check_points(title: str, run: Run, say: Catalogue) -> Section:
+    """Make the table of check points, or say that there are none.
+
+    Parameters
+    ----------
+    title : str
+        Title of the section.
+    run : Run
+        The adjustment.
+    say : Catalogue
+        Language.
+
+    Returns
+    -------
+    Section
+    """
+    checks = run.result.checks
+    if checks.n == 0:
+        return Section(title, (Paragraph(say("checks.none")),))
+    columns = [Column(say("checks.point"), align="left")]
+    columns += [Column(f"Δ{axis}", "mm") for axis in "XYZ"] + [Column(f"σ {axis}", "mm") for axis in "XYZ"]
+    decimals = _check_decimals(checks.points)
+    rows = [
+        (
+            p.point,
+            *(fixed(1e3 * d, decimals, say.mark) for d in (p.dx, p.dy, p.dz)),
+            *(fixed(1e3 * s, decimals, say.mark) for s in (p.sx, p.sy, p.sz)),
+        )
+        for p in checks.points
+    ]
+    rmse = (fixed(1e3 * checks.rmse_m[axis], decimals, say.mark) for axis in "xyz")
+    rows.append((say("checks.rmse"), *rmse, "", "", ""))
+    return Section(
+        title, (Table(say("checks.table"), tuple(columns), tuple(rows), say("checks.note", n=checks.n)),)
+    )
+
+
+def _check_decimals(points: tuple[CheckPoint, ...]) -> int:
+    sigmas = np.array([s for p in points for s in (p.sx, p.sy, p.sz) if s > 0.0])
+    return min(_decimals(1e3 * sigmas), 3) if sigmas.size else 1
+
+
+def global_test(title: str, run: Run, say: Catalogue) -> Section:
+    """Say how the global test came out and what the a posteriori factor is.
+
+    Parameters
+    ----------
+    title : str
+        Title of the section.
+    run : Run
+        The adjustment.
+    say : Catalogue
+        Language.
+
+    Returns
+    -------
+    Section
+    """
+    result, test = run.result, run.result.global_test
+    interval = say(
+        "test.interval_value", lower=fixed(test.lower, 1, say.mark), upper=fixed(test.upper, 1, say.mark)
+    )
+    sigma0 = fixed(result.sigma0_squared, 4, say.mark)
+    rows = (
+        (say("test.chi2"), fixed(result.chi_squared, 2, say.mark)),
+        (say("method.dof"), str(result.degrees_of_freedom)),
+        (say("test.interval", probability=percent(test.probability, say)), interval),
+        (say("test.p"), probability(test.p_value, say.mark)),
+        (say("test.sigma0"), sigma0),
+    )
+    root = fixed(math.sqrt(max(result.sigma0_squared, 0.0)), 4, say.mark)
+    return Section(title, (KeyValues(rows), Paragraph(say("test.text", sigma0=sigma0, root=root))))
+
+
+def percent(probability: float, say: Catalogue) -> str:
+    """Write a probability in per cent without needless decimals."""
+    return f"{100 * probability:.6g}".replace(".", say.mark)
+
+
+def inputs(title: str, run: Run, say: Catalogue) -> Section:
+    """List the software and every file with its SHA-256.
+
+    Parameters
+    ----------
+    title : str
+        Title of the section.
+    run : Run
+        The adjustment.
+    say : Catalogue
+        Language.
+
+    Returns
+    -------
+    Section
+    """
+    software = run.result.software
+    return Section(
+        title,
+        (
+            Paragraph(say("inputs.text", software=software.name, version=software.version)),
+            _files(say("inputs.table"), run.result.inputs, say),
+            _files(say("inputs.results"), run.files, say),
+        ),
+    )
+
+
+def _files(caption: str, files: tuple[InputFile, ...], say: Catalogue) -> Table:
+    columns = (
+        Column(say("inputs.file"), align="left"),
+        Column(say("inputs.bytes")),
+        Column(say("inputs.sha256"), align="left"),
+    )
+    return Table(caption, columns, tuple((f.path, str(f.bytes), f.sha256) for f in files), dense=True)

@@ -1,0 +1,89 @@
+"""The texts of the reports in each language, read from the catalogues beside this module."""
+
+from __future__ import annotations
+
+import datetime as dt
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+
+from drivers.errors import ConfigurationError
+
+LANGUAGES = ("en", "pt-BR")
+
+
+@dataclass(frozen=True)
+class Catalogue:
+    """All texts of one language.
+
+    Attributes
+    ----------
+    language : str
+        Its code.
+    mark : str
+        Its decimal mark.
+    messages : mapping
+        Texts by their dotted keys; places for values in braces.
+    """
+
+    language: str
+    mark: str
+    messages: Mapping[str, str]
+
+    def __call__(self, key: str, **values: object) -> str:
+        """Give one text with its values put in.
+
+        Parameters
+        ----------
+        key : str
+            Dotted key.
+        **values
+            What the braces stand for, already formatted.
+
+        Returns
+        -------
+        str
+        """
+        return self.messages[key].format(**values)
+
+    def date(self, day: dt.date) -> str:
+        """Write a date in words."""
+        month = self.messages["date.months"].split()[day.month - 1]
+        return self("date.form", day=day.day, month=month, year=day.year)
+
+
+def catalogue(language: str) -> Catalogue:
+    """Read the texts of a language.
+
+    Parameters
+    ----------
+    language : str
+        One of `LANGUAGES`.
+
+    Returns
+    -------
+    Catalogue
+
+    Raises
+    ------
+    ConfigurationError
+        For a language that there is none of.
+    """
+    if language not in LANGUAGES:
+        raise ConfigurationError(
+            f"no texts in language {language!r}", remedy=f"choose one of {', '.join(LANGUAGES)}"
+        )
+    text = resources.files(__package__).joinpath(f"messages_{language}.toml").read_text(encoding="utf-8")
+    messages = dict(_flat(tomllib.loads(text), ""))
+    return Catalogue(language, messages["number.decimal_mark"], messages)
+
+
+def _flat(tree: Mapping[str, object], prefix: str) -> list[tuple[str, str]]:
+    leaves: list[tuple[str, str]] = []
+    for key, branch in tree.items():
+        if isinstance(branch, Mapping):
+            leaves += _flat(branch, f"{prefix}{key}.")
+        else:
+            leaves.append((prefix + key, str(branch)))
+    return leaves

@@ -1,0 +1,201 @@
+"""The certificate of a calibration: from the results of an adjustment to a printable document."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+
+from photocal.report.block_sections import (
+    check_points,
+    exterior_orientation,
+    global_test,
+    inputs,
+    method,
+    percent,
+)
+from photocal.report.camera_sections import (
+    camera_facts,
+    correlations,
+    image_residuals,
+    interior_orientation,
+    radial_distortion,
+    rms_px,
+)
+from photocal.report.catalogue import Catalogue
+from photocal.report.digits import fixed, measured, relation
+from photocal.report.document import Document, Highlight, KeyValues, Piece, Section, Statement
+from photocal.report.particulars import Particulars
+from photocal.report.run import CameraResult, Run
+from photocal.report.sensor import sensor_residuals
+
+WORDS = ("table", "figure", "page", "of", "contents")
+
+
+def certificate(run: Run, particulars: Particulars, say: Catalogue) -> Document:
+    """Compose the certificate.
+
+    Parameters
+    ----------
+    run : Run
+        Results of the adjustment.
+    particulars : Particulars
+        What a person gives.
+    say : Catalogue
+        Language.
+
+    Returns
+    -------
+    Document
+    """
+    result = run.result
+    return Document(
+        language=say.language,
+        title=say("title.certificate"),
+        subtitle=say("title.subtitle", cameras=", ".join(result.cameras)),
+        number=certificate_number(run, particulars),
+        facts=_facts(run, particulars, say),
+        highlights=_highlights(run, say),
+        verdicts=_verdicts(run, say),
+        sections=_sections(run, say),
+        words={word: say(f"word.{word}") for word in WORDS},
+    )
+
+
+def certificate_number(run: Run, particulars: Particulars) -> str:
+    """Make the number of a certificate from its date and what it certifies, in whatever language.
+
+    Parameters
+    ----------
+    run : Run
+        Results of the adjustment.
+    particulars : Particulars
+        What a person gives.
+
+    Returns
+    -------
+    str
+        "PC-20261121-1A2B3C4D".
+    """
+    content = [*(f"{f.path} {f.sha256}" for f in (*run.result.inputs, *run.files)), repr(particulars)]
+    digest = hashlib.sha256("\n".join(content).encode()).hexdigest()
+    return f"PC-{particulars.date:%Y%m%d}-{digest[:8].upper()}"
+
+
+def _facts(run: Run, particulars: Particulars, say: Catalogue) -> KeyValues:
+    software = run.result.software
+    rows = [
+        (say("title.number"), certificate_number(run, particulars)),
+        (say("title.date"), say.date(particulars.date)),
+        (say("title.client"), particulars.client),
+        (say("title.operator"), particulars.operator),
+        (say("title.block"), run.result.block.name),
+        (say("title.software"), f"{software.name} {software.version}"),
+    ]
+    return KeyValues(tuple((label, value) for label, value in rows if value))
+
+
+def _highlights(run: Run, say: Catalogue) -> tuple[Highlight, ...]:
+    cameras = run.result.cameras
+    several = len(cameras) > 1
+    shown: list[Highlight] = []
+    for camera_id, camera in cameras.items():
+        label = say("highlight.c_camera", camera=camera_id) if several else say("highlight.c")
+        c = measured(camera.value("c"), camera.parameters["c"].sigma, say.mark)
+        remark = say("highlight.sigma", sigma=c.sigma, unit=camera.unit) if c.sigma else say("word.held")
+        shown.append(Highlight(label, f"{c.value} {camera.unit}", remark))
+    if not several:
+        shown.append(_principal_point(next(iter(cameras.values())), say))
+    shown += [_residuals(run, say), _network(run, say)]
+    test = run.result.global_test
+    verdict = say("highlight.accepted") if test.accepted else say("highlight.refused")
+    remark = say(
+        "highlight.test_remark",
+        chi2=fixed(run.result.chi_squared, 1, say.mark),
+        dof=run.result.degrees_of_freedom,
+        p=relation(test.p_value, say.mark),
+    )
+    return (*shown, Highlight(say("highlight.test"), verdict, remark), _checks(run, say))
+
+
+def _principal_point(camera: CameraResult, say: Catalogue) -> Highlight:
+    x, y = (measured(camera.value(n), camera.parameters[n].sigma, say.mark) for n in ("x0", "y0"))
+    remark = say("word.held")
+    if x.sigma and y.sigma:
+        remark = say("highlight.x0y0_sigma", x=x.sigma, y=y.sigma, unit=camera.unit)
+    return Highlight(say("highlight.x0y0"), f"{x.value}; {y.value} {camera.unit}", remark)
+
+
+def _residuals(run: Run, say: Catalogue) -> Highlight:
+    parts = [sensor_residuals(run, camera_id) for camera_id in run.result.cameras]
+    rays = sum(len(part.place) for part in parts)
+    squares = [(len(part.place), *rms_px(part)) for part in parts]
+    x, y = (math.sqrt(sum(s[0] * s[i] ** 2 for s in squares) / max(rays, 1)) for i in (1, 2))
+    both = math.sqrt((x**2 + y**2) / 2)
+    remark = say("highlight.rms_remark", x=fixed(x, 3, say.mark), y=fixed(y, 3, say.mark), rays=rays)
+    return Highlight(say("highlight.rms"), f"{fixed(both, 3, say.mark)} px", remark)
+
+
+def _network(run: Run, say: Catalogue) -> Highlight:
+    remark = say("highlight.network_remark", points=len(run.points.point), dof=run.result.degrees_of_freedom)
+    return Highlight(
+        say("highlight.network"), say("highlight.network_value", images=run.result.images.n), remark
+    )
+
+
+def _checks(run: Run, say: Catalogue) -> Highlight:
+    checks = run.result.checks
+    label = say("highlight.checks")
+    if checks.n == 0:
+        return Highlight(label, say("highlight.checks_none"), say("highlight.checks_none_remark"))
+    axes = {axis: fixed(1e3 * checks.rmse_m[axis], 1, say.mark) for axis in "xyz"}
+    both = 1e3 * math.hypot(checks.rmse_m["x"], checks.rmse_m["y"])
+    return Highlight(
+        label,
+        f"XY {fixed(both, 1, say.mark)} mm; Z {axes['z']} mm",
+        say("highlight.checks_remark", **axes, n=checks.n),
+    )
+
+
+def _verdicts(run: Run, say: Catalogue) -> tuple[Statement, ...]:
+    result, test = run.result, run.result.global_test
+    verdicts: list[Statement] = []
+    if not result.converged:
+        text = say("verdict.diverged", iterations=result.iterations)
+        verdicts.append(Statement("bad", say("verdict.diverged_title"), text))
+    key = "accepted" if test.accepted else "large" if result.chi_squared > test.upper else "small"
+    text = say(f"verdict.{key}", probability=percent(test.probability, say))
+    verdicts.append(Statement("good" if test.accepted else "bad", say(f"verdict.{key}_title"), text))
+    if result.checks.n == 0:
+        verdicts.append(Statement("note", say("verdict.unchecked_title"), say("verdict.unchecked")))
+    return tuple(verdicts)
+
+
+def _sections(run: Run, say: Catalogue) -> tuple[Section, ...]:
+    cameras = run.result.cameras
+    several = len(cameras) > 1
+    facts: tuple[Piece, ...] = tuple(camera_facts(name, camera, say) for name, camera in cameras.items())
+    sections = [Section(say("camera.section"), facts), method(say("method.section"), run, say)]
+    for number, (camera_id, camera) in enumerate(cameras.items(), start=1):
+        name = str(number)
+
+        def title(key: str, camera_id: str = camera_id) -> str:
+            return f"{say(key)}: {camera_id}" if several else say(key)
+
+        sections += [
+            interior_orientation(title("iop.section"), camera, run.result.degrees_of_freedom, say),
+            *_correlations(title("correlation.section"), name, camera, say),
+            radial_distortion(title("distortion.section"), name, run, camera_id, say),
+            image_residuals(title("residuals.section"), name, run, camera_id, say),
+        ]
+    return (
+        *sections,
+        exterior_orientation(say("eop.section"), run, say),
+        check_points(say("checks.section"), run, say),
+        global_test(say("test.section"), run, say),
+        inputs(say("inputs.section"), run, say),
+    )
+
+
+def _correlations(title: str, name: str, camera: CameraResult, say: Catalogue) -> list[Section]:
+    """A correlation needs two estimated parameters."""
+    return [correlations(title, name, camera, say)] if len(camera.correlation.names) > 1 else []

@@ -1,0 +1,215 @@
+"""Numbers as a report prints them: two digits of the standard deviation, no digit more."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+MINUS = "\u2212"
+SUPERSCRIPTS = str.maketrans(
+    "-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"
+)
+SUBSCRIPTS = str.maketrans("0123456789", "\u2080\u2081\u2082\u2083\u2084\u2085\u2086\u2087\u2088\u2089")
+
+# Values outside this range of magnitude are printed with a power of ten in the unit.
+SMALL, LARGE = 1e-3, 1e7
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A value and its standard deviation as text, with the power of ten that belongs to both.
+
+    Attributes
+    ----------
+    value, sigma : str
+        Both with the same number of decimals.
+    exponent : int
+        They stand for value x 10^exponent.
+    """
+
+    value: str
+    sigma: str
+    exponent: int
+
+
+def fixed(value: float, decimals: int, mark: str) -> str:
+    """Print a number with a fixed number of decimals.
+
+    Parameters
+    ----------
+    value : float
+        The number.
+    decimals : int
+        Decimals to keep; negative rounds to tens, hundreds ...
+    mark : str
+        The decimal mark, "." or ",".
+
+    Returns
+    -------
+    str
+        With a true minus sign; a value that rounds to zero has none.
+    """
+    text = f"{round(value, decimals) + 0.0:.{max(decimals, 0)}f}"
+    if text.startswith("-"):
+        text = text[1:] if not text.strip("-0.") else MINUS + text[1:]
+    return text.replace(".", mark)
+
+
+def decimals_of(sigma: float, digits: int = 2) -> int:
+    """Give the number of decimals that shows a standard deviation with so many significant digits.
+
+    Parameters
+    ----------
+    sigma : float
+        Standard deviation, positive.
+    digits : int
+        Significant digits.
+
+    Returns
+    -------
+    int
+        Decimals; 9.97 counts as 10 and so has none left for two digits.
+    """
+    # The decimal rounding decides the power of ten: 0.0997 is printed as 0.10, not as 0.100.
+    exponent = int(f"{sigma:.{digits - 1}e}".split("e")[1])
+    return digits - 1 - exponent
+
+
+def significant(value: float, digits: int, mark: str) -> str:
+    """Print a number with so many significant digits, without exponent.
+
+    Parameters
+    ----------
+    value : float
+        The number.
+    digits : int
+        Significant digits.
+    mark : str
+        The decimal mark.
+
+    Returns
+    -------
+    str
+        The number; 0 as "0".
+    """
+    if value == 0.0:
+        return "0"
+    return fixed(value, decimals_of(abs(value), digits), mark)
+
+
+def measured(value: float, sigma: float, mark: str) -> Measured:
+    """Print a value with its standard deviation, both to two digits of the latter.
+
+    Parameters
+    ----------
+    value, sigma : float
+        In the same unit. Without sigma (0: the value was held) six digits of the value are given.
+    mark : str
+        The decimal mark.
+
+    Returns
+    -------
+    Measured
+        The texts; the sigma of a held value is empty.
+    """
+    size = max(abs(value), sigma)
+    exponent = 0
+    if size != 0.0 and not SMALL <= size < LARGE:
+        exponent = math.floor(math.log10(size))
+    scale = 10.0**exponent
+    if sigma == 0.0:
+        return Measured(significant(value / scale, 6, mark), "", exponent)
+    decimals = decimals_of(sigma / scale)
+    return Measured(fixed(value / scale, decimals, mark), fixed(sigma / scale, decimals, mark), exponent)
+
+
+def power_of_ten(exponent: int, unit: str) -> str:
+    """Write a unit with its power of ten, "10⁻⁴ mm⁻²"; the unit alone for the power 0.
+
+    Parameters
+    ----------
+    exponent : int
+        The power.
+    unit : str
+        The unit, may be empty.
+
+    Returns
+    -------
+    str
+        For the unit column of a table.
+    """
+    if exponent == 0:
+        return unit
+    return f"10{str(exponent).translate(SUPERSCRIPTS)} {unit}".strip()
+
+
+def unit_power(unit: str, power: int) -> str:
+    """Write a unit to a power, "mm⁻²"; the unit alone for 1, nothing for 0.
+
+    Parameters
+    ----------
+    unit : str
+        The unit.
+    power : int
+        Its power.
+
+    Returns
+    -------
+    str
+        The text.
+    """
+    if power == 0:
+        return ""
+    return unit if power == 1 else unit + str(power).translate(SUPERSCRIPTS)
+
+
+def symbol(parameter: str) -> str:
+    """Write a parameter name as a symbol, "K1" as "K₁".
+
+    Parameters
+    ----------
+    parameter : str
+        A name of the camera model.
+
+    Returns
+    -------
+    str
+        With subscripts.
+    """
+    return parameter.translate(SUBSCRIPTS)
+
+
+def probability(p: float, mark: str) -> str:
+    """Write a probability: three decimals, or that it is smaller than that.
+
+    Parameters
+    ----------
+    p : float
+        Between 0 and 1.
+    mark : str
+        The decimal mark.
+
+    Returns
+    -------
+    str
+        "0.130" or "< 0.001".
+    """
+    return relation(p, mark).removeprefix("= ")
+
+
+def relation(p: float, mark: str) -> str:
+    """Write how a probability compares: equal to three decimals, or smaller.
+
+    Parameters
+    ----------
+    p : float
+        Between 0 and 1.
+    mark : str
+        The decimal mark.
+
+    Returns
+    -------
+    str
+        "= 0.130" or "< 0.001".
+    """
+    return f"= {fixed(p, 3, mark)}" if p >= 0.001 else f"< {fixed(0.001, 3, mark)}"

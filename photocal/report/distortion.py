@@ -1,0 +1,94 @@
+"""The radial distortion of an adjusted camera as a curve, with its uncertainty from the covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.report.run import CameraResult
+
+Floats = NDArray[np.float64]
+
+RADIAL = ("K1", "K2", "K3", "K4")
+
+
+@dataclass(frozen=True)
+class RadialProfile:
+    """Radial displacement over the radius, all in the unit of the camera, shape (n,).
+
+    Attributes
+    ----------
+    radius : ndarray
+        Distance from the principal point.
+    displacement : ndarray
+        Measured less ideal radius: positive outwards.
+    sigma : ndarray
+        Its standard deviation from the covariance of the radial coefficients.
+    decentering : ndarray
+        Largest displacement by P1 and P2 at that radius, 3 sqrt(P1^2 + P2^2) r^2.
+    """
+
+    radius: Floats
+    displacement: Floats
+    sigma: Floats
+    decentering: Floats
+
+
+def radial_profile(camera: CameraResult, radius: Floats) -> RadialProfile:
+    """Evaluate the radial distortion and its standard deviation.
+
+    Parameters
+    ----------
+    camera : CameraResult
+        Parameters and their correlation.
+    radius : ndarray, shape (n,)
+        Radii in the unit of the camera.
+
+    Returns
+    -------
+    RadialProfile
+
+    Notes
+    -----
+    d(r) = K1 (r^3 - R0^2 r) + K2 (r^5 - R0^4 r) + ..., Brown (1971), the part of the camera equations
+    that is added to the projection. The decentring part along the line of its largest effect is
+    3 sqrt(P1^2 + P2^2) r^2 (Brown 1966).
+    """
+    r = np.asarray(radius, dtype=np.float64)
+    powers = np.arange(2, 2 * len(RADIAL) + 1, 2)
+    basis = r[:, None] * (r[:, None] ** powers - camera.reference_radius**powers)
+    displacement = basis @ np.array([camera.value(name) for name in RADIAL])
+    names = [name for name in camera.correlation.names if name in RADIAL]
+    jacobian = basis[:, [RADIAL.index(name) for name in names]]
+    variance = np.einsum("ni,ij,nj->n", jacobian, covariance(camera, names), jacobian)
+    tangential = 3.0 * np.hypot(camera.value("P1"), camera.value("P2")) * r**2
+    return RadialProfile(r, displacement, np.sqrt(np.maximum(variance, 0.0)), tangential)
+
+
+def covariance(camera: CameraResult, names: list[str]) -> Floats:
+    """Give the covariance of some estimated parameters from their sigmas and correlations.
+
+    Parameters
+    ----------
+    camera : CameraResult
+        The camera.
+    names : list of str
+        n estimated parameters.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        In products of the parameters' units.
+    """
+    at = [camera.correlation.names.index(name) for name in names]
+    sigma = np.array([camera.parameters[name].sigma for name in names])
+    matrix = np.array(camera.correlation.matrix, dtype=np.float64).reshape(len(camera.correlation.names), -1)
+    return np.asarray(matrix[np.ix_(at, at)] * np.outer(sigma, sigma), dtype=np.float64)
+
+
+def farthest_corner(camera: CameraResult) -> float:
+    """Distance of the principal point from the farthest corner of the image, in the unit of the camera."""
+    half = np.array(camera.size_px) * np.array(camera.pitch) / 2
+    return float(np.hypot(half[0] + abs(camera.value("x0")), half[1] + abs(camera.value("y0"))))

@@ -1,0 +1,290 @@
+"""The pictures of a report as SVG: the same bytes for the same figures, readable in grey print."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.report.catalogue import Catalogue
+from photocal.report.digits import MINUS, fixed, significant, symbol
+from photocal.report.distortion import RadialProfile
+from photocal.report.run import CameraResult, Correlation
+from photocal.report.sensor import Vectors
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+
+# Width of the text of an A4 page, inches: figures are drawn at the size at which they are printed.
+WIDTH = 6.69
+INK, SHADE, RULE = "#1a1a1a", "#c9d3dd", "#8a8f94"
+STYLE: Any = {
+    "svg.hashsalt": "photocal",
+    "svg.fonttype": "path",
+    "font.family": "DejaVu Sans",
+    "font.size": 8.0,
+    "axes.linewidth": 0.6,
+    "axes.edgecolor": INK,
+    "axes.spines.top": False,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "lines.linewidth": 1.2,
+}
+
+
+def radial_curve(camera: CameraResult, profile: RadialProfile, observed_to: float, say: Catalogue) -> str:
+    """Draw the radial displacement over the radius with its 1-sigma band.
+
+    Parameters
+    ----------
+    camera : CameraResult
+        Unit and pitch for the axes.
+    profile : RadialProfile
+        The curve, from the principal point to the farthest corner.
+    observed_to : float
+        Largest radius with an observation; the curve is broken beyond.
+    say : Catalogue
+        Language of the labels.
+
+    Returns
+    -------
+    str
+        SVG.
+    """
+    millimetres = camera.unit == "mm"
+    factor = 1e3 if millimetres else 1.0
+    pitch = float(np.mean(camera.pitch))
+
+    def to_px(displacement: Any) -> Any:
+        return displacement / factor / pitch
+
+    def from_px(displacement: Any) -> Any:
+        return displacement * factor * pitch
+
+    with _figure(WIDTH, 3.7) as (figure, out):
+        ax = figure.add_axes((0.09, 0.37, 0.82, 0.60))
+        r, d, s = profile.radius, profile.displacement * factor, profile.sigma * factor
+        ax.axhline(0.0, color=RULE, linewidth=0.6)
+        ax.fill_between(r, d - s, d + s, color=SHADE, linewidth=0, label=say("figure.radial.band"))
+        inside = r <= observed_to
+        ax.plot(r[inside], d[inside], color=INK, label=say("figure.radial.curve"))
+        if not inside.all():
+            outside = r >= (r[inside].max() if inside.any() else 0.0)
+            ax.plot(
+                r[outside], d[outside], color=INK, linestyle=(0, (4, 3)), label=say("figure.radial.beyond")
+            )
+        ax.set_xlim(0.0, float(r[-1]))
+        ax.set_ylabel(say("figure.radial.y", unit="µm" if millimetres else "px"))
+        ax.grid(color="#e4e7ea", linewidth=0.5)
+        ax.set_axisbelow(True)
+        ax.legend(frameon=False, loc="best")
+        ax.spines["right"].set_visible(False)
+        _localised(ax, say.mark)
+        if millimetres:
+            twin = ax.secondary_yaxis("right", functions=(to_px, from_px))
+            twin.set_ylabel("px")
+            _localised(twin, say.mark)
+        # At the scale of the distortion itself the band is mostly thinner than the line: show it alone.
+        below = figure.add_axes((0.09, 0.115, 0.82, 0.19), sharex=ax)
+        below.fill_between(r, 0.0, s, color=SHADE, linewidth=0)
+        below.plot(r, s, color=INK, linewidth=0.8)
+        below.set_ylim(0.0, None)
+        below.set_ylabel(say("figure.radial.sigma", unit="µm" if millimetres else "px"))
+        below.set_xlabel(say("figure.radial.x", unit=camera.unit))
+        below.spines["right"].set_visible(False)
+        below.grid(color="#e4e7ea", linewidth=0.5)
+        below.set_axisbelow(True)
+        _localised(below, say.mark)
+        figure.align_ylabels([ax, below])
+        ax.tick_params(labelbottom=False)
+        return out()
+
+
+def residual_map(camera: CameraResult, vectors: Vectors, say: Catalogue) -> str:
+    """Draw residual vectors on the sensor with a scale arrow.
+
+    Parameters
+    ----------
+    camera : CameraResult
+        Format and unit.
+    vectors : Vectors
+        The arrows.
+    say : Catalogue
+        Language of the labels.
+
+    Returns
+    -------
+    str
+        SVG.
+    """
+    extent = np.array(camera.size_px) * np.array(camera.pitch)
+    w, h = (float(side) for side in extent)
+    # A residual of typical size is drawn as a fortieth of the sensor's width.
+    length = np.hypot(*vectors.residual_px.T) if len(vectors.place) else np.zeros(1)
+    arrow = _round_length((float(np.sqrt(np.mean(length**2))) or 1.0) * 2)
+    scale = 0.05 * w / arrow
+    # Margins in inches: left, right, bottom, top.
+    margins = (0.75, 0.25, 0.45, 0.38)
+    across = min(WIDTH - margins[0] - margins[1], 6.5 * w / h)
+    tall = across * h / w
+    total = tall + margins[2] + margins[3]
+    left = (WIDTH - across + margins[0] - margins[1]) / 2
+    with _figure(WIDTH, total) as (figure, out):
+        ax = figure.add_axes((left / WIDTH, margins[2] / total, across / WIDTH, tall / total))
+        style: dict[str, Any] = {
+            "angles": "xy",
+            "scale_units": "xy",
+            "scale": 1.0,
+            "color": INK,
+            "clip_on": False,
+        }
+        if len(vectors.place):
+            ax.quiver(*vectors.place.T, *(vectors.residual_px * scale).T, width=0.0013, **style)
+        _principal_point(ax, camera)
+        above = h / 2 + 0.2 * w / across
+        ax.quiver([-w / 2], [above], [arrow * scale], [0.0], width=0.0022, **style)
+        ax.text(-w / 2 + arrow * scale * 1.15, above, _arrow_label(camera, arrow, say), va="center")
+        ax.text(w / 2, above, f"+  {say('figure.residuals.principal_point')}", ha="right", va="center")
+        ax.set_xlim(-w / 2, w / 2)
+        ax.set_ylim(-h / 2, h / 2)
+        ax.set_xlabel(f"x [{camera.unit}]")
+        ax.set_ylabel(f"y [{camera.unit}]")
+        ax.spines["top"].set_visible(True)
+        _localised(ax, say.mark)
+        return out()
+
+
+def correlation_picture(correlation: Correlation, say: Catalogue) -> str:
+    """Draw the lower triangle of a correlation matrix as discs: area goes with |r|, open is negative.
+
+    Parameters
+    ----------
+    correlation : Correlation
+        Names and matrix.
+    say : Catalogue
+        Language of the labels.
+
+    Returns
+    -------
+    str
+        SVG.
+    """
+    n = len(correlation.names)
+    cell, edge, legend = 0.27, 0.32, 1.15
+    width, height = n * cell + edge + legend, max(n * cell, 4 * 1.15 * cell) + 0.1
+    with _figure(width, height) as (figure, out):
+        ax = figure.add_axes(
+            (edge / width, (height - n * cell) / height, n * cell / width, n * cell / height)
+        )
+        for i in range(1, n):
+            for j in range(i):
+                _disc(ax, j, i, correlation.matrix[i][j])
+        for k in range(n):
+            ax.text(k, k, symbol(correlation.names[k]), ha="center", va="center", fontweight="bold")
+            ax.text(-0.8, k, symbol(correlation.names[k]), ha="right", va="center", color="#566069")
+        ax.set_xlim(-0.5, n - 0.5)
+        ax.set_ylim(n - 0.5, -0.5)
+        ax.set_axis_off()
+        for k, sample in enumerate((1.0, 0.5, -0.5, -1.0)):
+            _disc(ax, n + 0.3, 1.15 * k, sample, clip=False)
+            sign = MINUS if sample < 0 else "+"
+            ax.text(n + 1.0, 1.15 * k, f"r = {sign}{fixed(abs(sample), 1, say.mark)}", va="center")
+        return out()
+
+
+def natural_width(svg: str) -> float:
+    """Give the share of the text width at which a picture is printed in the size it was drawn for.
+
+    Parameters
+    ----------
+    svg : str
+        A picture of this module.
+
+    Returns
+    -------
+    float
+        At most 1.
+    """
+    found = re.search(r'<svg[^>]*\bwidth="([0-9.]+)pt"', svg)
+    return min(float(found[1]) / 72.0 / WIDTH, 1.0) if found else 1.0
+
+
+def _disc(ax: Axes, x: float, y: float, r: float, *, clip: bool = True) -> None:
+    from matplotlib.patches import Circle
+
+    # Area goes with |r|; what is smaller than a hundredth is not drawn.
+    if abs(r) < 0.01:
+        return
+    face = INK if r > 0 else "white"
+    ax.add_patch(
+        Circle(
+            (x, y),
+            0.44 * float(np.sqrt(min(abs(r), 1.0))),
+            facecolor=face,
+            edgecolor=INK,
+            linewidth=0.8,
+            clip_on=clip,
+        )
+    )
+
+
+def _principal_point(ax: Axes, camera: CameraResult) -> None:
+    x0, y0 = camera.value("x0"), camera.value("y0")
+    ax.plot([x0], [y0], marker="+", markersize=11, markeredgewidth=1.8, color="white", zorder=4)
+    ax.plot([x0], [y0], marker="+", markersize=9, markeredgewidth=1.0, color=INK, zorder=5)
+
+
+def _arrow_label(camera: CameraResult, arrow: float, say: Catalogue) -> str:
+    text = f"{significant(arrow, 1, say.mark)} px"
+    if camera.unit == "mm":
+        text += f" = {significant(arrow * float(np.mean(camera.pitch)) * 1e3, 2, say.mark)} µm"
+    return text
+
+
+def _round_length(length: float) -> float:
+    power = 10.0 ** np.floor(np.log10(length))
+    return float(power * min((1.0, 2.0, 5.0, 10.0), key=lambda step: abs(step * power - length)))
+
+
+def _localised(ax: Any, mark: str) -> None:
+    from matplotlib.ticker import FuncFormatter, ScalarFormatter
+
+    for axis in (ax.xaxis, ax.yaxis):
+        plain = ScalarFormatter(useOffset=False, useMathText=False)
+        plain.set_scientific(False)
+        plain.set_axis(axis)
+
+        def text(value: float, _position: int | None, plain: Any = plain, axis: Any = axis) -> str:
+            plain.set_locs(axis.get_majorticklocs())
+            return str(plain(value)).replace("-", MINUS).replace(".", mark)
+
+        axis.set_major_formatter(FuncFormatter(text))
+
+
+@contextmanager
+def _figure(width: float, height: float) -> Iterator[tuple[Figure, Callable[[], str]]]:
+    """Open a figure of so many inches; the second value writes it as SVG."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(width, height))
+        FigureCanvasSVG(figure)
+
+        def out() -> str:
+            buffer = io.StringIO()
+            figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+            return re.sub(r"^.*?(?=<svg)", "", buffer.getvalue(), count=1, flags=re.DOTALL).rstrip()
+
+        yield figure, out

@@ -1,0 +1,132 @@
+"""Image residuals in the image plane of their camera, whatever unit and axes they were observed in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.report.run import CameraResult, Run
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SensorResiduals:
+    """Rays of one camera in its image plane: x right, y up from the image centre.
+
+    Attributes
+    ----------
+    place : ndarray, shape (n, 2)
+        Measured coordinates, in the unit of the camera.
+    residual_px : ndarray, shape (n, 2)
+        Residuals (computed minus measured) in pixels.
+    """
+
+    place: Floats
+    residual_px: Floats
+
+
+@dataclass(frozen=True)
+class Vectors:
+    """Arrows to draw: where, which way (px), and how many rays each stands for."""
+
+    place: Floats
+    residual_px: Floats
+    rays: NDArray[np.int64]
+
+
+def sensor_residuals(run: Run, camera_id: str) -> SensorResiduals:
+    """Take the residuals of one camera to its image plane.
+
+    Parameters
+    ----------
+    run : Run
+        The adjustment.
+    camera_id : str
+        The camera.
+
+    Returns
+    -------
+    SensorResiduals
+    """
+    camera = run.result.cameras[camera_id]
+    own = {
+        image for image, of in zip(run.exposures.image, run.exposures.camera, strict=True) if of == camera_id
+    }
+    chosen = np.array([image in own for image in run.residuals.image], dtype=np.bool_)
+    return to_plane(
+        camera,
+        run.residuals.measured[chosen],
+        run.residuals.residual[chosen],
+        unit=run.result.block.observation_unit,
+        axes=run.result.block.observation_axes,
+    )
+
+
+def to_plane(
+    camera: CameraResult, measured: Floats, residual: Floats, *, unit: str, axes: str
+) -> SensorResiduals:
+    """Turn observed coordinates and residuals into the image plane of a camera.
+
+    Parameters
+    ----------
+    camera : CameraResult
+        Format and pitch.
+    measured, residual : ndarray, shape (n, 2)
+        In `unit` and `axes`.
+    unit : {"px", "mm"}
+        Unit of the observations.
+    axes : {"pixel", "photo"}
+        Column and row, or x right and y up from the image centre.
+
+    Returns
+    -------
+    SensorResiduals
+    """
+    # Pitch in the unit of the observations per pixel, and in the unit of the camera per pixel.
+    observed = np.array((1.0, 1.0) if unit == "px" else camera.pitch_mm or camera.pitch)
+    pixels, vectors = measured / observed, residual / observed
+    if axes == "pixel":
+        pixels = (pixels - (np.array(camera.size_px) - 1) / 2) * [1.0, -1.0]
+        vectors = vectors * [1.0, -1.0]
+    return SensorResiduals(pixels * np.array(camera.pitch), vectors)
+
+
+def thinned(residuals: SensorResiduals, camera: CameraResult, at_most: int) -> Vectors:
+    """Keep every residual, or their means over square cells when there are too many to see.
+
+    Parameters
+    ----------
+    residuals : SensorResiduals
+        All rays.
+    camera : CameraResult
+        Its format bounds the cells.
+    at_most : int
+        More rays than this are averaged over about as many cells as a quarter of it.
+
+    Returns
+    -------
+    Vectors
+        The arrows; each stands for one ray when nothing was averaged.
+    """
+    n = len(residuals.place)
+    if n <= at_most:
+        return Vectors(residuals.place, residuals.residual_px, np.ones(n, dtype=np.int64))
+    extent = np.array(camera.size_px) * np.array(camera.pitch)
+    cell = float(np.sqrt(extent[0] * extent[1] / (at_most / 4)))
+    columns, rows = (int(k) for k in np.ceil(extent / cell))
+    ij = np.clip(np.floor((residuals.place + extent / 2) / cell).astype(np.int64), 0, [columns - 1, rows - 1])
+    flat = ij[:, 1] * columns + ij[:, 0]
+    rays = np.bincount(flat, minlength=columns * rows)
+    full = rays > 0
+    mean = [_cell_mean(flat, values, rays, full) for values in (*residuals.place.T, *residuals.residual_px.T)]
+    return Vectors(np.column_stack(mean[:2]), np.column_stack(mean[2:]), rays[full].astype(np.int64))
+
+
+def _cell_mean(
+    cell: NDArray[np.int64], values: Floats, rays: NDArray[np.int64], full: NDArray[np.bool_]
+) -> Floats:
+    total = np.bincount(cell, weights=values, minlength=len(rays))
+    return np.asarray(total[full] / rays[full], dtype=np.float64)

@@ -1,0 +1,73 @@
+"""Runs to certify."""
+
+from __future__ import annotations
+
+import datetime as dt
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from photocal.report.catalogue import catalogue
+from photocal.report.certificate import certificate
+from photocal.report.document import Document
+from photocal.report.particulars import Particulars
+from photocal.report.run import Run, read_run
+
+DAY = dt.date(2026, 11, 21)
+
+
+def _runs() -> ModuleType:
+    # importlib mode has no package for test helpers: load the one beside this file by its path.
+    spec = importlib.util.spec_from_file_location("report_runs", Path(__file__).with_name("runs.py"))
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["report_runs"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+RUNS = _runs()
+
+
+@pytest.fixture
+def run_folder(tmp_path: Path) -> Path:
+    """An invented run in pixels with check points, to spoil."""
+    folder: Path = RUNS.invented(tmp_path / "run")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def large_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """More images and rays than a page takes."""
+    folder: Path = RUNS.invented(tmp_path_factory.mktemp("large") / "run", images=120, rays=40)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def published_folder(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The published DCS460 calibration as a run."""
+    folder: Path = RUNS.dcs460(shared / "reference" / "dcs460", tmp_path_factory.mktemp("dcs460") / "run")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def invented_run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """An invented run in pixels with check points, to read only."""
+    return read_run(RUNS.invented(tmp_path_factory.mktemp("invented") / "run"))
+
+
+@pytest.fixture(scope="session")
+def published_run(published_folder: Path) -> Run:
+    """The published DCS460 calibration."""
+    return read_run(published_folder)
+
+
+@pytest.fixture(scope="session", params=["en", "pt-BR"])
+def document(request: pytest.FixtureRequest, invented_run: Run) -> Document:
+    """The certificate of the invented run in each language."""
+    particulars = Particulars(DAY, client="Client <b>&</b> Sons", operator="Laboratório")
+    return certificate(invented_run, particulars, catalogue(request.param))

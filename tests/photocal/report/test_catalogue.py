@@ -1,0 +1,48 @@
+"""Both languages say the same things."""
+
+from __future__ import annotations
+
+import datetime as dt
+import re
+from pathlib import Path
+from string import Formatter
+
+import pytest
+
+import photocal.report
+from drivers.errors import ConfigurationError
+from photocal.report.catalogue import LANGUAGES, catalogue
+
+
+def fields(text: str) -> set[str]:
+    return {name for _, name, _, _ in Formatter().parse(text) if name is not None}
+
+
+def test_same_keys_and_same_places_for_values() -> None:
+    english, portuguese = (catalogue(language).messages for language in LANGUAGES)
+    assert english.keys() == portuguese.keys()
+    for key, text in english.items():
+        assert fields(text) == fields(portuguese[key]), key
+        assert portuguese[key].strip(), key
+
+
+def test_every_text_is_used() -> None:
+    """A key that no module names is a text that nobody will see."""
+    source = "".join(
+        p.read_text(encoding="utf-8") for p in Path(photocal.report.__file__).parent.glob("*.py")
+    )
+    used = set(re.findall(r'["\x27]([a-z0-9_]+\.[a-zA-Z0-9_.]+)["\x27]', source))
+    made = {m.split("{")[0] for m in re.findall(r'f"([a-z0-9_]+\.[^"]*\{[^"]*)"', source)}
+    for key in catalogue("en").messages:
+        assert key in used or any(key.startswith(prefix) for prefix in made), key
+
+
+def test_dates_in_words() -> None:
+    day = dt.date(2026, 3, 5)
+    assert catalogue("en").date(day) == "5 March 2026"
+    assert catalogue("pt-BR").date(day) == "5 de março de 2026"
+
+
+def test_unknown_language_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="choose one of en, pt-BR"):
+        catalogue("de")

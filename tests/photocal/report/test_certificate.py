@@ -1,0 +1,244 @@
+"""The certificate: what it says, in both languages and both forms."""
+
+from __future__ import annotations
+
+import datetime as dt
+import io
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from defusedxml import ElementTree
+from pypdf import PdfReader
+from typer.testing import CliRunner
+
+from photocal.cli import app
+from photocal.report.catalogue import catalogue
+from photocal.report.certificate import certificate
+from photocal.report.document import Document, Figure, Table
+from photocal.report.html import html
+from photocal.report.particulars import Particulars
+from photocal.report.pdf import pdf
+from photocal.report.run import Run, read_run
+
+DAY = dt.date(2026, 11, 21)
+VOID = {"meta", "br", "col", "link", "img", "hr"}
+
+
+class Outline(HTMLParser):
+    """Checks that tags close in order; collects ids, links and text."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.ids: list[str] = []
+        self.references: list[str] = []
+        self.text: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in VOID:
+            self.open.append(tag)
+        self._attributes(attrs)
+
+    def handle_startendtag(self, _tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self._attributes(attrs)
+
+    def _attributes(self, attrs: list[tuple[str, str | None]]) -> None:
+        self.ids += [value or "" for name, value in attrs if name == "id"]
+        self.references += [value or "" for name, value in attrs if name in ("href", "src", "xlink:href")]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open, tag
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if not self.open or self.open[-1] not in ("style", "script"):
+            self.text.append(data)
+
+
+def outline(page: str) -> Outline:
+    parser = Outline()
+    parser.feed(page)
+    assert parser.open == []
+    return parser
+
+
+def words(document: Document) -> str:
+    """All text of the paper, without line ends."""
+    reader = PdfReader(io.BytesIO(pdf(document, DAY)))
+    return re.sub(r"\s+", " ", " ".join(page.extract_text() for page in reader.pages))
+
+
+def test_page_is_whole_and_needs_nothing_else(document: Document) -> None:
+    page = html(document)
+    parser = outline(page)
+    assert len(parser.ids) == len(set(parser.ids))
+    assert all(reference.startswith("#") for reference in parser.references)
+    assert not re.findall(r"url\((?!#)", page)
+    assert "<script" not in page
+
+
+def test_given_text_is_escaped(document: Document) -> None:
+    page = html(document)
+    assert "Client &lt;b&gt;&amp;&lt;/b&gt; Sons" in page
+    assert "Client <b>&</b> Sons" in words(document)
+
+
+def test_same_run_gives_the_same_bytes(document: Document, invented_run: Run) -> None:
+    particulars = Particulars(DAY, client="Client <b>&</b> Sons", operator="Laboratório")
+    again = certificate(invented_run, particulars, catalogue(document.language))
+    assert html(again) == html(document)
+    assert pdf(again, DAY) == pdf(document, DAY)
+
+
+def test_number_does_not_depend_on_language_but_on_content(invented_run: Run) -> None:
+    numbers = [
+        certificate(invented_run, Particulars(DAY), catalogue(code)).number for code in ("en", "pt-BR")
+    ]
+    other = certificate(invented_run, Particulars(DAY, client="other"), catalogue("en")).number
+    assert numbers[0] == numbers[1] != other
+    assert re.fullmatch(r"PC-20261121-[0-9A-F]{8}", numbers[0])
+
+
+def test_every_row_has_every_column(document: Document) -> None:
+    tables = [piece for section in document.sections for piece in section.pieces if isinstance(piece, Table)]
+    assert len(tables) >= 8
+    for table in tables:
+        assert all(len(row) == len(table.columns) for row in table.rows), table.caption
+
+
+def test_pictures_are_sound(document: Document) -> None:
+    figures = [
+        piece for section in document.sections for piece in section.pieces if isinstance(piece, Figure)
+    ]
+    assert len(figures) == 3
+    for figure in figures:
+        assert ElementTree.fromstring(figure.svg).tag.endswith("svg")
+        assert "date" not in figure.svg
+        assert figure.alternative
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(
+    ("language", "expected"),
+    [
+        (
+            "en",
+            [
+                "20.4721 mm",
+                "standard deviation 0.0086 mm",
+                "−2.778",
+                "8.2",
+                "36.4",
+                "−0.98",
+                "χ² = 888.4",
+                "accepted",
+            ],
+        ),
+        (
+            "pt-BR",
+            [
+                "20,4721 mm",
+                "desvio-padrão 0,0086 mm",
+                "−2,778",
+                "8,2",
+                "36,4",
+                "−0,98",
+                "χ² = 888,4",
+                "aceito",
+            ],
+        ),
+    ],
+)
+def test_published_calibration_in_both_forms(published_run: Run, language: str, expected: list[str]) -> None:
+    document = certificate(published_run, Particulars(DAY), catalogue(language))
+    page = " ".join(outline(html(document)).text)
+    paper = words(document)
+    for text in expected:
+        assert text in page
+        assert text in paper
+    for file in (*published_run.result.inputs, *published_run.files):
+        assert file.sha256 in page
+        assert file.sha256 in paper
+
+
+@pytest.mark.shared
+def test_table_rows_against_the_study(published_run: Run) -> None:
+    """Values, standard deviations and t as the study prints them, to two digits of the standard deviation."""
+    document = certificate(published_run, Particulars(DAY), catalogue("en"))
+    tables = [piece for section in document.sections for piece in section.pieces if isinstance(piece, Table)]
+    rows = {row[0]: row for table in tables if len(table.columns) == 7 for row in table.rows}
+    assert rows["x₀"][2:] == ("−0.2201", "0.0060", "mm", "−36.4", "yes")
+    assert rows["K₂"][2:] == ("2.91", "0.47", "10⁻⁷ mm⁻⁴", "6.2", "yes")
+    assert rows["P₂"][2:] == ("1.04", "0.42", "10⁻⁵ mm⁻¹", "2.5", "yes")
+
+
+def test_a_parameter_that_is_noise_is_called_so(invented_run: Run) -> None:
+    """K2 of the invented run is half of its standard deviation."""
+    text = html(certificate(invented_run, Particulars(DAY), catalogue("en")))
+    assert "K₂ cannot be told from zero" in text
+    assert "K₁ cannot" not in text
+
+
+def test_factor_is_given_and_not_applied(invented_run: Run) -> None:
+    text = html(certificate(invented_run, Particulars(DAY), catalogue("en")))
+    assert "3412.50" in text
+    assert "0.42" in text
+    assert "was not applied" in text
+    assert "1.0551" in text
+
+
+@pytest.mark.parametrize(
+    ("chi_squared", "title"),
+    [(999.0, "larger than assumed"), (500.0, "smaller than assumed")],
+)
+def test_failed_test_is_said_on_top(run_folder: Path, chi_squared: float, title: str) -> None:
+    path = run_folder / "result.json"
+    result = json.loads(path.read_text(encoding="utf-8"))
+    result["chi_squared"] = chi_squared
+    result["global_test"]["accepted"] = False
+    path.write_text(json.dumps(result), encoding="utf-8")
+    document = certificate(read_run(run_folder), Particulars(DAY), catalogue("en"))
+    assert title in document.verdicts[0].title
+    assert document.verdicts[0].tone == "bad"
+
+
+def test_large_block_keeps_to_a_few_pages(large_folder: Path) -> None:
+    document = certificate(read_run(large_folder), Particulars(DAY), catalogue("en"))
+    reader = PdfReader(io.BytesIO(pdf(document, DAY)))
+    assert len(reader.pages) < 10
+    page = html(document)
+    assert len(page) < 1_500_000
+    assert "of 120" in page
+
+
+def test_command_writes_both_files_and_says_where(run_folder: Path, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    arguments = ["certificate", str(run_folder), "-o", str(output), "--date", "2026-11-21", "--json"]
+    answer = CliRunner().invoke(app, arguments)
+    assert answer.exit_code == 0, answer.output
+    said = json.loads(answer.output)
+    assert said["number"].startswith("PC-20261121-")
+    assert (output / "certificate.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    assert (output / "certificate.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize(
+    ("extra", "message"), [(["--date", "21.11.2026"], "YYYY-MM-DD"), (["--language", "de"], "en, pt-BR")]
+)
+def test_command_refuses_and_leaves_nothing(
+    run_folder: Path, tmp_path: Path, extra: list[str], message: str
+) -> None:
+    output = tmp_path / "out"
+    answer = CliRunner().invoke(app, ["certificate", str(run_folder), "-o", str(output), *extra])
+    assert message in str(answer.exception)
+    assert not output.exists()
+
+
+def test_spoilt_run_leaves_nothing(run_folder: Path, tmp_path: Path) -> None:
+    (run_folder / "points.csv").unlink()
+    answer = CliRunner().invoke(app, ["certificate", str(run_folder), "-o", str(tmp_path / "out")])
+    assert "points.csv" in str(answer.exception)
+    assert not (tmp_path / "out").exists()

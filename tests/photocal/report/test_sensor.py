@@ -1,0 +1,49 @@
+"""Residuals arrive in the image plane whatever they were observed in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from photocal.geometry.camera import pixel_to_plane
+from photocal.report.run import CameraResult, Correlation
+from photocal.report.sensor import SensorResiduals, thinned, to_plane
+
+CAMERA = CameraResult("brown-observed", "mm", (4000, 3000), {}, Correlation((), ()), pitch_mm=(0.003, 0.004))
+
+
+def test_pixels_become_millimetres_and_rows_turn_up() -> None:
+    pixel, shifted = np.array([[100.0, 50.0]]), np.array([[101.5, 48.0]])
+    found = to_plane(CAMERA, pixel, shifted - pixel, unit="px", axes="pixel")
+    place, end = (pixel_to_plane((4000, 3000), (0.003, 0.004), p) for p in (pixel, shifted))
+    assert found.place == pytest.approx(place)
+    assert found.residual_px * [0.003, 0.004] == pytest.approx(end - place)
+
+
+def test_photo_millimetres_stay() -> None:
+    found = to_plane(CAMERA, np.array([[1.5, -2.0]]), np.array([[0.003, 0.002]]), unit="mm", axes="photo")
+    assert found.place == pytest.approx(np.array([[1.5, -2.0]]))
+    assert found.residual_px == pytest.approx(np.array([[1.0, 0.5]]))
+
+
+def test_photo_pixels_scale_to_a_camera_in_millimetres() -> None:
+    found = to_plane(CAMERA, np.array([[10.0, -10.0]]), np.array([[0.5, 0.5]]), unit="px", axes="photo")
+    assert found.place == pytest.approx(np.array([[0.03, -0.04]]))
+    assert found.residual_px == pytest.approx(np.array([[0.5, 0.5]]))
+
+
+@given(st.integers(1, 3000), st.integers(0, 100))
+def test_thinning_keeps_the_mean(n: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    camera = replace(CAMERA, unit="px", pitch_mm=None)
+    place = rng.uniform([-2000, -1500], [2000, 1500], (n, 2))
+    residuals = SensorResiduals(place, rng.normal(size=(n, 2)))
+    vectors = thinned(residuals, camera, 500)
+    assert vectors.rays.sum() == n
+    assert len(vectors.place) <= max(500, 1)
+    mean = vectors.rays @ vectors.residual_px / n
+    assert mean == pytest.approx(residuals.residual_px.mean(axis=0))
