@@ -14,7 +14,8 @@ from photocal.accuracy.assessment import Assessment, TableResult, VectorResult
 from photocal.accuracy.classes import smallest_listed
 from photocal.accuracy.discrepancies import COMPONENTS, SIGN
 from photocal.accuracy.findings import Finding
-from photocal.accuracy.wording import findings, scale_text, size_text, value_class_text
+from photocal.accuracy.map_scale import scale_text, size_text
+from photocal.accuracy.wording import findings, value_class_text
 
 _WIDTH = 118
 _NONE = "-"

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 from photocal.accuracy.assessment import Assessment, ComponentResult, TableResult
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.findings import Finding
+from photocal.accuracy.map_scale import size_text
 from photocal.accuracy.significance_tests import std_interval_factors
 from photocal.accuracy.value_class import ValueClass, class_cm
 
@@ -38,40 +37,6 @@ def findings(assessment: Assessment) -> tuple[Finding, ...]:
     for value in assessment.values:
         said += _value_class(value)
     return tuple(said)
-
-
-def scale_text(denominator: float) -> str:
-    """Write a scale.
-
-    Parameters
-    ----------
-    denominator : float
-        Scale denominator.
-
-    Returns
-    -------
-    str
-        Such as `1:10 614`, rounded up so that the scale is one that is really reached.
-    """
-    return f"1:{math.ceil(denominator - 1e-6):,}".replace(",", " ")
-
-
-def size_text(basis: str, size: float) -> str:
-    """Write a scale or a contour interval.
-
-    Parameters
-    ----------
-    basis : {"scale", "interval"}
-        What the number is.
-    size : float
-        Scale denominator or interval in m.
-
-    Returns
-    -------
-    str
-        Such as `1:2000` or `interval 1 m`.
-    """
-    return scale_text(size) if basis == "scale" else f"interval {size:.4g} m"
 
 
 def _sample_sizes(components: tuple[ComponentResult, ...]) -> list[Finding]:

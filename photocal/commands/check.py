@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from acquire.console import answer
-from drivers.errors import ConfigurationError
-
-_SCALE = re.compile(r"^(?:1\s*:\s*)?(?P<denominator>[0-9]+(?:\.[0-9]+)?)$")
 
 
 def check(
@@ -55,9 +51,16 @@ def check(
     from photocal.accuracy.as_text import to_text
     from photocal.accuracy.assessment import Question, assess
     from photocal.accuracy.discrepancies import read_discrepancies
+    from photocal.accuracy.map_scale import parse_scale
     from photocal.accuracy.standard import SHIPPED, load_standard
 
-    question = Question(scale_denominator(scale), interval, confidence, survey_horizontal, survey_vertical)
+    question = Question(
+        None if scale is None else parse_scale(scale),
+        interval,
+        confidence,
+        survey_horizontal,
+        survey_vertical,
+    )
     standards = tuple(load_standard(name) for name in standard or SHIPPED)
     result = assess(read_discrepancies(discrepancies), standards, question)
     if figures is not None:
@@ -65,29 +68,3 @@ def check(
 
         write_figures(result.discrepancies, figures)
     answer(as_json, lambda: to_json(result), lambda: to_text(result))
-
-
-def scale_denominator(scale: str | None) -> float | None:
-    """Read a scale.
-
-    Parameters
-    ----------
-    scale : str or None
-        Such as `1:1000` or `1000`.
-
-    Returns
-    -------
-    float or None
-        The denominator; None for None.
-
-    Raises
-    ------
-    ConfigurationError
-        When it is not a scale.
-    """
-    if scale is None:
-        return None
-    match = _SCALE.match(scale.strip().replace(" ", ""))
-    if match is None or float(match["denominator"]) <= 0.0:
-        raise ConfigurationError(f"{scale!r} is not a scale", remedy="write it as 1:1000")
-    return float(match["denominator"])

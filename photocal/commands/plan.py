@@ -1,0 +1,133 @@
+"""`photocal plan`: a photo flight over a polygon, and what it may be expected to give."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from acquire.console import answer
+from drivers.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from photocal.planning.mission import Home
+
+_SIZE = re.compile(r"^(?P<columns>[0-9]+)\s*[xX]\s*(?P<rows>[0-9]+)$")
+
+
+def plan(
+    area: Annotated[Path, typer.Argument(help="Polygon: GeoJSON, KML, or CSV with lat_deg and lon_deg.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the plan.")],
+    focal_mm: Annotated[float, typer.Option(help="Principal distance, mm.")],
+    pixel_um: Annotated[float, typer.Option(help="Pixel pitch, micrometres.")],
+    image_px: Annotated[str, typer.Option(help="Image size, columns x rows, such as 5472x3648.")],
+    height: Annotated[float | None, typer.Option(help="Height above ground, m (or --gsd-cm).")] = None,
+    gsd_cm: Annotated[float | None, typer.Option(help="Ground sample distance, cm (or --height).")] = None,
+    forward: Annotated[float, typer.Option(help="Forward overlap, 0 to 1.")] = 0.8,
+    side: Annotated[float, typer.Option(help="Side overlap, 0 to 1.")] = 0.7,
+    width_along: Annotated[
+        bool, typer.Option(help="Image width along the flight line (otherwise across it).")
+    ] = False,
+    azimuth_deg: Annotated[
+        float | None, typer.Option(help="Flying direction, degrees from north; without: fewest strips.")
+    ] = None,
+    cross: Annotated[bool, typer.Option("--cross", help="Add cross strips.")] = False,
+    second_height: Annotated[
+        float | None, typer.Option(help="Fly the cross strips at this height above ground, m (calibration).")
+    ] = None,
+    speed: Annotated[float, typer.Option(help="Speed over ground, m/s.")] = 10.0,
+    scale: Annotated[str | None, typer.Option(help="Map scale of the product, such as 1:1000.")] = None,
+    map_class: Annotated[str, typer.Option("--class", help="Class that the product shall reach.")] = "A",
+    standard: Annotated[str, typer.Option(help="Standard of that class.")] = "pec-pcd",
+    exposure_ms: Annotated[float | None, typer.Option(help="Exposure time, ms, to check the smear.")] = None,
+    shortest_interval: Annotated[
+        float | None, typer.Option(help="Shortest time between two photos of the camera, s.")
+    ] = None,
+    home: Annotated[
+        str | None,
+        typer.Option(help="Take-off place: LAT,LON,HEIGHT above mean sea level; needed for a mission."),
+    ] = None,
+    ground_height: Annotated[
+        float | None,
+        typer.Option(help="Mean height of the area above mean sea level, m; needed for a mission."),
+    ] = None,
+    autopilot: Annotated[str, typer.Option(help="ardupilot or px4.")] = "ardupilot",
+    vehicle: Annotated[str, typer.Option(help="quadrotor or fixed-wing.")] = "quadrotor",
+    control: Annotated[int, typer.Option(help="Number of control points to suggest.")] = 8,
+    check: Annotated[int, typer.Option(help="Number of check points to suggest.")] = 30,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+) -> None:
+    """Plan a photo flight: height, overlaps, strips, expected precision, control, mission.
+
+    Writes `flight.plan` (QGroundControl) and `flight.waypoints` (MAVLink) with the camera triggered by
+    distance, `exposures.csv`, `plan.geojson` for QGIS and `plan.json`.
+
+    Example: `photocal plan field.kml -o plan --focal-mm 8.8 --pixel-um 2.41 --image-px 5472x3648
+    --gsd-cm 3 --second-height 140 --home -28.853,-51.294,700 --ground-height 705`
+    """
+    from photocal.accuracy.map_scale import parse_scale
+    from photocal.accuracy.standard import load_standard
+    from photocal.planning.area import read_area
+    from photocal.planning.control_layout import suggest_layout
+    from photocal.planning.flight import Wish, plan_flight
+    from photocal.planning.frame import Frame, flying_height, scale_denominator
+    from photocal.planning.output import write_plan
+    from photocal.planning.summary import remarks, targets_of, to_json, to_text
+
+    columns, rows = _image_size(image_px)
+    frame = Frame(focal_mm * 1e-3, pixel_um * 1e-6, columns, rows)
+    if (height is None) == (gsd_cm is None):
+        raise ConfigurationError("give either --height or --gsd-cm")
+    if height is None:
+        height = flying_height(frame.focal_m, scale_denominator((gsd_cm or 0.0) * 1e-2, frame.pixel_m))
+    wish = Wish(
+        frame,
+        height,
+        forward,
+        side,
+        along="columns" if width_along else "rows",
+        speed_m_s=speed,
+        azimuth_rad=None if azimuth_deg is None else math.radians(azimuth_deg),
+        cross_strips=cross,
+        second_height_m=second_height,
+    )
+    if (home is None) != (ground_height is None):
+        raise ConfigurationError("a mission needs both --home and --ground-height")
+    flight = plan_flight(read_area(area), wish)
+    targets = () if scale is None else targets_of(load_standard(standard), parse_scale(scale), map_class)
+    said = remarks(flight, targets, None if exposure_ms is None else exposure_ms * 1e-3, shortest_interval)
+    # Half a base keeps the points on several photos without leaving the corners.
+    layout = suggest_layout(flight.corners_m, control, check, flight.levels[0].base_m / 2.0)
+    takeoff = None if home is None or ground_height is None else (_home(home), ground_height)
+    figures = to_json(flight, targets, said)
+    names = write_plan(output, flight, layout, takeoff, autopilot, vehicle, figures)
+    missing = "" if takeoff else "\nno mission written: give --home LAT,LON,HEIGHT and --ground-height"
+    answer(
+        as_json,
+        lambda: figures,
+        lambda: f"{to_text(flight, targets, said)}\nwritten to {output}: {', '.join(names)}{missing}",
+    )
+
+
+def _image_size(text: str) -> tuple[int, int]:
+    match = _SIZE.match(text.strip())
+    if match is None:
+        raise ConfigurationError(f"{text!r} is not an image size", remedy="write columns x rows: 5472x3648")
+    return int(match["columns"]), int(match["rows"])
+
+
+def _home(text: str) -> Home:
+    from photocal.planning.mission import Home
+
+    try:
+        latitude, longitude, height = (float(part) for part in text.split(","))
+    except ValueError as refusal:
+        raise ConfigurationError(
+            f"{text!r} is not a take-off place", remedy="write LAT,LON,HEIGHT: -28.853,-51.294,700"
+        ) from refusal
+    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and math.isfinite(height)):
+        raise ConfigurationError(f"{text!r} is no place on earth", remedy="latitude comes first")
+    return Home(latitude, longitude, height)

@@ -1,0 +1,330 @@
+"""The area to be flown: read from GeoJSON, KML or CSV, and laid into a local plane."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputMalformedError, InputNotFoundError
+
+FloatArray = NDArray[np.float64]
+
+# Beyond this the plane of one flight is no plane any more, and the polygon rather a mistake.
+_LARGEST_EXTENT_M = 100_000.0
+
+
+@dataclass(frozen=True)
+class Area:
+    """A simple polygon on WGS 84.
+
+    Attributes
+    ----------
+    latitude_deg, longitude_deg : ndarray, shape (n,)
+        Corners in order, degrees, the first not repeated at the end.
+    """
+
+    latitude_deg: FloatArray
+    longitude_deg: FloatArray
+
+    @property
+    def centre_deg(self) -> tuple[float, float]:
+        """Middle of the extent: latitude and longitude, degrees."""
+        return (
+            float(self.latitude_deg.min() + self.latitude_deg.max()) / 2.0,
+            float(self.longitude_deg.min() + self.longitude_deg.max()) / 2.0,
+        )
+
+
+@dataclass(frozen=True)
+class LocalPlane:
+    """Azimuthal equidistant plane about a point: true to a millimetre over some kilometres.
+
+    Attributes
+    ----------
+    latitude_deg, longitude_deg : float
+        Origin on WGS 84, degrees.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+
+    def to_plane(self, latitude_deg: FloatArray, longitude_deg: FloatArray) -> FloatArray:
+        """Lay positions into the plane.
+
+        Parameters
+        ----------
+        latitude_deg, longitude_deg : ndarray, shape (n,)
+            Positions on WGS 84, degrees.
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            East and north, m.
+        """
+        return np.column_stack(self._projection()(longitude_deg, latitude_deg))
+
+    def to_degrees(self, plane_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Take positions back from the plane.
+
+        Parameters
+        ----------
+        plane_m : ndarray, shape (n, 2)
+            East and north, m.
+
+        Returns
+        -------
+        tuple of ndarray
+            Latitude and longitude on WGS 84, degrees.
+        """
+        longitude, latitude = self._projection()(plane_m[:, 0], plane_m[:, 1], inverse=True)
+        return np.asarray(latitude), np.asarray(longitude)
+
+    def _projection(self) -> Any:
+        from pyproj import Proj
+
+        return Proj(proj="aeqd", lat_0=self.latitude_deg, lon_0=self.longitude_deg, ellps="WGS84")
+
+
+def read_area(path: Path) -> Area:
+    """Read the polygon of a flight.
+
+    Parameters
+    ----------
+    path : Path
+        `.geojson` or `.json` (RFC 7946), `.kml`, or `.csv` with the columns lat_deg and lon_deg.
+
+    Returns
+    -------
+    Area
+        The polygon.
+
+    Raises
+    ------
+    InputNotFoundError
+        When there is no such file.
+    InputMalformedError
+        When it does not hold exactly one simple polygon.
+    """
+    readers = {".geojson": _from_geojson, ".json": _from_geojson, ".kml": _from_kml, ".csv": _from_csv}
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise InputMalformedError(
+            f"unknown kind of area {path.suffix!r}", where=path, remedy="give GeoJSON, KML or CSV"
+        )
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as refusal:
+        reason = refusal.strerror or str(refusal)
+        raise InputNotFoundError(f"cannot be read ({reason})", where=path) from refusal
+    except UnicodeDecodeError as refusal:
+        raise InputMalformedError("is not UTF-8 text", where=path) from refusal
+    return area_from_corners(reader(text, str(path)), str(path))
+
+
+def area_from_corners(corners_deg: list[tuple[float, float]], where: str) -> Area:
+    """Make an area from corners and refuse what cannot be flown.
+
+    Parameters
+    ----------
+    corners_deg : list of tuple of float
+        Longitude and latitude of the corners, degrees; the first may be repeated at the end.
+    where : str
+        Name for messages.
+
+    Returns
+    -------
+    Area
+        The polygon.
+
+    Raises
+    ------
+    InputMalformedError
+        When it is not a simple polygon of a size that one flies.
+    """
+    if len(corners_deg) > 1 and corners_deg[0] == corners_deg[-1]:
+        corners_deg = corners_deg[:-1]
+    if len(set(corners_deg)) < 3:
+        raise InputMalformedError("has fewer than three different corners", where=where)
+    for longitude, latitude in corners_deg:
+        if not (math.isfinite(longitude) and math.isfinite(latitude)):
+            raise InputMalformedError("has a corner that is not a number", where=where)
+        if abs(latitude) > 90.0 or abs(longitude) > 180.0:
+            raise InputMalformedError(
+                f"has a corner at latitude {latitude:g}, longitude {longitude:g}",
+                where=where,
+                remedy="latitude and longitude may be swapped, or the coordinates are not degrees",
+            )
+    longitude_deg, latitude_deg = (
+        np.array(column, dtype=np.float64) for column in zip(*corners_deg, strict=True)
+    )
+    area = Area(latitude_deg, longitude_deg)
+    corners_m = LocalPlane(*area.centre_deg).to_plane(latitude_deg, longitude_deg)
+    if not np.isfinite(corners_m).all() or float(np.ptp(corners_m, axis=0).max()) > _LARGEST_EXTENT_M:
+        raise InputMalformedError(
+            "is larger than 100 km",
+            where=where,
+            remedy="look for a wrong corner; one flight covers some kilometres",
+        )
+    if abs(polygon_area(corners_m)) < 1.0 or _crosses_itself(corners_m):
+        raise InputMalformedError(
+            "is not a simple polygon (no area, or sides that cross)",
+            where=where,
+            remedy="put the corners in order",
+        )
+    return area
+
+
+def polygon_area(corners_m: FloatArray) -> float:
+    """Give the area of a polygon.
+
+    Parameters
+    ----------
+    corners_m : ndarray, shape (n, 2)
+        Corners in order, m.
+
+    Returns
+    -------
+    float
+        Area, m^2, positive when the corners run counter-clockwise.
+    """
+    x, y = (corners_m - corners_m[0]).T
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def inside(points_m: FloatArray, corners_m: FloatArray) -> NDArray[np.bool_]:
+    """Say which points lie in a polygon.
+
+    Parameters
+    ----------
+    points_m : ndarray, shape (n, 2)
+        Points, m.
+    corners_m : ndarray, shape (k, 2)
+        Corners in order, m.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        By the number of sides crossed to the east.
+    """
+    result = np.zeros(len(points_m), dtype=np.bool_)
+    x, y = points_m.T
+    for (x1, y1), (x2, y2) in zip(corners_m, np.roll(corners_m, -1, axis=0), strict=True):
+        if y1 == y2:
+            continue
+        between = (y1 > y) != (y2 > y)
+        result ^= between & (x < x1 + (y - y1) * (x2 - x1) / (y2 - y1))
+    return result
+
+
+def _crosses_itself(corners: FloatArray) -> bool:
+    count = len(corners)
+    ends = np.roll(corners, -1, axis=0)
+    return any(
+        _cross(corners[i], ends[i], corners[j], ends[j])
+        for i in range(count)
+        for j in range(i + 2, count)
+        if (j + 1) % count != i
+    )
+
+
+def _cross(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> bool:
+    def side(p: FloatArray, q: FloatArray, r: FloatArray) -> float:
+        return float((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]))
+
+    return side(a, b, c) * side(a, b, d) < 0.0 and side(c, d, a) * side(c, d, b) < 0.0
+
+
+def _from_geojson(text: str, where: str) -> list[tuple[float, float]]:
+    try:
+        content = json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as refusal:
+        raise InputMalformedError(f"is not JSON ({refusal})", where=where) from refusal
+    rings = list(_polygons(content, where))
+    if len(rings) != 1:
+        raise InputMalformedError(
+            f"holds {len(rings)} polygons, one is needed", where=where, remedy="keep the polygon to be flown"
+        )
+    if not isinstance(rings[0], list) or len(rings[0]) != 1:
+        raise InputMalformedError(
+            "is a polygon with holes", where=where, remedy="keep the outer ring; holes are flown over"
+        )
+    try:
+        return [(float(position[0]), float(position[1])) for position in rings[0][0]]
+    except (TypeError, ValueError, IndexError, KeyError, OverflowError) as refusal:
+        raise InputMalformedError("has a corner that is not a position", where=where) from refusal
+
+
+def _polygons(content: Any, where: str) -> list[Any]:
+    if not isinstance(content, dict):
+        raise InputMalformedError("is not GeoJSON", where=where)
+    kind = content.get("type")
+    if kind == "FeatureCollection" and isinstance(content.get("features"), list):
+        return [ring for feature in content["features"] for ring in _polygons(feature, where)]
+    if kind == "Feature":
+        return _polygons(content["geometry"], where) if content.get("geometry") else []
+    if kind == "Polygon":
+        return [content.get("coordinates")]
+    if kind == "MultiPolygon" and isinstance(content.get("coordinates"), list):
+        return list(content["coordinates"])
+    return []
+
+
+def _from_kml(text: str, where: str) -> list[tuple[float, float]]:
+    from xml.etree.ElementTree import ParseError
+
+    from defusedxml.common import DefusedXmlException
+    from defusedxml.ElementTree import fromstring
+
+    try:
+        root = fromstring(text)
+    except (ParseError, DefusedXmlException, ValueError) as refusal:
+        raise InputMalformedError(f"is not KML ({refusal})", where=where) from refusal
+    polygons = [element for element in root.iter() if _local(element.tag) == "Polygon"]
+    if len(polygons) != 1:
+        raise InputMalformedError(
+            f"holds {len(polygons)} polygons, one is needed",
+            where=where,
+            remedy="keep the polygon to be flown",
+        )
+    rings = [element for element in polygons[0].iter() if _local(element.tag) == "coordinates"]
+    if len(rings) != 1:
+        raise InputMalformedError(
+            "is a polygon with holes or without corners", where=where, remedy="keep the outer ring"
+        )
+    try:
+        fields = [position.split(",") for position in (rings[0].text or "").split()]
+        return [(float(field[0]), float(field[1])) for field in fields]
+    except (ValueError, IndexError) as refusal:
+        raise InputMalformedError("has a corner that is not lon,lat", where=where) from refusal
+
+
+def _local(tag: object) -> str:
+    return str(tag).rpartition("}")[2]
+
+
+def _from_csv(text: str, where: str) -> list[tuple[float, float]]:
+    try:
+        reader = csv.DictReader(io.StringIO(text))
+        if not {"lat_deg", "lon_deg"} <= set(reader.fieldnames or ()):
+            raise InputMalformedError("has no columns lat_deg and lon_deg", where=where)
+        corners = []
+        for row in reader:
+            try:
+                corners.append((float(row["lon_deg"]), float(row["lat_deg"])))
+            except (TypeError, ValueError) as refusal:
+                raise InputMalformedError(
+                    "is not a position",
+                    where=f"{where}, line {reader.line_num}",
+                    remedy="give lat_deg and lon_deg",
+                ) from refusal
+    except csv.Error as refusal:
+        raise InputMalformedError(f"is not a table ({refusal})", where=where) from refusal
+    return corners

@@ -1,0 +1,107 @@
+"""Suggested places for control and check points in an area."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.errors import ConfigurationError
+from photocal.planning.area import FloatArray, inside, polygon_area
+
+# Side of the grid of candidate places as a share of the root of the area.
+_GRID_SHARE = 1.0 / 60.0
+
+
+@dataclass(frozen=True)
+class ControlLayout:
+    """Suggested places, east and north in the plane of the flight, m.
+
+    Attributes
+    ----------
+    control_m, check_m : ndarray, shape (k, 2)
+        Control points and check points.
+    """
+
+    control_m: FloatArray
+    check_m: FloatArray
+
+
+def suggest_layout(corners_m: FloatArray, control: int, check: int, margin_m: float) -> ControlLayout:
+    """Spread control and check points over an area.
+
+    Control goes to the corners first, because a block bends most where it ends, then always to the
+    place that is farthest from all control chosen so far, which fills the border and the middle in
+    turn. Check points are chosen in the same way, away from the control and from each other: where the
+    block is weakest, and never a control point again.
+
+    Parameters
+    ----------
+    corners_m : ndarray, shape (n, 2)
+        Corners of the area, m.
+    control : int
+        Number of control points, at least 3.
+    check : int
+        Number of check points.
+    margin_m : float
+        Distance that the places keep from the border, m, so that they lie on several photos.
+
+    Returns
+    -------
+    ControlLayout
+        The places; a suggestion for the map, to be moved to where the sky and the ground are open.
+
+    Raises
+    ------
+    ConfigurationError
+        With too few control points, or when the area has no place for so many.
+    """
+    if control < 3 or check < 0:
+        raise ConfigurationError(
+            f"{control} control points do not orient a block", remedy="plan at least 3, better 5 or more"
+        )
+    candidates = _candidates(corners_m, margin_m)
+    if len(candidates) < control + check:
+        raise ConfigurationError(
+            f"the area has no room for {control + check} points {margin_m:g} m from its border",
+            remedy="plan fewer points or a smaller margin",
+        )
+    centre = candidates.mean(axis=0)
+    first = int(np.argmax(np.sum((candidates - centre) ** 2, axis=1)))
+    order = _farthest(candidates, [first], control)
+    chosen = _farthest(candidates, order, control + check)
+    return ControlLayout(candidates[chosen[:control]], candidates[chosen[control:]])
+
+
+def _candidates(corners: FloatArray, margin: float) -> FloatArray:
+    step = max(1.0, _GRID_SHARE * math.sqrt(abs(polygon_area(corners))))
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    axes = [np.arange(low[k] + step / 2.0, high[k], step) for k in range(2)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    grid = grid[inside(grid, corners)]
+    return grid[_distance_to_border(grid, corners) >= margin]
+
+
+def _distance_to_border(points: FloatArray, corners: FloatArray) -> FloatArray:
+    nearest = np.full(len(points), np.inf)
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        side = end - start
+        square = float(side @ side)
+        share = np.clip((points - start) @ side / square, 0.0, 1.0) if square else np.zeros(len(points))
+        foot = start + share[:, np.newaxis] * side
+        nearest = np.minimum(nearest, np.hypot(*(points - foot).T))
+    return nearest
+
+
+def _farthest(candidates: FloatArray, chosen: list[int], count: int) -> list[int]:
+    """Add the candidate farthest from all chosen ones until there are enough (Gonzalez 1985)."""
+    result = list(chosen)
+    nearest = np.full(len(candidates), np.inf)
+    for row in result:
+        nearest = np.minimum(nearest, np.hypot(*(candidates - candidates[row]).T))
+    while len(result) < count:
+        row = int(np.argmax(nearest))
+        result.append(row)
+        nearest = np.minimum(nearest, np.hypot(*(candidates - candidates[row]).T))
+    return result

@@ -1,0 +1,208 @@
+"""The whole plan of a flight: camera, heights, overlaps, strips and what they give."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from drivers.errors import ConfigurationError
+from photocal.planning.area import Area, FloatArray, LocalPlane, polygon_area
+from photocal.planning.expected_precision import (
+    ExpectedPrecision,
+    corner_precision,
+    expected_altimetric_accuracy,
+)
+from photocal.planning.exposure import exposure_interval
+from photocal.planning.frame import (
+    Frame,
+    Side,
+    air_base,
+    footprint,
+    ground_sample_distance,
+    scale_denominator,
+)
+from photocal.planning.strips import Strip, best_azimuth, plan_strips
+
+# Half a pixel: what the canon-elph study takes for a tie point in one image.
+IMAGE_SIGMA_PX = 0.5
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is asked of a flight.
+
+    Attributes
+    ----------
+    frame : Frame
+        The camera.
+    height_m : float
+        Height above the ground of the area, m.
+    forward_overlap, side_overlap : float
+        Shares of the footprint, 0 to below 1.
+    along : {"rows", "columns"}
+        Side of the image that lies along the flight line: "rows" flies with the image width across.
+    speed_m_s : float
+        Speed over ground, m/s.
+    azimuth_rad : float or None
+        Flying direction, clockwise from north, rad; None takes the one with the fewest strips.
+    cross_strips : bool
+        Whether strips at right angles are added.
+    second_height_m : float or None
+        Height above ground of the cross strips, m; it separates principal distance and flying height.
+    """
+
+    frame: Frame
+    height_m: float
+    forward_overlap: float
+    side_overlap: float
+    along: Side = "rows"
+    speed_m_s: float = 10.0
+    azimuth_rad: float | None = None
+    cross_strips: bool = False
+    second_height_m: float | None = None
+
+
+@dataclass(frozen=True)
+class LevelGeometry:
+    """Figures of one flying height over level ground, m and s."""
+
+    height_m: float
+    scale_denominator: float
+    gsd_m: float
+    footprint_m: tuple[float, float]
+    base_m: float
+    strip_spacing_m: float
+    exposure_interval_s: float
+    precision: ExpectedPrecision
+    dz_m: float
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A planned flight.
+
+    Attributes
+    ----------
+    area : Area
+        The polygon.
+    plane : LocalPlane
+        The plane that the strips are laid out in.
+    corners_m : ndarray, shape (n, 2)
+        The polygon in that plane, m.
+    wish : Wish
+        What was asked.
+    azimuth_rad : float
+        Flying direction of the main strips, rad.
+    levels : tuple of LevelGeometry
+        The main height, and the second one where there is one.
+    strips : tuple of Strip
+        In flying order; cross strips last.
+    """
+
+    area: Area
+    plane: LocalPlane
+    corners_m: FloatArray
+    wish: Wish
+    azimuth_rad: float
+    levels: tuple[LevelGeometry, ...]
+    strips: tuple[Strip, ...]
+
+    @property
+    def exposures(self) -> int:
+        """Number of photos."""
+        return sum(len(strip.exposures_m) for strip in self.strips)
+
+    @property
+    def distance_m(self) -> float:
+        """Distance flown along strips and between them, m, without take-off and return."""
+        turns = sum(
+            math.dist(before.exposures_m[-1], after.exposures_m[0]) + abs(before.height_m - after.height_m)
+            for before, after in zip(self.strips, self.strips[1:], strict=False)
+        )
+        return turns + sum(strip.length_m for strip in self.strips)
+
+    @property
+    def duration_s(self) -> float:
+        """Time on strips and turns at the planned speed, s, without take-off and return."""
+        return self.distance_m / self.wish.speed_m_s
+
+    @property
+    def area_m2(self) -> float:
+        """Area of the polygon, m^2."""
+        return abs(polygon_area(self.corners_m))
+
+
+def level_geometry(wish: Wish, height_m: float) -> LevelGeometry:
+    """Compute the figures of one flying height.
+
+    Parameters
+    ----------
+    wish : Wish
+        Camera, overlaps, speed.
+    height_m : float
+        Height above ground, m.
+
+    Returns
+    -------
+    LevelGeometry
+        Scale to expected precision; the precision is that of one stereo pair at 95 % of the image side.
+
+    Raises
+    ------
+    ConfigurationError
+        For a height or overlap that cannot be flown.
+    """
+    if not (math.isfinite(height_m) and height_m > 0.0):
+        raise ConfigurationError(f"a flying height of {height_m:g} m above ground cannot be flown")
+    frame = wish.frame
+    gsd = ground_sample_distance(height_m, frame)
+    across: Side = "columns" if wish.along == "rows" else "rows"
+    base = air_base(wish.forward_overlap, frame.side_px(wish.along) * gsd)
+    return LevelGeometry(
+        height_m,
+        scale_denominator(gsd, frame.pixel_m),
+        gsd,
+        footprint(gsd, frame),
+        base,
+        air_base(wish.side_overlap, frame.side_px(across) * gsd),
+        exposure_interval(base, wish.speed_m_s),
+        corner_precision(frame, height_m, base, IMAGE_SIGMA_PX),
+        expected_altimetric_accuracy(height_m, base, frame.focal_m, frame.pixel_m),
+    )
+
+
+def plan_flight(area: Area, wish: Wish) -> Flight:
+    """Plan a flight over a polygon.
+
+    Parameters
+    ----------
+    area : Area
+        The polygon.
+    wish : Wish
+        Camera, heights and overlaps.
+
+    Returns
+    -------
+    Flight
+        With strips, exposures and expected precision.
+
+    Raises
+    ------
+    ConfigurationError
+        For heights, overlaps or distances that cannot be flown.
+    """
+    plane = LocalPlane(*area.centre_deg)
+    corners = plane.to_plane(area.latitude_deg, area.longitude_deg)
+    azimuth = best_azimuth(corners) if wish.azimuth_rad is None else wish.azimuth_rad
+    main = level_geometry(wish, wish.height_m)
+    levels = [main]
+    strips = plan_strips(corners, azimuth, main.strip_spacing_m, main.base_m, main.height_m)
+    if wish.cross_strips or wish.second_height_m is not None:
+        cross = main
+        if wish.second_height_m is not None:
+            cross = level_geometry(wish, wish.second_height_m)
+            levels.append(cross)
+        strips += plan_strips(
+            corners, azimuth + math.pi / 2.0, cross.strip_spacing_m, cross.base_m, cross.height_m
+        )
+    return Flight(area, plane, corners, wish, azimuth, tuple(levels), strips)

@@ -1,0 +1,256 @@
+"""A planned flight as mission items of MAVLink, and the two files that ground stations read.
+
+Heights of the items are relative to the take-off place (home), so the difference of ground and
+take-off heights is part of them and both must be known.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import ConfigurationError
+from photocal.planning.flight import Flight
+from photocal.planning.strips import FloatArray
+
+
+class Command(IntEnum):
+    """Commands of MAVLink (MAV_CMD) that a photo flight needs."""
+
+    WAYPOINT = 16
+    RETURN_TO_LAUNCH = 20
+    TAKEOFF = 22
+    CHANGE_SPEED = 178
+    TRIGGER_DISTANCE = 206
+
+
+class FrameOfHeight(IntEnum):
+    """Frames of MAVLink (MAV_FRAME): above mean sea level, none, above home."""
+
+    GLOBAL = 0
+    MISSION = 2
+    GLOBAL_RELATIVE = 3
+
+
+# MAV_AUTOPILOT and MAV_TYPE of MAVLink.
+AUTOPILOTS = {"ardupilot": 3, "px4": 12}
+VEHICLES = {"fixed-wing": 1, "quadrotor": 2}
+
+# SPEED_TYPE of the command CHANGE_SPEED: over ground.
+_GROUND_SPEED = 1.0
+
+
+@dataclass(frozen=True)
+class Home:
+    """The take-off place.
+
+    Attributes
+    ----------
+    latitude_deg, longitude_deg : float
+        On WGS 84, degrees.
+    height_m : float
+        Above mean sea level, m.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
+
+
+@dataclass(frozen=True)
+class Item:
+    """One mission item.
+
+    Attributes
+    ----------
+    command : Command
+        What to do.
+    frame : FrameOfHeight
+        What the height refers to.
+    parameters : tuple of float or None
+        The seven parameters; the last three are latitude, longitude (degrees) and height (m) where the
+        command has a place; None leaves one to the autopilot.
+    """
+
+    command: Command
+    frame: FrameOfHeight
+    parameters: tuple[float | None, float | None, float | None, float | None, float, float, float]
+
+
+def mission_items(flight: Flight, home: Home, ground_height_m: float) -> tuple[Item, ...]:
+    """Turn a flight into mission items.
+
+    Parameters
+    ----------
+    flight : Flight
+        The plan.
+    home : Home
+        The take-off place.
+    ground_height_m : float
+        Mean height of the ground of the area above mean sea level, m.
+
+    Returns
+    -------
+    tuple of Item
+        Take-off, speed, for each strip its two ends with the camera triggered by distance between them,
+        return.
+
+    Raises
+    ------
+    ConfigurationError
+        When the flight would be at or below the take-off place.
+    """
+    raise_m = ground_height_m - home.height_m
+    lowest = min(strip.height_m for strip in flight.strips) + raise_m
+    if not (math.isfinite(lowest) and lowest > 0.0):
+        raise ConfigurationError(
+            f"the flight would be {lowest:g} m above the take-off place",
+            remedy="look at the heights of ground and take-off place above mean sea level",
+        )
+    first = flight.strips[0].height_m + raise_m
+    items = [
+        Item(
+            Command.TAKEOFF,
+            FrameOfHeight.GLOBAL_RELATIVE,
+            (0.0, 0.0, 0.0, None, home.latitude_deg, home.longitude_deg, first),
+        ),
+        _order(Command.CHANGE_SPEED, _GROUND_SPEED, flight.wish.speed_m_s, -1.0),
+    ]
+    for strip in flight.strips:
+        height = strip.height_m + raise_m
+        start, end = _places(flight, strip.exposures_m[[0, -1]])
+        base = strip.length_m / (len(strip.exposures_m) - 1)
+        items += [
+            _waypoint(start, height),
+            # The third parameter takes the first photo at once, where the strip begins.
+            _order(Command.TRIGGER_DISTANCE, base, 0.0, 1.0),
+            _waypoint(end, height),
+            _order(Command.TRIGGER_DISTANCE, 0.0, 0.0, 0.0),
+        ]
+    return (*items, _order(Command.RETURN_TO_LAUNCH, 0.0, 0.0, 0.0))
+
+
+def qgroundcontrol_plan(
+    items: tuple[Item, ...], home: Home, speed_m_s: float, autopilot: str, vehicle: str
+) -> dict[str, Any]:
+    """Make the content of a QGroundControl `.plan` file.
+
+    Parameters
+    ----------
+    items : tuple of Item
+        The mission.
+    home : Home
+        The take-off place.
+    speed_m_s : float
+        Speed over ground, m/s.
+    autopilot : {"ardupilot", "px4"}
+        Firmware.
+    vehicle : {"quadrotor", "fixed-wing"}
+        Kind of aircraft.
+
+    Returns
+    -------
+    dict
+        Plan file format, version 1, with a mission of version 2.
+
+    Raises
+    ------
+    ConfigurationError
+        For an autopilot or vehicle that is not known.
+    """
+    return {
+        "fileType": "Plan",
+        "geoFence": {"circles": [], "polygons": [], "version": 2},
+        "groundStation": "QGroundControl",
+        "mission": {
+            "cruiseSpeed": speed_m_s,
+            "firmwareType": _known(AUTOPILOTS, autopilot, "autopilot"),
+            "globalPlanAltitudeMode": 1,
+            "hoverSpeed": speed_m_s,
+            "items": [_plan_item(item, number) for number, item in enumerate(items, start=1)],
+            "plannedHomePosition": [home.latitude_deg, home.longitude_deg, home.height_m],
+            "vehicleType": _known(VEHICLES, vehicle, "vehicle"),
+            "version": 2,
+        },
+        "rallyPoints": {"points": [], "version": 2},
+        "version": 1,
+    }
+
+
+def waypoint_file(items: tuple[Item, ...], home: Home) -> str:
+    """Make the content of a mission file of text lines (`QGC WPL 110`).
+
+    Parameters
+    ----------
+    items : tuple of Item
+        The mission.
+    home : Home
+        The take-off place; by convention the first line.
+
+    Returns
+    -------
+    str
+        One line for each item, fields separated by tabs.
+    """
+    first = Item(
+        Command.WAYPOINT,
+        FrameOfHeight.GLOBAL,
+        (0.0, 0.0, 0.0, 0.0, home.latitude_deg, home.longitude_deg, home.height_m),
+    )
+    lines = ["QGC WPL 110"]
+    for number, item in enumerate((first, *items)):
+        # The text format has no empty value; zero leaves the heading to the autopilot's own setting.
+        *orders, latitude, longitude, height = (value or 0.0 for value in item.parameters)
+        fields = [
+            f"{number}",
+            f"{int(number == 0)}",
+            f"{item.frame:d}",
+            f"{item.command:d}",
+            *(f"{value:.8g}" for value in orders),
+            f"{latitude:.8f}",
+            f"{longitude:.8f}",
+            f"{height:.3f}",
+            "1",
+        ]
+        lines.append("\t".join(fields))
+    return "\n".join(lines) + "\n"
+
+
+def _places(flight: Flight, points_m: FloatArray) -> list[tuple[float, float]]:
+    latitude, longitude = flight.plane.to_degrees(points_m)
+    return [
+        (float(np.round(lat, 8)), float(np.round(lon, 8)))
+        for lat, lon in zip(latitude, longitude, strict=True)
+    ]
+
+
+def _waypoint(place: tuple[float, float], height_m: float) -> Item:
+    return Item(Command.WAYPOINT, FrameOfHeight.GLOBAL_RELATIVE, (0.0, 0.0, 0.0, None, *place, height_m))
+
+
+def _order(command: Command, first: float, second: float, third: float) -> Item:
+    return Item(command, FrameOfHeight.MISSION, (first, second, third, 0.0, 0.0, 0.0, 0.0))
+
+
+def _plan_item(item: Item, number: int) -> dict[str, Any]:
+    content: dict[str, Any] = {
+        "autoContinue": True,
+        "command": int(item.command),
+        "doJumpId": number,
+        "frame": int(item.frame),
+        "params": list(item.parameters),
+        "type": "SimpleItem",
+    }
+    if item.frame == FrameOfHeight.GLOBAL_RELATIVE:
+        content |= {"AMSLAltAboveTerrain": None, "Altitude": item.parameters[6], "AltitudeMode": 1}
+    return content
+
+
+def _known(table: dict[str, int], name: str, what: str) -> int:
+    if name not in table:
+        raise ConfigurationError(f"unknown {what} {name!r}", remedy=f"take {' or '.join(table)}")
+    return table[name]

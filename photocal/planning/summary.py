@@ -1,0 +1,252 @@
+"""A planned flight as text and as JSON."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from drivers.errors import ConfigurationError
+from photocal.accuracy.findings import Finding
+from photocal.accuracy.standard import ScaleStandard, Standard
+from photocal.planning.error_budget import error_budget
+from photocal.planning.exposure import SMEAR_LIMIT_PX, smear_px
+from photocal.planning.flight import Flight, LevelGeometry
+
+SCHEMA = "photocal.plan/1"
+
+
+@dataclass(frozen=True)
+class Target:
+    """A class that the product shall reach.
+
+    Attributes
+    ----------
+    name : str
+        What and which class.
+    component : {"planimetry", "height"}
+        Which precision decides.
+    ep_m : float
+        Its standard error, m.
+    """
+
+    name: str
+    component: str
+    ep_m: float
+
+
+def targets_of(standard: Standard, scale_denominator: float, class_name: str) -> tuple[Target, ...]:
+    """Give what a class of a standard asks for at a scale.
+
+    Parameters
+    ----------
+    standard : Standard
+        A standard of scales.
+    scale_denominator : float
+        Map scale 1:N.
+    class_name : str
+        Class of the standard.
+
+    Returns
+    -------
+    tuple of Target
+        Planimetry, and heights where the standard lists a contour interval for the scale.
+
+    Raises
+    ------
+    ConfigurationError
+        When the standard has no such class.
+    """
+    tables = standard.tables if isinstance(standard, ScaleStandard) else ()
+    targets = []
+    for table in tables:
+        size = scale_denominator if table.basis == "scale" else table.interval_at(scale_denominator)
+        limits = () if size is None else table.limits_at(size)
+        targets += [
+            Target(
+                f"{table.product}, class {limit.name}, 1:{scale_denominator:g}", table.component, limit.ep_m
+            )
+            for limit in limits
+            if limit.name == class_name
+        ]
+    if not targets:
+        raise ConfigurationError(
+            f"{standard.id} has no class {class_name!r}", remedy="take pec-pcd with class A, B, C or D"
+        )
+    return tuple(targets)
+
+
+def to_json(flight: Flight, targets: tuple[Target, ...], said: tuple[Finding, ...]) -> dict[str, Any]:
+    """Give a planned flight as a JSON value.
+
+    Parameters
+    ----------
+    flight : Flight
+        The plan.
+    targets : tuple of Target
+        Classes that the product shall reach.
+    said : tuple of Finding
+        What is to be remarked.
+
+    Returns
+    -------
+    dict
+        Units in the names.
+    """
+    return {
+        "schema": SCHEMA,
+        "area_ha": flight.area_m2 / 1e4,
+        "azimuth_deg": math.degrees(flight.azimuth_rad) % 180.0,
+        "levels": [_level(level) for level in flight.levels],
+        "strips": len(flight.strips),
+        "exposures": flight.exposures,
+        "distance_m": flight.distance_m,
+        "duration_s": flight.duration_s,
+        "error_budget_m": {
+            target.name: {stage.name: stage.allowed_m for stage in error_budget(target.ep_m)}
+            for target in targets
+        },
+        "findings": [finding.to_json() for finding in said],
+    }
+
+
+def remarks(
+    flight: Flight,
+    targets: tuple[Target, ...],
+    exposure_time_s: float | None,
+    shortest_interval_s: float | None,
+) -> tuple[Finding, ...]:
+    """Say what stands against a plan.
+
+    Parameters
+    ----------
+    flight : Flight
+        The plan.
+    targets : tuple of Target
+        Classes that the product shall reach.
+    exposure_time_s : float or None
+        Exposure time, s.
+    shortest_interval_s : float or None
+        Shortest time between two photos that the camera manages, s.
+
+    Returns
+    -------
+    tuple of Finding
+        In words.
+    """
+    said = []
+    speed = flight.wish.speed_m_s
+    for level in flight.levels:
+        if shortest_interval_s is not None and level.exposure_interval_s < shortest_interval_s:
+            said.append(
+                Finding(
+                    "interval-too-short",
+                    f"at {level.height_m:.0f} m a photo is due every {level.exposure_interval_s:.2f} s, the "
+                    f"camera needs {shortest_interval_s:g} s: fly over ground at "
+                    f"{level.base_m / shortest_interval_s:.1f} m/s or slower, also with tail wind.",
+                )
+            )
+        smear = 0.0 if exposure_time_s is None else smear_px(exposure_time_s, speed, level.gsd_m)
+        if smear > SMEAR_LIMIT_PX:
+            said.append(
+                Finding(
+                    "smear",
+                    f"at {level.height_m:.0f} m and {speed:g} m/s the image smears by {smear:.1f} px: expose "
+                    f"{SMEAR_LIMIT_PX * level.gsd_m / speed * 1e3:.2g} ms or shorter, or fly slower.",
+                )
+            )
+    precision = flight.levels[0].precision
+    for target in targets:
+        sigma = precision.plane_m if target.component == "planimetry" else precision.z_m
+        if sigma > target.ep_m:
+            said.append(
+                Finding(
+                    "precision-above-target",
+                    f"{target.name}: one pair of photos gives {sigma:.3f} m, {target.ep_m:.3f} m are "
+                    "allowed: fly lower, or rely on many rays a point and show it at check points.",
+                )
+            )
+    if len(flight.levels) == 1:
+        said.append(
+            Finding(
+                "one-height",
+                "one flying height over flat ground does not separate the principal distance from the flying "
+                "height; for a self-calibration add cross strips at a second height (--second-height).",
+            )
+        )
+    return tuple(said)
+
+
+def to_text(flight: Flight, targets: tuple[Target, ...], said: tuple[Finding, ...]) -> str:
+    """Write a planned flight for people.
+
+    Parameters
+    ----------
+    flight : Flight
+        The plan.
+    targets : tuple of Target
+        Classes that the product shall reach.
+    said : tuple of Finding
+        What is to be remarked.
+
+    Returns
+    -------
+    str
+        Several lines.
+    """
+    return "\n".join(
+        [
+            _heading(flight),
+            *(_level_text(level) for level in flight.levels),
+            *(_budget_text(target) for target in targets),
+            *(f"* {finding.text}" for finding in said),
+        ]
+    )
+
+
+def _heading(flight: Flight) -> str:
+    return (
+        f"area {flight.area_m2 / 1e4:.2f} ha, {len(flight.strips)} strips, azimuth "
+        f"{math.degrees(flight.azimuth_rad) % 180.0:.1f} deg, {flight.exposures} photos, "
+        f"{flight.distance_m / 1e3:.2f} km, {flight.duration_s / 60.0:.1f} min at "
+        f"{flight.wish.speed_m_s:g} m/s without take-off and return"
+    )
+
+
+def _level_text(level: LevelGeometry) -> str:
+    width, height = level.footprint_m
+    sigma = level.precision
+    return (
+        f"height {level.height_m:.2f} m above ground: scale 1:{level.scale_denominator:.0f}, "
+        f"GSD {level.gsd_m * 100.0:.2f} cm\n"
+        f"  footprint {width:.1f} x {height:.1f} m ({width * height / 1e4:.2f} ha), "
+        f"base {level.base_m:.2f} m, strips {level.strip_spacing_m:.2f} m apart, "
+        f"a photo every {level.exposure_interval_s:.2f} s\n"
+        f"  expected from one pair, at 95 % of the image sides, 0.5 px: sigma X {sigma.x_m:.3f}, "
+        f"Y {sigma.y_m:.3f}, Z {sigma.z_m:.3f}, plane {sigma.plane_m:.3f} m\n"
+        f"  limit dz of the ministry's form: {level.dz_m * 100.0:.2f} cm"
+    )
+
+
+def _budget_text(target: Target) -> str:
+    stages = ", ".join(f"{stage.name} {stage.allowed_m:.3f} m" for stage in error_budget(target.ep_m))
+    return f"error budget, {target.name}: {stages}"
+
+
+def _level(level: LevelGeometry) -> dict[str, Any]:
+    return {
+        "height_m": level.height_m,
+        "scale_denominator": level.scale_denominator,
+        "gsd_m": level.gsd_m,
+        "footprint_m": list(level.footprint_m),
+        "base_m": level.base_m,
+        "strip_spacing_m": level.strip_spacing_m,
+        "exposure_interval_s": level.exposure_interval_s,
+        "sigma_m": {
+            "x": level.precision.x_m,
+            "y": level.precision.y_m,
+            "z": level.precision.z_m,
+            "plane": level.precision.plane_m,
+        },
+        "dz_m": level.dz_m,
+    }
