@@ -196,7 +196,7 @@ def check_points(title: str, run: Run, say: Catalogue) -> Section:
         )
         for p in checks.points
     ]
-    rmse = (fixed(1e3 * checks.rmse_m[axis], decimals, say.mark) for axis in "xyz")
+    rmse = (fixed(1e3 * (checks.rmse_m[axis] or 0.0), decimals, say.mark) for axis in "xyz")
     rows.append((say("checks.rmse"), *rmse, "", "", ""))
     return Section(
         title, (Table(say("checks.table"), tuple(columns), tuple(rows), say("checks.note", n=checks.n)),)
@@ -225,6 +225,8 @@ def global_test(title: str, run: Run, say: Catalogue) -> Section:
     Section
     """
     result, test = run.result, run.result.global_test
+    if test is None or result.sigma0_squared is None:
+        return Section(title, (Paragraph(say("test.none")),))
     interval = say(
         "test.interval_value", lower=fixed(test.lower, 1, say.mark), upper=fixed(test.upper, 1, say.mark)
     )

@@ -338,7 +338,7 @@ def _largest(run: Run, camera_id: str, residuals: SensorResiduals, say: Catalogu
     of = dict(zip(run.exposures.image, run.exposures.camera, strict=True))
     own = [i for i, image in enumerate(run.residuals.image) if of[image] == camera_id]
     length = np.hypot(*residuals.residual_px.T)
-    w = np.abs(run.residuals.standardised[own]).max(axis=1)
+    w = np.nan_to_num(np.abs(run.residuals.standardised[own])).max(axis=1)
     longest, worst = own[int(length.argmax())], own[int(w.argmax())]
     return say(
         "residuals.largest",

@@ -106,15 +106,21 @@ def _highlights(run: Run, say: Catalogue) -> tuple[Highlight, ...]:
     if not several:
         shown.append(_principal_point(next(iter(cameras.values())), say))
     shown += [_residuals(run, say), _network(run, say)]
+    return (*shown, _test(run, say), _checks(run, say))
+
+
+def _test(run: Run, say: Catalogue) -> Highlight:
     test = run.result.global_test
-    verdict = say("highlight.accepted") if test.accepted else say("highlight.refused")
+    if test is None:
+        return Highlight(say("highlight.test"), say("highlight.untested"), say("highlight.untested_remark"))
     remark = say(
         "highlight.test_remark",
         chi2=fixed(run.result.chi_squared, 1, say.mark),
         dof=run.result.degrees_of_freedom,
         p=relation(test.p_value, say.mark),
     )
-    return (*shown, Highlight(say("highlight.test"), verdict, remark), _checks(run, say))
+    verdict = say("highlight.accepted") if test.accepted else say("highlight.refused")
+    return Highlight(say("highlight.test"), verdict, remark)
 
 
 def _principal_point(camera: CameraResult, say: Catalogue) -> Highlight:
@@ -147,8 +153,9 @@ def _checks(run: Run, say: Catalogue) -> Highlight:
     label = say("highlight.checks")
     if checks.n == 0:
         return Highlight(label, say("highlight.checks_none"), say("highlight.checks_none_remark"))
-    axes = {axis: fixed(1e3 * checks.rmse_m[axis], 1, say.mark) for axis in "xyz"}
-    both = 1e3 * math.hypot(checks.rmse_m["x"], checks.rmse_m["y"])
+    rmse = {axis: 1e3 * (checks.rmse_m[axis] or 0.0) for axis in "xyz"}
+    axes = {axis: fixed(value, 1, say.mark) for axis, value in rmse.items()}
+    both = math.hypot(rmse["x"], rmse["y"])
     return Highlight(
         label,
         f"XY {fixed(both, 1, say.mark)} mm; Z {axes['z']} mm",
@@ -162,9 +169,10 @@ def _verdicts(run: Run, say: Catalogue) -> tuple[Statement, ...]:
     if not result.converged:
         text = say("verdict.diverged", iterations=result.iterations)
         verdicts.append(Statement("bad", say("verdict.diverged_title"), text))
-    key = "accepted" if test.accepted else "large" if result.chi_squared > test.upper else "small"
-    text = say(f"verdict.{key}", probability=percent(test.probability, say))
-    verdicts.append(Statement("good" if test.accepted else "bad", say(f"verdict.{key}_title"), text))
+    if test is not None:
+        key = "accepted" if test.accepted else "large" if result.chi_squared > test.upper else "small"
+        text = say(f"verdict.{key}", probability=percent(test.probability, say))
+        verdicts.append(Statement("good" if test.accepted else "bad", say(f"verdict.{key}_title"), text))
     if result.checks.n == 0:
         verdicts.append(Statement("note", say("verdict.unchecked_title"), say("verdict.unchecked")))
     return tuple(verdicts)

@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]
 
 SCHEMA = "photocal.adjustment/1"
 RESULT = "result.json"
+COVARIANCE = "covariance.parquet"
 AGAIN = "run `photocal adjust` again"
 
 
@@ -74,11 +75,12 @@ class Group:
 
 @dataclass(frozen=True)
 class Parameter:
-    """Value and a priori scaled standard deviation of one camera parameter, in the camera's unit."""
+    """Value, a priori scaled standard deviation and that of a prior value, in the camera's unit."""
 
     value: float
     sigma: float
     estimated: bool
+    prior_sigma: float | None = None
 
 
 @dataclass(frozen=True)
@@ -146,16 +148,16 @@ class CheckPoint:
 
 @dataclass(frozen=True)
 class CheckSummary:
-    """Check points and their root mean square differences, m."""
+    """Check points and their root mean square differences, m (none without points)."""
 
     n: int
-    rmse_m: dict[str, float]
+    rmse_m: dict[str, float | None]
     points: tuple[CheckPoint, ...] = ()
 
 
 @dataclass(frozen=True)
 class Result:
-    """The content of `result.json`."""
+    """The content of `result.json`; without redundancy there is no variance factor and no test."""
 
     schema: str
     software: Software
@@ -167,8 +169,8 @@ class Result:
     unknowns: int
     degrees_of_freedom: int
     chi_squared: float
-    sigma0_squared: float
-    global_test: GlobalTest
+    sigma0_squared: float | None
+    global_test: GlobalTest | None
     groups: tuple[Group, ...]
     cameras: dict[str, CameraResult]
     images: ImageSummary
@@ -219,7 +221,7 @@ class Residuals:
     measured, residual : ndarray, shape (n, 2)
         Measured coordinates and residuals.
     redundancy, standardised : ndarray, shape (n, 2)
-        Redundancy numbers (0 to 1) and standardised residuals.
+        Redundancy numbers (0 to 1) and standardised residuals; nan where no other observation checks one.
     """
 
     image: tuple[str, ...]
@@ -286,8 +288,12 @@ def read_run(folder: Path) -> Run:
     result = _result(folder / RESULT)
     exposures = _exposures(folder / "images.csv")
     points = _points(folder / "points.csv")
-    residuals = _residuals(folder / "residuals.csv")
-    names = (RESULT, "images.csv", "points.csv", "residuals.csv")
+    table = folder / "residuals.parquet"
+    table = table if table.is_file() else folder / "residuals.csv"
+    residuals = _residuals(table)
+    names = [RESULT, "images.csv", "points.csv", table.name]
+    if (folder / COVARIANCE).is_file():
+        names.append(COVARIANCE)
     run = Run(result, exposures, points, residuals, tuple(_fingerprint(folder / name) for name in names))
     _agree(run, folder)
     return run
@@ -361,7 +367,9 @@ def _points(path: Path) -> Points:
 
 
 def _residuals(path: Path) -> Residuals:
-    table = read_table(path, ("image", "point"), ("x", "y", "vx", "vy", "rx", "ry", "wx", "wy"))
+    table = read_table(
+        path, ("image", "point"), ("x", "y", "vx", "vy", "rx", "ry", "wx", "wy"), ("rx", "ry", "wx", "wy")
+    )
     n = table.numbers
     return Residuals(table.texts["image"], table.texts["point"], n[:, 0:2], n[:, 2:4], n[:, 4:6], n[:, 6:8])
 

@@ -33,15 +33,19 @@ class Columns:
     numbers: NDArray[np.float64]
 
 
-def read_table(path: Path, texts: tuple[str, ...], numbers: tuple[str, ...]) -> Columns:
-    """Read the named columns of a comma separated table; others are passed over.
+def read_table(
+    path: Path, texts: tuple[str, ...], numbers: tuple[str, ...], may_be_empty: tuple[str, ...] = ()
+) -> Columns:
+    """Read the named columns of a table, comma separated or Parquet; others are passed over.
 
     Parameters
     ----------
     path : Path
-        The file, UTF-8, with a header line.
+        The file: UTF-8 with a header line, or named .parquet.
     texts, numbers : tuple of str
         Columns to read as they stand, and as finite numbers.
+    may_be_empty : tuple of str
+        Those numbers whose cells may be empty: nan then.
 
     Returns
     -------
@@ -58,9 +62,11 @@ def read_table(path: Path, texts: tuple[str, ...], numbers: tuple[str, ...]) -> 
         raise InputNotFoundError(
             "no such file", where=path, remedy="give the folder that `photocal adjust` wrote"
         )
+    if path.suffix == ".parquet":
+        return _read_parquet(path, texts, numbers, may_be_empty)
     try:
         with path.open(encoding="utf-8", newline="") as stream:
-            return _parse(csv.reader(stream, strict=True), path, texts, numbers)
+            return _parse(csv.reader(stream, strict=True), path, texts, numbers, may_be_empty)
     except (UnicodeDecodeError, csv.Error) as broken:
         raise InputMalformedError(
             f"is not a comma separated table in UTF-8 ({broken})",
@@ -69,7 +75,13 @@ def read_table(path: Path, texts: tuple[str, ...], numbers: tuple[str, ...]) -> 
         ) from None
 
 
-def _parse(rows: CsvReader, path: Path, texts: tuple[str, ...], numbers: tuple[str, ...]) -> Columns:
+def _parse(
+    rows: CsvReader,
+    path: Path,
+    texts: tuple[str, ...],
+    numbers: tuple[str, ...],
+    may_be_empty: tuple[str, ...],
+) -> Columns:
     header = next(rows, None)
     if header is None:
         raise InputNotFoundError("the file is empty", where=path, remedy="run `photocal adjust` again")
@@ -90,14 +102,18 @@ def _parse(rows: CsvReader, path: Path, texts: tuple[str, ...], numbers: tuple[s
                 remedy="the table was cut; run `photocal adjust` again",
             )
         words.append(tuple(row[i] for i in text_at))
-        figures.append([_number(row[i], header[i], path, rows.line_num) for i in number_at])
+        figures.append(
+            [_number(row[i], header[i], path, rows.line_num, header[i] in may_be_empty) for i in number_at]
+        )
     columns = tuple(zip(*words, strict=True)) if words else ((),) * len(texts)
     return Columns(
         dict(zip(texts, columns, strict=True)), np.array(figures, dtype=np.float64).reshape(-1, len(numbers))
     )
 
 
-def _number(text: str, column: str, path: Path, line: int) -> float:
+def _number(text: str, column: str, path: Path, line: int, may_be_empty: bool) -> float:
+    if may_be_empty and not text:
+        return math.nan
     try:
         value = float(text)
     except ValueError:
@@ -109,3 +125,29 @@ def _number(text: str, column: str, path: Path, line: int) -> float:
             remedy="run `photocal adjust` again",
         )
     return value
+
+
+def _read_parquet(
+    path: Path, texts: tuple[str, ...], numbers: tuple[str, ...], may_be_empty: tuple[str, ...]
+) -> Columns:
+    import pyarrow as pa
+    import pyarrow.parquet as parquet
+
+    try:
+        table = parquet.read_table(path, columns=[*texts, *numbers])
+        words = {name: tuple(str(value) for value in table[name].to_pylist()) for name in texts}
+        figures = [np.asarray(table[name].to_numpy(), dtype=np.float64) for name in numbers]
+    except (pa.ArrowException, OSError, KeyError, ValueError, TypeError) as broken:
+        reason = str(broken).splitlines()[0]
+        raise InputMalformedError(
+            f"cannot be read as Parquet ({reason})", where=path, remedy="run `photocal adjust` again"
+        ) from None
+    for name, values in zip(numbers, figures, strict=True):
+        wrong = np.flatnonzero(~np.isfinite(values))
+        if wrong.size and name not in may_be_empty:
+            raise InputMalformedError(
+                f"{name} is no number",
+                where=f"{path}, row {wrong[0] + 1}",
+                remedy="run `photocal adjust` again",
+            )
+    return Columns(words, np.column_stack(figures))
