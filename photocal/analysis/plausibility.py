@@ -1,0 +1,277 @@
+"""Can these figures of a calibration be what they claim to be? Checks before anything is printed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.analysis.correlation_check import correlation_findings
+from photocal.analysis.finding import Finding
+
+Floats = NDArray[np.float64]
+Triple = tuple[float, float, float]
+
+SIGNIFICANT = 1.96
+FOCAL_TOLERANCE = 0.10
+SENSOR_TOLERANCE = 0.05
+GSD_TOLERANCE = 0.05
+OVERLAP_TOLERANCE = 0.10
+PRIOR_SHARE = 0.95
+RADIAL = ("K1", "K2", "K3", "K4")
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """Three components of a lever arm or boresight with standard deviations, in one unit.
+
+    Attributes
+    ----------
+    values, sigmas : tuple of float
+        X, Y, Z (or omega, phi, kappa).
+    prior_sigma : float or None
+        Standard deviation of the value it was held to beforehand.
+    """
+
+    values: Triple
+    sigmas: Triple
+    prior_sigma: float | None = None
+
+
+@dataclass(frozen=True)
+class CalibrationRecord:
+    """A calibration as it is printed; what is None is not stated.
+
+    Attributes
+    ----------
+    unit : {"mm", "px"}
+        The unit that c, x0, y0 are said to be in.
+    values, sigmas : mapping
+        Parameters and standard deviations by name (c, x0, y0, K1 ...).
+    coefficients : {"plane", "normalised"}
+        Whether the distortion is a polynomial of coordinates in `unit`, or of coordinates divided by c.
+    direction : {"observed", "ideal"}
+        Whether it is evaluated at the measured coordinates (and taken off) or at the ideal ones (and added).
+    names, correlation : tuple of str, ndarray
+        Correlation matrix, shape (n, n), of the named parameters.
+    correlation_rounding : float
+        Half a unit of the last printed decimal of the correlations; 0 for computed ones.
+    size_px : tuple of int
+        Width and height.
+    pitch_mm : float
+        Size of a pixel.
+    sensor_mm : tuple of float
+        Width and height of the sensor, or one dimension (a side or the diagonal).
+    nominal_focal_mm, height_m, gsd_cm, base_m, forward_overlap : float
+        Focal length by the maker, height over ground, ground sampling distance, air base, share of overlap.
+    prior_sigmas : mapping
+        Standard deviations of values that were observations too, by parameter.
+    lever_arm_cm, boresight_deg : Offsets
+        Offsets of the positioning system.
+    """
+
+    unit: Literal["mm", "px"]
+    values: Mapping[str, float]
+    sigmas: Mapping[str, float]
+    coefficients: Literal["plane", "normalised"] = "plane"
+    direction: Literal["observed", "ideal"] = "observed"
+    names: tuple[str, ...] = ()
+    correlation: Floats | None = None
+    correlation_rounding: float = 0.0
+    size_px: tuple[int, int] | None = None
+    pitch_mm: float | None = None
+    sensor_mm: tuple[float, ...] | None = None
+    nominal_focal_mm: float | None = None
+    height_m: float | None = None
+    gsd_cm: float | None = None
+    base_m: float | None = None
+    forward_overlap: float | None = None
+    prior_sigmas: Mapping[str, float] = field(default_factory=dict)
+    lever_arm_cm: Offsets | None = None
+    boresight_deg: Offsets | None = None
+
+
+def plausibility(record: CalibrationRecord) -> tuple[Finding, ...]:
+    """Check a calibration for contradictions with itself.
+
+    Parameters
+    ----------
+    record : CalibrationRecord
+        The figures as they are printed or are about to be.
+
+    Returns
+    -------
+    tuple of Finding
+        What was found, refusals first; empty when nothing contradicts.
+    """
+    found = [
+        *correlation_findings(record.names, record.correlation, record.correlation_rounding),
+        *_sigmas(record),
+        *_units(record),
+        *_format(record),
+        *_folding(record),
+        *_ground(record),
+        *_base(record),
+        *_significance(record),
+        *_priors(record),
+        *_offsets("lever_arm", record.lever_arm_cm),
+        *_offsets("boresight", record.boresight_deg),
+    ]
+    order = {"refused": 0, "doubtful": 1, "note": 2}
+    return tuple(sorted(found, key=lambda finding: order[finding.severity]))
+
+
+def effective_unit(record: CalibrationRecord) -> Literal["mm", "px"]:
+    """Give the unit that the principal distance must be in, by the focal length of the maker."""
+    nominal, c = record.nominal_focal_mm, record.values["c"]
+    if nominal is None or _close(c, nominal, FOCAL_TOLERANCE):
+        return record.unit
+    # A principal distance in pixels is the focal length over a pitch between 0.5 and 30 micrometres.
+    return "px" if 5e-4 <= nominal / c <= 0.03 else record.unit
+
+
+def _close(value: float, expected: float, tolerance: float) -> bool:
+    return abs(value - expected) <= tolerance * abs(expected)
+
+
+def _sigmas(record: CalibrationRecord) -> list[Finding]:
+    wrong = [n for n, s in record.sigmas.items() if not (np.isfinite(s) and s >= 0.0)]
+    wrong += [n for n, v in record.values.items() if not np.isfinite(v)]
+    return [Finding("not_a_number", "refused", name) for name in wrong]
+
+
+def _units(record: CalibrationRecord) -> list[Finding]:
+    nominal, c = record.nominal_focal_mm, record.values["c"]
+    if nominal is None:
+        return []
+    unit = effective_unit(record)
+    if unit != record.unit:
+        figures = {"c": c, "nominal_mm": nominal, "implied_pitch_um": 1e3 * nominal / c}
+        return [Finding("px_printed_as_mm", "refused", "c", figures)]
+    millimetres = c if unit == "mm" else c * record.pitch_mm if record.pitch_mm else None
+    if millimetres is None or _close(millimetres, nominal, FOCAL_TOLERANCE):
+        return []
+    return [Finding("focal_length_differs", "doubtful", "c", {"c_mm": millimetres, "nominal_mm": nominal})]
+
+
+def _format(record: CalibrationRecord) -> list[Finding]:
+    if record.size_px is None or record.pitch_mm is None:
+        return []
+    found = []
+    width, height = (n * record.pitch_mm for n in record.size_px)
+    if record.sensor_mm is not None and not _fits(record.sensor_mm, width, height):
+        figures = {"width_mm": width, "height_mm": height, "sensor_mm": max(record.sensor_mm)}
+        found.append(Finding("pitch_contradicts_sensor", "refused", "pitch", figures))
+    nominal = record.nominal_focal_mm
+    if nominal is not None and effective_unit(record) == "px":
+        implied = nominal / record.values["c"]
+        if not _close(implied, record.pitch_mm, FOCAL_TOLERANCE):
+            figures = {"pitch_um": 1e3 * record.pitch_mm, "implied_um": 1e3 * implied}
+            found.append(Finding("pitch_contradicts_focal_length", "refused", "pitch", figures))
+    return found
+
+
+def _fits(sensor: tuple[float, ...], width: float, height: float) -> bool:
+    if len(sensor) > 1:
+        return _close(width, sensor[0], SENSOR_TOLERANCE) and _close(height, sensor[1], SENSOR_TOLERANCE)
+    return any(_close(side, sensor[0], SENSOR_TOLERANCE) for side in (width, height, np.hypot(width, height)))
+
+
+def _folding(record: CalibrationRecord) -> list[Finding]:
+    """The radius must grow in the mapping up to the farthest corner, or two places become one."""
+    if record.size_px is None:
+        return []
+    unit = effective_unit(record)
+    if unit == "mm" and record.pitch_mm is None:
+        return []
+    pitch = 1.0 if unit == "px" else float(record.pitch_mm or 1.0)
+    half = np.array(record.size_px) * pitch / 2
+    offset = np.abs([record.values.get("x0", 0.0), record.values.get("y0", 0.0)])
+    corner = float(np.hypot(*(half + offset)))
+    r = np.linspace(0.0, corner, 2001)
+    scaled = r / record.values["c"] if record.coefficients == "normalised" else r
+    k = np.array([record.values.get(name, 0.0) for name in RADIAL])
+    powers = np.arange(2, 2 * len(RADIAL) + 1, 2)
+    slope = (scaled[:, None] ** powers * (powers + 1)) @ k
+    slope = 1.0 + slope if record.direction == "ideal" else 1.0 - slope
+    if slope.min() > 0.0:
+        return []
+    figures = {"radius": float(r[np.argmax(slope <= 0.0)]), "corner": corner, "slope": float(slope.min())}
+    return [Finding("distortion_folds", "refused", "K", figures)]
+
+
+def _ground(record: CalibrationRecord) -> list[Finding]:
+    if record.height_m is None or record.gsd_cm is None:
+        return []
+    c = record.values["c"]
+    if effective_unit(record) == "px":
+        expected = 100.0 * record.height_m / c
+    elif record.pitch_mm is not None:
+        expected = 100.0 * record.height_m * record.pitch_mm / c
+    else:
+        return []
+    if _close(record.gsd_cm, expected, GSD_TOLERANCE):
+        return []
+    return [
+        Finding(
+            "gsd_contradicts_height", "doubtful", "gsd", {"gsd_cm": record.gsd_cm, "expected_cm": expected}
+        )
+    ]
+
+
+def _base(record: CalibrationRecord) -> list[Finding]:
+    if record.base_m is None or record.gsd_cm is None or record.size_px is None:
+        return []
+    # The footprint along the flight is that of one of the two sides, most often the shorter.
+    overlaps = [1.0 - record.base_m / (n * record.gsd_cm / 100.0) for n in record.size_px]
+    figures = {"base_m": record.base_m, "overlap": max(overlaps)}
+    if record.forward_overlap is not None:
+        wrong = all(abs(o - record.forward_overlap) > OVERLAP_TOLERANCE for o in overlaps)
+    else:
+        wrong = max(overlaps) < 0.5
+    return [Finding("base_contradicts_overlap", "doubtful", "base", figures)] if wrong else []
+
+
+def _significance(record: CalibrationRecord) -> list[Finding]:
+    found = []
+    for name, value in record.values.items():
+        sigma = record.sigmas.get(name, 0.0)
+        if name != "c" and sigma > 0.0 and abs(value) < SIGNIFICANT * sigma:
+            found.append(Finding("not_significant", "note", name, {"t": value / sigma}))
+    return found
+
+
+def _priors(record: CalibrationRecord) -> list[Finding]:
+    return [
+        Finding("only_its_prior", "doubtful", name, {"sigma": record.sigmas[name], "prior_sigma": prior})
+        for name, prior in record.prior_sigmas.items()
+        if record.sigmas.get(name, 0.0) >= PRIOR_SHARE * prior > 0.0
+    ]
+
+
+def _offsets(name: str, offsets: Offsets | None) -> list[Finding]:
+    if offsets is None:
+        return []
+    sigma = max(offsets.sigmas)
+    if offsets.prior_sigma is not None:
+        prior = min(offsets.sigmas) >= PRIOR_SHARE * offsets.prior_sigma
+    else:
+        # Nothing that was estimated comes out as exactly zero three times with the same standard deviation.
+        prior = not any(offsets.values) and len(set(offsets.sigmas)) == 1
+    if prior:
+        return [
+            Finding(
+                "only_its_prior",
+                "doubtful",
+                name,
+                {"sigma": sigma, "prior_sigma": offsets.prior_sigma or sigma},
+            )
+        ]
+    return [
+        Finding("not_significant", "note", f"{name}_{axis}", {"t": value / sigma})
+        for axis, value, sigma in zip("XYZ", offsets.values, offsets.sigmas, strict=True)
+        if sigma > 0.0 and abs(value) < SIGNIFICANT * sigma
+    ]
