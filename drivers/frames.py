@@ -1,0 +1,187 @@
+"""Frames: the pieces that a device's byte stream consists of, one by one and many at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Wire(IntEnum):
+    """The protocols that can share a stream."""
+
+    MAVLINK = 0
+    UBX = 1
+    RTCM3 = 2
+    NMEA = 3
+
+    @property
+    def encoding(self) -> str:
+        """The message encoding under which the flight log keeps frames of this protocol."""
+        return self.name.lower()
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One intact frame.
+
+    Parameters
+    ----------
+    wire : Wire
+        Its protocol.
+    kind : int
+        What it carries: the MAVLink message id; UBX class * 256 + id; the RTCM3 message number; the letters
+        of the NMEA sentence formatter as a big-endian number.
+    data : bytes
+        The complete frame, from its first start byte to its checksum (or signature).
+    offset : int
+        Where it began in the stream, bytes.
+    known : bool
+        False when its checksum could only be tested for consistency, since the message is not in the tables.
+    """
+
+    wire: Wire
+    kind: int
+    data: bytes
+    offset: int
+    known: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Consecutive frames of a stream and the damage between them, as a structure of arrays.
+
+    Parameters
+    ----------
+    data : bytes
+        The bytes that the frames lie in.
+    base : int
+        Offset of ``data[0]`` in the stream, bytes.
+    start, length : int64 (n,)
+        Where each frame lies in `data`, bytes.
+    wire : uint8 (n,)
+        Protocol of each frame, see `Wire`.
+    kind : int64 (n,)
+        Kind of each frame, see `Frame`.
+    known : bool (n,)
+        Whether the message is in the tables.
+    damage : int64 (m, 2)
+        Offset in the stream and length of each run of bytes that belongs to no frame. A run may be continued
+        in the next batch.
+    host_ns : int64 (n,) or None
+        Time of receipt that the stream itself carries (UTC, nanoseconds since 1970), where it does.
+    """
+
+    data: bytes
+    base: int
+    start: NDArray[np.int64]
+    length: NDArray[np.int64]
+    wire: NDArray[np.uint8]
+    kind: NDArray[np.int64]
+    known: NDArray[np.bool_]
+    damage: NDArray[np.int64]
+    host_ns: NDArray[np.int64] | None = None
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self.frame(i) for i in range(len(self)))
+
+    def frame(self, index: int) -> Frame:
+        """Return one frame of the batch."""
+        start = int(self.start[index])
+        return Frame(
+            Wire(int(self.wire[index])),
+            int(self.kind[index]),
+            self.data[start : start + int(self.length[index])],
+            self.base + start,
+            bool(self.known[index]),
+        )
+
+    def damaged(self) -> Iterator[tuple[int, bytes]]:
+        """Yield the offset in the stream and the bytes of each run of damage."""
+        for offset, length in self.damage.tolist():
+            yield offset, self.data[offset - self.base : offset - self.base + length]
+
+    def where(self, wire: Wire, kind: int) -> NDArray[np.int64]:
+        """Return the indices of the known frames of one kind."""
+        return np.flatnonzero((self.kind == kind) & (self.wire == wire) & self.known)
+
+
+class Framer(Protocol):
+    """Turns the bytes of a stream into frames; nothing is lost and nothing is invented.
+
+    Every byte that was fed comes out exactly once: in a frame, as a time stamp of a recording format, or as
+    damage. The frames do not depend on how the stream was cut into pieces.
+    """
+
+    @property
+    def stamped(self) -> bool:
+        """Whether the stream carries the time of receipt of each frame."""
+        ...
+
+    @property
+    def cut(self) -> int:
+        """Number of bytes of a frame that the end of the stream cut off; 0 until `close`."""
+        ...
+
+    def feed(self, data: bytes) -> Batch:
+        """Take the next bytes of the stream and return the frames that are complete."""
+        ...
+
+    def close(self) -> Batch:
+        """Return what is left when the stream has ended."""
+        ...
+
+
+def gather(
+    data: bytes, start: NDArray[np.int64], length: NDArray[np.int64], row: np.dtype[Any]
+) -> NDArray[Any]:
+    """Copy pieces of a buffer into the rows of a structured array; what a piece lacks is zero.
+
+    Parameters
+    ----------
+    data : bytes
+        The buffer.
+    start, length : int64 (n,)
+        Where each piece lies, bytes.
+    row : dtype
+        Layout of a row, packed.
+
+    Returns
+    -------
+    structured array (n,)
+        One row per piece.
+    """
+    width = row.itemsize
+    if not len(start):
+        return np.empty(0, row)
+    if int(start.max()) + width > len(data):
+        data = data + bytes(width)
+    # A view with one item beginning at every byte: taking items then copies whole rows at once.
+    items = np.ndarray((len(data) - width + 1,), np.dtype((np.void, width)), data, strides=(1,))
+    rows = items[start]
+    if int(length.min()) < width:
+        flat = rows.view(np.uint8).reshape(len(rows), width)
+        flat[np.arange(width) >= length[:, None]] = 0
+    return rows.view(row)
+
+
+def batch_of(frames: list[Frame]) -> Batch:
+    """Put single frames together to a batch that the decoders take; offsets are renumbered from 0."""
+    length = np.array([len(f.data) for f in frames], np.int64)
+    return Batch(
+        data=b"".join(f.data for f in frames),
+        base=0,
+        start=np.cumsum(length) - length,
+        length=length,
+        wire=np.array([f.wire for f in frames], np.uint8),
+        kind=np.array([f.kind for f in frames], np.int64),
+        known=np.array([f.known for f in frames], bool),
+        damage=np.empty((0, 2), np.int64),
+    )

@@ -1,0 +1,73 @@
+"""GNSS time and UTC for the stamps of the flight log: weeks, days and leap seconds."""
+
+from __future__ import annotations
+
+import datetime as dt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+SECOND_NS = 1_000_000_000
+WEEK_S = 604_800
+DAY_NS = 86_400 * SECOND_NS
+GPS_EPOCH_NS = 315_964_800 * SECOND_NS
+
+# GPS time minus UTC in seconds from the given date on (IERS Bulletin C, as published by the IETF leap second
+# list). The list is good until EXPIRES; receivers announce later changes themselves.
+_LEAPS = (
+    (1980, 1, 6, 0), (1981, 7, 1, 1), (1982, 7, 1, 2), (1983, 7, 1, 3), (1985, 7, 1, 4), (1988, 1, 1, 5),
+    (1990, 1, 1, 6), (1991, 1, 1, 7), (1992, 7, 1, 8), (1993, 7, 1, 9), (1994, 7, 1, 10), (1996, 1, 1, 11),
+    (1997, 7, 1, 12), (1999, 1, 1, 13), (2006, 1, 1, 14), (2009, 1, 1, 15), (2012, 7, 1, 16), (2015, 7, 1,
+    17), (2017, 1, 1, 18),
+)  # fmt: skip
+EXPIRES = dt.date(2026, 6, 28)
+
+_FROM_NS = np.array(
+    [int(dt.datetime(y, m, d, tzinfo=dt.UTC).timestamp()) * SECOND_NS for y, m, d, _ in _LEAPS], np.int64
+)
+_OFFSET_S = np.array([leap for *_, leap in _LEAPS], np.int64)
+
+
+def gps_to_utc_ns(gps_ns: NDArray[np.int64], leap_s: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
+    """Convert GPS time to UTC.
+
+    Parameters
+    ----------
+    gps_ns : int64 (n,)
+        Nanoseconds of GPS time since its epoch, 1980-01-06.
+    leap_s : int64 (n,), optional
+        GPS minus UTC where the receiver has told it; without it the table decides.
+
+    Returns
+    -------
+    int64 (n,)
+        UTC, nanoseconds since 1970 without leap seconds.
+    """
+    civil = gps_ns + GPS_EPOCH_NS
+    if leap_s is None:
+        # In GPS time each step of the table comes later by the offset that it brings.
+        place = np.searchsorted(_FROM_NS + _OFFSET_S * SECOND_NS, civil, side="right") - 1
+        leap_s = _OFFSET_S[np.maximum(place, 0)]
+    return np.asarray(civil - leap_s * SECOND_NS, np.int64)
+
+
+def week_to_ns(week: Any, seconds: Any) -> NDArray[np.int64]:
+    """Return GPS time in nanoseconds from the GPS week and the seconds of the week."""
+    whole = np.asarray(week).astype(np.int64) * (WEEK_S * SECOND_NS)
+    return np.asarray(whole + np.rint(np.asarray(seconds, np.float64) * 1e9).astype(np.int64), np.int64)
+
+
+def utc_date_ns(year: Any, month: Any, day: Any) -> NDArray[np.int64]:
+    """Return midnight (UTC, nanoseconds since 1970) of calendar dates given as arrays.
+
+    Source: Hinnant (2014), "chrono-compatible low-level date algorithms", days_from_civil.
+    """
+    y = np.asarray(year).astype(np.int64)
+    m = np.asarray(month).astype(np.int64)
+    y = y - (m <= 2)
+    era = y // 400
+    year_of_era = y - era * 400
+    day_of_year = (153 * (m + np.where(m > 2, -3, 9)) + 2) // 5 + np.asarray(day).astype(np.int64) - 1
+    day_of_era = year_of_era * 365 + year_of_era // 4 - year_of_era // 100 + day_of_year
+    return np.asarray((era * 146_097 + day_of_era - 719_468) * DAY_NS, np.int64)

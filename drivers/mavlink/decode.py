@@ -1,0 +1,74 @@
+"""MAVLink payloads to arrays: all messages of one kind at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.frames import Batch, Wire, gather
+from drivers.mavlink.dialect import Dialect
+from drivers.mavlink.wire import V2
+
+
+@dataclass(frozen=True, slots=True)
+class Messages:
+    """Messages of one kind.
+
+    Parameters
+    ----------
+    index : int64 (n,)
+        Position of each message in the batch.
+    system, component : uint8 (n,)
+        Who sent it.
+    fields : structured array (n,)
+        The fields by the names and in the units of the MAVLink definition; extension fields that were not
+        sent are zero, as the standard has it.
+    """
+
+    index: NDArray[np.int64]
+    system: NDArray[np.uint8]
+    component: NDArray[np.uint8]
+    fields: NDArray[Any]
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+
+def decode(batch: Batch, message: int, dialect: Dialect) -> Messages:
+    """Decode all intact frames of one known message.
+
+    Parameters
+    ----------
+    batch : Batch
+        The frames.
+    message : int
+        The message id.
+    dialect : Dialect
+        Where the message is defined.
+    """
+    index = batch.where(Wire.MAVLINK, message)
+    start = batch.start[index]
+    octets = np.frombuffer(batch.data, np.uint8)
+    second = octets[start] == V2
+    payload = start + np.where(second, 10, 6)
+    fields = gather(batch.data, payload, octets[start + 1].astype(np.int64), dialect.layout(message))
+    system, component = sources(batch, index)
+    return Messages(index, system, component, fields)
+
+
+def sources(batch: Batch, index: NDArray[np.int64]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Return system and component of MAVLink frames."""
+    start = batch.start[index]
+    octets = np.frombuffer(batch.data, np.uint8)
+    second = octets[start] == V2
+    return octets[start + np.where(second, 5, 3)], octets[start + np.where(second, 6, 4)]
+
+
+def sequences(batch: Batch, index: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Return the sequence numbers of MAVLink frames: each source counts its frames modulo 256."""
+    start = batch.start[index]
+    octets = np.frombuffer(batch.data, np.uint8)
+    return np.asarray(octets[start + np.where(octets[start] == V2, 4, 2)])

@@ -1,0 +1,104 @@
+"""The tables of MAVLink messages: names, checksum seeds and layouts, from pymavlink's dialect."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_TYPES = {
+    "char": "S1",
+    "uint8_t": "u1",
+    "int8_t": "i1",
+    "uint16_t": "<u2",
+    "int16_t": "<i2",
+    "uint32_t": "<u4",
+    "int32_t": "<i4",
+    "uint64_t": "<u8",
+    "int64_t": "<i8",
+    "float": "<f4",
+    "double": "<f8",
+}
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """The messages that are known by their definition.
+
+    Parameters
+    ----------
+    seeds : dict of int to int
+        Checksum seed (CRC_EXTRA) by message id.
+    seed_table : int16 (65536,)
+        The same for whole arrays of ids; -1 where the message is not known.
+    """
+
+    seeds: dict[int, int]
+    seed_table: NDArray[np.int16]
+    _classes: dict[int, Any]
+    _layouts: dict[int, np.dtype[Any]] = field(default_factory=dict)
+    _boundaries: dict[int, frozenset[int]] = field(default_factory=dict)
+
+    def name(self, message: int) -> str:
+        """Return the name of a message id, or the number where it is not known."""
+        known = self._classes.get(message)
+        return str(known.msgname) if known else str(message)
+
+    def number(self, name: str) -> int:
+        """Return the message id of a name.
+
+        Raises
+        ------
+        KeyError
+            When the dialect has no such message.
+        """
+        for message, known in self._classes.items():
+            if known.msgname == name:
+                return message
+        raise KeyError(name)
+
+    def layout(self, message: int) -> np.dtype[Any]:
+        """Return the layout of a payload on the wire, with all extension fields."""
+        if message not in self._layouts:
+            known = self._classes[message]
+            self._layouts[message] = np.dtype([_member(known, name) for name in known.ordered_fieldnames])
+        return self._layouts[message]
+
+    def possible_in_v1(self, message: int, length: int) -> bool:
+        """Tell whether a MAVLink 1 payload of this length can be the message: it ends where a field ends.
+
+        The tables do not say which fields are extensions, so every end of a field is possible.
+        """
+        if message not in self._boundaries:
+            members: Mapping[str, Any] = self.layout(message).fields or {}
+            sizes = [kind[0].itemsize for kind in members.values()]
+            self._boundaries[message] = frozenset(itertools.accumulate(sizes))
+        return length in self._boundaries[message]
+
+
+def _member(known: Any, name: str) -> tuple[Any, ...]:
+    kind = known.fieldtypes[known.fieldnames.index(name)]
+    count = known.array_lengths[known.ordered_fieldnames.index(name)]
+    if kind == "char":
+        return (name, f"S{max(count, 1)}")
+    return (name, _TYPES[kind], (count,)) if count else (name, _TYPES[kind])
+
+
+@cache
+def ardupilotmega() -> Dialect:
+    """Return the dialect of ArduPilot, which contains the common messages that PX4 sends."""
+    from pymavlink.dialects.v20 import ardupilotmega as tables
+
+    classes = dict(tables.mavlink_map)
+    table = np.full(65536, -1, np.int16)
+    seeds = {}
+    for message, known in classes.items():
+        seeds[message] = int(known.crc_extra)
+        if message < len(table):
+            table[message] = known.crc_extra
+    return Dialect(seeds, table, classes)

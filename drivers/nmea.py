@@ -1,0 +1,180 @@
+"""NMEA 0183: framing and the sentences GGA, RMC and ZDA."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from re import compile as pattern
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.frames import Batch, Wire
+from drivers.gnsstime import SECOND_NS, utc_date_ns
+from drivers.window import NOTHING, Examination, Window, need
+
+STARTS = pattern(rb"\$(?:[A-Z]|\Z)")
+
+# The standard allows 82 characters, receivers send longer ones of their own.
+LONGEST = 1024
+# The characters of a sentence: printable, without the start and checksum delimiters.
+_TEXT = rb"\$[A-Z][A-Z0-9]{1,7}(?:,[\x20-\x23\x25-\x29\x2b-\x7e]*)?"
+_WHOLE = pattern(_TEXT + rb"\*[0-9A-Fa-f]{2}\r\n")
+_BEGUN = pattern(
+    rb"\$[A-Z]?[A-Z0-9]{0,7}|" + _TEXT + rb"(?:\*(?:[0-9A-Fa-f]{1,2}\r?)?)?"
+)  # a sentence that more bytes can complete
+
+
+def examine(window: Window, at: int) -> Examination:
+    """Examine one place for an NMEA sentence, see `drivers.window.Examination`."""
+    data = window.data
+    match = _WHOLE.match(data, at, at + LONGEST)
+    if match is None:
+        rest = len(data) - at
+        begun = not window.closed and rest < LONGEST and _BEGUN.fullmatch(data, at)
+        return need(window, rest + 1) if begun else NOTHING
+    end = match.end()
+    if window.xor8(at + 1, end - 5) != int(data[end - 4 : end - 2], 16):
+        return NOTHING
+    return (end - at, kind_of(data[at + 1 : at + 9]), True)
+
+
+def kind_of(address: bytes) -> int:
+    """Return the kind of a sentence: the letters of its formatter as a big-endian number.
+
+    Parameters
+    ----------
+    address : bytes
+        What follows the dollar sign. Of standard sentences the two letters of the talker are left out, of
+        private ones ("P...") everything up to the first comma counts.
+    """
+    name = address.split(b",")[0].split(b"*")[0]
+    return int.from_bytes(name if name.startswith(b"P") else name[2:], "big")
+
+
+def kind_name(kind: int) -> str:
+    """Return the letters of a kind, see `kind_of`."""
+    return kind.to_bytes(8, "big").lstrip(b"\0").decode("ascii", "replace")
+
+
+def encode(text: str) -> bytes:
+    """Return the sentence of a text such as ``GPGGA,...``, with its checksum."""
+    body = text.encode("ascii")
+    check = 0
+    for value in body:
+        check ^= value
+    return b"$" + body + b"*%02X\r\n" % check
+
+
+@dataclass(frozen=True, slots=True)
+class Fixes:
+    """Positions of GGA sentences.
+
+    Parameters
+    ----------
+    index : int64 (n,)
+        Position of each sentence in the batch.
+    time_of_day_ns : int64 (n,)
+        UTC since midnight; -1 where it is missing.
+    latitude_deg, longitude_deg : float64 (n,)
+        NaN where missing.
+    height_m : float64 (n,)
+        Ellipsoidal: the antenna height above the geoid plus the geoid separation. NaN where either is
+        missing.
+    quality : int64 (n,)
+        0 none, 1 autonomous, 2 differential, 4 RTK fixed, 5 RTK float, 6 dead reckoning.
+    satellites : int64 (n,)
+        Number used.
+    hdop, age_s : float64 (n,)
+        Horizontal dilution and age of the corrections; NaN where missing.
+    """
+
+    index: NDArray[np.int64]
+    time_of_day_ns: NDArray[np.int64]
+    latitude_deg: NDArray[np.float64]
+    longitude_deg: NDArray[np.float64]
+    height_m: NDArray[np.float64]
+    quality: NDArray[np.int64]
+    satellites: NDArray[np.int64]
+    hdop: NDArray[np.float64]
+    age_s: NDArray[np.float64]
+
+
+def decode_gga(batch: Batch) -> Fixes:
+    """Decode the GGA sentences of a batch."""
+    index = batch.where(Wire.NMEA, int.from_bytes(b"GGA", "big"))
+    rows = [_fields(batch, i, 15) for i in index.tolist()]
+    return Fixes(
+        index=index,
+        time_of_day_ns=np.array([_time_of_day_ns(f[1]) for f in rows], np.int64),
+        latitude_deg=np.array([_angle_deg(f[2], f[3], 2, "S") for f in rows], float),
+        longitude_deg=np.array([_angle_deg(f[4], f[5], 3, "W") for f in rows], float),
+        height_m=np.array([_number(f[9]) + _number(f[11]) for f in rows], float),
+        quality=np.array([_whole(f[6]) for f in rows], np.int64),
+        satellites=np.array([_whole(f[7]) for f in rows], np.int64),
+        hdop=np.array([_number(f[8]) for f in rows], float),
+        age_s=np.array([_number(f[13]) for f in rows], float),
+    )
+
+
+def decode_times(batch: Batch) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Decode date and time of the valid RMC and of the ZDA sentences of a batch.
+
+    Returns
+    -------
+    index : int64 (n,)
+        Position of each sentence in the batch.
+    utc_ns : int64 (n,)
+        UTC, nanoseconds since 1970.
+    """
+    found: list[tuple[int, int]] = []
+    for i in batch.where(Wire.NMEA, int.from_bytes(b"RMC", "big")).tolist():
+        f = _fields(batch, i, 10)
+        if f[2] == "A" and len(f[9]) == 6 and f[9].isdigit():
+            found.append((i, _moment(f[1], 2000 + int(f[9][4:]), int(f[9][2:4]), int(f[9][:2]))))
+    for i in batch.where(Wire.NMEA, int.from_bytes(b"ZDA", "big")).tolist():
+        f = _fields(batch, i, 5)
+        if f[2].isdigit() and f[3].isdigit() and f[4].isdigit():
+            found.append((i, _moment(f[1], int(f[4]), int(f[3]), int(f[2]))))
+    pairs = np.array(sorted(p for p in found if p[1] >= 0), np.int64).reshape(-1, 2)
+    return pairs[:, 0], pairs[:, 1]
+
+
+def _fields(batch: Batch, index: int, count: int) -> list[str]:
+    start = int(batch.start[index])
+    text = batch.data[start + 1 : start + int(batch.length[index]) - 5].decode("ascii")
+    fields = text.split(",")
+    return fields + [""] * (count - len(fields))
+
+
+def _moment(time: str, year: int, month: int, day: int) -> int:
+    since_midnight = _time_of_day_ns(time)
+    if since_midnight < 0 or not (1 <= month <= 12 and 1 <= day <= 31 and 1980 <= year < 2200):
+        return -1
+    return int(utc_date_ns(year, month, day)) + since_midnight
+
+
+def _time_of_day_ns(text: str) -> int:
+    whole, _, fraction = text.partition(".")
+    if len(whole) != 6 or not whole.isdigit() or not (fraction == "" or fraction.isdigit()):
+        return -1
+    seconds = int(whole[:2]) * 3600 + int(whole[2:4]) * 60 + int(whole[4:])
+    return seconds * SECOND_NS + int(fraction.ljust(9, "0")[:9])
+
+
+def _angle_deg(text: str, side: str, degrees: int, negative: str) -> float:
+    try:
+        value = int(text[:degrees]) + float(text[degrees:]) / 60
+    except ValueError:
+        return float("nan")
+    return -value if side == negative else value
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")
+
+
+def _whole(text: str) -> int:
+    return int(text) if text.isdigit() else 0

@@ -1,0 +1,92 @@
+"""RTCM 3: framing, reference station position and encoding.
+
+Source: RTCM standard 10403; field positions of 1005/1006 after its table for message type 1005.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from re import compile as pattern
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.checksums import crc24q
+from drivers.frames import Batch, Wire
+from drivers.window import NOTHING, Examination, Window, need
+
+STARTS = pattern(rb"\xd3(?:[\x00-\x03]|\Z)")
+LONGEST_PAYLOAD = 1023
+
+
+def examine(window: Window, at: int) -> Examination:
+    """Examine one place for an RTCM 3 frame, see `drivers.window.Examination`."""
+    data = window.data
+    if len(data) - at < 3:
+        return need(window, 3)
+    payload = (data[at + 1] << 8 | data[at + 2]) & 0x3FF
+    length = payload + 6
+    end = at + length
+    if end > len(data):
+        return need(window, length)
+    if crc24q(data[at : end - 3]) != int.from_bytes(data[end - 3 : end], "big"):
+        return NOTHING
+    kind = data[at + 3] << 4 | data[at + 4] >> 4 if payload >= 2 else 0
+    return (length, kind, True)
+
+
+def encode(payload: bytes) -> bytes:
+    """Return the frame of a message whose first 12 bits are its number."""
+    body = b"\xd3" + len(payload).to_bytes(2, "big") + payload
+    return body + crc24q(body).to_bytes(3, "big")
+
+
+@dataclass(frozen=True, slots=True)
+class Stations:
+    """Antenna reference points of base stations (messages 1005 and 1006).
+
+    Parameters
+    ----------
+    index : int64 (n,)
+        Position of each message in the batch.
+    station : int64 (n,)
+        Number of the station.
+    ecef_m : float64 (n, 3)
+        Earth-centred, earth-fixed coordinates of the antenna reference point.
+    antenna_height_m : float64 (n,)
+        Height of the antenna above the mark; NaN for 1005, which has none.
+    """
+
+    index: NDArray[np.int64]
+    station: NDArray[np.int64]
+    ecef_m: NDArray[np.float64]
+    antenna_height_m: NDArray[np.float64]
+
+
+def decode_stations(batch: Batch) -> Stations:
+    """Decode the reference station messages 1005 and 1006 of a batch."""
+    index = np.sort(np.concatenate([batch.where(Wire.RTCM3, 1005), batch.where(Wire.RTCM3, 1006)]))
+    index = index[batch.length[index] >= np.where(batch.kind[index] == 1006, 27, 25)]
+    station, ecef, height = [], [], []
+    for i in index.tolist():
+        start = int(batch.start[i]) + 3
+        bits = int.from_bytes(batch.data[start : start + 21].ljust(21, b"\0"), "big")
+        station.append(_unsigned(bits, 12, 12))
+        # DF025, DF026, DF027: 38 bits each in units of 0.1 mm, between them flags of 2 bits.
+        ecef.append([_signed(bits, at, 38) * 1e-4 for at in (34, 74, 114)])
+        height.append(_unsigned(bits, 152, 16) * 1e-4 if batch.kind[i] == 1006 else np.nan)
+    return Stations(
+        index,
+        np.array(station, np.int64),
+        np.array(ecef, float).reshape(-1, 3),
+        np.array(height, float),
+    )
+
+
+def _unsigned(bits: int, at: int, width: int) -> int:
+    return bits >> (168 - at - width) & ((1 << width) - 1)
+
+
+def _signed(bits: int, at: int, width: int) -> int:
+    value = _unsigned(bits, at, width)
+    return value - (1 << width) if value >> (width - 1) else value

@@ -1,0 +1,1 @@
+"""u-blox UBX: framing, decoding by numpy views and encoding."""

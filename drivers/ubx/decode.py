@@ -1,0 +1,177 @@
+"""UBX payloads to arrays: all messages of one kind at once.
+
+Layouts after u-blox's interface descriptions (M8 protocol 15 to 23.01, F9 HPG 1.32). A raw view keeps the
+units of the wire; only what needs scaling before it has a meaning is scaled here, and says so in its name.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.frames import Batch, Wire, gather
+
+NAV_POSLLH, NAV_PVT, NAV_HPPOSLLH, NAV_TIMEGPS, NAV_TIMEUTC, NAV_SVIN = (
+    0x0102, 0x0107, 0x0114, 0x0120, 0x0121, 0x013B,
+)  # fmt: skip
+RXM_SFRBX, RXM_RAWX, TIM_TM2 = 0x0213, 0x0215, 0x0D03
+ACK_NAK, ACK_ACK = 0x0500, 0x0501
+
+_NAMES = {
+    0x0101: "NAV-POSECEF", NAV_POSLLH: "NAV-POSLLH", 0x0103: "NAV-STATUS", 0x0104: "NAV-DOP", 0x0106:
+    "NAV-SOL", NAV_PVT: "NAV-PVT", 0x0109: "NAV-ODO", 0x0111: "NAV-VELECEF", 0x0112: "NAV-VELNED", 0x0113:
+    "NAV-HPPOSECEF", NAV_HPPOSLLH: "NAV-HPPOSLLH", NAV_TIMEGPS: "NAV-TIMEGPS", NAV_TIMEUTC: "NAV-TIMEUTC",
+    0x0122: "NAV-CLOCK", 0x0124: "NAV-TIMEBDS", 0x0123: "NAV-TIMEGLO", 0x0125: "NAV-TIMEGAL", 0x0126:
+    "NAV-TIMELS", 0x0130: "NAV-SVINFO", 0x0131: "NAV-DGPS", 0x0132: "NAV-SBAS", 0x0134: "NAV-ORB", 0x0135:
+    "NAV-SAT", 0x0136: "NAV-COV", 0x0139: "NAV-GEOFENCE", NAV_SVIN: "NAV-SVIN", 0x013C: "NAV-RELPOSNED",
+    0x0143: "NAV-SIG", 0x0160: "NAV-AOPSTATUS", 0x0161: "NAV-EOE", 0x0210: "RXM-RAW", 0x0211: "RXM-SFRB",
+    RXM_SFRBX: "RXM-SFRBX", 0x0214: "RXM-MEASX", RXM_RAWX: "RXM-RAWX", 0x0220: "RXM-SVSI", 0x0232:
+    "RXM-RTCM", 0x0241: "RXM-PMREQ", 0x0259: "RXM-RLM", ACK_NAK: "ACK-NAK", ACK_ACK: "ACK-ACK", 0x0600:
+    "CFG-PRT", 0x0601: "CFG-MSG", 0x0608: "CFG-RATE", 0x068A: "CFG-VALSET", 0x068B: "CFG-VALGET", 0x068C:
+    "CFG-VALDEL", 0x0A04: "MON-VER", 0x0A09: "MON-HW", 0x0A0B: "MON-HW2", 0x0A02: "MON-IO", 0x0A06:
+    "MON-MSGPP", 0x0A07: "MON-RXBUF", 0x0A08: "MON-TXBUF", 0x0A36: "MON-COMMS", 0x0A38: "MON-RF", 0x0D01:
+    "TIM-TP", TIM_TM2: "TIM-TM2", 0x0D06: "TIM-VRFY", 0x1002: "ESF-MEAS", 0x1003: "ESF-RAW", 0x1010:
+    "ESF-STATUS", 0x1014: "ESF-ALG", 0x1015: "ESF-INS", 0x0400: "INF-ERROR", 0x0401: "INF-WARNING", 0x0402:
+    "INF-NOTICE", 0x0403: "INF-TEST", 0x0404: "INF-DEBUG", 0x2801: "HNR-ATT", 0x2802: "HNR-INS", 0x2800:
+    "HNR-PVT",
+}  # fmt: skip
+
+
+def _layout(*members: tuple[str, str] | tuple[str, str, int]) -> np.dtype[Any]:
+    return np.dtype([(m[0], "<" + m[1], *m[2:]) for m in members])
+
+
+_PVT = _layout(
+    ("iTOW", "u4"), ("year", "u2"), ("month", "u1"), ("day", "u1"), ("hour", "u1"), ("min", "u1"), ("sec",
+    "u1"), ("valid", "u1"), ("tAcc", "u4"), ("nano", "i4"), ("fixType", "u1"), ("flags", "u1"), ("flags2",
+    "u1"), ("numSV", "u1"), ("lon", "i4"), ("lat", "i4"), ("height", "i4"), ("hMSL", "i4"), ("hAcc", "u4"),
+    ("vAcc", "u4"), ("velN", "i4"), ("velE", "i4"), ("velD", "i4"), ("gSpeed", "i4"), ("headMot", "i4"),
+    ("sAcc", "u4"), ("headAcc", "u4"), ("pDOP", "u2"), ("flags3", "u1"), ("reserved1", "u1", 5), ("headVeh",
+    "i4"), ("magDec", "i2"), ("magAcc", "u2"),
+)  # fmt: skip
+_HPPOSLLH = _layout(
+    ("version", "u1"), ("reserved1", "u1", 2), ("flags", "u1"), ("iTOW", "u4"), ("lon", "i4"), ("lat", "i4"),
+    ("height", "i4"), ("hMSL", "i4"), ("lonHp", "i1"), ("latHp", "i1"), ("heightHp", "i1"), ("hMSLHp", "i1"),
+    ("hAcc", "u4"), ("vAcc", "u4"),
+)  # fmt: skip
+_POSLLH = _layout(
+    ("iTOW", "u4"),
+    ("lon", "i4"),
+    ("lat", "i4"),
+    ("height", "i4"),
+    ("hMSL", "i4"),
+    ("hAcc", "u4"),
+    ("vAcc", "u4"),
+)
+_TIMEGPS = _layout(
+    ("iTOW", "u4"), ("fTOW", "i4"), ("week", "i2"), ("leapS", "i1"), ("valid", "u1"), ("tAcc", "u4")
+)
+_TIMEUTC = _layout(
+    ("iTOW", "u4"), ("tAcc", "u4"), ("nano", "i4"), ("year", "u2"), ("month", "u1"), ("day", "u1"), ("hour",
+    "u1"), ("min", "u1"), ("sec", "u1"), ("valid", "u1"),
+)  # fmt: skip
+_SVIN = _layout(
+    ("version", "u1"), ("reserved1", "u1", 3), ("iTOW", "u4"), ("dur", "u4"), ("meanX", "i4"), ("meanY",
+    "i4"), ("meanZ", "i4"), ("meanXHP", "i1"), ("meanYHP", "i1"), ("meanZHP", "i1"), ("reserved2", "u1"),
+    ("meanAcc", "u4"), ("obs", "u4"), ("valid", "u1"), ("active", "u1"), ("reserved3", "u1", 2),
+)  # fmt: skip
+_TM2 = _layout(
+    ("ch", "u1"), ("flags", "u1"), ("count", "u2"), ("wnR", "u2"), ("wnF", "u2"), ("towMsR", "u4"),
+    ("towSubMsR", "u4"), ("towMsF", "u4"), ("towSubMsF", "u4"), ("accEst", "u4"),
+)  # fmt: skip
+_SFRBX = _layout(
+    ("gnssId", "u1"), ("svId", "u1"), ("reserved1", "u1"), ("freqId", "u1"), ("numWords", "u1"), ("chn",
+    "u1"), ("version", "u1"), ("reserved2", "u1"),
+)  # fmt: skip
+_RAWX = _layout(
+    ("rcvTow", "f8"), ("week", "u2"), ("leapS", "i1"), ("numMeas", "u1"), ("recStat", "u1"), ("version",
+    "u1"), ("reserved1", "u1", 2),
+)  # fmt: skip
+_SIGNAL = _layout(
+    ("prMes", "f8"), ("cpMes", "f8"), ("doMes", "f4"), ("gnssId", "u1"), ("svId", "u1"), ("sigId", "u1"),
+    ("freqId", "u1"), ("locktime", "u2"), ("cno", "u1"), ("prStdev", "u1"), ("cpStdev", "u1"), ("doStdev",
+    "u1"), ("trkStat", "u1"), ("reserved2", "u1"),
+)  # fmt: skip
+LAYOUTS = {
+    NAV_PVT: _PVT, NAV_HPPOSLLH: _HPPOSLLH, NAV_POSLLH: _POSLLH, NAV_TIMEGPS: _TIMEGPS, NAV_TIMEUTC: _TIMEUTC,
+    NAV_SVIN: _SVIN, TIM_TM2: _TM2, RXM_SFRBX: _SFRBX, RXM_RAWX: _RAWX,
+}  # fmt: skip
+
+
+def kind_name(kind: int) -> str:
+    """Return the name of a message, or its class and id in hexadecimal digits."""
+    return _NAMES.get(kind, f"{kind >> 8:02X}-{kind & 0xFF:02X}")
+
+
+@dataclass(frozen=True, slots=True)
+class Messages:
+    """Messages of one kind.
+
+    Parameters
+    ----------
+    index : int64 (n,)
+        Position of each message in the batch.
+    fields : structured array (n,)
+        The fields by the names and in the units of the interface description (of RXM-SFRBX the header only).
+    """
+
+    index: NDArray[np.int64]
+    fields: NDArray[Any]
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+
+def decode(batch: Batch, kind: int) -> Messages:
+    """Decode all messages of one of the kinds in `LAYOUTS`; polls and shorter versions are left out.
+
+    Parameters
+    ----------
+    batch : Batch
+        The frames.
+    kind : int
+        Class * 256 + id.
+    """
+    row = LAYOUTS[kind]
+    index = batch.where(Wire.UBX, kind)
+    payload = batch.length[index] - 8
+    # NAV-PVT had 84 bytes before protocol 15: what it lacks reads as zero.
+    index = index[payload >= (84 if kind == NAV_PVT else row.itemsize)]
+    return Messages(index, gather(batch.data, batch.start[index] + 6, batch.length[index] - 8, row))
+
+
+@dataclass(frozen=True, slots=True)
+class RawObservations:
+    """RXM-RAWX: one row per epoch and one per signal.
+
+    Parameters
+    ----------
+    epochs : Messages
+        Receiver time (`rcvTow` in seconds of `week`), leap seconds and number of signals of each epoch.
+    epoch : int64 (m,)
+        Row of `epochs` that each signal belongs to.
+    signals : structured array (m,)
+        Pseudorange `prMes` (m), carrier phase `cpMes` (cycles), Doppler `doMes` (Hz), satellite and quality,
+        in the units and names of the interface description.
+    """
+
+    epochs: Messages
+    epoch: NDArray[np.int64]
+    signals: NDArray[Any]
+
+
+def decode_rawx(batch: Batch) -> RawObservations:
+    """Decode all RXM-RAWX messages whose length agrees with their number of signals."""
+    found = decode(batch, RXM_RAWX)
+    count = found.fields["numMeas"].astype(np.int64)
+    whole = batch.length[found.index] == 24 + _SIGNAL.itemsize * count
+    epochs = Messages(found.index[whole], found.fields[whole])
+    count = count[whole]
+    epoch = np.repeat(np.arange(len(count)), count)
+    within = np.arange(len(epoch)) - (np.cumsum(count) - count)[epoch]
+    start = batch.start[epochs.index][epoch] + 22 + _SIGNAL.itemsize * within
+    signals = gather(batch.data, start, np.full(len(start), _SIGNAL.itemsize), _SIGNAL)
+    return RawObservations(epochs, epoch, signals)
