@@ -1,0 +1,1 @@
+"""Plausibility of a calibration report: figures that contradict each other or the camera."""
