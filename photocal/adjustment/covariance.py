@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from photocal.adjustment.envelope import factorise, selected_inverse
 from photocal.adjustment.kernels import Structure, element_address, statistics
-from photocal.adjustment.normal import Problem, normal_equations, other_equations, values_of
+from photocal.adjustment.normal import Problem, other_equations, values_of
 from photocal.adjustment.observations import Equations
 from photocal.adjustment.rank import explain_singular
 from photocal.adjustment.solution import Group, Solution
@@ -39,14 +39,15 @@ def complete(problem: Problem, minimum: Minimum) -> Solution:
         When the normal equations are singular at the minimum.
     """
     network, state, structure = problem.network, minimum.state, problem.structure
-    normal = normal_equations(problem, state)
+    normal = minimum.normal
     if factorise(problem.layout.envelope, normal.matrix) >= 0:
         explain_singular(problem, state)
     inverse = selected_inverse(problem.layout.envelope, normal.matrix)
     point_covariance = np.zeros((len(state.points), 3, 3))
     residuals, redundancy = np.zeros((2, *network.rays.plane.shape))
+    values = values_of(problem, state)
     statistics(
-        problem.design, values_of(problem, state), structure, inverse, point_covariance, residuals, redundancy
+        problem.design, values, structure, inverse, normal.kept, point_covariance, residuals, redundancy
     )
     rays = Group(
         "image",
@@ -62,7 +63,7 @@ def complete(problem: Problem, minimum: Minimum) -> Solution:
     angles = angles_from_matrix(state.rotation)
     return Solution(
         minimum.iterations,
-        minimum.chi_squared,
+        normal.chi_squared,
         observations,
         unknowns,
         tuple(group for group in groups if group.observations),
@@ -88,16 +89,24 @@ def _control_group(problem: Problem, points: Floats, covariance: Floats) -> Grou
 
 def _equation_group(name: str, equations: Equations, structure: Structure, inverse: Floats) -> Group:
     """Observations of the reduced system's unknowns."""
-    variance = equation_variance(equations.start, equations.column, equations.coefficient, structure, inverse)
+    variance = np.zeros(len(equations.weight))
+    equation_variance(
+        equations.start, equations.column, equations.coefficient, structure, inverse, variance
+    )
     redundancy = len(variance) - float(np.sum(equations.weight * variance))
     return Group(name, len(variance), equations.chi_squared(), redundancy)
 
 
 @compiled
 def equation_variance(
-    start: Integers, column: Integers, coefficient: Floats, structure: Structure, inverse: Floats
-) -> Floats:
-    """Variance of each adjusted observation a x, shape (n,).
+    start: Integers,
+    column: Integers,
+    coefficient: Floats,
+    structure: Structure,
+    inverse: Floats,
+    variance: Floats,
+) -> None:
+    """Variance of each adjusted observation a x.
 
     Parameters
     ----------
@@ -106,20 +115,20 @@ def equation_variance(
     structure : Structure
     inverse : ndarray
         Selected inverse.
+    variance : ndarray, shape (n,)
+        Receives the result.
     """
-    variance = np.zeros(len(start) - 1)
-    for row in range(len(start) - 1):
+    for row in range(len(variance)):
         for a in range(start[row], start[row + 1]):
             for b in range(start[row], start[row + 1]):
                 high, low = max(column[a], column[b]), min(column[a], column[b])
                 q = inverse[element_address(structure, high, low)]
                 variance[row] += coefficient[a] * q * coefficient[b]
-    return variance
 
 
 @compiled
-def blocks(columns: Integers, structure: Structure, inverse: Floats) -> Floats:
-    """Diagonal blocks of the selected inverse, shape (n, m, m).
+def copy_blocks(columns: Integers, structure: Structure, inverse: Floats, result: Floats) -> None:
+    """Copy diagonal blocks of the selected inverse.
 
     Parameters
     ----------
@@ -128,14 +137,20 @@ def blocks(columns: Integers, structure: Structure, inverse: Floats) -> Floats:
     structure : Structure
     inverse : ndarray
         Selected inverse.
+    result : ndarray, shape (n, m, m)
+        Receives the blocks.
     """
-    count, size = columns.shape
-    result = np.zeros((count, size, size))
-    for k in range(count):
-        for a in range(size):
-            for b in range(size):
+    for k in range(columns.shape[0]):
+        for a in range(columns.shape[1]):
+            for b in range(columns.shape[1]):
                 high, low = max(columns[k, a], columns[k, b]), min(columns[k, a], columns[k, b])
                 result[k, a, b] = inverse[element_address(structure, high, low)]
+
+
+def blocks(columns: Integers, structure: Structure, inverse: Floats) -> Floats:
+    """Diagonal blocks of the selected inverse, shape (n, m, m), for columns of shape (n, m)."""
+    result = np.empty((*columns.shape, columns.shape[1]))
+    copy_blocks(columns, structure, inverse, result)
     return result
 
 

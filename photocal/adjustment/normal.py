@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.adjustment.kernels import Design, Structure, Values, accumulate
+from photocal.adjustment.kernels import Design, Eliminated, Structure, Values, accumulate
 from photocal.adjustment.layout import Layout, layout
 from photocal.adjustment.network import Network
 from photocal.adjustment.observations import (
@@ -59,12 +59,15 @@ class Normal:
         Sum of v'Pv.
     singular : ndarray of int
         Points that their rays do not determine.
+    kept : Eliminated
+        What the points' steps need.
     """
 
     matrix: Floats
     gradient: Floats
     chi_squared: float
     singular: NDArray[np.int64]
+    kept: Eliminated
 
 
 def prepare(network: Network) -> Problem:
@@ -91,22 +94,26 @@ def prepare(network: Network) -> Problem:
     shares = np.linspace(0, len(rays.image), threads + 1)
     pieces = np.searchsorted(ray_start, shares)
     pieces[0], pieces[-1] = 0, len(points.values)
+    arrays = Design(
+        pieces=pieces,
+        ray_start=ray_start,
+        ray_image=rays.image,
+        plane=rays.plane,
+        weight=rays.sigma**-2.0,
+        image_camera=exposures.camera,
+        image_column=where.image_columns[:, 0],
+        pose_free=(exposures.sigma != 0).astype(float),
+        optics=np.array([optics(camera) for camera in network.cameras]),
+        active=active,
+        active_count=count,
+        active_column=np.cumsum(count) - count,
+        point_free=(~points.held).astype(float),
+        prior_points=points.values,
+        prior_weight=points.weight,
+    )
+    # One memory layout and one integer type, or the kernels would be compiled anew for each.
     design = Design(
-        pieces.astype(np.int64),
-        ray_start.astype(np.int64),
-        rays.image.astype(np.int64),
-        rays.plane,
-        rays.sigma**-2.0,
-        exposures.camera.astype(np.int64),
-        where.image_columns[:, 0].copy(),
-        (exposures.sigma != 0).astype(float),
-        np.array([optics(camera) for camera in network.cameras]),
-        active,
-        count,
-        np.concatenate([[0], np.cumsum(count)[:-1]]).astype(np.int64),
-        (~points.held).astype(float),
-        points.values,
-        points.weight,
+        *(np.ascontiguousarray(a, dtype=np.int64 if a.dtype.kind == "i" else float) for a in arrays)
     )
     envelope = where.envelope
     structure = Structure(
@@ -119,9 +126,9 @@ def prepare(network: Network) -> Problem:
 
 def values_of(problem: Problem, state: State) -> Values:
     """Arrange a state for the kernels."""
-    return Values(
-        state.cameras, state.rotation, turn_basis(problem.network, state), state.centre, state.points
-    )
+    arrays = (state.cameras, state.rotation, turn_basis(problem.network, state), state.centre, state.points)
+    # One memory layout, or the kernels would be compiled anew for each.
+    return Values(*(np.ascontiguousarray(array) for array in arrays))
 
 
 def other_equations(problem: Problem, state: State) -> dict[str, Equations]:
@@ -132,7 +139,9 @@ def other_equations(problem: Problem, state: State) -> dict[str, Equations]:
     }
 
 
-def normal_equations(problem: Problem, state: State, damping: float = 0.0) -> Normal:
+def normal_equations(
+    problem: Problem, state: State, damping: float = 0.0, room: Eliminated | None = None
+) -> Normal:
     """Set up the reduced normal equations at a state.
 
     Parameters
@@ -141,17 +150,27 @@ def normal_equations(problem: Problem, state: State, damping: float = 0.0) -> No
     state : State
     damping : float
         Relative addition to the diagonal (Marquardt 1963).
+    room : Eliminated, optional
+        Arrays of normal equations that are no longer needed, to be filled again: fresh memory for
+        millions of rays costs as much time as the arithmetic.
 
     Returns
     -------
     Normal
     """
     design, structure, where = problem.design, problem.structure, problem.layout
-    threads = len(design.pieces) - 1
+    threads, points = len(design.pieces) - 1, len(design.point_free)
+    kept = room or Eliminated(
+        np.empty((len(design.ray_image), 3, 6)),
+        np.empty((points, 3, structure.border)),
+        np.empty((points, 3, 3)),
+        np.empty((points, 3)),
+    )
     matrices = np.zeros((threads, int(structure.offset[-1])))
     gradients, totals = np.zeros((threads, where.size)), np.zeros(threads)
-    singular = np.zeros(len(design.point_free), dtype=np.bool_)
-    accumulate(design, values_of(problem, state), structure, damping, matrices, gradients, totals, singular)
+    singular = np.zeros(points, dtype=np.bool_)
+    values = values_of(problem, state)
+    accumulate(design, values, structure, damping, matrices, gradients, totals, kept, singular)
     matrix, gradient, total = matrices[0], gradients[0], float(totals.sum())
     for more, gradient_more in zip(matrices[1:], gradients[1:], strict=True):
         matrix += more
@@ -162,7 +181,7 @@ def normal_equations(problem: Problem, state: State, damping: float = 0.0) -> No
     diagonal = diagonal_addresses(problem)
     matrix[diagonal] *= 1.0 + damping
     matrix[diagonal[problem.held]] = 1.0
-    return Normal(matrix, gradient, total, np.flatnonzero(singular))
+    return Normal(matrix, gradient, total, np.flatnonzero(singular), kept)
 
 
 def diagonal_addresses(problem: Problem) -> NDArray[np.int64]:

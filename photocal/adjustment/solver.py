@@ -16,8 +16,6 @@ from photocal.adjustment.normal import (
     Problem,
     diagonal_addresses,
     normal_equations,
-    other_equations,
-    values_of,
 )
 from photocal.adjustment.rank import explain_singular, weakest_pivot
 from photocal.adjustment.state import State, moved_exposures
@@ -59,12 +57,13 @@ class Minimum:
     Attributes
     ----------
     state : State
-    chi_squared : float
+    normal : Normal
+        Normal equations there, without damping.
     iterations : tuple of Iteration
     """
 
     state: State
-    chi_squared: float
+    normal: Normal
     iterations: tuple[Iteration, ...]
 
 
@@ -91,28 +90,33 @@ def minimise(problem: Problem, state: State, report: Callable[[Iteration], None]
         When the iteration does not end.
     """
     damping, decrement, steps = 0.0, np.inf, list[Iteration]()
+    normal = normal_equations(problem, state)
     while len(steps) < ITERATIONS:
-        normal = normal_equations(problem, state, damping)
-        trial = _step(problem, state, normal, damping)
-        if trial is None and damping == 0.0 and decrement < CONVERGED:
+        step = _reduced_step(problem, normal, damping)
+        if step is None and damping == 0.0 and decrement < CONVERGED:
             explain_singular(problem, state)
-        # At the minimum rounding may raise the sum of squares in its last digits.
-        if trial is None or not (trial.chi_squared <= normal.chi_squared or trial.decrement < CONVERGED):
-            damping = 10 * damping if damping else 1e-3
-            if damping > 1e8:
-                explain_singular(problem, state)
-                raise NotConvergedError(
-                    "no step reduces the sum of squares",
-                    remedy="check the start values of images and points, their units and axes",
-                )
-            continue
-        state, decrement = trial.state, trial.decrement
-        steps.append(Iteration(len(steps) + 1, trial.chi_squared, decrement, damping))
-        if report:
-            report(steps[-1])
-        if decrement < CONVERGED and damping == 0.0:
-            return Minimum(state, trial.chi_squared, tuple(steps))
-        damping = damping / 10 if damping > 1e-6 and decrement >= CONVERGED else 0.0
+        if step is not None:
+            moved, step_decrement = _moved(problem, state, normal, step)
+            calmer = damping / 10 if damping > 1e-6 and step_decrement >= CONVERGED else 0.0
+            trial = normal_equations(problem, moved, calmer, normal.kept)
+            # At the minimum rounding may raise the sum of squares in its last digits.
+            if trial.chi_squared <= normal.chi_squared or step_decrement < CONVERGED:
+                state, normal, decrement = moved, trial, step_decrement
+                steps.append(Iteration(len(steps) + 1, normal.chi_squared, decrement, damping))
+                if report:
+                    report(steps[-1])
+                if decrement < CONVERGED and damping == 0.0:
+                    return Minimum(state, normal, tuple(steps))
+                damping = calmer
+                continue
+        damping = 10 * damping if damping else 1e-3
+        if damping > 1e8:
+            explain_singular(problem, state)
+            raise NotConvergedError(
+                "no step reduces the sum of squares",
+                remedy="check the start values of images and points, their units and axes",
+            )
+        normal = normal_equations(problem, state, damping, normal.kept)
     explain_singular(problem, state)
     raise NotConvergedError(
         f"not converged after {ITERATIONS} iterations (last step {np.sqrt(decrement):.2g} sigma)",
@@ -120,39 +124,23 @@ def minimise(problem: Problem, state: State, report: Callable[[Iteration], None]
     )
 
 
-@dataclass(frozen=True)
-class _Trial:
-    state: State
-    chi_squared: float
-    decrement: float
-
-
-def _step(problem: Problem, state: State, normal: Normal, damping: float) -> _Trial | None:
-    """Try one step; None when the normal equations cannot be solved."""
+def _reduced_step(problem: Problem, normal: Normal, damping: float) -> Floats | None:
+    """Solve the reduced system, in place of its matrix; None when it is singular."""
     diagonal = diagonal_addresses(problem)
     before = normal.matrix[diagonal]
-    factor = normal.matrix
-    if len(normal.singular) or factorise(problem.layout.envelope, factor) >= 0:
+    if len(normal.singular) or factorise(problem.layout.envelope, normal.matrix) >= 0:
         return None
-    if damping == 0.0 and weakest_pivot(factor[diagonal], before) < SINGULAR_PIVOT:
+    if damping == 0.0 and weakest_pivot(normal.matrix[diagonal], before) < SINGULAR_PIVOT:
         return None
-    step = solve(problem.layout.envelope, factor, -normal.gradient)
+    step = solve(problem.layout.envelope, normal.matrix, -normal.gradient)
     step[problem.held] = 0.0
+    return step
+
+
+def _moved(problem: Problem, state: State, normal: Normal, step: Floats) -> tuple[State, float]:
+    """State after a step and the step's squared length in units of the standard deviations."""
     cameras, rotation, centre = moved_exposures(problem.network, problem.layout, state, step)
-    moved = State(cameras, rotation, centre, np.empty_like(state.points))
-    threads = len(problem.design.pieces) - 1
-    totals, decreases = np.zeros(threads), np.zeros(threads)
-    back_substitute(
-        problem.design,
-        values_of(problem, state),
-        problem.structure,
-        damping,
-        step,
-        values_of(problem, moved),
-        decreases,
-        totals,
-    )
-    others = other_equations(problem, moved).values()
-    chi_squared = float(totals.sum()) + sum(equations.chi_squared() for equations in others)
-    decrement = float(decreases.sum() - normal.gradient @ step)
-    return _Trial(moved, chi_squared, decrement)
+    points = state.points.copy()
+    decreases = np.zeros(len(problem.design.pieces) - 1)
+    back_substitute(problem.design, problem.structure.band, step, normal.kept, points, decreases)
+    return State(cameras, rotation, centre, points), float(decreases.sum() - normal.gradient @ step)

@@ -6,10 +6,12 @@ plots all call it. Coordinates are in the image plane, in the unit of the camera
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.compiled import compiled, inlined
+from photocal.compiled import allocating, inlined
 from photocal.geometry.camera import AFFINITIES, AFFINITY_MATRICES, MODELS, PARAMETERS, Camera
 
 Floats = NDArray[np.float64]
@@ -38,9 +40,50 @@ def optics(camera: Camera) -> Floats:
     return np.array([*head, *np.ravel(first), *np.ravel(second)], dtype=float)
 
 
+class Scratch(NamedTuple):
+    """Where the derivatives of one ray are put; made once for many rays.
+
+    Attributes
+    ----------
+    by_pose, by_point, by_camera : ndarray, shape (2, 6), (2, 3), (2, 13)
+        Derivatives of the residual with respect to exposure, object point and camera.
+    by_q : ndarray, shape (2, 3)
+        With respect to the object point in camera axes.
+    depth : ndarray, shape (1,)
+        How far the point lies in front of the camera.
+    slope : ndarray, shape (4,)
+        d dx/dx, d dx/dy, d dy/dx, d dy/dy of the distortion.
+    terms : ndarray, shape (2, 8)
+        Derivatives of the distortion with respect to K1..K4, P1..P4.
+    """
+
+    by_pose: Floats
+    by_point: Floats
+    by_camera: Floats
+    by_q: Floats
+    depth: Floats
+    slope: Floats
+    terms: Floats
+
+
+@allocating
+def scratch() -> Scratch:
+    """Make room for the derivatives of one ray."""
+    return Scratch(
+        np.zeros((2, 6)),
+        np.zeros((2, 3)),
+        np.zeros((2, COUNT)),
+        np.zeros((2, 3)),
+        np.zeros(1),
+        np.zeros(4),
+        np.zeros((2, 8)),
+    )
+
+
+# Arrays are passed whole, with an index: a view for every ray would cost more than its arithmetic.
 @inlined
 def polynomial(
-    values: Floats, reference_radius: float, x: float, y: float, slope: Floats, terms: Floats
+    cameras: Floats, k: int, reference_radius: float, x: float, y: float, slope: Floats, terms: Floats
 ) -> tuple[float, float]:
     """Radial and decentering distortion at a point (Brown 1971).
 
@@ -49,24 +92,24 @@ def polynomial(
 
     Parameters
     ----------
-    values : ndarray, shape (13,)
+    cameras : ndarray, shape (cameras, 13)
         Camera parameters.
+    k : int
+        Which camera.
     reference_radius : float
         R0.
     x, y : float
         Where to evaluate, from the principal point.
-    slope : ndarray, shape (4,)
-        Receives d dx/dx, d dx/dy, d dy/dx, d dy/dy.
-    terms : ndarray, shape (2, 8)
-        Receives the derivatives with respect to K1..K4, P1..P4.
+    slope, terms : ndarray
+        Receive the derivatives, see `Scratch`.
 
     Returns
     -------
     tuple of float
         dx, dy.
     """
-    k1, k2, k3, k4 = values[_K1], values[_K1 + 1], values[_K1 + 2], values[_K1 + 3]
-    p1, p2, p3, p4 = values[_P1], values[_P1 + 1], values[_P1 + 2], values[_P1 + 3]
+    k1, k2, k3, k4 = cameras[k, _K1], cameras[k, _K1 + 1], cameras[k, _K1 + 2], cameras[k, _K1 + 3]
+    p1, p2, p3, p4 = cameras[k, _P1], cameras[k, _P1 + 1], cameras[k, _P1 + 2], cameras[k, _P1 + 3]
     s = reference_radius * reference_radius
     r2 = x * x + y * y
     e1, e2 = r2 - s, r2 * r2 - s * s
@@ -89,64 +132,69 @@ def polynomial(
     return x * radial + ax * swell, y * radial + ay * swell
 
 
-@compiled
+@inlined
 def ray_residual(
-    values: Floats,
-    optic: Floats,
+    cameras: Floats,
+    optics_of: Floats,
+    k: int,
     x: float,
     y: float,
-    q: Floats,
-    by_q: Floats,
-    by_camera: Floats,
-    work: Floats,
+    u: float,
+    v: float,
+    w: float,
+    room: Scratch,
 ) -> tuple[float, float]:
     """Residual (computed minus measured) of one ray and its derivatives.
 
     Parameters
     ----------
-    values : ndarray, shape (13,)
+    cameras : ndarray, shape (cameras, 13)
         Camera parameters.
-    optic : ndarray, shape (11,)
+    optics_of : ndarray, shape (cameras, 11)
         From `optics`.
+    k : int
+        Which camera.
     x, y : float
         Measured coordinates in the image plane.
-    q : ndarray, shape (3,)
+    u, v, w : float
         Object point in camera axes.
-    by_q : ndarray, shape (2, 3)
-        Receives the derivatives with respect to q.
-    by_camera : ndarray, shape (2, 13)
-        Receives the derivatives with respect to the camera parameters.
-    work : ndarray, shape (10, 2)
-        Scratch.
+    room : Scratch
+        Its `by_q` and `by_camera` receive the derivatives.
 
     Returns
     -------
     tuple of float
         Residual in x and y.
     """
-    c, x0, y0, b1, b2 = values[_C], values[_X0], values[_X0 + 1], values[_B1], values[_B1 + 1]
-    place, r0 = optic[1], optic[2]
-    f00, f01 = b1 * optic[3] + b2 * optic[7], b1 * optic[4] + b2 * optic[8]
-    f10, f11 = b1 * optic[5] + b2 * optic[9], b1 * optic[6] + b2 * optic[10]
-    ux, uy = -q[0] / q[2], -q[1] / q[2]
+    by_q, by_camera, slope, terms = room.by_q, room.by_camera, room.slope, room.terms
+    c, x0, y0, b1, b2 = (
+        cameras[k, _C],
+        cameras[k, _X0],
+        cameras[k, _X0 + 1],
+        cameras[k, _B1],
+        cameras[k, _B1 + 1],
+    )
+    place, r0 = optics_of[k, 1], optics_of[k, 2]
+    f00, f01 = b1 * optics_of[k, 3] + b2 * optics_of[k, 7], b1 * optics_of[k, 4] + b2 * optics_of[k, 8]
+    f10, f11 = b1 * optics_of[k, 5] + b2 * optics_of[k, 9], b1 * optics_of[k, 6] + b2 * optics_of[k, 10]
+    ux, uy = -u / w, -v / w
     px, py = c * ux, c * uy
     bx, by = x - x0, y - y0
-    slope, terms = work.ravel()[:4], work.ravel()[4:].reshape(2, 8)
     # Each case sets: the residual (vx, vy); a: d/dp; z: d/d(x0, y0); m: what multiplies the polynomial's
     # terms; (sx, sy): the vector that the affinity acts on, t: what multiplies it.
-    if optic[0] == _OBSERVED:
+    if optics_of[k, 0] == _OBSERVED:
         a00, a01, a10, a11 = 1.0, 0.0, 0.0, 1.0
         if place == _BEFORE:
             sx, sy = bx, by
             ex, ey = bx + f00 * bx + f01 * by, by + f10 * bx + f11 * by
-            dx, dy = polynomial(values, r0, ex, ey, slope, terms)
+            dx, dy = polynomial(cameras, k, r0, ex, ey, slope, terms)
             vx, vy = px + dx - ex, py + dy - ey
             t00, t01, t10, t11 = slope[0] - 1.0, slope[1], slope[2], slope[3] - 1.0
             z00, z01 = -(t00 * (1.0 + f00) + t01 * f10), -(t00 * f01 + t01 * (1.0 + f11))
             z10, z11 = -(t10 * (1.0 + f00) + t11 * f10), -(t10 * f01 + t11 * (1.0 + f11))
             m00, m01, m10, m11 = 1.0, 0.0, 0.0, 1.0
         else:
-            dx, dy = polynomial(values, r0, bx, by, slope, terms)
+            dx, dy = polynomial(cameras, k, r0, bx, by, slope, terms)
             if place == _ADDITIVE:
                 sx, sy = bx, by
                 vx, vy = px + dx + f00 * bx + f01 * by - bx, py + dy + f10 * bx + f11 * by - by
@@ -163,7 +211,7 @@ def ray_residual(
                 z00, z01 = m00 * h00 + m01 * h10, m00 * h01 + m01 * h11
                 z10, z11 = m10 * h00 + m11 * h10, m10 * h01 + m11 * h11
     else:
-        dx, dy = polynomial(values, r0, px, py, slope, terms)
+        dx, dy = polynomial(cameras, k, r0, px, py, slope, terms)
         z00, z01, z10, z11 = 1.0, 0.0, 0.0, 1.0
         m00, m01, m10, m11 = 1.0, 0.0, 0.0, 1.0
         t00, t01, t10, t11 = 1.0, 0.0, 0.0, 1.0
@@ -184,18 +232,19 @@ def ray_residual(
             h00, h01, h10, h11 = 1.0 + slope[0], slope[1], slope[2], 1.0 + slope[3]
             a00, a01 = m00 * h00 + m01 * h10, m00 * h01 + m01 * h11
             a10, a11 = m10 * h00 + m11 * h10, m10 * h01 + m11 * h11
-    s = c / q[2]
+    room.depth[0] = -w
+    s = c / w
     by_q[0, 0], by_q[0, 1], by_q[0, 2] = -s * a00, -s * a01, -s * (a00 * ux + a01 * uy)
     by_q[1, 0], by_q[1, 1], by_q[1, 2] = -s * a10, -s * a11, -s * (a10 * ux + a11 * uy)
     by_camera[0, _C], by_camera[1, _C] = a00 * ux + a01 * uy, a10 * ux + a11 * uy
     by_camera[0, _X0], by_camera[0, _X0 + 1] = z00, z01
     by_camera[1, _X0], by_camera[1, _X0 + 1] = z10, z11
-    for k in range(8):
-        by_camera[0, _K1 + k] = m00 * terms[0, k] + m01 * terms[1, k]
-        by_camera[1, _K1 + k] = m10 * terms[0, k] + m11 * terms[1, k]
-    for k in range(2):
-        gx = optic[3 + 4 * k] * sx + optic[4 + 4 * k] * sy
-        gy = optic[5 + 4 * k] * sx + optic[6 + 4 * k] * sy
-        by_camera[0, _B1 + k] = t00 * gx + t01 * gy
-        by_camera[1, _B1 + k] = t10 * gx + t11 * gy
+    for n in range(8):
+        by_camera[0, _K1 + n] = m00 * terms[0, n] + m01 * terms[1, n]
+        by_camera[1, _K1 + n] = m10 * terms[0, n] + m11 * terms[1, n]
+    for n in range(2):
+        gx = optics_of[k, 3 + 4 * n] * sx + optics_of[k, 4 + 4 * n] * sy
+        gy = optics_of[k, 5 + 4 * n] * sx + optics_of[k, 6 + 4 * n] * sy
+        by_camera[0, _B1 + n] = t00 * gx + t01 * gy
+        by_camera[1, _B1 + n] = t10 * gx + t11 * gy
     return vx, vy
