@@ -1,0 +1,169 @@
+"""DBAT's interior orientation and ours, both ways.
+
+DBAT (Damped Bundle Adjustment Toolbox) and PhotoModeler: image coordinates in px, x right, y down, from the
+upper-left corner of the upper-left pixel, whose centre is (0.5, 0.5): the middle of an image of w x h pixels
+is (w/2, h/2), half a pixel more than in our count. Interior orientation in mm: principal point (px, py) from
+that same corner, y down; K and P with the opposite sign of ours; aspect = 1 - as, where as stretches x.
+
+Lens models: -1 distorts the projection (`brown-ideal`); 1 and 2 correct the measurement and have no affinity;
+3 applies the affinity before the correction; 4 after it; 5 scales x from the corner, before the principal
+point is subtracted (a model 3 whose px is larger by the factor 1 + as), and skews after the correction.
+Source: Boerlin, Murtiyoso, Grussenmeyer, Menna and Nocerino 2019, "Flexible photogrammetric computations
+using modular bundle adjustment", PE&RS 85(5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputMalformedError
+from photocal.geometry.camera import PARAMETERS, Affinity, Camera, Model, camera
+
+Floats = NDArray[np.float64]
+
+# DBAT's names in the order of its reports.
+NAMES = ("cc", "px", "py", "as", "sk", "K1", "K2", "K3", "K4", "P1", "P2")
+MODELS: dict[int, tuple[Model, Affinity]] = {
+    -1: ("brown-ideal", "additive"),
+    1: ("brown-observed", "additive"),
+    2: ("brown-observed", "additive"),
+    3: ("brown-observed", "before"),
+    4: ("brown-observed", "after"),
+    5: ("brown-observed", "before"),
+}
+WITH_AFFINITY = (3, 4, 5)
+_OURS = ("c", "x0", "y0", "B1", "B2", "K1", "K2", "K3", "K4", "P1", "P2")
+
+
+@dataclass(frozen=True)
+class DbatCamera:
+    """A camera as DBAT describes it.
+
+    Attributes
+    ----------
+    name : str
+    lens_model : int
+        -1 or 1 to 5.
+    size_px : tuple of int
+    pixel_mm : float
+        Height of a pixel; its width is (1 + as) times this.
+    values : dict
+        By `NAMES`, in mm.
+    estimate : tuple of str
+        Of `NAMES`.
+    """
+
+    name: str
+    lens_model: int
+    size_px: tuple[int, int]
+    pixel_mm: float
+    values: dict[str, float]
+    estimate: tuple[str, ...] = ()
+
+
+def from_dbat(described: DbatCamera, camera_id: str, place: object) -> Camera:
+    """Turn DBAT's description into a camera.
+
+    Parameters
+    ----------
+    described : DbatCamera
+    camera_id : str
+    place : object
+        For messages.
+
+    Returns
+    -------
+    Camera
+        In mm.
+
+    Raises
+    ------
+    InputMalformedError
+        For a lens model, or a combination of parameters, that has no equivalent.
+    """
+    number = described.lens_model
+    if number not in MODELS:
+        raise InputMalformedError(f"lens model {number} is not known", where=place, remedy="use -1 or 1 to 5")
+    value = dict.fromkeys(NAMES, 0.0) | described.values
+    estimate = described.estimate
+    if number not in WITH_AFFINITY:
+        if value["as"] or value["sk"]:
+            raise InputMalformedError(
+                f"lens model {number} has no affinity, but aspect or skew is given",
+                where=place,
+                remedy="use model 3, 4 or 5",
+            )
+        estimate = tuple(name for name in estimate if name not in ("as", "sk"))
+    if number == 5:
+        if value["sk"] or "sk" in estimate:
+            raise InputMalformedError(
+                "the skew of lens model 5 acts elsewhere than its aspect",
+                where=place,
+                remedy="use model 3 or 4",
+            )
+        value["px"] /= 1 + value["as"]
+    if not value["cc"] > 0:
+        raise InputMalformedError("the camera constant is not positive", where=place, remedy="give cc")
+    width, height = np.array(described.size_px) * described.pixel_mm
+    ours = {
+        "c": value["cc"],
+        "x0": value["px"] - width / 2,
+        "y0": height / 2 - value["py"],
+        "B1": value["as"],
+        "B2": value["sk"],
+    } | {name: -value[name] for name in ("K1", "K2", "K3", "K4", "P1", "P2")}
+    model, affinity = MODELS[number]
+    return camera(
+        camera_id,
+        model,
+        "mm",
+        described.size_px,
+        (described.pixel_mm, described.pixel_mm),
+        ours,
+        estimate=tuple(_OURS[NAMES.index(name)] for name in estimate),
+        affinity=affinity,
+    )
+
+
+def to_dbat(
+    own: Camera, lens_model: int, covariance: Floats | None = None
+) -> tuple[dict[str, float], Floats]:
+    """Turn a camera's parameters into DBAT's, with their covariance.
+
+    Parameters
+    ----------
+    own : Camera
+        In mm, made by `from_dbat` with the same lens model.
+    lens_model : int
+    covariance : ndarray, shape (13, 13), optional
+        Of the camera's parameters; zero when not given.
+
+    Returns
+    -------
+    values : dict
+        By `NAMES`.
+    covariance : ndarray, shape (11, 11)
+        In the order of `NAMES`.
+    """
+    width, height = np.array(own.size_px) * own.pitch
+    index = [PARAMETERS.index(name) for name in _OURS]
+    sign = np.array([1.0, 1, -1, 1, 1, -1, -1, -1, -1, -1, -1])
+    vector = own.values[index] * sign
+    vector[1] += width / 2
+    vector[2] += height / 2
+    jacobian = np.diag(sign)
+    if lens_model == 5:
+        # px' = (1 + as) px
+        jacobian[1, 1], jacobian[1, 3] = 1 + vector[3], vector[1]
+        vector[1] *= 1 + vector[3]
+    given = np.zeros((len(PARAMETERS),) * 2) if covariance is None else covariance
+    values = {name: float(value) for name, value in zip(NAMES, vector, strict=True)}
+    return values, jacobian @ given[np.ix_(index, index)] @ jacobian.T
+
+
+def to_column_row(x: float, y: float) -> tuple[float, float]:
+    """Turn DBAT's or PhotoModeler's pixel coordinates into column and row: half a pixel less."""
+    return x - 0.5, y - 0.5

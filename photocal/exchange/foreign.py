@@ -1,0 +1,58 @@
+"""Which program a file is from, and the block that it holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.block.model import Block
+from photocal.exchange.markup import read_xml
+
+READABLE = "a DBAT set-up (.xml) or a PhotoModeler text export"
+
+
+def read_foreign_block(path: Path) -> Block:
+    """Read a block of another program.
+
+    Parameters
+    ----------
+    path : Path
+        The file that names the others, or the text export.
+
+    Returns
+    -------
+    Block
+
+    Raises
+    ------
+    InputNotFoundError
+        When it is missing or empty.
+    InputMalformedError
+        When it is no format that holds a block, or is damaged.
+    """
+    if not path.exists():
+        raise InputNotFoundError("does not exist", where=path, remedy="check the path")
+    if path.suffix.lower() == ".xml":
+        return _from_xml(path)
+    if path.suffix.lower() == ".txt":
+        from photocal.exchange.photomodeler import control_beside, looks_like_export, read_photomodeler
+
+        if looks_like_export(path):
+            control = control_beside(path)
+            return read_photomodeler(path, control if control.exists() else None)
+    raise _unknown(path)
+
+
+def _from_xml(path: Path) -> Block:
+    root = read_xml(path)
+    if "dbat_script_version" in root.attrib:
+        from photocal.exchange.dbat import read_dbat
+
+        return read_dbat(path)
+    raise _unknown(path)
+
+
+def _unknown(path: Path) -> InputMalformedError:
+    return InputMalformedError(
+        "holds no block that is known", where=path, remedy=f"name a block folder, {READABLE}"
+    )

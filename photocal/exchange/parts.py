@@ -1,0 +1,190 @@
+"""Putting a block together from what a foreign file holds: names to indices, and nothing twice."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputMalformedError
+from photocal.block.model import ROLES, Images, ObjectPoints, Observations, Role
+
+Floats = NDArray[np.float64]
+
+# What a value without a standard deviation of its own is: free.
+FREE = (np.inf, np.inf, np.inf)
+UNKNOWN = (np.nan, np.nan, np.nan)
+
+
+@dataclass(frozen=True)
+class PointEntry:
+    """One object point.
+
+    Attributes
+    ----------
+    name : str
+    role : {"control", "check", "tie"}
+    xyz : array_like, shape (3,)
+        m; NaN when unknown.
+    sigma : array_like, shape (3,)
+        m; 0 holds, infinity leaves free.
+    """
+
+    name: str
+    role: Role
+    xyz: Sequence[float] | Floats = UNKNOWN
+    sigma: Sequence[float] | Floats = FREE
+
+
+@dataclass(frozen=True)
+class Mark:
+    """One image observation.
+
+    Attributes
+    ----------
+    image, point : str
+    x, y : float
+    sigma : tuple of float
+        In x and y.
+    place : object
+        File and line, for messages.
+    """
+
+    image: str
+    point: str
+    x: float
+    y: float
+    sigma: tuple[float, float]
+    place: object
+
+
+def object_points(entries: Iterable[PointEntry]) -> ObjectPoints:
+    """Collect object points.
+
+    Parameters
+    ----------
+    entries : iterable of PointEntry
+
+    Returns
+    -------
+    ObjectPoints
+    """
+    rows = list(entries)
+    return ObjectPoints(
+        tuple(row.name for row in rows),
+        np.array([row.xyz for row in rows], dtype=float).reshape(-1, 3),
+        np.array([row.sigma for row in rows], dtype=float).reshape(-1, 3),
+        np.array([ROLES.index(row.role) for row in rows], dtype=np.int64),
+    )
+
+
+def images(
+    names: Sequence[str], camera: Sequence[int], values: Floats | None = None, sigma: Floats | None = None
+) -> Images:
+    """Collect images.
+
+    Parameters
+    ----------
+    names : sequence of str
+    camera : sequence of int
+        Index of each image's camera.
+    values, sigma : ndarray, shape (n, 6), optional
+        omega, phi, kappa in radians, X, Y, Z in m; NaN and infinity when not given.
+
+    Returns
+    -------
+    Images
+    """
+    shape = (len(names), 6)
+    return Images(
+        tuple(names),
+        np.array(camera, dtype=np.int64),
+        np.full(shape, np.nan) if values is None else values,
+        np.full(shape, np.inf) if sigma is None else sigma,
+    )
+
+
+def observations(
+    marks: Sequence[Mark],
+    image_names: Sequence[str],
+    point_names: Sequence[str],
+    unit: Literal["px", "mm"],
+    axes: Literal["pixel", "photo"],
+) -> Observations:
+    """Collect image observations.
+
+    Parameters
+    ----------
+    marks : sequence of Mark
+        In `unit` and `axes`.
+    image_names, point_names : sequence of str
+        Of the block.
+    unit, axes
+        As in `Observations`.
+
+    Returns
+    -------
+    Observations
+
+    Raises
+    ------
+    InputMalformedError
+        For an unknown image or point, a point observed twice in an image, or a sigma that is not
+        positive.
+    """
+    image_index = {name: k for k, name in enumerate(image_names)}
+    point_index = {name: k for k, name in enumerate(point_names)}
+    seen: set[tuple[str, str]] = set()
+    for mark in marks:
+        if mark.image not in image_index:
+            raise InputMalformedError(
+                f"observes image {mark.image}, which is not in the block", where=mark.place
+            )
+        if mark.point not in point_index:
+            raise InputMalformedError(
+                f"observes point {mark.point}, which is not in the block", where=mark.place
+            )
+        if (mark.image, mark.point) in seen:
+            raise InputMalformedError(
+                f"point {mark.point} is observed twice in image {mark.image}",
+                where=mark.place,
+                remedy="keep one of the observations",
+            )
+        if not min(mark.sigma) > 0:
+            raise InputMalformedError(
+                f"the sigma of point {mark.point} in image {mark.image} is not positive", where=mark.place
+            )
+        seen.add((mark.image, mark.point))
+    return Observations(
+        unit,
+        axes,
+        np.array([image_index[mark.image] for mark in marks], dtype=np.int64),
+        np.array([point_index[mark.point] for mark in marks], dtype=np.int64),
+        np.array([(mark.x, mark.y) for mark in marks], dtype=float).reshape(-1, 2),
+        np.array([mark.sigma for mark in marks], dtype=float).reshape(-1, 2),
+    )
+
+
+def require_unique(names: Sequence[str], what: str, place: object) -> None:
+    """Complain when a name comes twice.
+
+    Parameters
+    ----------
+    names : sequence of str
+    what : str
+        What they name.
+    place : object
+        For messages.
+
+    Raises
+    ------
+    InputMalformedError
+    """
+    if len(set(names)) < len(names):
+        twice = next(name for k, name in enumerate(names) if name in names[:k])
+        raise InputMalformedError(
+            f"{what} {twice} is listed twice", where=place, remedy="keep one of the rows"
+        )

@@ -1,0 +1,401 @@
+"""PhotoModeler's text export ("export text file", solution with marks) into a block.
+
+Image coordinates in px from the upper-left corner of the upper-left pixel, x right, y down (half a pixel more
+than ours); interior orientation in mm from that corner, K and P with the opposite sign of ours; pixels of
+format / size, which need not be square; distortion corrects the measurement (`brown-observed`). Orientation
+as X, Y, Z (project unit, taken as m), kappa, phi, omega (deg) of our own rotation. Standard deviations of
+control points in the export are a posteriori: those of the survey come from a table of control points. A
+mark with sigma 0 (a SmartPoint) has the default of 1 px.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.block.model import Block, InputFile
+from photocal.exchange import parts
+from photocal.exchange.dbat_camera import to_column_row
+from photocal.exchange.dbat_tables import read_rows
+from photocal.exchange.source import Line, fingerprint, image_size, numbers, read_lines, read_text
+from photocal.geometry.camera import Camera, camera
+
+Floats = NDArray[np.float64]
+
+DEFAULT_SIGMA_PX = 1.0
+
+
+@dataclass(frozen=True)
+class Photo:
+    """One photo of an export.
+
+    Attributes
+    ----------
+    number : int
+        From 0.
+    name : str
+        File name without folders.
+    pose : ndarray, shape (6,)
+        omega, phi, kappa in radians, X, Y, Z.
+    interior : tuple of float
+        Principal distance, principal point, format (mm), K1, K2, K3, P1, P2.
+    """
+
+    number: int
+    name: str
+    pose: Floats
+    interior: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Export:
+    """What a text export holds.
+
+    Attributes
+    ----------
+    title : str
+    size_px : tuple of int
+    interior : tuple of float
+        Default camera of the head, with one digit more than the photos have.
+    photos : tuple of Photo
+    control : dict
+        Coordinates of the control points by their name.
+    points : dict
+        Coordinates of all object points by their name, SmartPoints renumbered behind the others.
+    marks : tuple of Mark
+        Column and row.
+    file : InputFile
+    """
+
+    title: str
+    size_px: tuple[int, int]
+    interior: tuple[float, ...]
+    photos: tuple[Photo, ...]
+    control: dict[str, Floats]
+    points: dict[str, Floats]
+    marks: tuple[parts.Mark, ...]
+    file: InputFile
+
+
+class _Cursor:
+    """Goes through the lines of an export, whose sections end at a blank line."""
+
+    def __init__(self, path: Path) -> None:
+        self.lines = [Line(path, k, text) for k, text in enumerate(read_text(path).split("\n"), start=1)]
+        self.path, self.at = path, 0
+
+    def next(self) -> Line:
+        if self.at >= len(self.lines):
+            raise InputMalformedError(
+                "ends before its tables do", where=self.path, remedy="was it written completely?"
+            )
+        self.at += 1
+        return self.lines[self.at - 1]
+
+    def values(self, what: str, count: int) -> list[float]:
+        line = self.next()
+        return numbers(line.text, line.place, what, count)
+
+    def section(self) -> list[Line]:
+        begin = self.at
+        while self.next().text.strip():
+            pass
+        return self.lines[begin : self.at - 1]
+
+
+def looks_like_export(path: Path) -> bool:
+    """Whether a text file has the head of a PhotoModeler export: title, tolerances, and image size."""
+    head = read_text(path).split("\n", 2)
+    return len(head) == 3 and len(head[1].split()) == 4 and head[1].split()[2].isdecimal()
+
+
+def read_export(path: Path) -> Export:
+    """Read a text export.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Export
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        For missing, damaged or cut files.
+    """
+    cursor = _Cursor(path)
+    title = cursor.next().text.strip()
+    line = cursor.next()
+    head = numbers(line.text, line.place, "tolerance, iterations and image size", 4)
+    size_px = image_size(head[2], head[3], line.place)
+    cursor.next()
+    interior = tuple(cursor.values("default camera", 10))
+    cursor.next()
+    photos = list[Photo]()
+    while cursor.lines[cursor.at].text.strip():
+        photos.append(_photo(cursor, len(photos)))
+    cursor.next()
+    control = dict(_points(cursor.section()))
+    objects = _points(cursor.section())
+    shift, first_smart = _smart_shift([int(name) for name, _ in objects])
+    points = {
+        str(int(name) + shift) if k >= first_smart else name: xyz for k, (name, xyz) in enumerate(objects)
+    }
+    parts.require_unique([name for name, _ in objects[:first_smart]], "object point", path)
+    marks = tuple(_mark(row, photos, shift) for row in cursor.section())
+    if not marks:
+        raise InputMalformedError("has no marked points", where=path, remedy="export the marks too")
+    return Export(title, size_px, interior, tuple(photos), control, points, marks, fingerprint(path))
+
+
+def _photo(cursor: _Cursor, expected: int) -> Photo:
+    line = cursor.next()
+    cells = line.text.split(maxsplit=1)
+    if len(cells) != 2 or not cells[0].isdecimal() or int(cells[0]) != expected:
+        raise InputMalformedError(f"is not the head of photo {expected}", where=line.place)
+    pose = cursor.values("orientation", 7)[1:]
+    cursor.values("its standard deviations", 7)
+    covariance = cursor.next()
+    if covariance.text.strip():
+        numbers(covariance.text, covariance.place, "its covariances", 4)
+    interior = cursor.values("interior orientation", 11)[1:]
+    cursor.values("its standard deviations", 11)
+    name = cells[1].strip().replace("\\", "/").rsplit("/", 1)[-1]
+    return Photo(expected, name, np.array([*np.radians(pose[:2:-1]), *pose[:3]]), tuple(interior))
+
+
+def _points(lines: list[Line]) -> list[tuple[str, Floats]]:
+    rows = []
+    for line in lines:
+        values = numbers(line.text, line.place, "point, coordinates and standard deviations", 7)
+        rows.append((str(int(values[0])), np.array(values[1:4])))
+    return rows
+
+
+def _smart_shift(ids: list[int]) -> tuple[int, int]:
+    """By how much the numbers of SmartPoints are raised, and the row of the first of them.
+
+    SmartPoints have numbers of their own, after the object points in the table; where they begin the
+    numbers fall.
+    """
+    falls = [k for k in range(1, len(ids)) if ids[k] < ids[k - 1]]
+    if len(falls) != 1:
+        return 0, len(ids)
+    first = falls[0]
+    return max(ids[:first]) + 1 - min(ids[first:]), first
+
+
+def _mark(line: Line, photos: list[Photo], shift: int) -> parts.Mark:
+    photo, point, x, y, sx, sy = numbers(line.text, line.place, "photo, point, x, y and sigmas", 6)
+    if not 0 <= photo < len(photos):
+        raise InputMalformedError(f"observes photo {photo:g}, which is not in the file", where=line.place)
+    smart = sx == 0 and sy == 0
+    sigma = (DEFAULT_SIGMA_PX, DEFAULT_SIGMA_PX) if smart else (sx, sy)
+    name = str(int(point) + shift) if smart else str(int(point))
+    return parts.Mark(photos[int(photo)].name, name, *to_column_row(x, y), sigma, line.place)
+
+
+def read_control(path: Path) -> dict[str, tuple[Floats, Floats]]:
+    """Read a table of control points: id, name, X, Y, Z and, optionally, three standard deviations.
+
+    Parameters
+    ----------
+    path : Path
+        Comma-separated.
+
+    Returns
+    -------
+    dict
+        Coordinates and standard deviations (0 holds a coordinate) by id, m.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+    """
+    widths = {len(line.text.split(",")) for line in read_lines(path)}
+    layout = "id,label,x,y,z" + (",sx,sy,sz" if widths != {5} else "")
+    fields = ("id", "label", "x", "y", "z", "sx", "sy", "sz")
+    rows = list(read_rows(path, layout, fields))
+    parts.require_unique([row.name("id") for row in rows], "control point", path)
+    return {
+        row.name("id"): (np.array([row.value(axis) for axis in "xyz"]), np.array(row.sigma())) for row in rows
+    }
+
+
+def read_positions(path: Path) -> dict[str, tuple[Floats, float]]:
+    """Read a table of camera positions: image, X, Y, Z, standard deviation of each coordinate.
+
+    Parameters
+    ----------
+    path : Path
+        Comma-separated.
+
+    Returns
+    -------
+    dict
+        Position and its standard deviation by image, m.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+    """
+    rows = list(read_rows(path, "label,x,y,z,sxyz", ("label", "x", "y", "z", "sxyz")))
+    parts.require_unique([row.name("label") for row in rows], "image", path)
+    return {
+        row.name("label"): (np.array([row.value(axis) for axis in "xyz"]), row.sigma()[0]) for row in rows
+    }
+
+
+def block_from_export(
+    export: Export,
+    control: dict[str, tuple[Floats, Floats]],
+    *,
+    positions: dict[str, tuple[Floats, float]] | None = None,
+    own_camera: Camera | None = None,
+) -> Block:
+    """Make a block from an export and a table of control points.
+
+    Parameters
+    ----------
+    export : Export
+    control : dict
+        From `read_control`; empty for none. Exported and tabulated coordinates may differ by a shift of
+        the origin; orientation and points are moved to the table's.
+    positions : dict, optional
+        From `read_positions`, in the frame of the control; they become observations.
+    own_camera : Camera, optional
+        Instead of the exported interior orientation, which is held.
+
+    Returns
+    -------
+    Block
+
+    Raises
+    ------
+    InputMalformedError
+        For photos of several cameras, object points without marks, or names that do not fit together.
+    """
+    place = export.file.path
+    shift = _shift(export, control, place)
+    names = [photo.name for photo in export.photos]
+    parts.require_unique(names, "photo", place)
+    observed = {mark.point for mark in export.marks}
+    idle = [name for name in export.points if name not in observed and name not in control]
+    if idle:
+        raise InputMalformedError(
+            f"object point {', '.join(idle[:5])} has no observation at all",
+            where=place,
+            remedy="export its marks, or take it out",
+        )
+    points = [parts.PointEntry(name, "control", xyz, sigma) for name, (xyz, sigma) in control.items()]
+    tie = dict.fromkeys([*export.points, *observed])
+    points += [
+        parts.PointEntry(name, "tie", export.points.get(name, np.full(3, np.nan)) + shift)
+        for name in tie
+        if name not in control
+    ]
+    values = np.array([photo.pose for photo in export.photos])
+    values[:, 3:] += shift
+    sigma = np.full(values.shape, np.inf)
+    for name, (xyz, accuracy) in (positions or {}).items():
+        if name not in names:
+            raise InputMalformedError(f"position of image {name}, which is not in the export", where=place)
+        values[names.index(name), 3:] = xyz
+        sigma[names.index(name), 3:] = accuracy
+    return Block(
+        export.title or place,
+        "local",
+        "",
+        "control",
+        (),
+        (own_camera or _camera(export, place),),
+        parts.images(names, [0] * len(names), values, sigma),
+        parts.object_points(points),
+        parts.observations(export.marks, names, [point.name for point in points], "px", "pixel"),
+        (export.file,),
+    )
+
+
+def read_photomodeler(export: Path, control: Path | None = None, positions: Path | None = None) -> Block:
+    """Read an export with its table of control points.
+
+    Parameters
+    ----------
+    export : Path
+    control : Path, optional
+        Table of control points.
+    positions : Path, optional
+        Table of camera positions.
+
+    Returns
+    -------
+    Block
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        For missing or damaged files.
+    ConfigurationError
+        When the export has control points but no table tells their standard deviations.
+    """
+    content = read_export(export)
+    if control is None and content.control:
+        raise ConfigurationError(
+            "has control points, whose standard deviations in a PhotoModeler export are a posteriori",
+            where=export,
+            remedy="put a table id,name,X,Y,Z,sX,sY,sZ beside it as " + control_beside(export).name,
+        )
+    block = block_from_export(
+        content,
+        {} if control is None else read_control(control),
+        positions=None if positions is None else read_positions(positions),
+    )
+    tables = tuple(fingerprint(path) for path in (control, positions) if path is not None)
+    return replace(block, inputs=block.inputs + tables)
+
+
+def control_beside(export: Path) -> Path:
+    """Where the control points of an export are looked for: `NAME-control.txt` beside it."""
+    return export.with_name(f"{export.stem}-control.txt")
+
+
+def _shift(export: Export, control: dict[str, tuple[Floats, Floats]], place: str) -> Floats:
+    """What must be added to exported coordinates: the mean over common control points."""
+    common = [name for name in export.control if name in control]
+    if not common:
+        return np.zeros(3)
+    missing = [name for name in export.control if name not in control]
+    if missing:
+        raise InputMalformedError(
+            f"control point {missing[0]} of the export is not in the table of control points", where=place
+        )
+    return np.asarray(np.mean([control[name][0] - export.control[name] for name in common], axis=0))
+
+
+def _camera(export: Export, place: str) -> Camera:
+    interiors = {photo.interior for photo in export.photos}
+    if len(interiors) != 1:
+        raise InputMalformedError("has photos of several cameras", where=place, remedy="export them apart")
+    own = interiors.pop()
+    # The photos' c and principal point are printed to 1 um, their coefficients to five decimals; the head has
+    # the same values with more digits.
+    rounding = [0.51e-3] * 3 + [0.51e-5] * 7
+    same = all(abs(a - b) <= most for a, b, most in zip(own, export.interior, rounding, strict=True))
+    c, px, py, width, height, k1, k2, k3, p1, p2 = export.interior if same else own
+    if not (c > 0 and width > 0 and height > 0):
+        raise InputMalformedError("principal distance or format is not positive", where=place)
+    return camera(
+        "camera1",
+        "brown-observed",
+        "mm",
+        export.size_px,
+        (width / export.size_px[0], height / export.size_px[1]),
+        {"c": c, "x0": px - width / 2, "y0": height / 2 - py}
+        | {"K1": -k1, "K2": -k2, "K3": -k3, "P1": -p1, "P2": -p2},
+    )

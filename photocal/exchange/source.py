@@ -1,0 +1,314 @@
+"""Reading other programs' text safely: encodings, line ends, numbers, sizes, and paths that stay inside."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.block.model import InputFile
+
+# Larger text than any block in use; above it a file is taken for something else.
+MAX_BYTES = 2 << 30
+# No camera has more pixels on a side; a larger number is a damaged or hostile file.
+MAX_SIDE_PX = 1_000_000
+_MARKS = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of a text file that can name its place.
+
+    Attributes
+    ----------
+    path : Path
+    number : int
+        From 1.
+    text : str
+        Without its line end.
+    """
+
+    path: Path
+    number: int
+    text: str
+
+    @property
+    def place(self) -> str:
+        """File and line, for messages."""
+        return f"{self.path}, line {self.number}"
+
+
+def require_readable(path: Path) -> int:
+    """Complain when a path is no file with content of a credible size.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    int
+        Its size in bytes.
+
+    Raises
+    ------
+    InputNotFoundError
+        When it is missing, empty or a folder.
+    InputMalformedError
+        When it is too large to be what it should be.
+    """
+    if path.is_dir():
+        raise InputNotFoundError("is a folder, a file was expected", where=path, remedy="name the file")
+    try:
+        size = path.stat().st_size
+    except (OSError, ValueError) as failure:
+        raise InputNotFoundError("does not exist", where=path, remedy="check the path") from failure
+    if size == 0:
+        raise InputNotFoundError("is empty", where=path, remedy="was it written completely?")
+    if size > MAX_BYTES:
+        raise InputMalformedError(
+            f"has {size / 2**30:.1f} GiB, more than the {MAX_BYTES / 2**30:.0f} GiB that are read",
+            where=path,
+            remedy="is it the right file?",
+        )
+    return size
+
+
+def read_text(path: Path) -> str:
+    """Read a text file: UTF-8, or UTF-16 with its mark.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    str
+        With line feeds as line ends.
+
+    Raises
+    ------
+    InputNotFoundError
+        When it is missing, empty or a folder.
+    InputMalformedError
+        When it is no text of these encodings.
+    """
+    require_readable(path)
+    content = path.read_bytes()
+    encoding = next((name for mark, name in _MARKS if content.startswith(mark)), "utf-8")
+    try:
+        text = content.decode(encoding)
+    except UnicodeDecodeError as failure:
+        line = content[: failure.start].count(b"\n") + 1
+        raise InputMalformedError(
+            f"is not {encoding.removesuffix('-sig').upper()} text (byte 0x{content[failure.start]:02x})",
+            where=f"{path}, line {line}",
+            remedy="save it as UTF-8",
+        ) from failure
+    if "\0" in text:
+        raise InputMalformedError("is not a text file", where=path, remedy="is it the right file?")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def read_lines(path: Path, comment: str = "#") -> list[Line]:
+    """Read the lines of a text file that have content.
+
+    Parameters
+    ----------
+    path : Path
+    comment : str
+        What a line of comment starts with; empty when there is none.
+
+    Returns
+    -------
+    list of Line
+        Neither blank nor comment.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        As `read_text`.
+    """
+    lines = (Line(path, k, text) for k, text in enumerate(read_text(path).split("\n"), start=1))
+    return [
+        line
+        for line in lines
+        if line.text.strip() and not (comment and line.text.lstrip().startswith(comment))
+    ]
+
+
+def number(cell: str, place: object, what: str) -> float:
+    """Read one finite number.
+
+    Parameters
+    ----------
+    cell : str
+    place : object
+        File and line, for messages.
+    what : str
+        What the number is.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    InputMalformedError
+        When it is not a finite number with a decimal point.
+    """
+    text = cell.strip()
+    try:
+        # float() would take underscores for separators of thousands.
+        value = float(text.replace("_", "?"))
+    except ValueError:
+        comma = _DECIMAL_COMMA.fullmatch(text) is not None
+        raise InputMalformedError(
+            f"{what} is {text[:40]!r}, " + ("written with a decimal comma" if comma else "not a number"),
+            where=place,
+            remedy="write numbers with a decimal point" if comma else "correct it",
+        ) from None
+    if not math.isfinite(value):
+        raise InputMalformedError(f"{what} is {text[:40]!r}, not finite", where=place, remedy="correct it")
+    return value
+
+
+def numbers(text: str, place: object, what: str, count: int | None = None) -> list[float]:
+    """Read numbers separated by blanks.
+
+    Parameters
+    ----------
+    text : str
+    place : object
+        For messages.
+    what : str
+        What the numbers are.
+    count : int, optional
+        How many there must be.
+
+    Returns
+    -------
+    list of float
+
+    Raises
+    ------
+    InputMalformedError
+        For another count, or a cell that is no number.
+    """
+    cells = text.split()
+    if count is not None and len(cells) != count:
+        raise InputMalformedError(
+            f"{what}: {len(cells)} values where {count} were expected",
+            where=place,
+            remedy="complete the line, or is the file cut?",
+        )
+    return [number(cell, place, what) for cell in cells]
+
+
+def whole(cell: str, place: object, what: str) -> int:
+    """Read one whole number.
+
+    Parameters
+    ----------
+    cell, place, what
+        As in `number`.
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    InputMalformedError
+        When it is no whole number.
+    """
+    value = number(cell, place, what)
+    if value != int(value):
+        raise InputMalformedError(f"{what} is {cell.strip()!r}, not a whole number", where=place)
+    return int(value)
+
+
+def image_size(width: float, height: float, place: object) -> tuple[int, int]:
+    """Check an image size that a file claims.
+
+    Parameters
+    ----------
+    width, height : float
+        Pixels.
+    place : object
+        For messages.
+
+    Returns
+    -------
+    tuple of int
+
+    Raises
+    ------
+    InputMalformedError
+        When no camera can have it.
+    """
+    if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX) or width % 1 or height % 1:
+        raise InputMalformedError(
+            f"image size {width:g} x {height:g} px is impossible", where=place, remedy="correct it"
+        )
+    return int(width), int(height)
+
+
+def beside(folder: Path, name: str, place: object) -> Path:
+    """Find a file that a set-up names, inside the folder of the set-up.
+
+    Set-ups name their tables by relative paths that hold on the machine where they were made. When the
+    path does not exist here, a file of the same name beside the set-up is taken.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the set-up.
+    name : str
+        As the set-up names it.
+    place : object
+        For messages.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    InputMalformedError
+        For absolute paths and paths that lead out of the folder.
+    InputNotFoundError
+        When there is no such file.
+    """
+    parts = PurePosixPath(name.replace("\\", "/"))
+    outside = parts.is_absolute() or bool(PureWindowsPath(name).drive) or ".." in parts.parts
+    if outside or "\0" in name or not parts.name:
+        raise InputMalformedError(
+            f"names the file {name!r}, which is not inside its folder",
+            where=place,
+            remedy="put the file beside the set-up and name it without folders",
+        )
+    for candidate in (folder / parts, folder / parts.name):
+        if candidate.is_file():
+            if not candidate.resolve().is_relative_to(folder.resolve()):
+                raise InputMalformedError(
+                    f"names the file {name!r}, a link that leads out of its folder",
+                    where=place,
+                    remedy="copy the file",
+                )
+            return candidate
+    raise InputNotFoundError(
+        f"names the file {name!r}, which is neither there nor beside the set-up",
+        where=place,
+        remedy="put it beside the set-up",
+    )
+
+
+def fingerprint(path: Path) -> InputFile:
+    """Digest of a file that was read, under its own name."""
+    content = path.read_bytes()
+    return InputFile(path.name, hashlib.sha256(content).hexdigest(), len(content))

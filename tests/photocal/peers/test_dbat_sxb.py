@@ -1,0 +1,84 @@
+"""SXB: five aerial images over Strasbourg, against DBAT's printed results."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from photocal.block.model import Block
+from photocal.exchange.dbat import read_dbat
+from photocal.exchange.photomodeler import block_from_export, read_control, read_export, read_positions
+
+pytestmark = pytest.mark.shared
+
+KEYS = ("Omega", "Phi", "Kappa", "Xc", "Yc", "Zc")
+
+
+@pytest.fixture
+def folder(shared: Path) -> Path:
+    return shared / "data" / "dbat-sxb"
+
+
+def same_as_printed(block: Block, report: Any, adjusted: Any, origin: Any = (0, 0, 0)) -> None:
+    assembly, solution = adjusted(block)
+    assert solution.degrees_of_freedom == report.redundancy
+    assert solution.observations == report.observations
+    assert solution.unknowns == report.unknowns
+    sigma0 = math.sqrt(solution.variance_factor)
+    # DBAT stops when a step is shorter than its tolerance times the length of the residuals: in the flattest
+    # direction that is up to this many standard deviations short of the minimum.
+    short = report.tolerance * report.last_error / sigma0
+    assert abs(sigma0 - report.sigma0.value) <= 2 * report.sigma0.unit
+    assert set(report.photos) == set(block.images.names)
+    for k, name in enumerate(block.images.names):
+        pose = solution.exposures[k] + np.concatenate([np.zeros(3), assembly.origin - np.asarray(origin)])
+        pose[:3] = np.degrees(pose[:3])
+        # DBAT's standard deviations are a posteriori.
+        deviation = np.sqrt(np.diag(solution.exposure_covariance[k])) * sigma0
+        deviation[:3] = np.degrees(deviation[:3])
+        for value, sd, key in zip(pose, deviation, KEYS, strict=True):
+            printed, printed_sd = report.photos[name][key]
+            assert abs(value - printed.value) <= 2 * printed.unit + short * sd, (name, key)
+            assert abs(sd - printed_sd.value) <= 2 * printed_sd.unit, (name, key)
+
+
+def test_set_up_with_check_points(folder: Path, dbat_report: Any, adjusted: Any) -> None:
+    block = read_dbat(folder / "script" / "sxb.xml")
+    assert block.points.of_role("check").sum() == 2
+    assert block.points.of_role("control").sum() == 14
+    report = dbat_report(folder / "script" / "report.txt")
+    assert report.redundancy == 1261
+    same_as_printed(block, report, adjusted)
+
+
+@pytest.mark.parametrize(("prior", "redundancy"), [("no-prior-eo", 1267), ("prior-eo", 1279)])
+def test_positions_as_observations(
+    folder: Path, prior: str, redundancy: int, dbat_report: Any, adjusted: Any
+) -> None:
+    positions = read_positions(folder / "ref" / "fake-camera-positions.txt") if prior == "prior-eo" else None
+    export = read_export(folder / "pmexports" / "wsmart-with-orient-pmexport.txt")
+    control = read_control(folder / "ref" / "ctrlpts-weighted.txt")
+    block = block_from_export(export, control, positions=positions)
+    report = dbat_report(folder / "dbatreports" / f"sxb-{prior}-dbatreport.txt")
+    assert report.redundancy == redundancy
+    same_as_printed(block, report, adjusted)
+
+
+@pytest.mark.parametrize(
+    ("stem", "control"),
+    [("f-op0", "fixed"), ("w-op0", "weighted"), ("w-op1", "weighted"), ("wsmart", "weighted")],
+)
+def test_fixed_and_weighted_control(
+    folder: Path, stem: str, control: str, dbat_report: Any, adjusted: Any
+) -> None:
+    export = read_export(folder / "pmexports" / f"{stem}-with-orient-pmexport.txt")
+    table = read_control(folder / "ref" / f"ctrlpts-{control}.txt")
+    block = block_from_export(export, table)
+    # These runs were made in PhotoModeler's own frame: control moved by the mean difference.
+    shift = np.mean([table[name][0] - xyz for name, xyz in export.control.items()], axis=0)
+    report = dbat_report(folder / "dbatreports" / f"{stem}-with-orient-dbatreport.txt")
+    same_as_printed(block, report, adjusted, origin=shift)
