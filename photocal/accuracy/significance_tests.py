@@ -10,7 +10,10 @@ from scipy import stats
 from drivers.errors import ConfigurationError, IllPosedError
 from photocal.accuracy.statistics import FloatArray, Moments
 
-SHAPIRO_WILK_SMALLEST_SAMPLE = 3
+# The approximation of Royston 1995 that scipy computes holds for these numbers of points.
+SHAPIRO_WILK_SAMPLES = range(3, 5001)
+# A smaller range is no measurement: all values are equal.
+_NO_RANGE_M = 1e-9
 
 
 @dataclass(frozen=True)
@@ -183,10 +186,10 @@ def normality_test(values_m: FloatArray, confidence: float) -> NormalityTest | N
     Returns
     -------
     NormalityTest or None
-        None for fewer than three points, or when all are equal: nothing can be said then.
+        None for fewer than 3 or more than 5000 points, or when all are equal: nothing can be said then.
     """
     _require_level(confidence)
-    if len(values_m) < SHAPIRO_WILK_SMALLEST_SAMPLE or float(values_m.max()) == float(values_m.min()):
+    if len(values_m) not in SHAPIRO_WILK_SAMPLES or float(values_m.max() - values_m.min()) < _NO_RANGE_M:
         return None
     result = stats.shapiro(values_m)
     return NormalityTest(float(result.statistic), float(result.pvalue), confidence)

@@ -1,0 +1,188 @@
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError
+from photocal.accuracy.as_json import to_json
+from photocal.accuracy.as_text import to_text
+from photocal.accuracy.assessment import Assessment, Question, TableResult, assess
+from photocal.accuracy.discrepancies import Discrepancies
+from photocal.accuracy.findings import Finding
+from photocal.accuracy.standard import SHIPPED, ValueStandard, load_standard
+from photocal.accuracy.value_class import class_cm, value_class
+from photocal.accuracy.wording import findings
+
+Published = Callable[[str], list[dict[str, str]]]
+FloatArray = NDArray[np.float64]
+STANDARDS = tuple(load_standard(name) for name in SHIPPED)
+
+
+def synthetic_ixus(published: Published, product: str) -> Discrepancies:
+    """Thirty points with the four printed rows of Table 4 and the moments of Table 5: synthetic.
+
+    The other 26 rows are random, shifted and scaled so that mean and standard deviation are those of
+    the table. The largest and smallest values are not.
+    """
+    suffix = {"no_gcp": "no_gcp_m", "gcp_8": "gcp_m"}[product]
+    printed = published("ixus220/table4_discrepancies.csv")
+    known = np.array([[float(row[f"d{axis}_{suffix}"]) for axis in "ENh"] for row in printed])
+    moments = {
+        row["component"]: (float(row["mean_m"]), float(row["std_m"]))
+        for row in published("ixus220/table5_statistics.csv")
+        if row["product"] == product
+    }
+    rest = np.random.default_rng(30).uniform(-1.0, 1.0, (26, 3))
+    for column, axis in enumerate("ENh"):
+        mean, std = moments[axis]
+        rest_mean = (30 * mean - known[:, column].sum()) / 26
+        squares = 29 * std**2 - float(np.sum((known[:, column] - mean) ** 2)) - 26 * (rest_mean - mean) ** 2
+        values = rest[:, column] - rest[:, column].mean()
+        rest[:, column] = rest_mean + values * math.sqrt(squares / float(np.sum(values**2)))
+    names = tuple(row["target"] for row in printed) + tuple(f"S{number}" for number in range(1, 27))
+    return Discrepancies(names, np.vstack((known, rest)))
+
+
+def of_table(result: Assessment, standard: str, component: str) -> TableResult:
+    return next(
+        table
+        for table in result.tables
+        if table.standard_id == standard and table.table.component == component
+    )
+
+
+def codes(said: tuple[Finding, ...]) -> list[str]:
+    return [finding.code for finding in said]
+
+
+def test_flight_without_control_is_precise_and_not_accurate(published: Published) -> None:
+    result = assess(synthetic_ixus(published, "no_gcp"), STANDARDS, Question(2500.0, 2.0))
+    plane = of_table(result, "decree-89817", "planimetry")
+    heights = of_table(result, "decree-89817", "height")
+    assert plane.precision_class == "A"
+    assert plane.accuracy_class is None
+    assert plane.differ
+    assert plane.admitted[0].rmse == pytest.approx(10614.0, abs=0.5)
+    assert (heights.precision_class, heights.accuracy_class) == (None, None)
+    texts = [finding.text for finding in findings(result) if finding.code == "class-differs"]
+    assert any("by precision class A, but by accuracy no class" in text for text in texts)
+    biases = [finding.text for finding in findings(result) if finding.code == "bias"]
+    assert len(biases) == 3
+    # Reference minus product is positive in h: the model lies about 2.8 m low, as the study says.
+    assert "too low" in biases[2]
+    assert "adding +2.830 m" in biases[2]
+
+
+def test_flight_with_control_is_class_b_in_height_at_1_m(published: Published) -> None:
+    result = assess(synthetic_ixus(published, "gcp_8"), STANDARDS, Question(1125.0, 1.0))
+    plane = of_table(result, "decree-89817", "planimetry")
+    heights = of_table(result, "decree-89817", "height")
+    assert plane.precision_class == "A"
+    assert (heights.precision_class, heights.accuracy_class) == ("A", "B")
+    assert "bias" in codes(findings(result))
+    assert "small-sample" not in codes(findings(result))
+
+
+def test_interval_of_the_scale_is_taken_from_the_standard() -> None:
+    d = Discrepancies(("A", "B", "C"), np.array([[0.1, 0.0, 0.1], [0.0, 0.1, -0.1], [-0.1, 0.0, 0.05]]))
+    result = assess(d, STANDARDS, Question(10_000.0))
+    assert of_table(result, "pec-pcd", "height").size == 5.0
+    assert of_table(result, "decree-89817", "height").size is None
+    assert of_table(result, "decree-89817", "height").decisions == ()
+
+
+def test_asprs_class_includes_the_survey() -> None:
+    standard = load_standard("asprs-2024")
+    assert isinstance(standard, ValueStandard)
+    generator = np.random.default_rng(8)
+    d = Discrepancies(tuple(f"P{i}" for i in range(40)), generator.normal(0.0, 0.03, (40, 3)))
+    bare = assess(d, (standard,), Question()).values[0]
+    full = assess(d, (standard,), Question(survey_horizontal_m=0.02, survey_vertical_m=0.04)).values[0]
+    assert bare.horizontal_m is not None
+    assert bare.vertical_m is not None
+    assert full.horizontal_m == pytest.approx(math.hypot(bare.horizontal_m, 0.02))
+    assert full.vertical_m == pytest.approx(math.hypot(bare.vertical_m, 0.04))
+    assert full.spatial_m == pytest.approx(math.hypot(full.horizontal_m or 0.0, full.vertical_m or 0.0))
+    assert full.enough_points
+    assert full.survey_too_coarse == ("vertical",)
+    assert value_class(standard, None, None, None, None).horizontal_m is None
+
+
+def test_class_is_the_value_reached() -> None:
+    assert class_cm(0.123) == 12.3
+    assert class_cm(0.12301) == 12.4
+
+
+def test_nine_points_are_called_a_small_sample() -> None:
+    d = Discrepancies(tuple("abcdefghi"), np.random.default_rng(0).normal(0.0, 0.1, (9, 3)))
+    said = findings(assess(d, STANDARDS, Question()))
+    small = [finding.text for finding in said if finding.code == "small-sample"]
+    assert len(small) == 1
+    assert small[0].startswith("E, N, h: small sample")
+    assert "between 0.68 and 1.92 times" in small[0]
+    assert "too-few-check-points" in codes(said)
+
+
+def test_a_single_check_point_is_judged_without_tests() -> None:
+    d = Discrepancies(("A",), np.array([[0.1, 0.2, -0.3]]))
+    result = assess(d, STANDARDS, Question(1000.0, 1.0))
+    assert codes(findings(result))[0] == "single-check-point"
+    assert of_table(result, "decree-89817", "planimetry").accuracy_class == "A"
+    assert of_table(result, "decree-89817", "planimetry").precision_class is None
+    json.dumps(to_json(result), allow_nan=False)
+    assert "-" in to_text(result)
+
+
+def test_only_heights() -> None:
+    d = Discrepancies(("A", "B", "C"), np.array([[np.nan, np.nan, h] for h in (0.1, -0.2, 0.15)]))
+    result = assess(d, STANDARDS, Question(1000.0, 1.0))
+    assert [component.name for component in result.components] == ["h"]
+    assert result.plane is None
+    assert {table.table.component for table in result.tables} == {"height"}
+    json.dumps(to_json(result), allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    "question",
+    [Question(-1000.0), Question(0.0), Question(interval_m=math.nan), Question(survey_vertical_m=-0.01)],
+)
+def test_impossible_questions_are_refused(question: Question) -> None:
+    with pytest.raises(ConfigurationError, match="not a positive number"):
+        assess(Discrepancies(("A",), np.zeros((1, 3))), STANDARDS, question)
+
+
+cells = st.one_of(st.floats(-5.0, 5.0), st.just(math.nan), st.just(0.0))
+tables = st.lists(st.tuples(cells, cells, cells), min_size=1, max_size=12).map(np.array)
+
+
+@settings(max_examples=40, deadline=None)
+@given(tables)
+def test_every_table_has_text_and_valid_json(d: FloatArray) -> None:
+    if not np.isfinite(d).any():
+        return
+    names = tuple(f"P{i}" for i in range(len(d)))
+    result = assess(Discrepancies(names, d), STANDARDS, Question(2000.0))
+    json.dumps(to_json(result), allow_nan=False)
+    assert to_text(result).startswith(f"{len(d)} check points; discrepancies are reference minus product")
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.permutations(range(8)))
+def test_the_order_of_the_points_does_not_matter(order: list[int]) -> None:
+    d = np.random.default_rng(12).normal(0.1, 0.2, (8, 3))
+    names = tuple(f"P{i}" for i in range(8))
+    straight = to_json(assess(Discrepancies(names, d), STANDARDS, Question(1000.0)))
+    turned = to_json(
+        assess(Discrepancies(tuple(names[i] for i in order), d[order]), STANDARDS, Question(1000.0))
+    )
+    assert [entry.get("accuracy_class") for entry in turned["standards"]] == [
+        entry.get("accuracy_class") for entry in straight["standards"]
+    ]
+    assert turned["planimetry"]["rmse_m"] == pytest.approx(straight["planimetry"]["rmse_m"])
