@@ -14,7 +14,7 @@ class GlobalTest:
     chi_squared, degrees_of_freedom : float
         The weighted sum of squares of the residuals and the redundancy.
     lower, upper : float
-        Bounds of acceptance of chi_squared; lower is 0 for the one-sided test.
+        Bounds of acceptance of chi_squared; lower is 0.
     accepted : bool
         Whether it lies between them.
     p_value : float
@@ -55,32 +55,3 @@ def upper_global_test(chi_squared: float, degrees_of_freedom: float, probability
     upper = float(stats.chi2.ppf(probability, degrees_of_freedom))
     p_value = float(stats.chi2.sf(chi_squared, degrees_of_freedom))
     return GlobalTest(chi_squared, degrees_of_freedom, 0.0, upper, chi_squared <= upper, p_value)
-
-
-def two_sided_global_test(
-    chi_squared: float, degrees_of_freedom: float, probability: float = 0.95
-) -> GlobalTest:
-    """Test whether the residuals are larger or smaller than assumed.
-
-    Parameters
-    ----------
-    chi_squared : float
-        Weighted sum of squares of the residuals.
-    degrees_of_freedom : float
-        Redundancy.
-    probability : float
-        Probability of acceptance when the assumptions hold.
-
-    Returns
-    -------
-    GlobalTest
-        The outcome, with the two-sided p value.
-    """
-    from scipy import stats
-
-    tail = (1.0 - probability) / 2.0
-    lower = float(stats.chi2.ppf(tail, degrees_of_freedom))
-    upper = float(stats.chi2.ppf(1.0 - tail, degrees_of_freedom))
-    above = float(stats.chi2.sf(chi_squared, degrees_of_freedom))
-    p_value = 2.0 * min(above, 1.0 - above)
-    return GlobalTest(chi_squared, degrees_of_freedom, lower, upper, lower <= chi_squared <= upper, p_value)

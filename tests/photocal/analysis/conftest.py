@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -57,3 +58,23 @@ def canon_sets(canon: Callable[[str], Rows]) -> dict[str, Estimates]:
 def matrix(rows: Rows) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     """Numbers of a table whose first column is a label."""
     return np.array([[float(value) for value in list(row.values())[1:]] for row in rows])
+
+
+@pytest.fixture(scope="session")
+def dcs460_block(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Block folder of the convergent-camera study with all 12 photographs: the demo block and photo 2."""
+    demo = Path(__file__).parents[3] / "configs/demo/dcs460"
+    block = tmp_path_factory.mktemp("dcs460")
+    shutil.copytree(demo, block, dirs_exist_ok=True)
+    with (block / "images.csv").open("a", encoding="utf-8") as stream:
+        stream.write("2,dcs460,-1.280,0.425,6.671,33.50744,-29.95640,107.34141\n")
+    rows = read_rows(PUBLISHED / "dcs460" / "image_observations_photo02_reconstructed.csv")
+    with (block / "observations.csv").open("a", encoding="utf-8") as stream:
+        stream.writelines(f"2,{row['point']},{row['x_mm']},{row['y_mm']}\n" for row in rows)
+    return block
+
+
+@pytest.fixture(scope="session")
+def dcs460() -> Callable[[str], Rows]:
+    """Reader of the independent adjustments of the convergent-camera study."""
+    return lambda name: read_rows(PUBLISHED / "dcs460" / f"{name}.csv")

@@ -1,0 +1,1 @@
+"""Systematic errors that an adjustment has hidden in its unknowns and residuals."""

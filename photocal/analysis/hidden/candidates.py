@@ -1,0 +1,134 @@
+"""What may be wrong with measured image coordinates: one displacement field for each suspicion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from photocal.adjustment.network import Network
+from photocal.adjustment.state import State
+from photocal.analysis.estimates import Array
+from photocal.geometry.camera import PARAMETERS, Camera
+
+# Exposures are a flight when this share of the steps from one to the next has the usual length, this nearly.
+REGULAR_SHARE = 0.6
+REGULAR_SPACING = 0.3
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A systematic error with one unknown amount.
+
+    Attributes
+    ----------
+    kind : str
+        "y-scale", "shear", "radial", "decentring" or "rolling-shutter".
+    name : str
+        What it is called in a sentence.
+    camera : int
+        The camera concerned.
+    displacement : (n, 2) array
+        What must be added to the measured image plane coordinates for an amount of 1; zero for rays of
+        other cameras.
+    """
+
+    kind: str
+    name: str
+    camera: int
+    displacement: Array
+
+
+def candidates(network: Network, state: State) -> tuple[Candidate, ...]:
+    """List what the model of each camera does not already estimate.
+
+    Parameters
+    ----------
+    network : Network
+        The network.
+    state : State
+        Its current values.
+
+    Returns
+    -------
+    tuple of Candidate
+        Suspicions that can be tested.
+    """
+    camera_of_ray = network.exposures.camera[network.rays.image]
+    found = []
+    for k, camera in enumerate(network.cameras):
+        mine = (camera_of_ray == k)[:, None]
+        if not mine.any():
+            continue
+        found += [Candidate(kind, name, k, field * mine) for kind, name, field in _of_camera(camera, network)]
+        motion = _rolling_shutter(network, state, k)
+        if motion is not None:
+            found.append(
+                Candidate("rolling-shutter", "rolling shutter in the flight direction", k, motion * mine)
+            )
+    return tuple(found)
+
+
+def _of_camera(camera: Camera, network: Network) -> list[tuple[str, str, Array]]:
+    plane = network.rays.plane
+    zero = np.zeros(len(plane))
+    x, y = (plane - camera.values[1:3]).T
+    estimated = {name for name, is_so in zip(PARAMETERS, camera.estimated, strict=True) if is_so}
+    scale_term, shear_term = ("B2", "B1") if camera.affinity_form == "tank" else ("B1", "B2")
+    found = []
+    if scale_term not in estimated:
+        found.append(("y-scale", "y scale factor", np.column_stack([zero, plane[:, 1]])))
+    if shear_term not in estimated:
+        found.append(("shear", "shear of the image axes", np.column_stack([plane[:, 1], zero])))
+    r2 = x * x + y * y
+    order = next((n for n in (1, 2, 3, 4) if f"K{n}" not in estimated), None)
+    if order is not None:
+        found.append(("radial", f"radial term K{order}", np.column_stack([x, y]) * (r2**order)[:, None]))
+    if "P1" not in estimated:
+        found.append(("decentring", "decentring term P1", np.column_stack([r2 + 2 * x * x, 2 * x * y])))
+    if "P2" not in estimated:
+        found.append(("decentring", "decentring term P2", np.column_stack([2 * x * y, r2 + 2 * y * y])))
+    return found
+
+
+def _rolling_shutter(network: Network, state: State, camera: int) -> Array | None:
+    """Give minus the image motion while the rows are read, for a readout as long as the exposure interval.
+
+    Only for exposures that follow one another at regular distances, in the order of the images: then
+    the distance to the next one stands for the velocity.
+    """
+    mine = np.flatnonzero(network.exposures.camera == camera)
+    if len(mine) < 5:
+        return None
+    velocity = _per_interval(state.centre[mine])
+    if velocity is None:
+        return None
+    own = network.cameras[camera]
+    motion = np.zeros((len(network.image_names), 3))
+    motion[mine] = velocity
+    image = network.rays.image
+    q = np.einsum("nij,nj->ni", state.rotation[image], state.points[network.rays.point] - state.centre[image])
+    dq = -np.einsum("nij,nj->ni", state.rotation[image], motion[image])
+    c = state.cameras[camera, 0]
+    dp = -c * (dq[:, :2] / q[:, 2:] - q[:, :2] * dq[:, 2:] / q[:, 2:] ** 2)
+    # Rows are read from the top; the middle row is the reference.
+    late = -network.rays.plane[:, 1] / (own.size_px[1] * own.pitch[1])
+    return np.asarray(-dp * late[:, None])
+
+
+def _per_interval(centres: Array) -> Array | None:
+    """Give the way flown per exposure interval, (n, 3); zero where a line has only one exposure.
+
+    A step that is much longer or shorter than the usual one is a turn between lines, not flight.
+    """
+    steps = np.diff(centres, axis=0)
+    length = np.linalg.norm(steps, axis=1)
+    typical = float(np.median(length))
+    regular = np.abs(length - typical) <= REGULAR_SPACING * typical
+    if typical <= 0.0 or np.mean(regular) < REGULAR_SHARE:
+        return None
+    sums, count = np.zeros_like(centres), np.zeros(len(centres))
+    for ends in (slice(None, -1), slice(1, None)):
+        sums[ends] += steps * regular[:, None]
+        count[ends] += regular
+    return np.asarray(sums / np.maximum(count, 1.0)[:, None])

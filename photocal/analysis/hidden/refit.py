@@ -1,0 +1,194 @@
+"""Adjusting a network again with something changed, starting where it already was."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.adjustment.covariance import complete
+from photocal.adjustment.network import Network
+from photocal.adjustment.normal import prepare
+from photocal.adjustment.solution import Solution
+from photocal.adjustment.solver import minimise
+from photocal.adjustment.state import State, start_state
+from photocal.analysis.estimates import Array
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A network at its minimum.
+
+    Attributes
+    ----------
+    network : Network
+        What was adjusted.
+    state : State
+        Values of all unknowns there.
+    solution : Solution
+        With its statistics.
+    """
+
+    network: Network
+    state: State
+    solution: Solution
+
+
+@dataclass(frozen=True)
+class Lowest:
+    """The minimum of a network, without statistics.
+
+    Attributes
+    ----------
+    state : State
+        Values of all unknowns there.
+    chi_squared : float
+        Sum of v'Pv.
+    """
+
+    state: State
+    chi_squared: float
+
+
+def fit(network: Network, state: State | None = None) -> Fit:
+    """Adjust a network with its statistics.
+
+    Parameters
+    ----------
+    network : Network
+        What to adjust.
+    state : State, optional
+        Where to start; the network's own start values otherwise.
+
+    Returns
+    -------
+    Fit
+        Minimum and statistics.
+
+    Raises
+    ------
+    IllPosedError, NotConvergedError
+        As the adjustment does.
+    """
+    problem = prepare(network)
+    minimum = minimise(problem, start_state(network) if state is None else state)
+    return Fit(network, minimum.state, complete(problem, minimum))
+
+
+def lowest(network: Network, state: State) -> Lowest:
+    """Adjust a network without statistics.
+
+    Parameters
+    ----------
+    network : Network
+        What to adjust.
+    state : State
+        Where to start.
+
+    Returns
+    -------
+    Lowest
+        Where the iteration ended.
+
+    Raises
+    ------
+    IllPosedError, NotConvergedError
+        As the adjustment does.
+    """
+    minimum = minimise(prepare(network), state)
+    return Lowest(minimum.state, minimum.iterations[-1].chi_squared)
+
+
+def with_measurements(network: Network, plane: Array) -> Network:
+    """Give the network other measured image coordinates.
+
+    Parameters
+    ----------
+    network : Network
+        The network.
+    plane : (n, 2) array
+        Image plane coordinates in the unit of each camera.
+
+    Returns
+    -------
+    Network
+        All else as it was.
+    """
+    return replace(network, rays=replace(network.rays, plane=plane))
+
+
+def with_sigmas(network: Network, factor: float) -> Network:
+    """Give the network other standard deviations of the image coordinates.
+
+    Parameters
+    ----------
+    network : Network
+        The network.
+    factor : float
+        By which all are multiplied.
+
+    Returns
+    -------
+    Network
+        All else as it was.
+    """
+    return replace(network, rays=replace(network.rays, sigma=network.rays.sigma * factor))
+
+
+def without_images(network: Network, state: State, left_out: NDArray[np.bool_]) -> tuple[Network, State]:
+    """Take images out of a network, and the points that are then not determined.
+
+    Parameters
+    ----------
+    network : Network
+        The network.
+    state : State
+        Its current values.
+    left_out : (images,) array of bool
+        True for those to take out.
+
+    Returns
+    -------
+    network : Network
+        The smaller network.
+    state : State
+        Current values of what is left.
+    """
+    image_place = np.cumsum(~left_out) - 1
+    kept = ~left_out[network.rays.image]
+    count = np.bincount(network.rays.point[kept], minlength=len(network.point_names))
+    known = network.points.held.any(axis=1) | (np.diagonal(network.points.weight, axis1=1, axis2=2) > 0).any(
+        axis=1
+    )
+    points = (count >= 2) | (known & (count >= 1))
+    kept &= points[network.rays.point]
+    point_place = np.cumsum(points) - 1
+    rays = network.rays
+    smaller = Network(
+        network.cameras,
+        replace(
+            network.exposures,
+            camera=network.exposures.camera[~left_out],
+            values=network.exposures.values[~left_out],
+            sigma=network.exposures.sigma[~left_out],
+        ),
+        replace(
+            network.points,
+            values=network.points.values[points],
+            held=network.points.held[points],
+            weight=network.points.weight[points],
+        ),
+        replace(
+            rays,
+            image=image_place[rays.image[kept]],
+            point=point_place[rays.point[kept]],
+            plane=rays.plane[kept],
+            sigma=rays.sigma[kept],
+        ),
+        tuple(name for name, out in zip(network.image_names, left_out, strict=True) if not out),
+        tuple(name for name, has in zip(network.point_names, points, strict=True) if has),
+    )
+    return smaller, State(
+        state.cameras.copy(), state.rotation[~left_out], state.centre[~left_out], state.points[points]
+    )

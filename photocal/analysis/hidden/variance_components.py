@@ -1,0 +1,144 @@
+"""Variance components: which images, cameras or axes scatter more than the others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.analysis.estimates import Array
+
+
+@dataclass(frozen=True)
+class VarianceComponent:
+    """Scatter of one group of observations.
+
+    Attributes
+    ----------
+    name : str
+        Image, camera or axis.
+    observations : int
+        Number of observations.
+    redundancy : float
+        Sum of their redundancy numbers.
+    ratio : float
+        Standard deviation found over the one that was assumed.
+    p_value : float
+        Two-sided probability of so different a scatter from that of all others, already multiplied by
+        the number of groups.
+    """
+
+    name: str
+    observations: int
+    redundancy: float
+    ratio: float
+    p_value: float
+
+
+def variance_components(
+    names: tuple[str, ...], group: NDArray[np.int64], squares: Array, redundancy: Array
+) -> tuple[VarianceComponent, ...]:
+    """Estimate the variance of groups of observations from their residuals and redundancy numbers.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Names of the m groups.
+    group : (n,) array of int
+        Group of each observation.
+    squares : (n,) array
+        Squared residuals over the assumed variances, (v / sigma)^2.
+    redundancy : (n,) array
+        Redundancy numbers, 0 to 1.
+
+    Returns
+    -------
+    tuple of VarianceComponent
+        One for each group with at least two checked observations, in order.
+
+    Notes
+    -----
+    sigma_i^2 = v'Pv_i / r_i (Foerstner 1979, one step), judged by F with r_i and r - r_i degrees of freedom.
+    """
+    from scipy import stats
+
+    m = len(names)
+    total = np.bincount(group, squares, m)
+    checked = np.bincount(group, redundancy, m)
+    count = np.bincount(group, minlength=m)
+    whole, all_checked = float(total.sum()), float(checked.sum())
+    found = []
+    for i, name in enumerate(names):
+        others = all_checked - checked[i]
+        if checked[i] < 2.0:
+            continue
+        p_value = 1.0
+        if others >= 2.0 and whole > total[i] > 0.0:
+            statistic = (total[i] / checked[i]) / ((whole - total[i]) / others)
+            upper = float(stats.f.sf(statistic, checked[i], others))
+            p_value = min(1.0, 2.0 * m * min(upper, 1.0 - upper))
+        ratio = float(np.sqrt(total[i] / checked[i]))
+        found.append(VarianceComponent(name, int(count[i]), float(checked[i]), ratio, p_value))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class AssumedSigma:
+    """Standard deviation of the image coordinates, assumed and found.
+
+    Attributes
+    ----------
+    assumed, found : float
+        In the unit of the image plane.
+    rms : float
+        Root mean square of the residuals, in the same unit.
+    lower, upper : float
+        Confidence interval of the one that was found.
+    redundancy : float
+        What it rests on.
+    p_value : float
+        Two-sided probability of the residuals if the assumption holds.
+    """
+
+    assumed: float
+    found: float
+    rms: float
+    lower: float
+    upper: float
+    redundancy: float
+    p_value: float
+
+
+def assumed_sigma(
+    sigma: Array, residual: Array, redundancy: Array, probability: float = 0.95
+) -> AssumedSigma:
+    """Compare the assumed standard deviation of image coordinates with that of the residuals.
+
+    Parameters
+    ----------
+    sigma, residual, redundancy : (n, 2) array
+        Assumed standard deviations, residuals and redundancy numbers of the rays.
+    probability : float
+        Confidence of the interval.
+
+    Returns
+    -------
+    AssumedSigma
+        Both, with the interval.
+    """
+    from scipy import stats
+
+    squares, r = float(np.sum((residual / sigma) ** 2)), float(redundancy.sum())
+    tail = (1.0 - probability) / 2.0
+    assumed = float(np.median(sigma))
+    above = float(stats.chi2.sf(squares, r))
+    return AssumedSigma(
+        assumed,
+        assumed * float(np.sqrt(squares / r)),
+        float(np.sqrt(np.mean(residual**2))),
+        assumed * float(np.sqrt(squares / stats.chi2.ppf(1.0 - tail, r))),
+        assumed * float(np.sqrt(squares / stats.chi2.ppf(tail, r))),
+        r,
+        2.0 * min(above, 1.0 - above),
+    )
