@@ -9,6 +9,7 @@ import numpy as np
 
 from drivers.errors import ConfigurationError
 from photocal.planning.area import FloatArray, inside, polygon_area
+from photocal.planning.strips import best_azimuth
 
 # Side of the grid of candidate places as a share of the root of the area.
 _GRID_SHARE = 1.0 / 60.0
@@ -67,10 +68,11 @@ def suggest_layout(corners_m: FloatArray, control: int, check: int, margin_m: fl
             f"the area has no room for {control + check} points {margin_m:g} m from its border",
             remedy="plan fewer points or a smaller margin",
         )
-    centre = candidates.mean(axis=0)
-    first = int(np.argmax(np.sum((candidates - centre) ** 2, axis=1)))
-    order = _farthest(candidates, [first], control)
-    chosen = _farthest(candidates, order, control + check)
+    corners = _corner_candidates(candidates, corners_m)
+    # When there are fewer control points than corners, the ones farthest apart are taken.
+    if control < len(corners):
+        corners = [corners[row] for row in _farthest(candidates[corners], [0], control)]
+    chosen = _farthest(candidates, corners, control + check)
     return ControlLayout(candidates[chosen[:control]], candidates[chosen[control:]])
 
 
@@ -81,6 +83,17 @@ def _candidates(corners: FloatArray, margin: float) -> FloatArray:
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     grid = grid[inside(grid, corners)]
     return grid[_distance_to_border(grid, corners) >= margin]
+
+
+def _corner_candidates(candidates: FloatArray, corners: FloatArray) -> list[int]:
+    """Find the candidates farthest out in the four directions between the axes of the area."""
+    azimuth = best_azimuth(corners)
+    along = np.array([math.sin(azimuth), math.cos(azimuth)])
+    across = np.array([along[1], -along[0]])
+    # In units of the extent, so that the corners of a long area are its four corners too.
+    frame = np.column_stack([candidates @ axis / np.ptp(corners @ axis) for axis in (along, across)])
+    directions = np.array([[1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]])
+    return list(dict.fromkeys(np.argmax(frame @ directions.T, axis=0).tolist()))
 
 
 def _distance_to_border(points: FloatArray, corners: FloatArray) -> FloatArray:

@@ -196,13 +196,18 @@ def plan_flight(area: Area, wish: Wish) -> Flight:
     azimuth = best_azimuth(corners) if wish.azimuth_rad is None else wish.azimuth_rad
     main = level_geometry(wish, wish.height_m)
     levels = [main]
-    strips = plan_strips(corners, azimuth, main.strip_spacing_m, main.base_m, main.height_m)
+    strips = _strips(corners, azimuth, main, wish.along)
     if wish.cross_strips or wish.second_height_m is not None:
         cross = main
         if wish.second_height_m is not None:
             cross = level_geometry(wish, wish.second_height_m)
             levels.append(cross)
-        strips += plan_strips(
-            corners, azimuth + math.pi / 2.0, cross.strip_spacing_m, cross.base_m, cross.height_m
-        )
+        strips += _strips(corners, azimuth + math.pi / 2.0, cross, wish.along)
     return Flight(area, plane, corners, wish, azimuth, tuple(levels), strips)
+
+
+def _strips(corners: FloatArray, azimuth: float, level: LevelGeometry, along: Side) -> tuple[Strip, ...]:
+    ground_along = level.footprint_m[0 if along == "columns" else 1]
+    return plan_strips(
+        corners, azimuth, level.strip_spacing_m, level.base_m, ground_along / 2.0, level.height_m
+    )

@@ -61,13 +61,18 @@ def best_azimuth(corners_m: FloatArray) -> float:
 
 
 def plan_strips(
-    corners_m: FloatArray, azimuth_rad: float, spacing_m: float, base_m: float, height_m: float
+    corners_m: FloatArray,
+    azimuth_rad: float,
+    spacing_m: float,
+    base_m: float,
+    run_out_m: float,
+    height_m: float,
 ) -> tuple[Strip, ...]:
     """Cover a polygon with parallel strips, flown to and fro.
 
-    The outer strips fly along the border or outside, so that ground at the border is seen from both
-    sides, and each strip begins and ends at least one base outside, so that it is seen in stereo. The
-    distances are evened out: never larger than asked.
+    The outer strips fly along the border, so that ground at the border lies in the middle of their
+    photos, and each strip runs out beyond the area. The distances of the strips are evened out: never
+    larger than asked.
 
     Parameters
     ----------
@@ -79,6 +84,9 @@ def plan_strips(
         Largest distance of the strips, m.
     base_m : float
         Distance of the exposures, m.
+    run_out_m : float
+        Distance by which each strip goes on beyond the area, m; half a footprint gives the ground at the
+        border as many photos as the middle has.
     height_m : float
         Height above ground, m.
 
@@ -92,12 +100,12 @@ def plan_strips(
     ConfigurationError
         When distances are not positive or the plan would need absurdly many exposures.
     """
-    if not (spacing_m > 0.0 and base_m > 0.0):
+    if not (spacing_m > 0.0 and base_m > 0.0 and run_out_m >= 0.0):
         raise ConfigurationError("the distances of strips and exposures must be positive")
     along, across = _along(corners_m, azimuth_rad), _across(corners_m, azimuth_rad)
     width, length = float(np.ptp(across)), float(np.ptp(along))
     count = max(1, math.ceil(width / spacing_m - 1e-9)) + 1
-    if count * (length / base_m + 3.0) > _MOST_EXPOSURES:
+    if count * ((length + 2.0 * run_out_m) / base_m + 2.0) > _MOST_EXPOSURES:
         raise ConfigurationError(
             f"the plan would need more than {_MOST_EXPOSURES} exposures",
             remedy="look at height, overlap and area",
@@ -108,7 +116,7 @@ def plan_strips(
     strips = []
     for number, line in enumerate(lines):
         first, last = _extent_in_band(rotated, float(line - half), float(line + half))
-        exposures = math.ceil((last - first) / base_m - 1e-9) + 3
+        exposures = math.ceil((last - first + 2.0 * run_out_m) / base_m - 1e-9) + 1
         middle = (first + last) / 2.0
         steps: FloatArray = middle + (np.arange(exposures, dtype=np.float64) - (exposures - 1) / 2.0) * base_m
         if number % 2:

@@ -1,0 +1,149 @@
+"""Planning figures that studies printed, and what follows from them."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.errors import ConfigurationError
+from photocal.planning.error_budget import error_budget, joined
+from photocal.planning.expected_precision import (
+    corner_precision,
+    expected_altimetric_accuracy,
+    normal_case_height_sigma,
+    parallax_sigma,
+    stereo_precision,
+)
+from photocal.planning.exposure import exposure_interval, smear_px, tilt_findings, tilted_overlap
+from photocal.planning.frame import (
+    Frame,
+    air_base,
+    flying_height,
+    footprint,
+    ground_sample_distance,
+    image_point,
+    overlap_at,
+    scale_denominator,
+)
+
+ELPH = Frame(4.38e-3, 0.0013368e-3, 4608, 3456)
+IXUS = Frame(4.382e-3, 1.54e-6, 4000, 3000)
+PHANTOM = Frame(8.8e-3, 2.41e-6, 5472, 3648)
+
+
+def test_canon_elph_scale_and_height() -> None:
+    denominator = scale_denominator(0.08, ELPH.pixel_m)
+    assert denominator == pytest.approx(59844.40, abs=0.005)
+    assert flying_height(ELPH.focal_m, denominator) == pytest.approx(262.12, abs=0.005)
+    # The long side of the sensor as printed, 6.17219 mm; the study prints 73.2 m instead.
+    assert air_base(0.80, 6.17219e-3 * denominator) == pytest.approx(73.87, abs=0.005)
+
+
+def test_canon_elph_planning_figures_to_a_millimetre() -> None:
+    """Equations 34-39 with the printed base of 73.2 m; the last digits are truncated in print."""
+    x, y = image_point(4377.0, 3283.0, ELPH)
+    assert (x * 1e3, y * 1e3) == pytest.approx((2.771, -2.079), abs=1e-3)
+    sigma = ELPH.pixel_m / 2.0
+    assert sigma * 1e3 == pytest.approx(0.0006684, abs=5e-8)
+    assert parallax_sigma(sigma) * 1e3 == pytest.approx(0.000945, abs=5e-7)
+    height = flying_height(ELPH.focal_m, scale_denominator(0.08, ELPH.pixel_m))
+    found = stereo_precision(height, 73.2, ELPH.focal_m, (x, y), sigma)
+    assert found.x_m == pytest.approx(0.134, abs=1e-3)
+    assert found.y_m == pytest.approx(0.104, abs=1e-3)
+    assert found.z_m == pytest.approx(0.202, abs=1e-3)
+    assert found.plane_m == pytest.approx(0.170, abs=1e-3)
+    # With four digits, recomputed independently.
+    assert (found.x_m, found.y_m, found.z_m, found.plane_m) == pytest.approx(
+        (0.1343, 0.1042, 0.2026, 0.1699), abs=5.1e-5
+    )
+    corner = corner_precision(ELPH, height, 73.2, 0.5)
+    assert corner.plane_m == pytest.approx(found.plane_m, abs=1e-4)
+
+
+def test_canon_elph_error_budget() -> None:
+    plane = [stage.allowed_m for stage in error_budget(0.17)]
+    height = [stage.allowed_m for stage in error_budget(0.34)]
+    # Printed 0.056, 0.018 and 0.11, 0.036 m: truncated thirds (the second from the truncated first).
+    assert plane == pytest.approx([0.17, 0.056, 0.018], abs=1e-3)
+    assert height == pytest.approx([0.34, 0.11, 0.036], abs=4e-3)
+    assert joined(error_budget(1.0)) == pytest.approx(math.sqrt(1 + 1 / 9 + 1 / 81))
+
+
+def test_ixus220_height_resolution_and_footprint() -> None:
+    nominal = Frame(5.1e-3, 1.54e-6, 4000, 3000)
+    assert flying_height(nominal.focal_m, scale_denominator(0.20, 1.54e-6)) == pytest.approx(662.3, abs=0.05)
+    assert flying_height(IXUS.focal_m, scale_denominator(0.20, 1.54e-6)) == pytest.approx(569.09, abs=0.005)
+    assert ground_sample_distance(711.0, IXUS) == pytest.approx(0.249872, abs=5e-7)
+    assert ground_sample_distance(716.0, IXUS) == pytest.approx(0.251629, abs=5e-7)
+    assert ground_sample_distance(680.0, IXUS) == pytest.approx(0.23898, abs=5e-6)
+    width, height = footprint(0.25, IXUS)
+    assert (width, height) == pytest.approx((1000.0, 750.0))
+    assert width * height / 1e4 == pytest.approx(75.0)
+    assert air_base(0.70, height) == pytest.approx(225.0)
+    assert air_base(0.70, width) == pytest.approx(300.0)
+
+
+def test_ixus220_expected_height_sigma_is_not_the_printed_ten_centimetres() -> None:
+    assert normal_case_height_sigma(711.0, 225.0, IXUS.focal_m, 1.54e-6) == pytest.approx(0.7896, abs=5e-5)
+    assert normal_case_height_sigma(711.0, 300.0, IXUS.focal_m, 1.54e-6) == pytest.approx(0.5922, abs=5e-5)
+
+
+def test_phantom4pro_resolution_and_altimetric_accuracy() -> None:
+    assert ground_sample_distance(100.0, PHANTOM) * 100 == pytest.approx(2.7386, abs=5e-5)
+    assert expected_altimetric_accuracy(100.0, 158.4, 8.8e-3, 0.0241e-3) * 100 == pytest.approx(
+        24.45086, abs=5e-6
+    )
+    assert expected_altimetric_accuracy(100.0, 0.3 * 3648 * 0.0317, 8.8e-3, 2.41e-6) * 100 == pytest.approx(
+        11.164, abs=5e-4
+    )
+
+
+@settings(deadline=None)
+@given(st.floats(0.0, 0.95), st.floats(1.0, 2000.0))
+def test_base_and_overlap_belong_together(overlap: float, side: float) -> None:
+    assert overlap_at(air_base(overlap, side), side) == pytest.approx(overlap, abs=1e-12)
+
+
+@pytest.mark.parametrize("overlap", [1.0, 1.2, -0.1, 80.0, math.nan])
+def test_overlaps_that_cannot_be_flown(overlap: float) -> None:
+    with pytest.raises(ConfigurationError, match="overlap"):
+        air_base(overlap, 100.0)
+
+
+def test_exposure_interval_follows_the_ground_speed() -> None:
+    assert exposure_interval(30.0, 10.0) == pytest.approx(3.0)
+    # 0.055 m/s of Doppler noise changes the distance of photos by half a percent at 10 m/s.
+    assert exposure_interval(30.0, 10.055) == pytest.approx(3.0, rel=6e-3)
+    with pytest.raises(ConfigurationError, match="speed"):
+        exposure_interval(30.0, 0.0)
+    assert smear_px(0.01, 10.0, 0.0274) == pytest.approx(3.65, abs=0.01)
+
+
+def test_tilt_is_warned_beyond_3_and_refused_beyond_5_degrees() -> None:
+    def code(degrees: float) -> list[str]:
+        found = tilt_findings(math.radians(degrees), 0.0, 0.7, math.radians(30.0))
+        return [finding.code for finding in found]
+
+    assert code(2.9) == []
+    assert code(4.0) == ["tilt"]
+    # The executed ixus220 flight: omega up to 13 degrees.
+    assert code(13.0) == ["tilt-beyond-tolerance"]
+
+
+def test_tilted_overlap_in_the_plane_of_the_drawing() -> None:
+    """Neighbour at base B = 2 tan(a) (1 - p), tilted away by t: its near edge is at B - tan(a - t)."""
+    half, tilt, overlap = math.radians(35.0), math.radians(6.0), 0.6
+    side = 2.0 * math.tan(half)
+    near_edge = (1.0 - overlap) * side - math.tan(half - tilt)
+    assert tilted_overlap(overlap, tilt, half) == pytest.approx((math.tan(half) - near_edge) / side)
+    assert tilted_overlap(overlap, 0.0, half) == pytest.approx(overlap)
+
+
+def test_frames_and_budgets_that_cannot_be() -> None:
+    with pytest.raises(ConfigurationError, match="positive"):
+        Frame(0.0, 1e-6, 100, 100)
+    with pytest.raises(ConfigurationError, match="standard error"):
+        error_budget(-1.0)
