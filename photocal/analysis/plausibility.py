@@ -59,8 +59,12 @@ class CalibrationRecord:
         Correlation matrix, shape (n, n), of the named parameters.
     correlation_rounding : float
         Half a unit of the last printed decimal of the correlations; 0 for computed ones.
+    reference_radius : float
+        R0 of a balanced polynomial, in the unit of its coordinates.
     size_px : tuple of int
         Width and height.
+    observed_radius : float
+        Largest distance of an observation from the principal point, in `unit`; the corner if not stated.
     pitch_mm : float
         Size of a pixel.
     sensor_mm : tuple of float
@@ -81,7 +85,9 @@ class CalibrationRecord:
     names: tuple[str, ...] = ()
     correlation: Floats | None = None
     correlation_rounding: float = 0.0
+    reference_radius: float = 0.0
     size_px: tuple[int, int] | None = None
+    observed_radius: float | None = None
     pitch_mm: float | None = None
     sensor_mm: tuple[float, ...] | None = None
     nominal_focal_mm: float | None = None
@@ -195,11 +201,13 @@ def _folding(record: CalibrationRecord) -> list[Finding]:
     scaled = r / record.values["c"] if record.coefficients == "normalised" else r
     k = np.array([record.values.get(name, 0.0) for name in RADIAL])
     powers = np.arange(2, 2 * len(RADIAL) + 1, 2)
-    slope = (scaled[:, None] ** powers * (powers + 1)) @ k
+    slope = (scaled[:, None] ** powers * (powers + 1) - record.reference_radius**powers) @ k
     slope = 1.0 + slope if record.direction == "ideal" else 1.0 - slope
     if slope.min() > 0.0:
         return []
     figures = {"radius": float(r[np.argmax(slope <= 0.0)]), "corner": corner, "slope": float(slope.min())}
+    if record.observed_radius is not None and figures["radius"] > record.observed_radius:
+        return [Finding("distortion_folds_outside", "doubtful", "K", figures)]
     return [Finding("distortion_folds", "refused", "K", figures)]
 
 

@@ -20,31 +20,50 @@ def certificate(
     date: Annotated[
         str | None, typer.Option(help="Day of the certificate, YYYY-MM-DD; today if not given.")
     ] = None,
+    block: Annotated[
+        Path | None,
+        typer.Option(
+            help="Block folder of the run: the certificate then carries the inputs for `photocal verify`."
+        ),
+    ] = None,
+    particulars: Annotated[
+        Path | None,
+        typer.Option(
+            help="TOML file: camera, campaign, positioning system, equipment, validity, responsible."
+        ),
+    ] = None,
     client: Annotated[str, typer.Option(help="For whom.")] = "",
     operator: Annotated[str, typer.Option(help="By whom.")] = "",
     as_json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
 ) -> None:
-    """Write the certificate of a calibration: one HTML page and a PDF.
+    """Write the certificate of a calibration: HTML page, PDF and JSON.
 
-    Example: `photocal certificate run -o certificate --language pt-BR`
+    Example: `photocal certificate run -o certificate --block block --language pt-BR`
     """
     from acquire.outputs import output_folder
+    from photocal.report.carried_inputs import FOLDER, carry, find_inputs
     from photocal.report.catalogue import catalogue
     from photocal.report.certificate import certificate as compose
     from photocal.report.html import html
-    from photocal.report.particulars import Particulars
+    from photocal.report.particulars import read_particulars
     from photocal.report.pdf import pdf
+    from photocal.report.record import NAME, record, with_documents
     from photocal.report.run import read_run
 
     day = _day(date)
     say = catalogue(language)
-    particulars = Particulars(day, client, operator)
-    document = compose(read_run(run), particulars, say)
-    page, paper = html(document), pdf(document, day)
+    given = read_particulars(particulars, day, client=client, operator=operator)
+    results = read_run(run)
+    inputs = find_inputs(results, run, block)
+    document = compose(results, given, say)
+    forms = {"certificate.html": html(document).encode(), "certificate.pdf": pdf(document, day)}
+    forms[NAME] = with_documents(record(results, given, say), forms)
     with output_folder(output) as folder:
-        (folder / "certificate.html").write_text(page, encoding="utf-8")
-        (folder / "certificate.pdf").write_bytes(paper)
-    written = [str(output / name) for name in ("certificate.html", "certificate.pdf")]
+        for name, content in forms.items():
+            (folder / name).write_bytes(content)
+        if inputs is not None:
+            carry(results, inputs, folder)
+    written = [str(output / name) for name in forms] + ([str(output / FOLDER)] if inputs is not None else [])
     answer(
         as_json,
         lambda: {

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import math
 
+from drivers.errors import InputMalformedError
+from photocal.report.acceptance import verdict
 from photocal.report.block_sections import (
     check_points,
     exterior_orientation,
@@ -24,6 +26,17 @@ from photocal.report.camera_sections import (
 from photocal.report.catalogue import Catalogue
 from photocal.report.digits import fixed, measured, relation
 from photocal.report.document import Document, Highlight, KeyValues, Piece, Section, Statement
+from photocal.report.facts import Facts, facts
+from photocal.report.ministry import Context
+from photocal.report.ministry_sections import (
+    acceptance,
+    acceptance_statement,
+    equipment,
+    finding_text,
+    findings,
+    signature,
+    technical_report,
+)
 from photocal.report.particulars import Particulars
 from photocal.report.run import CameraResult, Run
 from photocal.report.sensor import sensor_residuals
@@ -46,8 +59,15 @@ def certificate(run: Run, particulars: Particulars, say: Catalogue) -> Document:
     Returns
     -------
     Document
+
+    Raises
+    ------
+    InputMalformedError
+        When a figure cannot be right: it is not printed.
     """
     result = run.result
+    known = tuple(facts(run, camera_id, particulars) for camera_id in result.cameras)
+    _refuse_impossible(known, say)
     return Document(
         language=say.language,
         title=say("title.certificate"),
@@ -55,14 +75,14 @@ def certificate(run: Run, particulars: Particulars, say: Catalogue) -> Document:
         number=certificate_number(run, particulars),
         facts=_facts(run, particulars, say),
         highlights=_highlights(run, say),
-        verdicts=_verdicts(run, say),
-        sections=_sections(run, say),
+        verdicts=_verdicts(run, known, say),
+        sections=_sections(run, particulars, known, say),
         words={word: say(f"word.{word}") for word in WORDS},
     )
 
 
 def certificate_number(run: Run, particulars: Particulars) -> str:
-    """Make the number of a certificate from its date and what it certifies, in whatever language.
+    """Make the number of a certificate from its date, inputs, software and particulars, in whatever language.
 
     Parameters
     ----------
@@ -76,7 +96,9 @@ def certificate_number(run: Run, particulars: Particulars) -> str:
     str
         "PC-20261121-1A2B3C4D".
     """
-    content = [*(f"{f.path} {f.sha256}" for f in (*run.result.inputs, *run.files)), repr(particulars)]
+    software = run.result.software
+    files = (f"{f.path} {f.sha256}" for f in run.result.inputs)
+    content = [f"{software.name} {software.version}", *files, repr(particulars)]
     digest = hashlib.sha256("\n".join(content).encode()).hexdigest()
     return f"PC-{particulars.date:%Y%m%d}-{digest[:8].upper()}"
 
@@ -86,8 +108,8 @@ def _facts(run: Run, particulars: Particulars, say: Catalogue) -> KeyValues:
     rows = [
         (say("title.number"), certificate_number(run, particulars)),
         (say("title.date"), say.date(particulars.date)),
-        (say("title.client"), particulars.client),
-        (say("title.operator"), particulars.operator),
+        (say("title.client"), particulars.document.client),
+        (say("title.operator"), particulars.document.operator),
         (say("title.block"), run.result.block.name),
         (say("title.software"), f"{software.name} {software.version}"),
     ]
@@ -163,7 +185,7 @@ def _checks(run: Run, say: Catalogue) -> Highlight:
     )
 
 
-def _verdicts(run: Run, say: Catalogue) -> tuple[Statement, ...]:
+def _verdicts(run: Run, known: tuple[Facts, ...], say: Catalogue) -> tuple[Statement, ...]:
     result, test = run.result, run.result.global_test
     verdicts: list[Statement] = []
     if not result.converged:
@@ -173,12 +195,16 @@ def _verdicts(run: Run, say: Catalogue) -> tuple[Statement, ...]:
         key = "accepted" if test.accepted else "large" if result.chi_squared > test.upper else "small"
         text = say(f"verdict.{key}", probability=percent(test.probability, say))
         verdicts.append(Statement("good" if test.accepted else "bad", say(f"verdict.{key}_title"), text))
+    judged = [acceptance_statement(of, say) for of in known if verdict(of.limits) != "not_determined"]
+    verdicts += judged
     if result.checks.n == 0:
         verdicts.append(Statement("note", say("verdict.unchecked_title"), say("verdict.unchecked")))
     return tuple(verdicts)
 
 
-def _sections(run: Run, say: Catalogue) -> tuple[Section, ...]:
+def _sections(
+    run: Run, particulars: Particulars, known: tuple[Facts, ...], say: Catalogue
+) -> tuple[Section, ...]:
     cameras = run.result.cameras
     several = len(cameras) > 1
     facts: tuple[Piece, ...] = tuple(camera_facts(name, camera, say) for name, camera in cameras.items())
@@ -200,8 +226,39 @@ def _sections(run: Run, say: Catalogue) -> tuple[Section, ...]:
         exterior_orientation(say("eop.section"), run, say),
         check_points(say("checks.section"), run, say),
         global_test(say("test.section"), run, say),
+        *_judgements(run, particulars, known, say),
         inputs(say("inputs.section"), run, say),
+        signature(say("signature.section"), particulars, say),
     )
+
+
+def _judgements(
+    run: Run, particulars: Particulars, known: tuple[Facts, ...], say: Catalogue
+) -> list[Section]:
+    """Plausibility, acceptance and the ministry's form of each camera, and the equipment once."""
+
+    def title(key: str, of: Facts) -> str:
+        return f"{say(key)}: {of.camera_id}" if len(known) > 1 else say(key)
+
+    sections = [findings(title("plausibility.section", of), of.findings, say) for of in known]
+    sections += [acceptance(title("acceptance.section", of), of, say) for of in known]
+    sections.append(equipment(say("equipment.section"), particulars, say))
+    for of in known:
+        context = Context(run, particulars, of, say)
+        sections.append(technical_report(title("ministry.section", of), context))
+    return sections
+
+
+def _refuse_impossible(known: tuple[Facts, ...], say: Catalogue) -> None:
+    """A figure that cannot be right is not printed."""
+    for of in known:
+        refused = [finding_text(finding, say) for finding in of.findings if finding.severity == "refused"]
+        if refused:
+            raise InputMalformedError(
+                " ".join(refused),
+                where=f"camera {of.camera_id}",
+                remedy="correct the block or the particulars",
+            )
 
 
 def _correlations(title: str, name: str, camera: CameraResult, say: Catalogue) -> list[Section]:

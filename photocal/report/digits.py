@@ -97,6 +97,25 @@ def significant(value: float, digits: int, mark: str) -> str:
     return fixed(value, decimals_of(abs(value), digits), mark)
 
 
+def as_given(value: float, mark: str) -> str:
+    """Print a number with the digits that it was given with, ten at most.
+
+    Parameters
+    ----------
+    value : float
+        The number.
+    mark : str
+        The decimal mark.
+
+    Returns
+    -------
+    str
+        The shortest text that says it.
+    """
+    digits = next((d for d in range(1, 11) if float(f"{value:.{d}g}") == value), 10)
+    return fixed(value, max(decimals_of(abs(value), digits), 0), mark) if value else "0"
+
+
 def measured(value: float, sigma: float, mark: str) -> Measured:
     """Print a value with its standard deviation, both to two digits of the latter.
 

@@ -1,23 +1,199 @@
-"""What a certificate says that no adjustment knows: for whom, by whom, when."""
+"""What a certificate says that no adjustment knows: given by a person, in a TOML file, all of it optional."""
 
 from __future__ import annotations
 
 import datetime as dt
-from dataclasses import dataclass
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat, ValidationError
+
+from drivers.errors import ConfigurationError, InputNotFoundError
+
+Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Sigmas = tuple[PositiveFloat, PositiveFloat, PositiveFloat]
+Vertex = tuple[str, FiniteFloat, FiniteFloat]
 
 
-@dataclass(frozen=True)
-class Particulars:
-    """Given by a person, not computed.
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
-    Attributes
+
+class DocumentKeys(_Strict):
+    """Section `[document]`."""
+
+    client: str = ""
+    operator: str = ""
+    place: str = ""
+    comments: str = ""
+    references: tuple[str, ...] = ()
+
+
+class CameraKeys(_Strict):
+    """Section `[camera]`: what the maker says."""
+
+    model: str = ""
+    manufacturer: str = ""
+    serial: str = ""
+    lens_type: str = ""
+    lens_serial: str = ""
+    sensor_type: str = ""
+    sensor_size_mm: Annotated[tuple[PositiveFloat, ...], Field(min_length=1, max_length=2)] | None = None
+    effective_pixels: PositiveFloat | None = None
+    nominal_focal_length_mm: PositiveFloat | None = None
+    pixel_size_mm: PositiveFloat | None = None
+
+
+class GnssInsKeys(_Strict):
+    """Section `[gnss_ins]`: positioning system and its offsets."""
+
+    receiver: str = ""
+    description: str = ""
+    lever_arm_cm: Triple | None = None
+    lever_arm_sigma_cm: Sigmas | None = None
+    boresight_deg: Triple | None = None
+    boresight_sigma_deg: Sigmas | None = None
+    boresight_prior_sigma_deg: PositiveFloat | None = None
+
+
+class CampaignKeys(_Strict):
+    """Section `[campaign]`: field and flight."""
+
+    method: str = ""
+    test_field: str = ""
+    vertices: tuple[Vertex, ...] = ()
+    platform: str = ""
+    flying_height_m: PositiveFloat | None = None
+    gsd_cm: PositiveFloat | None = None
+    iso: PositiveFloat | None = None
+    exposure_time_s: PositiveFloat | None = None
+    air_base_m: PositiveFloat | None = None
+    forward_overlap: Annotated[float, Field(gt=0, lt=1)] | None = None
+
+
+class ExteriorKeys(_Strict):
+    """Section `[exterior_orientation]`: original less calibrated."""
+
+    rmse_m: Triple | None = None
+    mean_m: Triple | None = None
+    rmse_arcsec: Triple | None = None
+    mean_arcsec: Triple | None = None
+
+
+class EquipmentKeys(_Strict):
+    """One `[[equipment]]`."""
+
+    name: str
+    manufacturer: str = ""
+    serial: str = ""
+    use: str = ""
+    calibration: str = ""
+
+
+class ValidityKeys(_Strict):
+    """Section `[validity]`."""
+
+    until: dt.date | None = None
+    conditions: str = ""
+
+
+class ResponsibleKeys(_Strict):
+    """Section `[responsible]`."""
+
+    name: str = ""
+    title: str = ""
+    registration: str = ""
+
+
+class Particulars(_Strict):
+    """All that a person gives; sections as in the file, and the day of the certificate."""
+
+    date: dt.date
+    document: DocumentKeys = DocumentKeys()
+    camera: CameraKeys = CameraKeys()
+    gnss_ins: GnssInsKeys = GnssInsKeys()
+    campaign: CampaignKeys = CampaignKeys()
+    exterior_orientation: ExteriorKeys = ExteriorKeys()
+    equipment: tuple[EquipmentKeys, ...] = ()
+    validity: ValidityKeys = ValidityKeys()
+    responsible: ResponsibleKeys = ResponsibleKeys()
+
+
+def read_particulars(
+    path: Path | None, date: dt.date, *, client: str = "", operator: str = ""
+) -> Particulars:
+    """Read the particulars of a certificate.
+
+    Parameters
     ----------
+    path : Path or None
+        TOML file; without one nothing but the date is given.
     date : date
         Day of the certificate.
     client, operator : str
-        For whom and by whom; may be empty.
-    """
+        Take the place of those in the file where not empty.
 
-    date: dt.date
-    client: str = ""
-    operator: str = ""
+    Returns
+    -------
+    Particulars
+
+    Raises
+    ------
+    InputNotFoundError
+        When there is no such file.
+    ConfigurationError
+        For a wrong key or value.
+    """
+    keys: dict[str, Any] = _load(path) if path is not None else {}
+    if "date" in keys:
+        raise ConfigurationError("unknown key 'date'", where=path, remedy="give the day by --date")
+    named = {"client": client, "operator": operator}
+    document = keys.get("document", {})
+    if isinstance(document, dict):
+        keys["document"] = {**document, **{key: value for key, value in named.items() if value}}
+    return _validated({**keys, "date": date}, path)
+
+
+def given_particulars(keys: dict[str, Any], date: str) -> Particulars:
+    """Take the particulars from a machine-readable certificate.
+
+    Parameters
+    ----------
+    keys : dict
+        Sections as in the file.
+    date : str
+        Day of the certificate, YYYY-MM-DD.
+
+    Returns
+    -------
+    Particulars
+
+    Raises
+    ------
+    ConfigurationError
+        For a wrong key or value.
+    """
+    return _validated({**keys, "date": date}, "certificate.json, particulars")
+
+
+def _validated(keys: dict[str, Any], where: object) -> Particulars:
+    try:
+        return Particulars.model_validate(keys)
+    except ValidationError as refusal:
+        first = refusal.errors()[0]
+        place = ".".join(str(step) for step in first["loc"])
+        raise ConfigurationError(
+            f"{place}: {first['msg']}",
+            where=where,
+            remedy="see configs/certificates/example_particulars.toml",
+        ) from None
+
+
+def _load(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, IsADirectoryError):
+        raise InputNotFoundError("no such file", where=path, remedy="name the file of particulars") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as broken:
+        raise ConfigurationError(f"is not TOML ({broken})", where=path, remedy="correct the file") from None

@@ -13,7 +13,7 @@ import pytest
 from photocal.report.catalogue import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.document import Document
-from photocal.report.particulars import Particulars
+from photocal.report.particulars import read_particulars
 from photocal.report.run import Run, read_run
 
 DAY = dt.date(2026, 11, 21)
@@ -69,5 +69,5 @@ def published_run(published_folder: Path) -> Run:
 @pytest.fixture(scope="session", params=["en", "pt-BR"])
 def document(request: pytest.FixtureRequest, invented_run: Run) -> Document:
     """The certificate of the invented run in each language."""
-    particulars = Particulars(DAY, client="Client <b>&</b> Sons", operator="Laboratório")
+    particulars = read_particulars(None, DAY, client="Client <b>&</b> Sons", operator="Laboratório")
     return certificate(invented_run, particulars, catalogue(request.param))

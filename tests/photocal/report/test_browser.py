@@ -36,7 +36,7 @@ def browser() -> Iterator[Browser]:
 def page_file(
     request: pytest.FixtureRequest, invented_run: Run, tmp_path_factory: pytest.TempPathFactory
 ) -> Path:
-    document = certificate(invented_run, Particulars(dt.date(2026, 11, 21)), catalogue(request.param))
+    document = certificate(invented_run, Particulars(date=dt.date(2026, 11, 21)), catalogue(request.param))
     path: Path = tmp_path_factory.mktemp("page") / "certificate.html"
     path.write_text(html(document), encoding="utf-8")
     return path

@@ -19,7 +19,7 @@ from photocal.report.catalogue import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.document import Document, Figure, Table
 from photocal.report.html import html
-from photocal.report.particulars import Particulars
+from photocal.report.particulars import Particulars, read_particulars
 from photocal.report.pdf import pdf
 from photocal.report.run import Run, read_run
 
@@ -87,7 +87,7 @@ def test_given_text_is_escaped(document: Document) -> None:
 
 
 def test_same_run_gives_the_same_bytes(document: Document, invented_run: Run) -> None:
-    particulars = Particulars(DAY, client="Client <b>&</b> Sons", operator="Laboratório")
+    particulars = read_particulars(None, DAY, client="Client <b>&</b> Sons", operator="Laboratório")
     again = certificate(invented_run, particulars, catalogue(document.language))
     assert html(again) == html(document)
     assert pdf(again, DAY) == pdf(document, DAY)
@@ -95,9 +95,9 @@ def test_same_run_gives_the_same_bytes(document: Document, invented_run: Run) ->
 
 def test_number_does_not_depend_on_language_but_on_content(invented_run: Run) -> None:
     numbers = [
-        certificate(invented_run, Particulars(DAY), catalogue(code)).number for code in ("en", "pt-BR")
+        certificate(invented_run, Particulars(date=DAY), catalogue(code)).number for code in ("en", "pt-BR")
     ]
-    other = certificate(invented_run, Particulars(DAY, client="other"), catalogue("en")).number
+    other = certificate(invented_run, read_particulars(None, DAY, client="other"), catalogue("en")).number
     assert numbers[0] == numbers[1] != other
     assert re.fullmatch(r"PC-20261121-[0-9A-F]{8}", numbers[0])
 
@@ -153,7 +153,7 @@ def test_pictures_are_sound(document: Document) -> None:
     ],
 )
 def test_published_calibration_in_both_forms(published_run: Run, language: str, expected: list[str]) -> None:
-    document = certificate(published_run, Particulars(DAY), catalogue(language))
+    document = certificate(published_run, Particulars(date=DAY), catalogue(language))
     page = " ".join(outline(html(document)).text)
     paper = words(document)
     for text in expected:
@@ -167,7 +167,7 @@ def test_published_calibration_in_both_forms(published_run: Run, language: str, 
 @pytest.mark.shared
 def test_table_rows_against_the_study(published_run: Run) -> None:
     """Values, standard deviations and t as the study prints them, to two digits of the standard deviation."""
-    document = certificate(published_run, Particulars(DAY), catalogue("en"))
+    document = certificate(published_run, Particulars(date=DAY), catalogue("en"))
     tables = [piece for section in document.sections for piece in section.pieces if isinstance(piece, Table)]
     rows = {row[0]: row for table in tables if len(table.columns) == 7 for row in table.rows}
     assert rows["x₀"][2:] == ("−0.2201", "0.0060", "mm", "−36.4", "yes")
@@ -177,13 +177,13 @@ def test_table_rows_against_the_study(published_run: Run) -> None:
 
 def test_a_parameter_that_is_noise_is_called_so(invented_run: Run) -> None:
     """K2 of the invented run is half of its standard deviation."""
-    text = html(certificate(invented_run, Particulars(DAY), catalogue("en")))
+    text = html(certificate(invented_run, Particulars(date=DAY), catalogue("en")))
     assert "K₂ cannot be told from zero" in text
     assert "K₁ cannot" not in text
 
 
 def test_factor_is_given_and_not_applied(invented_run: Run) -> None:
-    text = html(certificate(invented_run, Particulars(DAY), catalogue("en")))
+    text = html(certificate(invented_run, Particulars(date=DAY), catalogue("en")))
     assert "3412.50" in text
     assert "0.42" in text
     assert "was not applied" in text
@@ -200,13 +200,13 @@ def test_failed_test_is_said_on_top(run_folder: Path, chi_squared: float, title:
     result["chi_squared"] = chi_squared
     result["global_test"]["accepted"] = False
     path.write_text(json.dumps(result), encoding="utf-8")
-    document = certificate(read_run(run_folder), Particulars(DAY), catalogue("en"))
+    document = certificate(read_run(run_folder), Particulars(date=DAY), catalogue("en"))
     assert title in document.verdicts[0].title
     assert document.verdicts[0].tone == "bad"
 
 
 def test_large_block_keeps_to_a_few_pages(large_folder: Path) -> None:
-    document = certificate(read_run(large_folder), Particulars(DAY), catalogue("en"))
+    document = certificate(read_run(large_folder), Particulars(date=DAY), catalogue("en"))
     reader = PdfReader(io.BytesIO(pdf(document, DAY)))
     assert len(reader.pages) < 10
     page = html(document)

@@ -1,0 +1,102 @@
+"""`photocal verify`: whether the figures of a certificate follow from its inputs."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from acquire.console import answer
+
+if TYPE_CHECKING:
+    from photocal.report.verification import Difference
+
+
+def verify(
+    certificate: Annotated[Path, typer.Argument(help="Folder of a certificate, or its certificate.json.")],
+    block: Annotated[
+        Path | None,
+        typer.Option(help="Block folder with the inputs; that carried by the certificate if not given."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+) -> None:
+    """Repeat the computation of a certificate from its inputs and compare every figure.
+
+    Example: `photocal verify certificate`
+    """
+    from drivers.errors import InputMalformedError
+    from photocal.report.record import read_record
+    from photocal.report.verification import changed_documents, changed_inputs
+
+    certified, folder = read_record(certificate)
+    inputs = _inputs(folder, block)
+    changed = changed_inputs(certified, inputs)
+    documents = changed_documents(certified, folder)
+    found = [] if changed else _differences(certified, inputs)
+    problems = [*changed, *documents, *(f"{d.place} is {d.found}, certified {d.certified}" for d in found)]
+    answer(
+        as_json,
+        lambda: {
+            "number": certified["number"],
+            "verified": not problems,
+            "changed_inputs": changed,
+            "changed_documents": documents,
+            "differences": [vars(d) for d in found],
+        },
+        lambda: "\n".join(
+            [
+                f"certificate {certified['number']}, inputs in {inputs}",
+                *(f"  {line}" for line in problems[:20]),
+            ]
+            + (
+                []
+                if problems
+                else ["verified: the inputs are the certified ones and give every figure again"]
+            )
+        ),
+    )
+    if problems:
+        raise InputMalformedError(
+            f"not verified: {problems[0]}" + (f" and {len(problems) - 1} more" if len(problems) > 1 else ""),
+            where=certificate,
+            remedy="ask the issuer for the inputs that belong to the certificate",
+        )
+
+
+def _inputs(folder: Path, block: Path | None) -> Path:
+    from drivers.errors import InputNotFoundError
+
+    inputs = block if block is not None else folder / "inputs"
+    if not inputs.is_dir():
+        raise InputNotFoundError(
+            "the inputs of the certificate are not there",
+            where=inputs,
+            remedy="name the block folder by --block",
+        )
+    return inputs
+
+
+def _differences(certified: dict[str, Any], inputs: Path) -> list[Difference]:
+    """Adjust the certified inputs anew and compare all that the certificate says."""
+    from photocal.block.process import adjust_block
+    from photocal.report.catalogue import catalogue
+    from photocal.report.particulars import given_particulars
+    from photocal.report.record import plain_record
+    from photocal.report.run import read_run
+    from photocal.report.verification import differences
+
+    particulars = given_particulars(certified["particulars"], certified["date"])
+    with tempfile.TemporaryDirectory(prefix="photocal-verify-") as name:
+        aside = Path(name)
+        # Only what is certified takes part, whatever else lies beside it.
+        (aside / "block").mkdir()
+        for entry in certified["result"]["inputs"]:
+            shutil.copyfile(inputs / entry["path"], aside / "block" / entry["path"])
+        adjust_block(aside / "block", aside / "run")
+        again = plain_record(read_run(aside / "run"), particulars, catalogue(certified["language"]))
+    # A block that does not name itself is called as its folder, which is another one here.
+    again["result"]["block"]["name"] = certified["result"]["block"].get("name")
+    return differences(certified, again)

@@ -1,0 +1,266 @@
+"""Sections of a certificate that the ministry's report and a client's file ask for."""
+
+from __future__ import annotations
+
+from photocal.analysis.finding import Finding
+from photocal.report.acceptance import Limit, verdict
+from photocal.report.catalogue import Catalogue
+from photocal.report.digits import as_given, significant, symbol
+from photocal.report.document import (
+    Column,
+    KeyValues,
+    Paragraph,
+    Piece,
+    Section,
+    Signature,
+    Statement,
+    Table,
+    Tone,
+)
+from photocal.report.facts import Facts
+from photocal.report.ministry import Context, corners, entries, read_layout
+from photocal.report.particulars import Particulars
+
+TONES: dict[str, Tone] = {"acceptable": "good", "new_calibration": "bad", "not_determined": "note"}
+
+
+def acceptance(title: str, facts: Facts, say: Catalogue) -> Section:
+    """Set the figures against the ministry's limits.
+
+    Parameters
+    ----------
+    title : str
+        Title of the section.
+    facts : Facts
+        With the limits.
+    say : Catalogue
+        Language.
+
+    Returns
+    -------
+    Section
+    """
+    columns = (
+        Column(say("acceptance.quantity"), align="left"),
+        Column(say("acceptance.value")),
+        Column(say("acceptance.limit")),
+        Column(say("acceptance.unit"), align="left"),
+        Column(say("acceptance.met"), align="center"),
+    )
+    rows = tuple(_limit_row(limit, say) for limit in facts.limits)
+    note = say("acceptance.note", dz=_maybe(facts.dz_cm, say), gsd=_maybe(facts.gsd_cm, say))
+    return Section(
+        title, (acceptance_statement(facts, say), Table(say("acceptance.table"), columns, rows, note))
+    )
+
+
+def acceptance_statement(facts: Facts, say: Catalogue) -> Statement:
+    """Give the verdict over the ministry's limits as a statement.
+
+    Parameters
+    ----------
+    facts : Facts
+        With the limits.
+    say : Catalogue
+        Language.
+
+    Returns
+    -------
+    Statement
+    """
+    found = verdict(facts.limits)
+    missing = [say(f"acceptance.{limit.key}") for limit in facts.limits if limit.met is None]
+    text = say(f"acceptance.{found}_text", missing=", ".join(missing))
+    return Statement(TONES[found], say(f"acceptance.{found}"), text)
+
+
+def _limit_row(limit: Limit, say: Catalogue) -> tuple[str, ...]:
+    met = {True: say("word.yes"), False: say("word.no"), None: say("ministry.not_determined")}[limit.met]
+    return (
+        say(f"acceptance.{limit.key}"),
+        _maybe(limit.value, say),
+        _maybe(limit.limit, say),
+        limit.unit,
+        met,
+    )
+
+
+def _maybe(value: float | None, say: Catalogue) -> str:
+    return significant(value, 4, say.mark) if value is not None else say("ministry.not_determined")
+
+
+def findings(title: str, found: tuple[Finding, ...], say: Catalogue) -> Section:
+    """List what the plausibility checks found.
+
+    Parameters
+    ----------
+    title : str
+        Title of the section.
+    found : tuple of Finding
+        Worst first.
+    say : Catalogue
+        Language.
+
+    Returns
+    -------
+    Section
+    """
+    text = Paragraph(say("plausibility.text"))
+    if not found:
+        return Section(title, (text, Paragraph(say("plausibility.none"))))
+    columns = (
+        Column(say("plausibility.severity"), align="left"),
+        Column(say("plausibility.finding"), align="left"),
+    )
+    rows = tuple((say(f"plausibility.{f.severity}"), finding_text(f, say)) for f in found)
+    return Section(title, (text, Table(say("plausibility.table"), columns, rows, widths=(0.16, 0.84))))
+
+
+def finding_text(finding: Finding, say: Catalogue) -> str:
+    """Say a finding in words.
+
+    Parameters
+    ----------
+    finding : Finding
+        The finding.
+    say : Catalogue
+        Language.
+
+    Returns
+    -------
+    str
+    """
+    figures = {
+        name: significant(value, 4 if name != "t" else 2, say.mark) for name, value in finding.figures.items()
+    }
+    key = f"subject.{finding.subject}"
+    subject = say(key) if key in say.messages else symbol(finding.subject)
+    text = say(f"finding.{finding.code}", subject=subject, **figures)
+    # Symbols keep their case at the head of a sentence; words do not.
+    return text[0].upper() + text[1:] if key in say.messages else text
+
+
+def equipment(title: str, particulars: Particulars, say: Catalogue) -> Section:
+    """List the positioning system and its offsets, the equipment and the validity.
+
+    Parameters
+    ----------
+    title : str
+        Title of the section.
+    particulars : Particulars
+        What a person gave.
+    say : Catalogue
+        Language.
+
+    Returns
+    -------
+    Section
+    """
+    missing = say("ministry.not_determined")
+    validity, system = particulars.validity, particulars.gnss_ins
+    until = say.date(validity.until) if validity.until else missing
+    rows = (
+        (say("equipment.receiver"), system.receiver or missing),
+        (say("equipment.valid_until"), until),
+        (say("equipment.conditions"), validity.conditions or missing),
+    )
+    pieces: list[Piece] = [KeyValues(rows), _offsets(particulars, say)]
+    if particulars.equipment:
+        keys = ("name", "manufacturer", "serial", "use", "calibration")
+        columns = tuple(Column(say(f"equipment.{key}"), align="left") for key in keys)
+        listed = tuple(tuple(getattr(item, key) or missing for key in keys) for item in particulars.equipment)
+        pieces.append(Table(say("equipment.table"), columns, listed, widths=(0.2, 0.18, 0.14, 0.22, 0.26)))
+    return Section(title, tuple(pieces))
+
+
+def _offsets(particulars: Particulars, say: Catalogue) -> Piece:
+    system, missing = particulars.gnss_ins, say("ministry.not_determined")
+    columns = (
+        Column(say("equipment.offset"), align="left"),
+        *(Column(axis) for axis in ("X / ω", "Y / φ", "Z / κ")),
+        *(Column(f"σ {axis}") for axis in ("X / ω", "Y / φ", "Z / κ")),
+    )
+    table = (
+        (say("equipment.lever_arm"), system.lever_arm_cm, system.lever_arm_sigma_cm),
+        (say("equipment.boresight"), system.boresight_deg, system.boresight_sigma_deg),
+    )
+    rows = tuple(
+        (label, *(as_given(v, say.mark) if v is not None else missing for v in _six(values, sigmas)))
+        for label, values, sigmas in table
+    )
+    return Table(say("equipment.offsets"), columns, rows)
+
+
+def _six(
+    values: tuple[float, float, float] | None, sigmas: tuple[float, float, float] | None
+) -> tuple[float | None, ...]:
+    return (*(values or (None,) * 3), *(sigmas or (None,) * 3))
+
+
+def technical_report(title: str, context: Context) -> Section:
+    """Fill the ministry's form.
+
+    Parameters
+    ----------
+    title : str
+        Title of the section.
+    context : Context
+        What it is filled from.
+
+    Returns
+    -------
+    Section
+    """
+    say = context.say
+    columns = tuple(
+        Column(say(f"ministry.{key}"), align="left") for key in ("item", "field", "value", "origin")
+    )
+    rows = []
+    for entry in entries(read_layout(), context):
+        row = entry.row
+        # Only the letters of the form name an item; "table 1" or "planimetric" say where it stands.
+        letter = row.item.split()[0]
+        item = f"{row.section} {letter}" if len(letter) == 1 and letter.isalpha() else row.section
+        label = row.labels[say.language] + (f" [{row.unit}]" if row.unit else "")
+        rows.append((item, label, entry.value, say(f"ministry.origin_{entry.origin}")))
+    corner_columns = tuple(
+        Column(say(f"ministry.{key}"), unit, "left" if key == "corner" else "right")
+        for key, unit in (("corner", ""), ("column", "px"), ("line", "px"), ("x", "mm"), ("y", "mm"))
+    )
+    return Section(
+        title,
+        (
+            Paragraph(say("ministry.text")),
+            Table(say("ministry.table"), columns, tuple(rows), widths=(0.11, 0.31, 0.44, 0.14)),
+            Table(
+                say("ministry.corner_table"), corner_columns, corners(context), say("ministry.corner_note")
+            ),
+        ),
+    )
+
+
+def signature(title: str, particulars: Particulars, say: Catalogue) -> Section:
+    """Make the place to sign.
+
+    Parameters
+    ----------
+    title : str
+        Title of the section.
+    particulars : Particulars
+        Who signs, where and when.
+    say : Catalogue
+        Language.
+
+    Returns
+    -------
+    Section
+    """
+    responsible, place = particulars.responsible, particulars.document.place
+    day = say.date(particulars.date)
+    lines = (
+        responsible.name or say("signature.name"),
+        responsible.title or say("signature.title"),
+        responsible.registration or say("signature.registration"),
+    )
+    where = f"{place}, {day}" if place else day
+    return Section(title, (Paragraph(say("ministry.responsibility")), Paragraph(where), Signature(lines)))

@@ -1,0 +1,217 @@
+"""The certificate for programs: every figure with all its digits, as JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime as dt
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.report.acceptance import verdict
+from photocal.report.catalogue import Catalogue
+from photocal.report.certificate import certificate_number
+from photocal.report.distortion import farthest_corner, radial_profile
+from photocal.report.facts import Facts, facts
+from photocal.report.ministry import Context, entries, read_layout
+from photocal.report.particulars import Particulars
+from photocal.report.run import Run
+
+SCHEMA = "photocal.certificate/1"
+NAME = "certificate.json"
+
+
+def record(run: Run, particulars: Particulars, say: Catalogue) -> dict[str, Any]:
+    """Make the machine-readable certificate.
+
+    Parameters
+    ----------
+    run : Run
+        Results of the adjustment.
+    particulars : Particulars
+        What a person gave.
+    say : Catalogue
+        Language of the technical report's texts.
+
+    Returns
+    -------
+    dict
+        Plain values, ready for JSON. `documents` is for the caller to fill.
+    """
+    result = dataclasses.asdict(run.result)
+    result["block"].pop("folder")
+    return {
+        "schema": SCHEMA,
+        "number": certificate_number(run, particulars),
+        "date": particulars.date.isoformat(),
+        "language": say.language,
+        "particulars": particulars.model_dump(mode="json", exclude={"date"}),
+        "result": result,
+        "exposures": _exposures(run),
+        "cameras": {name: _camera(run, facts(run, name, particulars)) for name in run.result.cameras},
+        "technical_reports": {
+            name: _report(Context(run, particulars, facts(run, name, particulars), say))
+            for name in run.result.cameras
+        },
+        "run_files": [dataclasses.asdict(file) for file in run.files],
+        "documents": {},
+    }
+
+
+def _exposures(run: Run) -> list[dict[str, Any]]:
+    e = run.exposures
+    values = np.hstack([e.position_m, e.angles_deg])
+    sigmas = np.hstack([e.position_sigma_m, e.angles_sigma_deg])
+    names = ("X_m", "Y_m", "Z_m", "omega_deg", "phi_deg", "kappa_deg")
+    return [
+        {
+            "image": image,
+            "camera": camera,
+            **{
+                n: {"value": float(v), "sigma": float(s)} for n, v, s in zip(names, value, sigma, strict=True)
+            },
+        }
+        for image, camera, value, sigma in zip(e.image, e.camera, values, sigmas, strict=True)
+    ]
+
+
+def _camera(run: Run, known: Facts) -> dict[str, Any]:
+    camera = run.result.cameras[known.camera_id]
+    curve = radial_profile(camera, np.linspace(0.0, farthest_corner(camera), 21))
+    columns = zip(curve.radius, curve.displacement, curve.sigma, curve.decentering, strict=True)
+    keys = ("radius", "value", "sigma", "decentring_at_most")
+    return {
+        "pixel_mm": known.pixel_mm,
+        "principal_distance_mm": known.focal_mm,
+        "flying_height_m": known.height_m,
+        "gsd_cm": known.gsd_cm,
+        "air_base_m": known.base_m,
+        "expected_altimetric_error_cm": known.dz_cm,
+        "acceptance": {
+            "verdict": verdict(known.limits),
+            "limits": [{**dataclasses.asdict(limit), "met": limit.met} for limit in known.limits],
+        },
+        "findings": [
+            {"code": f.code, "severity": f.severity, "subject": f.subject, "figures": dict(f.figures)}
+            for f in known.findings
+        ],
+        "radial_displacement": {
+            "unit": camera.unit,
+            "rows": [dict(zip(keys, map(float, row), strict=True)) for row in columns],
+        },
+    }
+
+
+def _report(context: Context) -> list[dict[str, str]]:
+    return [
+        {
+            "section": entry.row.section,
+            "item": entry.row.item,
+            "key": entry.row.key,
+            "label": entry.row.labels[context.say.language],
+            "unit": entry.row.unit,
+            "value": entry.value,
+            "origin": entry.origin,
+        }
+        for entry in entries(read_layout(), context)
+    ]
+
+
+def plain_record(run: Run, particulars: Particulars, say: Catalogue) -> dict[str, Any]:
+    """Make the certificate as it comes back from JSON: lists for tuples.
+
+    Parameters
+    ----------
+    run, particulars, say
+        As for `record`.
+
+    Returns
+    -------
+    dict
+        Comparable with what `read_record` gives.
+    """
+    content: dict[str, Any] = json.loads(json.dumps(record(run, particulars, say), allow_nan=False))
+    return content
+
+
+def with_documents(certificate: dict[str, Any], documents: dict[str, bytes]) -> bytes:
+    """Add the digests of the printed forms and write the whole as JSON.
+
+    Parameters
+    ----------
+    certificate : dict
+        From `record`.
+    documents : dict
+        Content of the printed forms by file name.
+
+    Returns
+    -------
+    bytes
+        UTF-8.
+    """
+    digests = {name: hashlib.sha256(content).hexdigest() for name, content in documents.items()}
+    text = json.dumps({**certificate, "documents": digests}, indent=1, allow_nan=False, ensure_ascii=False)
+    return (text + "\n").encode()
+
+
+def read_record(path: Path) -> tuple[dict[str, Any], Path]:
+    """Read a machine-readable certificate.
+
+    Parameters
+    ----------
+    path : Path
+        certificate.json, or the folder that has it.
+
+    Returns
+    -------
+    certificate : dict
+        Its content.
+    folder : Path
+        The folder it lies in.
+
+    Raises
+    ------
+    InputNotFoundError
+        When there is none.
+    InputMalformedError
+        When it is cut, of another schema, or lacks what a verification needs.
+    """
+    file = path / NAME if path.is_dir() else path
+    if not file.is_file():
+        raise InputNotFoundError("no such file", where=file, remedy="name certificate.json or its folder")
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as broken:
+        raise InputMalformedError(
+            f"is not complete JSON ({broken})",
+            where=file,
+            remedy="name the certificate.json of a certificate",
+        ) from None
+    schema = content.get("schema") if isinstance(content, dict) else None
+    if schema != SCHEMA:
+        raise InputMalformedError(
+            f"schema is {schema!r}, {SCHEMA!r} was expected", where=file, remedy="name a certificate.json"
+        )
+    _complete(content, file)
+    return content, file.parent
+
+
+def _complete(content: dict[str, Any], file: Path) -> None:
+    try:
+        dt.date.fromisoformat(content["date"])
+        names = [(str(entry["path"]), str(entry["sha256"])) for entry in content["result"]["inputs"]]
+        dict(content["documents"]), dict(content["particulars"]), str(content["language"])
+    except (KeyError, TypeError, ValueError) as lacking:
+        raise InputMalformedError(
+            f"lacks what a verification needs ({lacking})", where=file, remedy="make the certificate again"
+        ) from None
+    for name, _ in names:
+        # A certificate comes from elsewhere: it may not reach outside the folder of its inputs.
+        if Path(name).name != name:
+            raise InputMalformedError(
+                f"input {name!r} is no plain file name", where=file, remedy="make the certificate again"
+            )

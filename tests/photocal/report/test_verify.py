@@ -1,0 +1,166 @@
+"""A certificate verifies with its inputs and with nothing else."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner, Result
+
+from photocal.block.process import adjust_block
+from photocal.cli import app
+from photocal.report.verification import differences
+
+DEMO = Path(__file__).resolve().parents[3] / "configs" / "demo" / "dcs460"
+
+
+def call(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="session")
+def issued(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The certificate of the demo, with its inputs."""
+    folder = tmp_path_factory.mktemp("issued")
+    adjust_block(DEMO, folder / "run")
+    answer = call(
+        "certificate", folder / "run", "-o", folder / "certificate", "--block", DEMO, "--date", "2026-11-21"
+    )
+    assert answer.exit_code == 0, answer.output
+    return folder / "certificate"
+
+
+@pytest.fixture
+def elsewhere(issued: Path, tmp_path: Path) -> Path:
+    """A copy of the certificate, as on another machine, to spoil."""
+    return Path(shutil.copytree(issued, tmp_path / "elsewhere"))
+
+
+def test_it_verifies_elsewhere(elsewhere: Path) -> None:
+    answer = call("verify", elsewhere, "--json")
+    assert answer.exit_code == 0
+    said = json.loads(answer.output)
+    assert said["verified"] is True
+    assert call("verify", elsewhere / "certificate.json").exit_code == 0
+
+
+def test_certificate_names_what_it_was_made_from(elsewhere: Path) -> None:
+    content = json.loads((elsewhere / "certificate.json").read_text(encoding="utf-8"))
+    assert [entry["path"] for entry in content["result"]["inputs"]] == [
+        "block.toml",
+        "images.csv",
+        "points.csv",
+        "observations.csv",
+    ]
+    assert set(content["documents"]) == {"certificate.html", "certificate.pdf"}
+    assert len(content["technical_reports"]["dcs460"]) == 47
+    assert content["result"]["cameras"]["dcs460"]["parameters"]["c"]["value"] == pytest.approx(
+        20.50047, abs=1e-5
+    )
+
+
+@settings(max_examples=8, deadline=None)
+@given(data=st.data())
+def test_one_changed_digit_in_any_input_is_named(issued: Path, data: st.DataObject) -> None:
+    name = data.draw(st.sampled_from(["block.toml", "images.csv", "points.csv", "observations.csv"]))
+    path = issued / "inputs" / name
+    content = path.read_bytes()
+    digits = [i for i, byte in enumerate(content) if chr(byte).isdigit()]
+    at = data.draw(st.sampled_from(digits))
+    other = data.draw(st.sampled_from([d for d in b"0123456789" if d != content[at]]))
+    try:
+        path.write_bytes(content[:at] + bytes([other]) + content[at + 1 :])
+        answer = call("verify", issued, "--json")
+        assert answer.exit_code != 0
+        said = json.loads(answer.output)
+        assert said["verified"] is False
+        assert len(said["changed_inputs"]) == 1
+        assert name in said["changed_inputs"][0]
+        assert name in str(answer.exception)
+    finally:
+        path.write_bytes(content)
+
+
+def test_missing_input_is_named(elsewhere: Path) -> None:
+    (elsewhere / "inputs" / "points.csv").unlink()
+    assert "points.csv is missing" in str(call("verify", elsewhere).exception)
+    assert call("verify", elsewhere, "--block", DEMO).exit_code == 0
+
+
+def change(folder: Path, *steps: Any, to: Any) -> None:
+    path = folder / "certificate.json"
+    content = json.loads(path.read_text(encoding="utf-8"))
+    place = content
+    for step in steps[:-1]:
+        place = place[step]
+    place[steps[-1]] = to
+    path.write_text(json.dumps(content), encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("steps", "to", "named"),
+    [
+        (("result", "cameras", "dcs460", "parameters", "c", "value"), 20.500468, "parameters.c.value"),
+        (("result", "cameras", "dcs460", "parameters", "K3", "sigma"), 1.55e-10, "parameters.K3.sigma"),
+        (("result", "cameras", "dcs460", "correlation", "matrix", 3, 0), 0.5, "correlation.matrix[3][0]"),
+        (("result", "chi_squared"), 764.0, "result.chi_squared"),
+        (("result", "global_test", "accepted"), False, "global_test.accepted"),
+        (("exposures", 2, "Z_m", "value"), 6.7, "exposures[4].Z_m.value"),
+        (("technical_reports", "dcs460", 24, "value"), "12", "technical_reports.dcs460"),
+        (("number",), "PC-20261121-00000000", "number"),
+        (("date",), "2026-11-22", "number"),
+        (("particulars", "document", "client"), "somebody else", "number"),
+    ],
+)
+def test_changed_figure_is_named(elsewhere: Path, steps: tuple[Any, ...], to: Any, named: str) -> None:
+    change(elsewhere, *steps, to=to)
+    answer = call("verify", elsewhere, "--json")
+    assert answer.exit_code != 0
+    assert named in str(answer.exception)
+    assert json.loads(answer.output)["verified"] is False
+
+
+def test_changed_page_is_named(elsewhere: Path) -> None:
+    page = elsewhere / "certificate.html"
+    page.write_text(page.read_text(encoding="utf-8").replace("20.5005", "20.5004"), encoding="utf-8")
+    assert "certificate.html is not the one that was certified" in str(call("verify", elsewhere).exception)
+
+
+def test_certificate_may_not_reach_outside_its_inputs(elsewhere: Path) -> None:
+    change(elsewhere, "result", "inputs", 0, "path", to="../../etc/passwd")
+    assert "no plain file name" in str(call("verify", elsewhere).exception)
+
+
+@pytest.mark.parametrize(
+    "content", ["", "{", "[]", '{"schema": "other/1"}', '{"schema": "photocal.certificate/1"}']
+)
+def test_what_is_no_certificate_is_refused_in_a_line(tmp_path: Path, content: str) -> None:
+    (tmp_path / "certificate.json").write_text(content, encoding="utf-8")
+    answer = call("verify", tmp_path)
+    assert answer.exit_code != 0
+    assert "certificate.json" in str(answer.exception)
+    assert "\n" not in str(answer.exception)
+
+
+def test_block_that_changed_since_is_refused_when_issuing(issued: Path, tmp_path: Path) -> None:
+    block = Path(shutil.copytree(DEMO, tmp_path / "block"))
+    with (block / "points.csv").open("a", encoding="utf-8") as stream:
+        stream.write("\n")
+    answer = call("certificate", issued.parent / "run", "-o", tmp_path / "out", "--block", block)
+    assert "points.csv" in str(answer.exception)
+    assert not (tmp_path / "out").exists()
+
+
+def test_tolerances() -> None:
+    base = {"c": {"value": 20.0, "sigma": 0.01}, "rms": 1e-9, "n": 5}
+    assert differences(base, {"c": {"value": 20.0 + 5e-7, "sigma": 0.01}, "rms": 2e-9, "n": 5}) == []
+    moved = differences(base, {"c": {"value": 20.0 + 5e-6, "sigma": 0.01}, "rms": 1e-9, "n": 5})
+    assert [d.place for d in moved] == ["c.value"]
+    assert [d.place for d in differences(base, {"c": base["c"], "n": 5})] == ["rms"]
+    assert [d.place for d in differences([1, 2], [1, 2, 3], "list")] == ["list"]
+    assert [d.place for d in differences({"a": None}, {"a": 0.0})] == ["a"]
