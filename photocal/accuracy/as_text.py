@@ -197,6 +197,8 @@ def _smallest(result: TableResult, title: str) -> str:
 def _size(basis: str, size: float | None) -> str:
     if size is None:
         return _NONE
+    if size <= 0.0:
+        return "any"
     return scale_text(size) if basis == "scale" else f"{size:.4f}"
 
 

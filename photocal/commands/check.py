@@ -38,6 +38,12 @@ def check(
     figures: Annotated[
         Path | None, typer.Option(help="Folder for the residual map and the histograms (PDF).")
     ] = None,
+    geopackage: Annotated[
+        Path | None, typer.Option(help="GeoPackage of points and residual vectors for QGIS, to be written.")
+    ] = None,
+    crs: Annotated[
+        str | None, typer.Option(help="Projected system of E and N for the GeoPackage, such as EPSG:31982.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
     """Judge a product at its check points: statistics, tests and accuracy classes.
@@ -67,4 +73,13 @@ def check(
         from photocal.accuracy.figures import write_figures
 
         write_figures(result.discrepancies, figures)
+    if geopackage is not None:
+        from datetime import UTC, datetime
+
+        from photocal.accuracy.geopackage import reference_system, write_geopackage
+
+        # The time of the table, not of the clock: the same input gives the same file.
+        changed = datetime.fromtimestamp(discrepancies.stat().st_mtime, UTC)
+        stamp = f"{changed:%Y-%m-%dT%H:%M:%S}.000Z"
+        write_geopackage(geopackage, (("check", result.discrepancies),), reference_system(crs), stamp)
     answer(as_json, lambda: to_json(result), lambda: to_text(result))

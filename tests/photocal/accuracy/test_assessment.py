@@ -186,3 +186,22 @@ def test_the_order_of_the_points_does_not_matter(order: list[int]) -> None:
         entry.get("accuracy_class") for entry in straight["standards"]
     ]
     assert turned["planimetry"]["rmse_m"] == pytest.approx(straight["planimetry"]["rmse_m"])
+
+
+def test_equal_discrepancies_admit_any_scale_by_precision() -> None:
+    d = Discrepancies(tuple("abcd"), np.full((4, 3), 0.25))
+    result = assess(d, STANDARDS, Question(1000.0, 1.0))
+    assert of_table(result, "decree-89817", "planimetry").admitted[0].precision == 0.0
+    assert " any " in to_text(result)
+    json.dumps(to_json(result), allow_nan=False)
+
+
+def test_a_chi_square_that_is_stricter_than_the_standard_is_said_to_be() -> None:
+    """Without bias RMSE = EP / 1.1 passes; the chi-square of few points may still reject one component."""
+    values = np.array([1.0, -1.0, 1.0, -1.0])
+    d = np.column_stack((values * 0.28, values * 0.0, values * 0.0))
+    result = assess(Discrepancies(tuple("abcd"), d), STANDARDS, Question(1000.0))
+    plane = of_table(result, "decree-89817", "planimetry")
+    assert (plane.precision_class, plane.accuracy_class) == ("B", "A")
+    said = [finding.text for finding in findings(result) if finding.code == "class-differs"]
+    assert any("stricter than the standard's own rule" in text for text in said)
