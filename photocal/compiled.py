@@ -50,7 +50,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 # Kernels own no memory: with reference counting left out they run three times as fast. What they fill is
 # made by their callers.
-_LEAN = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract"}, "_nrt": False}
+_LEAN: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract"}, "_nrt": False}
 
 
 def compiled(function: Function) -> Function:

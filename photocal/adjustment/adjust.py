@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from photocal.adjustment.covariance import complete
+from photocal.adjustment.datum import with_datum
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import prepare
 from photocal.adjustment.solution import Solution
@@ -33,5 +34,6 @@ def adjust(network: Network, report: Callable[[Iteration], None] | None = None) 
     NotConvergedError
         When the iteration does not end.
     """
-    problem = prepare(network)
-    return complete(problem, minimise(problem, start_state(network), report))
+    state = start_state(network)
+    problem = with_datum(prepare(network), state)
+    return complete(problem, minimise(problem, state, report))

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
+from photocal.adjustment.datum import correction
 from photocal.adjustment.envelope import factorise, selected_inverse
 from photocal.adjustment.kernels import Structure, element_address, statistics
 from photocal.adjustment.normal import Problem, other_equations, values_of
@@ -40,6 +43,8 @@ def complete(problem: Problem, minimum: Minimum) -> Solution:
     """
     network, state, structure = problem.network, minimum.state, problem.structure
     normal = minimum.normal
+    # The factor takes the place of the matrix; only a free network needs both.
+    bare = replace(normal, matrix=normal.matrix.copy()) if len(problem.stiffened) else normal
     if factorise(problem.layout.envelope, normal.matrix) >= 0:
         explain_singular(problem, state)
     inverse = selected_inverse(problem.layout.envelope, normal.matrix)
@@ -59,18 +64,26 @@ def complete(problem: Problem, minimum: Minimum) -> Solution:
     for name, equations in other_equations(problem, state).items():
         groups.append(_equation_group(name, equations, structure, inverse))
     observations = sum(group.observations for group in groups)
-    unknowns = int(np.sum(~problem.held) + np.sum(~network.points.held))
+    eliminated = problem.design.point_column < 0
+    own = blocks(problem.layout.image_columns, structure, inverse)
+    if len(problem.stiffened):
+        transform = correction(problem, normal, bare, state)
+        columns = problem.layout.image_columns
+        own = transform.applied(own, transform.moves[columns], transform.spread[columns])
+        point_covariance = transform.applied(point_covariance, transform.point_moves, transform.point_spread)
+    unknowns = int(np.sum(~problem.held) + np.sum(~network.points.held[eliminated]))
     angles = angles_from_matrix(state.rotation)
     return Solution(
         minimum.iterations,
         normal.chi_squared,
         observations,
         unknowns,
+        len(problem.stiffened),
         tuple(group for group in groups if group.observations),
         state.cameras,
         _camera_covariance(problem, inverse),
         np.hstack([angles, state.centre]),
-        _exposure_covariance(problem, minimum, inverse, angles),
+        _exposure_covariance(problem, minimum, own, angles),
         state.points,
         point_covariance,
         residuals,
@@ -90,9 +103,7 @@ def _control_group(problem: Problem, points: Floats, covariance: Floats) -> Grou
 def _equation_group(name: str, equations: Equations, structure: Structure, inverse: Floats) -> Group:
     """Observations of the reduced system's unknowns."""
     variance = np.zeros(len(equations.weight))
-    equation_variance(
-        equations.start, equations.column, equations.coefficient, structure, inverse, variance
-    )
+    equation_variance(equations.start, equations.column, equations.coefficient, structure, inverse, variance)
     redundancy = len(variance) - float(np.sum(equations.weight * variance))
     return Group(name, len(variance), equations.chi_squared(), redundancy)
 
@@ -161,11 +172,10 @@ def _camera_covariance(problem: Problem, inverse: Floats) -> Floats:
     return covariance
 
 
-def _exposure_covariance(problem: Problem, minimum: Minimum, inverse: Floats, angles: Floats) -> Floats:
+def _exposure_covariance(problem: Problem, minimum: Minimum, own: Floats, angles: Floats) -> Floats:
     """Covariance of the angles and coordinates from that of the rotation unknowns and coordinates."""
-    own = blocks(problem.layout.image_columns, problem.structure, inverse)
     free = problem.network.exposures.sigma != 0
-    own *= free[:, :, None] * free[:, None, :]
+    own = own * free[:, :, None] * free[:, None, :]
     jacobian = np.broadcast_to(np.eye(6), own.shape).copy()
     basis = turn_basis(problem.network, minimum.state)
     jacobian[:, :3, :3] = np.linalg.solve(turn_per_angle(angles), basis)

@@ -253,6 +253,21 @@ def _gathered(structure: Envelope, results: list[Floats], j: int) -> Floats:
     return square
 
 
+def multiply(structure: Envelope, values: Floats, x: Floats) -> Floats:
+    """Multiply a matrix of a structure, given by its lower triangle, with vectors of shape (n, m)."""
+    product = np.zeros_like(x)
+    for j, panel in enumerate(structure.panels(values)):
+        rows, width = _rows(structure, j), int(structure.width[j])
+        if width == 0:
+            continue
+        top = structure.start(j) if j < len(structure.last) else structure.band
+        here = slice(top, top + width)
+        lower = np.tril(panel[:width])
+        product[here] += lower @ x[here] + np.tril(lower, -1).T @ x[here] + panel[width:].T @ x[rows]
+        product[rows] += panel[width:] @ x[here]
+    return product
+
+
 def dense(structure: Envelope, values: Floats) -> Floats:
     """Matrix of a structure as a full symmetric array, shape (n, n)."""
     full = np.zeros((structure.size, structure.size))

@@ -42,6 +42,8 @@ class Design(NamedTuple):
         Positions of the estimated parameters, the first `active_count` of each row.
     active_count, active_column : ndarray of int, shape (cameras,)
         Number of estimated parameters and the first of their columns within the border.
+    point_column : ndarray of int, shape (points,)
+        First column, within the border, of a point that is not eliminated; -1 for all others.
     point_free : ndarray, shape (points, 3)
         1 where a coordinate is free, else 0.
     prior_points, prior_weight : ndarray, shape (points, 3) and (points, 3, 3)
@@ -60,6 +62,7 @@ class Design(NamedTuple):
     active: Integers
     active_count: Integers
     active_column: Integers
+    point_column: Integers
     point_free: Floats
     prior_points: Floats
     prior_weight: Floats
@@ -313,6 +316,39 @@ def eliminate(
                     matrix[row + b] -= m0 * scaled[0, b] + m1 * scaled[1, b] + m2 * scaled[2, b]
 
 
+@inlined
+def retain(
+    design: Design,
+    structure: Structure,
+    j: int,
+    block: Floats,
+    matrix: Floats,
+    gradient: Floats,
+    kept: Eliminated,
+) -> None:
+    """Add the normal equations of a point that stays among the unknowns of the border."""
+    panel, band, border, width = structure.panel, structure.band, structure.border, structure.width
+    at = design.point_column[j]
+    own = structure.offset[len(width) - 1]
+    for a in range(3):
+        row = own + (at + a) * border
+        gradient[band + at + a] += kept.gradient[j, a]
+        for b in range(a + 1):
+            matrix[row + at + b] += block[a, b]
+        # The cameras' columns come before those of the points.
+        for s in range(at):
+            matrix[row + s] += kept.mixed_border[j, a, s]
+        for r in range(design.ray_start[j], design.ray_start[j + 1]):
+            column = design.image_column[design.ray_image[r]]
+            home = column // panel
+            top = home * panel
+            foot = structure.offset[home] + (structure.last[home] - top + at + a) * width[home] + column - top
+            for b in range(6):
+                matrix[foot + b] += kept.mixed[r, a, b]
+        for b in range(3):
+            kept.inverse[j, a, b] = 0.0
+
+
 @compiled
 def accumulate_piece(
     design: Design,
@@ -345,8 +381,13 @@ def accumulate_piece(
                 total = np.inf
             add_ray(design, structure, r, i, j, vx, vy, room, matrix, gradient, kept, block, side)
         for a in range(3):
-            block[a, a] *= 1.0 + damping
             kept.gradient[j, a] = side[a]
+        if design.point_column[j] >= 0:
+            retain(design, structure, j, block, matrix, gradient, kept)
+            singular[j] = False
+            continue
+        for a in range(3):
+            block[a, a] *= 1.0 + damping
         singular[j] = not inverse3(block, kept.inverse, j)
         if not singular[j]:
             eliminate(design, structure, j, matrix, gradient, kept, scaled, scaled_border)
@@ -451,6 +492,36 @@ def back_substitute(
 
 
 @compiled
+def reduce_right(design: Design, band: int, right: Floats, kept: Eliminated, reduced: Floats) -> None:
+    """Eliminate the points from a right-hand side.
+
+    Parameters
+    ----------
+    design : Design
+    band : int
+        Columns before the border.
+    right : ndarray, shape (points, 3)
+        Right-hand side at the points.
+    kept : Eliminated
+        From `accumulate`.
+    reduced : ndarray, shape (n,)
+        Its part of the reduced system; less W V^-1 of the points' part afterwards.
+    """
+    for j in range(len(design.ray_start) - 1):
+        b0, b1, b2 = right[j, 0], right[j, 1], right[j, 2]
+        for a in range(3):
+            x = kept.inverse[j, a, 0] * b0 + kept.inverse[j, a, 1] * b1 + kept.inverse[j, a, 2] * b2
+            if x == 0.0:
+                continue
+            for r in range(design.ray_start[j], design.ray_start[j + 1]):
+                column = design.image_column[design.ray_image[r]]
+                for b in range(6):
+                    reduced[column + b] -= kept.mixed[r, a, b] * x
+            for s in range(len(reduced) - band):
+                reduced[band + s] -= kept.mixed_border[j, a, s] * x
+
+
+@compiled
 def most_rays(design: Design, piece: int) -> int:
     """Largest number of rays of a point among one thread's points, at least 1."""
     most = 1
@@ -542,11 +613,17 @@ def statistics_piece(
                 spread[0, b] += m0 * local[c, b]
                 spread[1, b] += m1 * local[c, b]
                 spread[2, b] += m2 * local[c, b]
+        stays = design.point_column[j]
         for a in range(3):
+            if stays >= 0:
+                for b in range(m):
+                    spread[a, b] = -local[edge + stays + a, b]
             for b in range(3):
                 q = kept.inverse[j, a, b]
                 for c in range(m):
                     q += spread[a, c] * mixed[b, c]
+                if stays >= 0:
+                    q = local[edge + stays + a, edge + stays + b]
                 held = design.point_free[j, a] == 0.0 or design.point_free[j, b] == 0.0
                 cov[a, b] = 0.0 if held else q
                 point_covariance[j, a, b] = cov[a, b]

@@ -32,6 +32,10 @@ class Layout:
         Columns of the three rotation unknowns and of X, Y, Z of each image.
     camera_columns : tuple of (ndarray, ndarray)
         For each camera the positions of its estimated parameters and their columns.
+    kept_points : ndarray of int, shape (m,)
+        Points that are not eliminated because observations relate them to others.
+    point_columns : ndarray of int, shape (m, 3)
+        Their columns.
     envelope : Envelope
         Structure of the matrix.
     size : int
@@ -40,6 +44,8 @@ class Layout:
 
     image_columns: Integers
     camera_columns: tuple[tuple[Integers, Integers], ...]
+    kept_points: Integers
+    point_columns: Integers
     envelope: Envelope
     size: int
 
@@ -70,12 +76,16 @@ def layout(network: Network, ray_start: Integers) -> Layout:
         active = np.flatnonzero(camera.estimated)
         camera_columns.append((active, column + np.arange(len(active))))
         column += len(active)
+    relations = network.relations
+    kept_points = np.unique(np.concatenate([relations.first, relations.second]))
+    point_columns = column + np.arange(3 * len(kept_points)).reshape(-1, 3)
+    column += point_columns.size
     # The last image, in the new order, that each one shares a point with.
     sorted_together = together[order][:, order]
     last = count - 1 - np.argmax(sorted_together[:, ::-1], axis=1) if count else np.zeros(0, dtype=np.int64)
     last = np.maximum(last, np.arange(count))
     structure = envelope(POSE * (last + 1), POSE, column - POSE * count)
-    return Layout(image_columns, tuple(camera_columns), structure, column)
+    return Layout(image_columns, tuple(camera_columns), kept_points, point_columns, structure, column)
 
 
 @compiled

@@ -71,6 +71,34 @@ class Rays:
     sigma: Floats
 
 
+RELATIONS = ("distance", "height_difference", "azimuth")
+
+
+@dataclass(frozen=True)
+class Relations:
+    """Observations between two object points.
+
+    Attributes
+    ----------
+    kind : ndarray of int, shape (n,)
+        Index into `RELATIONS`: slope distance in m, Z of `second` less Z of `first` in m, azimuth from
+        the Y axis towards X in radians.
+    first, second : ndarray of int, shape (n,)
+        Points.
+    values, sigma : ndarray, shape (n,)
+    """
+
+    kind: Integers
+    first: Integers
+    second: Integers
+    values: Floats
+    sigma: Floats
+
+
+_NONE = np.zeros(0, dtype=np.int64)
+NO_RELATIONS = Relations(_NONE, _NONE, _NONE, np.zeros(0), np.zeros(0))
+
+
 @dataclass(frozen=True)
 class Network:
     """Everything that enters one adjustment.
@@ -83,6 +111,11 @@ class Network:
     rays : Rays
     image_names, point_names : tuple of str
         What to call images and points in messages.
+    relations : Relations
+        Observations between points.
+    datum_points : ndarray of int or None
+        Points over which a free network is least moved (inner constraints); None when the observations
+        carry the datum.
     """
 
     cameras: tuple[Camera, ...]
@@ -91,6 +124,8 @@ class Network:
     rays: Rays
     image_names: tuple[str, ...]
     point_names: tuple[str, ...]
+    relations: Relations = NO_RELATIONS
+    datum_points: Integers | None = None
 
 
 def point_weights(sigma: Floats) -> tuple[NDArray[np.bool_], Floats]:

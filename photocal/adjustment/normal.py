@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.adjustment.kernels import Design, Eliminated, Structure, Values, accumulate
-from photocal.adjustment.layout import Layout, layout
+from photocal.adjustment.layout import POSE, Layout, layout
 from photocal.adjustment.network import Network
 from photocal.adjustment.observations import (
     Equations,
     add_equations,
     camera_equations,
     exposure_equations,
+    relation_equations,
 )
 from photocal.adjustment.state import State, turn_basis
 from photocal.geometry.camera import PARAMETERS
@@ -36,6 +37,8 @@ class Problem:
     structure : Structure
     held : ndarray of bool, shape (layout.size,)
         Columns of the reduced system that are no unknowns.
+    stiffened : ndarray of int
+        Columns that carry the datum of a free network, see `datum.with_datum`.
     """
 
     network: Network
@@ -43,6 +46,7 @@ class Problem:
     design: Design
     structure: Structure
     held: NDArray[np.bool_]
+    stiffened: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,8 @@ def prepare(network: Network) -> Problem:
     for k, (positions, _) in enumerate(where.camera_columns):
         active[k, : len(positions)] = positions
     count = np.array([len(positions) for positions, _ in where.camera_columns], dtype=np.int64)
+    point_column = np.full(len(points.values), -1)
+    point_column[where.kept_points] = where.point_columns[:, 0] - POSE * len(network.image_names)
     threads = numba.get_num_threads()
     shares = np.linspace(0, len(rays.image), threads + 1)
     pieces = np.searchsorted(ray_start, shares)
@@ -107,6 +113,7 @@ def prepare(network: Network) -> Problem:
         active=active,
         active_count=count,
         active_column=np.cumsum(count) - count,
+        point_column=point_column,
         point_free=(~points.held).astype(float),
         prior_points=points.values,
         prior_weight=points.weight,
@@ -121,7 +128,8 @@ def prepare(network: Network) -> Problem:
     )
     held = np.zeros(where.size, dtype=np.bool_)
     held[where.image_columns[exposures.sigma == 0]] = True
-    return Problem(network, where, design, structure, held)
+    held[where.point_columns[points.held[where.kept_points]]] = True
+    return Problem(network, where, design, structure, held, np.zeros(0, dtype=np.int64))
 
 
 def values_of(problem: Problem, state: State) -> Values:
@@ -136,6 +144,7 @@ def other_equations(problem: Problem, state: State) -> dict[str, Equations]:
     return {
         "camera": camera_equations(problem.network, problem.layout, state),
         "exposure": exposure_equations(problem.network, problem.layout, state),
+        **relation_equations(problem.network, problem.layout, state),
     }
 
 
@@ -181,6 +190,8 @@ def normal_equations(
     diagonal = diagonal_addresses(problem)
     matrix[diagonal] *= 1.0 + damping
     matrix[diagonal[problem.held]] = 1.0
+    # As many pseudo-observations as the datum has defects are met exactly, whatever their weight.
+    matrix[diagonal[problem.stiffened]] *= 2.0
     return Normal(matrix, gradient, total, np.flatnonzero(singular), kept)
 
 

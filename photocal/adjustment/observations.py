@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from photocal.adjustment.kernels import Structure, element_address
 from photocal.adjustment.layout import Layout
-from photocal.adjustment.network import Network
+from photocal.adjustment.network import RELATIONS, Network
 from photocal.adjustment.state import State, turn_basis
 from photocal.compiled import compiled
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
@@ -85,6 +85,54 @@ def exposure_equations(network: Network, layout: Layout, state: State) -> Equati
     free = np.ones(layout.size)
     free[layout.image_columns[sigma == 0]] = 0.0
     return Equations(start, column, coefficient * free[column], residual, sigma[image, which] ** -2.0)
+
+
+def relation_equations(network: Network, layout: Layout, state: State) -> dict[str, Equations]:
+    """Observations between points, by kind."""
+    relations = network.relations
+    place = {int(j): k for k, j in enumerate(layout.kept_points)}
+    result = {}
+    for code, kind in enumerate(RELATIONS):
+        mine = relations.kind == code
+        if not mine.any():
+            continue
+        first, second = relations.first[mine], relations.second[mine]
+        computed, by_second = related(kind, state.points[second] - state.points[first])
+        residual = computed - relations.values[mine]
+        if kind == "azimuth":
+            residual = (residual + np.pi) % (2 * np.pi) - np.pi
+        columns = [layout.point_columns[[place[int(j)] for j in points]] for points in (first, second)]
+        free = [~network.points.held[points] for points in (first, second)]
+        coefficient = np.hstack([-by_second * free[0], by_second * free[1]])
+        start = 6 * np.arange(len(first) + 1)
+        weight = relations.sigma[mine] ** -2.0
+        result[kind] = Equations(start, np.hstack(columns).ravel(), coefficient.ravel(), residual, weight)
+    return result
+
+
+def related(kind: str, difference: Floats) -> tuple[Floats, Floats]:
+    """Value of a relation and its derivative with respect to the second point.
+
+    Parameters
+    ----------
+    kind : str
+        One of `RELATIONS`.
+    difference : ndarray, shape (n, 3)
+        Second point less first point.
+
+    Returns
+    -------
+    value : ndarray, shape (n,)
+    derivative : ndarray, shape (n, 3)
+    """
+    if kind == "distance":
+        length = np.linalg.norm(difference, axis=1)
+        return length, difference / length[:, None]
+    if kind == "height_difference":
+        return difference[:, 2], np.broadcast_to([0.0, 0.0, 1.0], difference.shape)
+    dx, dy = difference[:, 0], difference[:, 1]
+    square = dx**2 + dy**2
+    return np.arctan2(dx, dy), np.column_stack([dy / square, -dx / square, np.zeros_like(dx)])
 
 
 @compiled

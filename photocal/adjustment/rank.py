@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import IllPosedError
+from photocal.adjustment.datum import open_combinations, similarity_moves
 from photocal.adjustment.envelope import dense
-from photocal.adjustment.normal import Problem, normal_equations
+from photocal.adjustment.normal import Normal, Problem, diagonal_addresses, normal_equations
 from photocal.adjustment.state import State
 from photocal.geometry.camera import PARAMETERS
 
@@ -63,7 +64,7 @@ def explain_singular(problem: Problem, state: State) -> None:
     null = vectors[:, eigenvalues < NULL]
     if not null.shape[1]:
         return
-    datum = _datum_defects(problem, state, matrix)
+    datum = _datum_defects(problem, normal, state)
     remainder = null.shape[1] - len(datum)
     parts = []
     if datum:
@@ -76,42 +77,13 @@ def explain_singular(problem: Problem, state: State) -> None:
     )
 
 
-def _datum_defects(problem: Problem, state: State, matrix: Floats) -> list[str]:
+def _datum_defects(problem: Problem, normal: Normal, state: State) -> list[str]:
     """Elements of the datum along which nothing changes."""
-    generators = datum_generators(problem, state)
-    return [
-        name
-        for name, move in zip(DATUM_NAMES, generators.T, strict=True)
-        if np.linalg.norm(move) and move @ matrix @ move < NULL * (move**2 @ np.diag(matrix))
-    ]
-
-
-def datum_generators(problem: Problem, state: State) -> Floats:
-    """Changes of the images' unknowns under small similarity transformations of the object space.
-
-    Parameters
-    ----------
-    problem : Problem
-    state : State
-
-    Returns
-    -------
-    ndarray, shape (layout.size, 7)
-        Three translations, three rotations about the middle of the projection centres, scale. Images
-        with a held element do not move.
-    """
-    columns = problem.layout.image_columns
-    moves = np.zeros((problem.layout.size, 7))
-    relative = state.centre - state.centre.mean(axis=0)
-    for axis in range(3):
-        moves[columns[:, 3 + axis], axis] = 1.0
-        # The object space turns by e: the centre moves by e x r, the camera turns by -M e.
-        e = np.eye(3)[axis]
-        moves[columns[:, 3:], 3 + axis] = np.cross(e, relative)
-        moves[columns[:, :3], 3 + axis] = -state.rotation @ e
-    moves[columns[:, 3:], 6] = relative
-    moves[problem.held] = 0.0
-    return moves
+    moves, _ = similarity_moves(problem, state)
+    combinations = open_combinations(problem, normal, moves)
+    share = np.abs(combinations) * np.sqrt(normal.matrix[diagonal_addresses(problem)] @ moves**2)[:, None]
+    taking_part = (share > 0.5 * share.max(axis=0, initial=0.0)).any(axis=1)
+    return [name for name, hit in zip(DATUM_NAMES, taking_part, strict=True) if hit]
 
 
 def _loaded(problem: Problem, null: Floats) -> str:

@@ -65,6 +65,8 @@ class Solution:
     chi_squared : float
         v'Pv at the minimum.
     observations, unknowns : int
+    datum_defect : int
+        Elements of the datum that inner constraints fixed.
     groups : tuple of Group
     cameras : ndarray, shape (cameras, 13)
     camera_covariance : ndarray, shape (cameras, 13, 13)
@@ -82,6 +84,7 @@ class Solution:
     chi_squared: float
     observations: int
     unknowns: int
+    datum_defect: int
     groups: tuple[Group, ...]
     cameras: Floats
     camera_covariance: Floats
@@ -94,8 +97,8 @@ class Solution:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Observations less unknowns."""
-        return self.observations - self.unknowns
+        """Observations and datum constraints less unknowns."""
+        return self.observations + self.datum_defect - self.unknowns
 
     @property
     def variance_factor(self) -> float:

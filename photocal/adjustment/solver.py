@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import NotConvergedError
+from photocal.adjustment.datum import inner_state
 from photocal.adjustment.envelope import factorise, solve
 from photocal.adjustment.kernels import back_substitute
 from photocal.adjustment.normal import (
@@ -90,6 +91,7 @@ def minimise(problem: Problem, state: State, report: Callable[[Iteration], None]
         When the iteration does not end.
     """
     damping, decrement, steps = 0.0, np.inf, list[Iteration]()
+    start = state
     normal = normal_equations(problem, state)
     while len(steps) < ITERATIONS:
         step = _reduced_step(problem, normal, damping)
@@ -106,7 +108,7 @@ def minimise(problem: Problem, state: State, report: Callable[[Iteration], None]
                 if report:
                     report(steps[-1])
                 if decrement < CONVERGED and damping == 0.0:
-                    return Minimum(state, normal, tuple(steps))
+                    return _released(problem, Minimum(state, normal, tuple(steps)), start)
                 damping = calmer
                 continue
         damping = 10 * damping if damping else 1e-3
@@ -122,6 +124,15 @@ def minimise(problem: Problem, state: State, report: Callable[[Iteration], None]
         f"not converged after {ITERATIONS} iterations (last step {np.sqrt(decrement):.2g} sigma)",
         remedy="check the start values, and what the network leaves undetermined",
     )
+
+
+def _released(problem: Problem, minimum: Minimum, start: State) -> Minimum:
+    """Move a free network onto its start values."""
+    if not len(problem.stiffened):
+        return minimum
+    state = inner_state(problem, minimum.normal, minimum.state, start)
+    normal = normal_equations(problem, state, 0.0, minimum.normal.kept)
+    return Minimum(state, normal, minimum.iterations)
 
 
 def _reduced_step(problem: Problem, normal: Normal, damping: float) -> Floats | None:
@@ -143,4 +154,5 @@ def _moved(problem: Problem, state: State, normal: Normal, step: Floats) -> tupl
     points = state.points.copy()
     decreases = np.zeros(len(problem.design.pieces) - 1)
     back_substitute(problem.design, problem.structure.band, step, normal.kept, points, decreases)
+    points[problem.layout.kept_points] += step[problem.layout.point_columns]
     return State(cameras, rotation, centre, points), float(decreases.sum() - normal.gradient @ step)

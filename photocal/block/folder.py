@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.adjustment.network import NO_RELATIONS, RELATIONS, Relations
 from photocal.block.model import ROLES, Block, Images, InputFile, ObjectPoints, Observations
 from photocal.block.setup import ObservationKeys, make_camera, read_setup
 from photocal.block.table import Table, read_table
@@ -22,6 +23,8 @@ IMAGE_SIGMAS = ("so", "sp", "sk", "sX", "sY", "sZ")
 POINT_COLUMNS = ("point", "X", "Y", "Z", "role")
 POINT_SIGMAS = ("sX", "sY", "sZ")
 OBSERVATION_COLUMNS = ("image", "point", "x", "y")
+# Observations between points stand in tables of their plural: distances.csv (m), height_differences.csv (m),
+# azimuths.csv (degrees, from the Y axis towards X).
 
 
 def read_block(folder: Path) -> Block:
@@ -58,6 +61,8 @@ def read_block(folder: Path) -> Block:
     points = _read_points(folder / "points.csv")
     table = _observations_path(folder)
     observations = _read_observations(table, setup.observations, images.names, points.names)
+    relations = _read_relations(folder, points.names)
+    tables = ["block.toml", "images.csv", "points.csv", table.name, *(_present(folder))]
     datum = setup.block.datum
     return Block(
         setup.block.name or folder.resolve().name,
@@ -69,7 +74,8 @@ def read_block(folder: Path) -> Block:
         images,
         points,
         observations,
-        tuple(fingerprint(folder, name) for name in ("block.toml", "images.csv", "points.csv", table.name)),
+        tuple(fingerprint(folder, name) for name in tables),
+        relations,
     )
 
 
@@ -154,6 +160,32 @@ def _read_observations(
     )
     values = np.column_stack([table.numbers("x"), table.numbers("y")])
     return Observations(keys.unit, keys.axes, image, point, values, sigma)
+
+
+def _present(folder: Path) -> list[str]:
+    """Tables of observations between points that the folder has."""
+    return [f"{name}s.csv" for name in RELATIONS if (folder / f"{name}s.csv").exists()]
+
+
+def _read_relations(folder: Path, points: tuple[str, ...]) -> Relations:
+    parts = []
+    for name in RELATIONS:
+        path = folder / f"{name}s.csv"
+        if not path.exists():
+            continue
+        table = read_table(path, ("from", "to", "value", "sigma"))
+        first, second = (_known_rows(table, end, points, "points.csv") for end in ("from", "to"))
+        value, sigma = table.numbers("value"), table.numbers("sigma")
+        _refuse(table, first == second, "both ends are the same point", "name two points")
+        _refuse(table, sigma <= 0, "sigma is not positive", "give a standard deviation")
+        _refuse(table, (value <= 0) & (name == "distance"), "the distance is not positive", "correct it")
+        code = np.full(len(value), RELATIONS.index(name))
+        scale = np.pi / 180 if name == "azimuth" else 1.0
+        parts.append(Relations(code, first, second, value * scale, sigma * scale))
+    if not parts:
+        return NO_RELATIONS
+    columns = zip(*(vars(part).values() for part in parts), strict=True)
+    return Relations(*(np.concatenate(column) for column in columns))
 
 
 def _observations_path(folder: Path) -> Path:

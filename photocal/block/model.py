@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from photocal.adjustment.network import NO_RELATIONS, Relations
 from photocal.geometry.camera import Camera
 
 Floats = NDArray[np.float64]
@@ -120,6 +121,8 @@ class Block:
     points : ObjectPoints
     observations : Observations
     inputs : tuple of InputFile
+    relations : Relations
+        Distances and height differences between points, by their index.
     """
 
     name: str
@@ -132,3 +135,4 @@ class Block:
     points: ObjectPoints
     observations: Observations
     inputs: tuple[InputFile, ...]
+    relations: Relations = NO_RELATIONS

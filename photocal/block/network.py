@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError
 from photocal.adjustment.intersection import intersect
-from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
+from photocal.adjustment.network import Exposures, Network, Points, Rays, Relations, point_weights
 from photocal.block.model import Block
 from photocal.geometry.camera import pixel_to_plane
 from photocal.geometry.distortion import undistorted
@@ -74,7 +74,7 @@ def assemble(block: Block) -> Assembly:
     position[used] = np.arange(len(used))
     order = np.argsort(position[block.observations.point], kind="stable")
     places = np.vstack([block.images.values[:, 3:], block.points.values])
-    origin = np.round(np.nanmean(places, axis=0)).astype(np.float64)
+    origin = np.asarray(np.round(np.nanmean(places, axis=0)), dtype=np.float64)
     exposures = Exposures(
         block.images.camera, block.images.values - np.concatenate([np.zeros(3), origin]), block.images.sigma
     )
@@ -82,12 +82,22 @@ def assemble(block: Block) -> Assembly:
     rays = Rays(
         block.observations.image[order], position[block.observations.point[order]], plane[order], sigma[order]
     )
-    control = block.points.of_role("control")[used]
+    # A free network takes coordinates as start values only.
+    control = block.points.of_role("control")[used] & (block.datum == "control")
     prior = np.where(control[:, None], block.points.sigma[used], np.inf)
     held, weight = point_weights(prior)
     values = _with_start_values(block, exposures, rays, block.points.values[used] - origin, used)
     names = tuple(block.points.names[j] for j in used)
-    network = Network(block.cameras, exposures, Points(values, held, weight), rays, block.images.names, names)
+    network = Network(
+        block.cameras,
+        exposures,
+        Points(values, held, weight),
+        rays,
+        block.images.names,
+        names,
+        _relations(block, position),
+        _datum_points(block, position),
+    )
     return Assembly(network, used, order, origin)
 
 
@@ -134,6 +144,36 @@ def plane_per_unit(block: Block) -> Floats:
                 remedy="give the camera in mm with its pixel pitch",
             )
     return np.array(scales)
+
+
+def _relations(block: Block, position: Integers) -> Relations:
+    """Observations between points, with the points' places in the network."""
+    relations = block.relations
+    ends = np.concatenate([relations.first, relations.second])
+    lost = np.flatnonzero(position[ends] < 0)
+    if len(lost):
+        name = block.points.names[ends[lost[0]]]
+        raise InputMalformedError(
+            f"point {name} has a distance or height difference but no ray",
+            where=f"point {name}",
+            remedy="measure it in the images or remove the observation",
+        )
+    return replace(relations, first=position[relations.first], second=position[relations.second])
+
+
+def _datum_points(block: Block, position: Integers) -> Integers | None:
+    """Points that carry a free datum, as places in the network."""
+    if block.datum == "control":
+        return None
+    known = {name: int(position[j]) for j, name in enumerate(block.points.names)}
+    for name in block.datum_points:
+        if known.get(name, -1) < 0:
+            raise ConfigurationError(
+                f"datum point {name} is not observed",
+                where="block.toml",
+                remedy="correct the list of datum points",
+            )
+    return np.array([known[name] for name in block.datum_points], dtype=np.int64)
 
 
 def _require_rays(block: Block, rays_of_point: Integers) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 from acquire.outputs import output_folder
 from photocal.adjustment.covariance import complete
+from photocal.adjustment.datum import with_datum
 from photocal.adjustment.normal import prepare
 from photocal.adjustment.solver import minimise
 from photocal.adjustment.state import start_state
@@ -40,8 +41,9 @@ def adjust_block(folder: Path, output: Path) -> dict[str, Any]:
     block = read_block(folder)
     assembly = assemble(block)
     read = time.perf_counter()
-    problem = prepare(assembly.network)
-    minimum = minimise(problem, start_state(assembly.network))
+    state = start_state(assembly.network)
+    problem = with_datum(prepare(assembly.network), state)
+    minimum = minimise(problem, state)
     solved = time.perf_counter()
     solution = complete(problem, minimum)
     done = time.perf_counter()

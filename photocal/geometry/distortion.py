@@ -44,6 +44,11 @@ def affinity_matrix(camera: Camera) -> Floats:
     return np.asarray(b1 * np.array(first, dtype=float) + b2 * np.array(second, dtype=float))
 
 
+def _through(matrix: Floats, plane: Floats) -> Floats:
+    """Multiply every point by a matrix."""
+    return np.asarray(plane @ matrix.T, dtype=np.float64)
+
+
 def undistorted(camera: Camera, measured: Floats) -> Floats:
     """Correct measured image coordinates to those of a perfect central projection.
 
@@ -58,19 +63,19 @@ def undistorted(camera: Camera, measured: Floats) -> Floats:
     ndarray, shape (n, 2)
         p = -c (u, v)/w, from the principal point.
     """
-    xb: Floats = measured - camera.values[1:3]
-    affine = np.eye(2) + affinity_matrix(camera)
+    xb = np.asarray(measured - camera.values[1:3], dtype=np.float64)
+    affine = np.asarray(np.eye(2) + affinity_matrix(camera), dtype=np.float64)
     if camera.model == "brown-observed":
         if camera.affinity == "additive":
             return xb - polynomial_distortion(camera, xb) - xb @ (affine - np.eye(2)).T
         if camera.affinity == "before":
-            bent = np.asarray(xb @ affine.T)
+            bent = _through(affine, xb)
             return np.asarray(bent - polynomial_distortion(camera, bent))
         return (xb - polynomial_distortion(camera, xb)) @ affine.T
     if camera.affinity == "before":
-        xb = np.asarray(xb @ affine.T)
+        xb = _through(affine, xb)
     elif camera.affinity == "after":
-        xb = np.linalg.solve(affine, xb.T).T
+        xb = _through(np.linalg.inv(affine), xb)
     extra = affine - np.eye(2) if camera.affinity == "additive" else np.zeros((2, 2))
     return _solve(lambda p: p + polynomial_distortion(camera, p) + p @ extra.T, xb)
 
@@ -93,14 +98,14 @@ def distorted(camera: Camera, ideal: Floats) -> Floats:
     principal = camera.values[1:3]
     if camera.model == "brown-observed":
         return _solve(lambda x: undistorted(camera, x + principal), ideal) + principal
-    affine = np.eye(2) + affinity_matrix(camera)
-    xb: Floats = ideal + polynomial_distortion(camera, ideal)
+    affine = np.asarray(np.eye(2) + affinity_matrix(camera), dtype=np.float64)
+    xb = np.asarray(ideal + polynomial_distortion(camera, ideal), dtype=np.float64)
     if camera.affinity == "additive":
         xb = xb + ideal @ (affine - np.eye(2)).T
     elif camera.affinity == "after":
-        xb = np.asarray(xb @ affine.T)
+        xb = _through(affine, xb)
     else:
-        xb = np.linalg.solve(affine, xb.T).T
+        xb = _through(np.linalg.inv(affine), xb)
     return xb + principal
 
 

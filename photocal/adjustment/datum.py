@@ -1,0 +1,248 @@
+"""The datum of a free network: minimum constraints to solve, inner constraints to report.
+
+A network whose observations leave position, orientation or scale open is solved with as many columns
+held lightly as it has defects: any such choice gives the same residuals and the same shape. The result
+is then moved onto the start values, and the covariance transformed, so that the chosen points move least
+(inner constraints, Blaha 1971; S-transformation, Baarda 1973).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+from scipy.spatial.transform import Rotation
+
+from photocal.adjustment.envelope import multiply, solve
+from photocal.adjustment.kernels import back_substitute, reduce_right
+from photocal.adjustment.network import Network
+from photocal.adjustment.normal import Normal, Problem, diagonal_addresses, normal_equations
+from photocal.adjustment.state import State
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Share of its own diagonal that a similarity transformation may change v'Pv by and still be free.
+OPEN = 1e-9
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What turns the covariance of a minimally constrained solution into that of inner constraints.
+
+    Attributes
+    ----------
+    moves, spread : ndarray, shape (layout.size, d)
+        For the reduced system: null vectors A, and Q G, G their part at the datum points.
+    point_moves, point_spread : ndarray, shape (points, 3, d)
+        The same for the points.
+    inverse : ndarray, shape (d, d)
+        (G'A)^-1.
+    own : ndarray, shape (d, d)
+        G'QG.
+    """
+
+    moves: Floats
+    spread: Floats
+    point_moves: Floats
+    point_spread: Floats
+    inverse: Floats
+    own: Floats
+
+    def applied(self, covariance: Floats, moves: Floats, spread: Floats) -> Floats:
+        """Transform covariance blocks, shape (n, m, m), with their rows of A and Q G, shape (n, m, d)."""
+        a = moves @ self.inverse
+        mixed = a @ np.swapaxes(spread, 1, 2)
+        return np.asarray(covariance - mixed - np.swapaxes(mixed, 1, 2) + a @ self.own @ np.swapaxes(a, 1, 2))
+
+
+def similarity_moves(problem: Problem, state: State) -> tuple[Floats, Floats]:
+    """Changes of all unknowns under small similarity transformations of the object space.
+
+    Parameters
+    ----------
+    problem : Problem
+    state : State
+
+    Returns
+    -------
+    reduced : ndarray, shape (layout.size, 7)
+        Three translations, three rotations about the middle of the projection centres, scale. What is
+        held does not move.
+    points : ndarray, shape (points, 3, 7)
+    """
+    columns, layout = problem.layout.image_columns, problem.layout
+    middle = state.centre.mean(axis=0)
+    points = _displacements(state.points - middle)
+    points[problem.network.points.held] = 0.0
+    reduced = np.zeros((layout.size, 7))
+    reduced[columns[:, 3:]] = _displacements(state.centre - middle)
+    # The object space turns by e, so the camera axes turn by -M e.
+    reduced[columns[:, :3], 3:6] = -state.rotation
+    reduced[layout.point_columns] = points[layout.kept_points]
+    reduced[problem.held] = 0.0
+    return reduced, points
+
+
+def _displacements(relative: Floats) -> Floats:
+    """Displacement of places, shape (n, 3), per unit of each of the seven transformations, (n, 3, 7)."""
+    moves = np.zeros((len(relative), 3, 7))
+    moves[:, :, :3] = np.eye(3)
+    moves[:, :, 3:6] = np.moveaxis(np.cross(np.eye(3)[:, None, :], relative), 0, 2)
+    moves[:, :, 6] = relative
+    return moves
+
+
+def open_combinations(problem: Problem, normal: Normal, moves: Floats) -> Floats:
+    """Combinations of the seven transformations that no observation sees, shape (7, d).
+
+    Parameters
+    ----------
+    problem : Problem
+    normal : Normal
+        Not yet factorised.
+    moves : ndarray, shape (layout.size, 7)
+        From `similarity_moves`.
+    """
+    diagonal = normal.matrix[diagonal_addresses(problem)]
+    length = np.sqrt(diagonal @ moves**2)
+    movable = length > 0
+    length[~movable] = 1.0
+    scaled = moves / length
+    form = scaled.T @ multiply(problem.layout.envelope, normal.matrix, scaled)
+    # What nothing can move is not open.
+    form[~movable, ~movable] += 1.0
+    eigenvalues, vectors = np.linalg.eigh((form + form.T) / 2)
+    return np.asarray(vectors[:, eigenvalues < OPEN] / length[:, None])
+
+
+def with_datum(problem: Problem, state: State) -> Problem:
+    """Hold lightly as many columns as a free network has defects.
+
+    Parameters
+    ----------
+    problem : Problem
+    state : State
+        Start values.
+
+    Returns
+    -------
+    Problem
+        The same problem when the observations carry the datum.
+    """
+    if problem.network.datum_points is None:
+        return problem
+    normal = normal_equations(problem, state)
+    moves, _ = similarity_moves(problem, state)
+    null = moves @ open_combinations(problem, normal, moves)
+    if not null.shape[1]:
+        return problem
+    scale = np.sqrt(normal.matrix[diagonal_addresses(problem)])
+    _, _, order = qr((null * scale[:, None]).T, mode="economic", pivoting=True)
+    return replace(problem, stiffened=np.sort(order[: null.shape[1]]).astype(np.int64))
+
+
+def inner_state(problem: Problem, normal: Normal, state: State, start: State) -> State:
+    """Move a free network by a similarity so that its datum points come closest to their start values.
+
+    Parameters
+    ----------
+    problem : Problem
+        From `with_datum`.
+    normal : Normal
+        At `state`; not factorised.
+    state, start : State
+        Adjusted and start values.
+
+    Returns
+    -------
+    State
+    """
+    chosen = _datum_points(problem.network)
+    for _ in range(50):
+        moves, points = similarity_moves(problem, state)
+        open_ones = _open_ones(problem, normal, moves)
+        own = (points @ open_ones)[chosen].reshape(-1, open_ones.shape[1])
+        away = (start.points - state.points)[chosen].ravel()
+        change = open_ones @ np.linalg.lstsq(own, away, rcond=None)[0]
+        state = _transformed(state, change)
+        if np.abs(own @ np.linalg.lstsq(own, away, rcond=None)[0]).max() < 1e-12 * np.ptp(state.points):
+            break
+    return state
+
+
+def _open_ones(problem: Problem, normal: Normal, moves: Floats) -> Floats:
+    """Open combinations, without the stiffening that would close them."""
+    diagonal = diagonal_addresses(problem)[problem.stiffened]
+    bare = normal.matrix.copy()
+    bare[diagonal] /= 2.0
+    return open_combinations(problem, replace(normal, matrix=bare), moves)
+
+
+def _transformed(state: State, change: Floats) -> State:
+    """Apply a similarity: translation, rotation vector and scale, about the middle of the centres."""
+    middle = state.centre.mean(axis=0)
+    turn = Rotation.from_rotvec(change[3:6]).as_matrix()
+    matrix, shift = (1.0 + change[6]) * turn, middle + change[:3]
+    return State(
+        state.cameras,
+        state.rotation @ turn.T,
+        (state.centre - middle) @ matrix.T + shift,
+        (state.points - middle) @ matrix.T + shift,
+    )
+
+
+def _datum_points(network: Network) -> Integers:
+    chosen = network.datum_points
+    return np.arange(len(network.points.values)) if chosen is None or not len(chosen) else chosen
+
+
+def correction(problem: Problem, normal: Normal, bare_normal: Normal, state: State) -> Correction:
+    """What the S-transformation to inner constraints needs.
+
+    Parameters
+    ----------
+    problem : Problem
+        From `with_datum`.
+    normal : Normal
+        At `state`, factorised.
+    bare_normal : Normal
+        The same before it was factorised.
+    state : State
+
+    Returns
+    -------
+    Correction
+    """
+    reduced, points = similarity_moves(problem, state)
+    open_ones = _open_ones(problem, bare_normal, reduced)
+    reduced, points = reduced @ open_ones, points @ open_ones
+    chosen = _datum_points(problem.network)
+    right = np.zeros_like(points)
+    right[chosen] = points[chosen]
+    spread, point_spread = np.empty_like(reduced), np.empty_like(points)
+    for k in range(reduced.shape[1]):
+        spread[:, k], point_spread[:, :, k] = _solved(problem, normal, right[:, :, k])
+    # Columns of held unknowns and unknowns that are kept stand in both parts; G counts each point once.
+    constraint = np.einsum("nak,nal->kl", right, points)
+    own = np.einsum("nak,nal->kl", right, point_spread)
+    return Correction(reduced, spread, points, point_spread, np.linalg.inv(constraint), own)
+
+
+def _solved(problem: Problem, normal: Normal, right: Floats) -> tuple[Floats, Floats]:
+    """Solve the full normal equations for a right-hand side at the points, shape (points, 3)."""
+    right = np.ascontiguousarray(right)
+    layout = problem.layout
+    reduced = np.zeros(layout.size)
+    reduce_right(problem.design, problem.structure.band, right, normal.kept, reduced)
+    reduced[layout.point_columns] += right[layout.kept_points]
+    reduced[problem.held] = 0.0
+    step = solve(layout.envelope, normal.matrix, reduced)
+    points = np.zeros_like(right)
+    threads = len(problem.design.pieces) - 1
+    kept = normal.kept._replace(gradient=-right)
+    back_substitute(problem.design, problem.structure.band, step, kept, points, np.zeros(threads))
+    points[layout.kept_points] = step[layout.point_columns]
+    return step, points
