@@ -1,0 +1,176 @@
+"""Small networks with a known truth: the one place where tests make them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
+from photocal.geometry.camera import PARAMETERS, Affinity, AffinityForm, Camera, Model, camera
+from photocal.geometry.distortion import projected
+from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# A lens like that of a 20 mm wide angle, in mm.
+LENS = {
+    "c": 20.0,
+    "x0": -0.2,
+    "y0": 0.15,
+    "K1": -2.5e-4,
+    "K2": 3e-7,
+    "K3": 8e-10,
+    "P1": 1.5e-5,
+    "P2": -1e-5,
+    "B1": 2e-4,
+    "B2": -1e-4,
+}
+COMMON = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
+
+
+def lens(
+    name: str = "main",
+    model: Model = "brown-observed",
+    *,
+    estimate: tuple[str, ...] = COMMON,
+    prior_sigma: dict[str, float] | None = None,
+    affinity: Affinity = "additive",
+    affinity_form: AffinityForm = "fraser",
+    **changes: float,
+) -> Camera:
+    """A camera with the values of `LENS`, changed by name."""
+    return camera(
+        name,
+        model,
+        "mm",
+        (3000, 2000),
+        (0.009, 0.009),
+        LENS | changes,
+        estimate=estimate,
+        prior_sigma=prior_sigma,
+        affinity=affinity,
+        affinity_form=affinity_form,
+    )
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The truth: cameras, exposures (omega, phi, kappa, X, Y, Z) and object points."""
+
+    cameras: tuple[Camera, ...]
+    camera_of: Integers
+    exposures: Floats
+    points: Floats
+
+    def turned(self, rotation: Floats, shift: Floats) -> Scene:
+        """The same scene in a frame X' = R X + t."""
+        matrix = matrix_from_angles(self.exposures[:, :3]) @ rotation.T
+        centre = self.exposures[:, 3:] @ rotation.T + shift
+        exposures = np.hstack([angles_from_matrix(matrix), centre])
+        return replace(self, exposures=exposures, points=self.points @ rotation.T + shift)
+
+
+def convergent(
+    cameras: tuple[Camera, ...] | None = None, *, images: int = 6, points: int = 20, seed: int = 1
+) -> Scene:
+    """Images of a field of points from all around, rolled by 90 degrees each, cameras in turn."""
+    rng = np.random.default_rng(seed)
+    cameras = cameras or (lens(),)
+    xyz = rng.uniform([-4, -3, -1], [4, 3, 1], (points, 3))
+    poses = []
+    for i in range(images):
+        bearing = 2 * np.pi * i / images + 0.3
+        centre = np.array([5 * np.cos(bearing), 4 * np.sin(bearing), 9.0]) + rng.uniform(-0.5, 0.5, 3)
+        poses.append(np.concatenate([looking(centre, rng.uniform(-0.3, 0.3, 3), i * np.pi / 2), centre]))
+    return Scene(cameras, np.arange(images) % len(cameras), np.array(poses), xyz)
+
+
+def looking(centre: Floats, target: Floats, roll: float) -> Floats:
+    """Angles of a camera that looks from one place to another."""
+    backwards = (centre - target) / np.linalg.norm(centre - target)
+    right = np.cross([0.0, 1.0, 0.0], backwards)
+    right /= np.linalg.norm(right)
+    level = np.array([right, np.cross(backwards, right), backwards])
+    spin = matrix_from_angles(np.array([0.0, 0.0, roll]))
+    return angles_from_matrix(spin @ level)
+
+
+def observe(
+    scene: Scene,
+    rng: np.random.Generator | None,
+    *,
+    sigma: float = 0.003,
+    point_sigma: Floats | float = 0.003,
+    exposure_sigma: Floats | float = np.inf,
+    missing: float = 0.0,
+    disturb: float = 0.02,
+) -> Network:
+    """Measure a scene: every value that has a sigma gets its error, every other one a rough start.
+
+    Parameters
+    ----------
+    scene : Scene
+    rng : Generator or None
+        None: observations without errors (start values are disturbed all the same).
+    sigma : float
+        Of image coordinates, mm.
+    point_sigma, exposure_sigma : float or ndarray
+        0 holds, infinity leaves free; broadcast to (points, 3) and (images, 6).
+    missing : float
+        Share of the rays that are not measured.
+    disturb : float
+        Error of start values, m and radians.
+    """
+    start = np.random.default_rng(99)
+    images, points = len(scene.exposures), len(scene.points)
+    image, point = np.tile(np.arange(images), points), np.repeat(np.arange(points), images)
+    seen = start.random(len(image)) >= missing
+    image, point = image[seen], point[seen]
+    q = np.einsum(
+        "nij,nj->ni",
+        matrix_from_angles(scene.exposures[:, :3])[image],
+        scene.points[point] - scene.exposures[image, 3:],
+    )
+    plane = np.empty((len(image), 2))
+    for k, own in enumerate(scene.cameras):
+        mine = scene.camera_of[image] == k
+        plane[mine] = projected(own, q[mine])
+    of_point = np.broadcast_to(np.asarray(point_sigma, dtype=float), (points, 3)).copy()
+    of_exposure = np.broadcast_to(np.asarray(exposure_sigma, dtype=float), (images, 6)).copy()
+    if rng is not None:
+        plane = plane + rng.normal(0.0, sigma, plane.shape)
+    held, weight = point_weights(of_point)
+    return Network(
+        tuple(_started(own, rng) for own in scene.cameras),
+        Exposures(
+            scene.camera_of, _observed(scene.exposures, of_exposure, rng, start, disturb / 4), of_exposure
+        ),
+        Points(_observed(scene.points, of_point, rng, start, disturb), held, weight),
+        Rays(image, point, plane, np.full(plane.shape, sigma)),
+        tuple(f"i{k}" for k in range(images)),
+        tuple(f"p{j}" for j in range(points)),
+    )
+
+
+def _observed(
+    true: Floats, sigma: Floats, rng: np.random.Generator | None, start: np.random.Generator, disturb: float
+) -> Floats:
+    weighted = np.isfinite(sigma)
+    error = np.zeros(true.shape) if rng is None else rng.normal(0.0, 1.0, true.shape)
+    rough = start.uniform(-disturb, disturb, true.shape)
+    return true + np.where(weighted, error * np.where(weighted, sigma, 0.0), rough)
+
+
+def _started(own: Camera, rng: np.random.Generator | None) -> Camera:
+    """The camera as it is known before: c a little off, no distortion; weighted values with their error."""
+    values = own.values.copy()
+    free = own.estimated & ~np.isfinite(own.prior_sigma)
+    values[free] = 0.0
+    values[0] = own.values[0] * (1.01 if free[0] else 1.0)
+    weighted = own.estimated & np.isfinite(own.prior_sigma)
+    if rng is not None:
+        values[weighted] += (rng.normal(0.0, 1.0, len(PARAMETERS)) * own.prior_sigma)[weighted]
+    return own.with_values(values)

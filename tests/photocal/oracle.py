@@ -1,0 +1,202 @@
+"""A second adjustment to compare with: a few lines of dense linear algebra, slow and plain.
+
+It shares nothing with the project but the description of the network: the camera equations are written
+down again from their definition, derivatives are taken by complex steps, the normal matrix is full.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.adjustment.network import Network
+from photocal.geometry.camera import PARAMETERS, Camera
+
+Floats = NDArray[np.float64]
+# Real numbers, or complex ones while a derivative is taken.
+Numbers = NDArray[Any]
+
+
+def rotation(omega: Any, phi: Any, kappa: Any) -> Numbers:
+    """M = R3(kappa) R2(phi) R1(omega), factor by factor."""
+    so, co, sp, cp, sk, ck = (
+        np.sin(omega), np.cos(omega), np.sin(phi), np.cos(phi), np.sin(kappa), np.cos(kappa),
+    )  # fmt: skip
+    r1 = np.array([[1, 0, 0], [0, co, so], [0, -so, co]])
+    r2 = np.array([[cp, 0, -sp], [0, 1, 0], [sp, 0, cp]])
+    r3 = np.array([[ck, sk, 0], [-sk, ck, 0], [0, 0, 1]])
+    return np.asarray(r3 @ r2 @ r1)
+
+
+def polynomial(values: Numbers, r0: float, x: Any, y: Any) -> tuple[Any, Any]:
+    """Brown's polynomial at a point."""
+    k1, k2, k3, k4, p1, p2, p3, p4 = values[3:11]
+    r2 = x**2 + y**2
+    radial = k1 * (r2 - r0**2) + k2 * (r2**2 - r0**4) + k3 * (r2**3 - r0**6) + k4 * (r2**4 - r0**8)
+    more = 1 + p3 * r2 + p4 * r2**2
+    return (
+        x * radial + (p1 * (r2 + 2 * x**2) + 2 * p2 * x * y) * more,
+        y * radial + (p2 * (r2 + 2 * y**2) + 2 * p1 * x * y) * more,
+    )
+
+
+def affinity(form: str, b1: Any, b2: Any, x: Any, y: Any) -> tuple[Any, Any]:
+    """What the affinity adds to a point."""
+    return {
+        "fraser": (b1 * x + b2 * y, 0 * x),
+        "canon-elph": (b1 * x, b2 * x),
+        "tank": (b1 * y, b2 * y),
+    }[form]
+
+
+def residual(own: Camera, values: Numbers, measured: Numbers, q: Numbers) -> tuple[Any, Any]:
+    """Computed minus measured of points in camera axes, by the definition of each model."""
+    c, x0, y0 = values[:3]
+    b1, b2 = values[11:]
+    r0, form = own.reference_radius, own.affinity_form
+    px, py = -c * q[0] / q[2], -c * q[1] / q[2]
+    x, y = measured[0] - x0, measured[1] - y0
+    if own.affinity == "before":
+        ax, ay = affinity(form, b1, b2, x, y)
+        x, y = x + ax, y + ay
+    if own.model == "brown-observed":
+        dx, dy = polynomial(values, r0, x, y)
+        if own.affinity == "additive":
+            ax, ay = affinity(form, b1, b2, x, y)
+            dx, dy = dx + ax, dy + ay
+        cx, cy = x - dx, y - dy
+        if own.affinity == "after":
+            ax, ay = affinity(form, b1, b2, cx, cy)
+            cx, cy = cx + ax, cy + ay
+        return px - cx, py - cy
+    dx, dy = polynomial(values, r0, px, py)
+    if own.affinity == "additive":
+        ax, ay = affinity(form, b1, b2, px, py)
+        dx, dy = dx + ax, dy + ay
+    ix, iy = px + dx, py + dy
+    if own.affinity == "after":
+        ax, ay = affinity(form, b1, b2, ix, iy)
+        ix, iy = ix + ax, iy + ay
+    return ix - x, iy - y
+
+
+@dataclass(frozen=True)
+class Result:
+    """Values, covariance by the names of the unknowns, redundancy numbers in the order of the rays."""
+
+    cameras: Floats
+    exposures: Floats
+    points: Floats
+    covariance: Floats
+    column: dict[tuple[str, int, int], int]
+    residuals: Floats
+    redundancy: Floats
+    chi_squared: float
+    observations: int
+    total_redundancy: float
+
+    def block(self, kind: str, index: int, size: int) -> Floats:
+        """Covariance of one camera, exposure or point; zeros where a value is held."""
+        result = np.zeros((size, size))
+        columns = [self.column.get((kind, index, n), -1) for n in range(size)]
+        for a, ca in enumerate(columns):
+            for b, cb in enumerate(columns):
+                if ca >= 0 and cb >= 0:
+                    result[a, b] = self.covariance[ca, cb]
+        return result
+
+
+def _columns(network: Network) -> dict[tuple[str, int, int], int]:
+    names: list[tuple[str, int, int]] = []
+    for k, own in enumerate(network.cameras):
+        names += [("camera", k, n) for n in range(len(PARAMETERS)) if own.estimated[n]]
+    sigma = network.exposures.sigma
+    names += [("exposure", i, n) for i in range(len(sigma)) for n in range(6) if sigma[i, n] != 0]
+    held = network.points.held
+    names += [("point", j, n) for j in range(len(held)) for n in range(3) if not held[j, n]]
+    return {name: at for at, name in enumerate(names)}
+
+
+def _values(network: Network, column: dict[tuple[str, int, int], int], x: Numbers) -> dict[str, Numbers]:
+    values = {
+        "camera": np.array([own.values for own in network.cameras]).astype(x.dtype),
+        "exposure": network.exposures.values.astype(x.dtype),
+        "point": network.points.values.astype(x.dtype),
+    }
+    for (kind, index, n), at in column.items():
+        values[kind][index, n] = x[at]
+    return values
+
+
+def _residuals(network: Network, values: dict[str, Numbers]) -> Numbers:
+    """All whitened residuals: rays, then points, cameras and exposures as observations."""
+    rays = network.rays
+    matrices = np.array([rotation(*pose[:3]) for pose in values["exposure"]])
+    away = values["point"][rays.point] - values["exposure"][rays.image, 3:]
+    q = np.einsum("nij,nj->in", matrices[rays.image], away)
+    seen = np.empty((len(rays.image), 2), dtype=q.dtype)
+    for k, own in enumerate(network.cameras):
+        mine = network.exposures.camera[rays.image] == k
+        seen[mine] = np.column_stack(residual(own, values["camera"][k], rays.plane[mine].T, q[:, mine]))
+    out = list(np.ravel(seen / rays.sigma))
+    for j, weight in enumerate(network.points.weight):
+        known = np.flatnonzero(np.diag(weight))
+        if len(known):
+            root = np.linalg.cholesky(weight[np.ix_(known, known)]).T
+            out += list(root @ (values["point"][j] - network.points.values[j])[known])
+    for k, own in enumerate(network.cameras):
+        for n in np.flatnonzero(own.estimated & np.isfinite(own.prior_sigma)):
+            out.append((values["camera"][k, n] - own.values[n]) / own.prior_sigma[n])
+    sigma = network.exposures.sigma
+    for i, n in zip(*np.nonzero(np.isfinite(sigma) & (sigma > 0)), strict=True):
+        out.append((values["exposure"][i, n] - network.exposures.values[i, n]) / sigma[i, n])
+    return np.array(out)
+
+
+def adjust_densely(network: Network, iterations: int = 30) -> Result:
+    """Gauss-Newton on the whole system; derivatives by complex steps, exact to the last digit."""
+    column = _columns(network)
+    start = {
+        "camera": np.array([own.values for own in network.cameras]),
+        "exposure": network.exposures.values,
+        "point": network.points.values,
+    }
+    x = np.array([start[kind][index, n] for kind, index, n in column])
+    step = np.full(len(x), np.inf)
+    for _ in range(iterations):
+        v = _residuals(network, _values(network, column, x))
+        design = _jacobian(network, column, x)
+        inverse = np.asarray(np.linalg.inv(design.T @ design), dtype=np.float64)
+        if np.abs(step / np.sqrt(np.diag(inverse))).max() < 1e-8:
+            break
+        step = -inverse @ (design.T @ v)
+        x = x + step
+    else:
+        raise AssertionError("the comparison adjustment does not converge")
+    values = _values(network, column, x)
+    rays = 2 * len(network.rays.image)
+    redundancy = 1.0 - np.einsum("na,ab,nb->n", design, inverse, design)
+    return Result(
+        values["camera"],
+        values["exposure"],
+        values["point"],
+        inverse,
+        column,
+        np.asarray(v[:rays].reshape(-1, 2) * network.rays.sigma, dtype=float),
+        redundancy[:rays].reshape(-1, 2),
+        float(v @ v),
+        len(v),
+        float(redundancy.sum()),
+    )
+
+
+def _jacobian(network: Network, column: dict[tuple[str, int, int], int], x: Floats) -> Floats:
+    columns = []
+    for at in range(len(x)):
+        moved = x.astype(complex)
+        moved[at] += 1e-30j
+        columns.append(_residuals(network, _values(network, column, moved)).imag / 1e-30)
+    return np.column_stack(columns)
