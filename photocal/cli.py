@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from acquire.console import application, run
-from photocal.commands import adjust, certificate, check, compare, plan
+from photocal.commands import adjust, analyse, certificate, check, compare, plan, verify
 
 app = application("From flight log, images and control points to a calibrated camera and its certificate.")
 app.command()(adjust.adjust)
 app.command()(certificate.certificate)
+app.command()(verify.verify)
+app.command()(analyse.analyse)
 app.command()(compare.compare)
 app.command()(check.check)
 app.command()(plan.plan)

@@ -11,6 +11,8 @@ from photocal.analysis.estimates import Array, Estimates, positive_definite, qua
 # The tank study neglects components with 0.74, 0.98 and 1.14 % of the variance together and keeps 3.15 %.
 NEGLIGIBLE_PERCENT = 2.0
 STRONG = 0.8
+# F from which parameters are needed although correlated: 2 standard deviations of a single one.
+NEEDED = 4.0
 ESSENTIAL = ("c", "x0", "y0")
 # Who goes first when nothing else decides: the higher term of a series before the lower one.
 ORDER_OF_LEAVING = ("K4", "K3", "P4", "P3", "K2", "B2", "B1", "P2", "P1", "K1")
@@ -111,7 +113,9 @@ class Proposal:
     steps : tuple of RemovalStep
         The rounds in which something was removed.
     removed, kept : tuple of str
-        Parameters to leave out and to keep.
+        Parameters that the rule leaves out and keeps.
+    recommended : tuple of str
+        Those of the removed that are worth leaving out: not needed, or of unknown significance.
     final : Components
         Components of the kept parameters.
     sentences : tuple of str
@@ -121,6 +125,7 @@ class Proposal:
     steps: tuple[RemovalStep, ...]
     removed: tuple[str, ...]
     kept: tuple[str, ...]
+    recommended: tuple[str, ...]
     final: Components
     sentences: tuple[str, ...]
 
@@ -204,32 +209,43 @@ def _leaving_order(estimates: Estimates, candidates: list[str]) -> list[str]:
 
 def _proposal(steps: list[RemovalStep], final: Components, negligible: int) -> Proposal:
     removed = tuple(name for step in steps for name in step.removed)
+    recommended = tuple(name for step in steps if not _needed(step) for name in step.removed)
     sentences = [_sentence(step) for step in steps]
     last = f"the last of {len(final.names)} components holds {final.percent[-1]:.2f} % of the variance"
     if not removed:
-        sentences.append(f"Keep all parameters: {last} and no two parameters load on the same one.")
+        sentences.append(f"Proposal: keep all parameters; {last} and no two parameters load on the same one.")
     else:
         sentences.append(f"With {' '.join(final.names)} {last}.")
+    if recommended:
+        sentences.append(f"Proposal: leave out {' '.join(recommended)}.")
+    elif removed:
+        sentences.append(
+            "Proposal: keep all parameters; those that the rule names are correlated but significant, which "
+            "asks for a better network and not for a poorer model."
+        )
     if negligible:
         sentences.append(
             "What remains alike concerns parameters that every camera needs: improve the network."
         )
-    return Proposal(tuple(steps), removed, final.names, final, tuple(sentences))
+    return Proposal(tuple(steps), removed, final.names, recommended, final, tuple(sentences))
+
+
+def _needed(step: RemovalStep) -> bool:
+    return step.statistic > NEEDED
 
 
 def _sentence(step: RemovalStep) -> str:
     share = float(step.components.percent[len(step.components.names) - step.negligible :].sum())
+    many = "s" if step.negligible > 1 else ""
     cause = (
-        f"the last {step.negligible} components hold {share:.2f} % of the variance"
+        f"the last {step.negligible} component{many} hold{'' if many else 's'} {share:.2f} % of the variance"
         if step.negligible
         else "no component is negligible"
     )
-    text = f"Leave out {' and '.join(step.removed)}: {' '.join(step.crowd)} cannot be told apart and {cause}"
+    text = (
+        f"The rule leaves out {' and '.join(step.removed)}: {' '.join(step.crowd)} load together and {cause}"
+    )
     if np.isnan(step.statistic):
         return f"{text}."
-    need = (
-        "they carry a real effect, so compare the effect in px first"
-        if step.statistic > 4.0
-        else "nothing is lost"
-    )
+    need = "they carry a real effect" if _needed(step) else "nothing is lost"
     return f"{text}; tested together F = {step.statistic:.3g}: {need}."

@@ -81,7 +81,7 @@ def strong_correlations(estimates: Estimates, threshold: float = 0.8) -> tuple[S
     """
     r = estimates.correlation
     found = [
-        StrongCorrelation(a, b, float(r[i, j]), cause(a, b))
+        StrongCorrelation(b, a, float(r[i, j]), cause(a, b))
         for i, a in enumerate(estimates.names)
         for j, b in enumerate(estimates.names[:i])
         if abs(r[i, j]) >= threshold

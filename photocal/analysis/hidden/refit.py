@@ -165,29 +165,29 @@ def without_images(network: Network, state: State, left_out: NDArray[np.bool_]) 
     kept &= points[network.rays.point]
     point_place = np.cumsum(points) - 1
     rays = network.rays
-    smaller = Network(
-        network.cameras,
-        replace(
+    smaller = replace(
+        network,
+        exposures=replace(
             network.exposures,
             camera=network.exposures.camera[~left_out],
             values=network.exposures.values[~left_out],
             sigma=network.exposures.sigma[~left_out],
         ),
-        replace(
+        points=replace(
             network.points,
             values=network.points.values[points],
             held=network.points.held[points],
             weight=network.points.weight[points],
         ),
-        replace(
+        rays=replace(
             rays,
             image=image_place[rays.image[kept]],
             point=point_place[rays.point[kept]],
             plane=rays.plane[kept],
             sigma=rays.sigma[kept],
         ),
-        tuple(name for name, out in zip(network.image_names, left_out, strict=True) if not out),
-        tuple(name for name, has in zip(network.point_names, points, strict=True) if has),
+        image_names=tuple(name for name, out in zip(network.image_names, left_out, strict=True) if not out),
+        point_names=tuple(name for name, has in zip(network.point_names, points, strict=True) if has),
     )
     return smaller, State(
         state.cameras.copy(), state.rotation[~left_out], state.centre[~left_out], state.points[points]

@@ -121,9 +121,10 @@ def test_the_removal_rule_ends_where_the_study_ends(tank: Callable[[str], Rows],
     assert np.abs(proposal.final.eigenvalues - printed[:, 1]).max() < 0.0035
     assert round(proposal.final.percent[-1], 1) == 3.2  # 3.15 printed: "not negligible"
     assert proposal.steps[0].negligible == 2  # 0.74 %, two components
-    assert proposal.sentences[0].startswith(
-        "Leave out K3 and K2: K1 K2 K3 cannot be told apart and the last 2"
-    )
+    words = "The rule leaves out K3 and K2: K1 K2 K3 load together and the last 2 components hold 0.74 %"
+    assert proposal.sentences[0].startswith(words)
+    assert proposal.recommended == ("K3", "K2")
+    assert proposal.sentences[-1] == "Proposal: leave out K3 K2."
 
 
 def test_nothing_is_proposed_for_parameters_that_are_distinct() -> None:
@@ -131,7 +132,7 @@ def test_nothing_is_proposed_for_parameters_that_are_distinct() -> None:
         from_sigmas(("c", "x0", "y0", "K1"), [5.0, 0.1, 0.1, 1e-3], [0.01, 0.01, 0.01, 1e-5])
     )
     assert proposal.removed == ()
-    assert proposal.sentences[0].startswith("Keep all parameters")
+    assert proposal.sentences[0].startswith("Proposal: keep all parameters")
 
 
 def test_an_essential_parameter_stays_and_its_double_leaves() -> None:
@@ -146,7 +147,9 @@ def test_a_correlated_parameter_with_a_real_effect_is_not_dropped_lightly() -> N
     r = np.eye(2)
     r[0, 1] = r[1, 0] = 0.97
     proposal = propose_removal(from_sigmas(("x0", "P1"), [0.1, 1e-2], [0.01, 1e-5], r))
-    assert "compare the effect in px first" in proposal.sentences[0]
+    assert "they carry a real effect" in proposal.sentences[0]
+    assert proposal.recommended == ()
+    assert proposal.sentences[-1].startswith("Proposal: keep all parameters")
 
 
 def test_loadings_are_correlations_of_parameters_with_components() -> None:

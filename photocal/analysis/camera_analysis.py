@@ -1,0 +1,99 @@
+"""Everything about the parameters of one camera: significance, effect, correlation, components."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from photocal.analysis.components import Proposal, propose_removal
+from photocal.analysis.correlation import StrongCorrelation, strong_correlations
+from photocal.analysis.effects import Effect, effects
+from photocal.analysis.estimates import Estimates, scaled
+from photocal.analysis.hidden.left_out import Checks, LeftOut, left_out
+from photocal.analysis.hidden.refit import Fit
+from photocal.analysis.hidden.search import camera_estimates
+from photocal.analysis.significance import FTest, significance
+
+
+@dataclass(frozen=True)
+class CameraAnalysis:
+    """The parameters of one camera, judged.
+
+    Attributes
+    ----------
+    estimates : Estimates
+        Values with their a priori covariance.
+    variance_factor : float
+        By which the covariance was scaled for the tests.
+    tests : tuple of FTest
+        Single, group and cumulative tests.
+    effects : tuple of Effect
+        Over the format, px.
+    correlations : tuple of StrongCorrelation
+        Over the threshold.
+    proposal : Proposal
+        Of the principal component analysis.
+    left_out : tuple of LeftOut
+        Adjusted anew without each parameter.
+    """
+
+    estimates: Estimates
+    variance_factor: float
+    tests: tuple[FTest, ...]
+    effects: tuple[Effect, ...]
+    correlations: tuple[StrongCorrelation, ...]
+    proposal: Proposal
+    left_out: tuple[LeftOut, ...]
+
+
+def analyse_camera(
+    fit: Fit,
+    camera: int,
+    checks: Checks,
+    alpha: float,
+    threshold: float,
+    done: Callable[[], None] = lambda: None,
+) -> CameraAnalysis | None:
+    """Judge the parameters of a camera.
+
+    Parameters
+    ----------
+    fit : Fit
+        The network at its minimum.
+    camera : int
+        Which camera.
+    checks : Checks
+        Check points, perhaps none.
+    alpha : float
+        Significance level of the F tests.
+    threshold : float
+        Absolute value from which correlations are named.
+    done : callable
+        Called after each new adjustment.
+
+    Returns
+    -------
+    CameraAnalysis or None
+        None for a camera without estimated parameters.
+
+    Raises
+    ------
+    IllPosedError
+        When the covariance is not positive definite.
+    """
+    estimates = camera_estimates(fit, camera)
+    if not estimates.names:
+        return None
+    # Never better than promised: see `hidden.camera_findings`.
+    factor = max(1.0, fit.solution.variance_factor)
+    judged = scaled(estimates, factor)
+    own = fit.network.cameras[camera].with_values(fit.state.cameras[camera])
+    return CameraAnalysis(
+        estimates,
+        factor,
+        significance(judged, fit.solution.degrees_of_freedom, alpha),
+        effects(own, judged),
+        strong_correlations(judged, threshold),
+        propose_removal(judged),
+        left_out(fit, camera, checks, done),
+    )

@@ -1,0 +1,110 @@
+"""What a parameter does in the image: its effect over the format, in px."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from photocal.analysis.estimates import Array, Estimates, without
+from photocal.analysis.significance import GROUPS
+from photocal.analysis.stability.calibration import View, sensor_grid, view
+from photocal.analysis.stability.methods import Method, fitted_pose, rotation_misfit
+from photocal.geometry.camera import PARAMETERS, Camera
+
+_ROTATION = Method("ROT", "two principal distances", "equations", 3, False, (rotation_misfit,))
+
+
+@dataclass(frozen=True)
+class Effect:
+    """Effect of one or more parameters over the format.
+
+    Attributes
+    ----------
+    parameters : tuple of str
+        Parameters that are set to zero.
+    largest_px, rms_px : float
+        Displacement over the format when the others keep their values.
+    remaining_largest_px, remaining_rms_px : float
+        The same when the others follow, as in an adjustment without these parameters, and the bundle is
+        rotated back: what no other parameter can do.
+    """
+
+    parameters: tuple[str, ...]
+    largest_px: float
+    rms_px: float
+    remaining_largest_px: float
+    remaining_rms_px: float
+
+
+def effects(camera: Camera, estimates: Estimates) -> tuple[Effect, ...]:
+    """Give the effect of every parameter but c, and of the usual groups.
+
+    Parameters
+    ----------
+    camera : Camera
+        With its adjusted values.
+    estimates : Estimates
+        The estimated parameters with their covariance.
+
+    Returns
+    -------
+    tuple of Effect
+        Single parameters in their order, then groups of two and more.
+    """
+    names = [name for name in estimates.names if name != "c"]
+    groups = [tuple(name for name in group if name in names) for group in GROUPS]
+    wanted = [(name,) for name in names] + [group for group in groups if len(group) > 1]
+    grid = sensor_grid(camera.size_px)
+    return tuple(effect(camera, estimates, group, grid) for group in wanted)
+
+
+def effect(camera: Camera, estimates: Estimates, parameters: Iterable[str], pixels: Array) -> Effect:
+    """Give the effect of some parameters over a grid of pixels.
+
+    Parameters
+    ----------
+    camera : Camera
+        With its adjusted values.
+    estimates : Estimates
+        The estimated parameters with their covariance.
+    parameters : iterable of str
+        Those to set to zero.
+    pixels : (n, 2) array
+        Column and row, px.
+
+    Returns
+    -------
+    Effect
+        Displacements in px.
+
+    Raises
+    ------
+    IllPosedError
+        When the covariance of the parameters is not positive definite.
+    """
+    removed = tuple(parameters)
+    full = view(camera, pixels)
+    alone = view(_with(camera, dict.fromkeys(removed, 0.0)), pixels).ideal - full.ideal
+    remaining, _ = without(estimates, removed)
+    followed = dict(zip(remaining.names, remaining.values.tolist(), strict=True))
+    left = _difference(full, view(_with(camera, followed | dict.fromkeys(removed, 0.0)), pixels))
+    return Effect(removed, *_sizes(alone), *_sizes(left))
+
+
+def _with(camera: Camera, changed: dict[str, float]) -> Camera:
+    values = camera.values.copy()
+    for name, value in changed.items():
+        values[PARAMETERS.index(name)] = value
+    return camera.with_values(values)
+
+
+def _difference(full: View, other: View) -> Array:
+    pose, _ = fitted_pose(_ROTATION, rotation_misfit, full, other)
+    return rotation_misfit(full, other, pose)
+
+
+def _sizes(moved: Array) -> tuple[float, float]:
+    length = np.linalg.norm(moved, axis=1)
+    return float(length.max()), float(np.sqrt(np.mean(length**2)))

@@ -1,0 +1,304 @@
+"""Whether a network has the shape that a method of calibration asks for, and what to fly next time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.adjustment.network import Network
+from photocal.adjustment.state import State
+from photocal.analysis.estimates import Array
+
+# Convergent cameras: two photographs 90 degrees apart, one rolled by 90 degrees, both with the tolerance of
+# a camera that is held by hand or by a gimbal.
+CONVERGENCE_DEG = 90.0
+CONVERGENCE_ENOUGH_DEG = 60.0
+ROLL_ENOUGH_DEG = 20.0
+# Mixed ranges: the spread of camera-object distances that separates c from height.
+RANGE_SPREAD = 0.10
+HEIGHT_RATIO = 1.2
+DATUM_CONSTRAINTS = 7
+CONTROL_POINTS = 5
+COVERED = 0.5
+PHOTOGRAPHS = 3
+METHODS = ("convergent", "mixed-ranges", "self-calibration", "on-the-job")
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What counts about the geometry of a network.
+
+    Attributes
+    ----------
+    images : int
+        Number of photographs.
+    convergence_deg : float
+        Largest angle between two optical axes.
+    roll_deg : float
+        The roll between two photographs that comes nearest to 90 degrees (or 270), as its distance from it.
+    range_spread : float
+        Camera-object distances along the axes: 95th less 5th percentile over the median.
+    height_ratio : float
+        Largest over smallest median distance of a photograph.
+    constraints : int
+        Observed or held coordinates of points and exposures that carry the datum.
+    control_points : int
+        Points with surveyed coordinates.
+    quadrants : int
+        Quarters of the object, seen from its middle, that have control.
+    control_share : float
+        Area of the control's hull over that of all points.
+    """
+
+    images: int
+    convergence_deg: float
+    roll_deg: float
+    range_spread: float
+    height_ratio: float
+    constraints: int
+    control_points: int
+    quadrants: int
+    control_share: float
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """One thing that a method asks for.
+
+    Attributes
+    ----------
+    name : str
+        What it is.
+    found, needed : str
+        With unit.
+    met : bool
+        Whether it is there.
+    advice : str
+        What to do next time.
+    """
+
+    name: str
+    found: str
+    needed: str
+    met: bool
+    advice: str
+
+
+@dataclass(frozen=True)
+class MethodCheck:
+    """A method and its requirements.
+
+    Attributes
+    ----------
+    method : str
+        One of `METHODS`.
+    requirements : tuple of Requirement
+        Everything that it asks for.
+    met : bool
+        Whether the network satisfies the method.
+    """
+
+    method: str
+    requirements: tuple[Requirement, ...]
+    met: bool
+
+
+def shape(network: Network, state: State) -> Shape:
+    """Measure the geometry of a network.
+
+    Parameters
+    ----------
+    network : Network
+        The network.
+    state : State
+        Its adjusted values.
+
+    Returns
+    -------
+    Shape
+        Its figures.
+    """
+    axes = -state.rotation[:, 2, :]
+    rays = network.rays
+    apart = state.points[rays.point] - state.centre[rays.image]
+    distance = np.einsum("ni,ni->n", apart, axes[rays.image])
+    median = np.array([np.median(distance[rays.image == i]) for i in np.unique(rays.image)])
+    low, middle, high = np.percentile(distance, [5, 50, 95])
+    known = network.points.held | (np.diagonal(network.points.weight, axis1=1, axis2=2) > 0.0)
+    control = np.flatnonzero(known.any(axis=1))
+    pairs = _some_pairs(len(axes))
+    angles = [float(np.degrees(np.arccos(np.clip(axes[i] @ axes[j], -1.0, 1.0)))) for i, j in pairs]
+    rolls = [_from_right_angle(state.rotation[i] @ state.rotation[j].T) for i, j in pairs]
+    flat = _across(state.points, axes)
+    return Shape(
+        len(axes),
+        max(angles, default=0.0),
+        min(rolls, default=90.0),
+        float((high - low) / middle),
+        float(median.max() / median.min()),
+        int(known.sum() + np.isfinite(network.exposures.sigma).sum()),
+        len(control),
+        _quadrants(flat, control),
+        _share(flat, control),
+    )
+
+
+def check_method(method: str, found: Shape) -> MethodCheck:
+    """Compare a network with what a method asks for.
+
+    Parameters
+    ----------
+    method : str
+        One of `METHODS`.
+    found : Shape
+        The network.
+
+    Returns
+    -------
+    MethodCheck
+        Requirement by requirement.
+
+    Notes
+    -----
+    Requirements after Brown (1971, 1989) and Merchant (1972), as the Canon ELPH study lists them.
+    """
+    needed = {
+        "convergent": (_photographs, _convergence, _roll),
+        "mixed-ranges": (_photographs, _ranges, _roll),
+        "self-calibration": (_photographs, _roll, _datum, _convergence_or_ranges),
+        "on-the-job": (_photographs, _control, _around, _convergence_or_ranges),
+    }[method]
+    requirements = tuple(one(found) for one in needed)
+    return MethodCheck(method, requirements, all(one.met for one in requirements))
+
+
+def _photographs(found: Shape) -> Requirement:
+    return Requirement(
+        "photographs",
+        f"{found.images}",
+        f"at least {PHOTOGRAPHS}",
+        found.images >= PHOTOGRAPHS,
+        "take more photographs",
+    )
+
+
+def _convergence(found: Shape) -> Requirement:
+    return Requirement(
+        "convergence of the axes",
+        f"{found.convergence_deg:.0f} deg",
+        f"{CONVERGENCE_DEG:.0f} deg, {CONVERGENCE_ENOUGH_DEG:.0f} at least",
+        found.convergence_deg >= CONVERGENCE_ENOUGH_DEG,
+        "tilt the camera to 45 degrees and photograph the object from opposite sides",
+    )
+
+
+def _roll(found: Shape) -> Requirement:
+    return Requirement(
+        "a photograph rolled by 90 degrees about its axis",
+        f"{90.0 - found.roll_deg:.0f} deg of roll",
+        f"90 deg within {ROLL_ENOUGH_DEG:.0f}",
+        found.roll_deg <= ROLL_ENOUGH_DEG,
+        "fly a cross line with the camera turned, or turn the camera by 90 degrees",
+    )
+
+
+def _ranges(found: Shape) -> Requirement:
+    return Requirement(
+        "mixed ranges: relief or two flying heights",
+        f"spread {found.range_spread:.0%} of the distance, heights 1 : {found.height_ratio:.2f}",
+        f"spread of {RANGE_SPREAD:.0%} or heights 1 : {HEIGHT_RATIO:.1f}",
+        found.range_spread >= RANGE_SPREAD or found.height_ratio >= HEIGHT_RATIO,
+        "fly a second time at least 20 % higher, or over terrain with more relief",
+    )
+
+
+def _convergence_or_ranges(found: Shape) -> Requirement:
+    tilted, mixed = _convergence(found), _ranges(found)
+    return Requirement(
+        "something that separates c from height: convergence or mixed ranges",
+        f"{tilted.found}; {mixed.found}",
+        f"{tilted.needed}; or {mixed.needed}",
+        tilted.met or mixed.met,
+        f"{mixed.advice}; or {tilted.advice}",
+    )
+
+
+def _datum(found: Shape) -> Requirement:
+    return Requirement(
+        "datum constraints",
+        f"{found.constraints}",
+        f"at least {DATUM_CONSTRAINTS}",
+        found.constraints >= DATUM_CONSTRAINTS,
+        "give control points, exposure positions or a known distance a sigma",
+    )
+
+
+def _control(found: Shape) -> Requirement:
+    return Requirement(
+        "control points",
+        f"{found.control_points}",
+        f"at least {CONTROL_POINTS}",
+        found.control_points >= CONTROL_POINTS,
+        "signalise and survey more control points",
+    )
+
+
+def _around(found: Shape) -> Requirement:
+    return Requirement(
+        "control around the object",
+        f"{found.quadrants} of 4 quarters, {found.control_share:.0%} of the area",
+        f"4 quarters and {COVERED:.0%} of the area",
+        found.quadrants == 4 and found.control_share >= COVERED,
+        "put control points at the corners and edges of the block",
+    )
+
+
+def _some_pairs(images: int) -> list[tuple[int, int]]:
+    """All pairs of images, or those of 60 evenly chosen ones."""
+    chosen = sorted({round(i) for i in np.linspace(0, images - 1, min(images, 60))})
+    return list(combinations(chosen, 2))
+
+
+def _from_right_angle(between: Array) -> float:
+    """Give the distance of the roll between two photographs from 90 or 270 degrees, deg.
+
+    The roll is the twist about the optical axis in the decomposition of the rotation into swing and twist.
+    """
+    twist = 2.0 * np.arctan2(between[0, 1] - between[1, 0], 1.0 + np.trace(between))
+    return float(abs(90.0 - abs(np.degrees(np.arctan2(np.sin(twist), np.cos(twist))))))
+
+
+def _across(points: Array, axes: Array) -> Array:
+    """Project points onto the plane across the mean optical axis, (n, 2)."""
+    mean = axes.mean(axis=0)
+    length = float(np.linalg.norm(mean))
+    if length < 1e-3:
+        _, _, directions = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
+        return np.asarray(points @ directions[:2].T)
+    _, _, directions = np.linalg.svd((mean / length)[None, :])
+    return np.asarray(points @ directions[1:].T)
+
+
+def _quadrants(flat: Array, control: NDArray[np.int64]) -> int:
+    middle = (flat.min(axis=0) + flat.max(axis=0)) / 2.0
+    side = flat[control] > middle
+    return len({(bool(a), bool(b)) for a, b in side})
+
+
+def _share(flat: Array, control: NDArray[np.int64]) -> float:
+    whole = _hull_area(flat)
+    return _hull_area(flat[control]) / whole if whole > 0.0 else 0.0
+
+
+def _hull_area(flat: Array) -> float:
+    from scipy.spatial import ConvexHull, QhullError
+
+    if len(flat) < 3:
+        return 0.0
+    try:
+        return float(ConvexHull(flat).volume)
+    except QhullError:  # all on one line
+        return 0.0

@@ -1,0 +1,86 @@
+"""The analysis of a network: everything that can be said of a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from photocal.adjustment.network import Network
+from photocal.analysis.camera_analysis import CameraAnalysis, analyse_camera
+from photocal.analysis.hidden.finding import Finding
+from photocal.analysis.hidden.findings import findings
+from photocal.analysis.hidden.left_out import Checks
+from photocal.analysis.hidden.refit import fit
+from photocal.analysis.hidden.search import Search, search
+from photocal.analysis.method import METHODS, MethodCheck, Shape, check_method, shape
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the analysis of a network gives.
+
+    Attributes
+    ----------
+    findings : tuple of Finding
+        Hidden errors, worst first.
+    search : Search
+        The figures behind them.
+    cameras : tuple of CameraAnalysis or None
+        One for each camera; None for those without estimated parameters.
+    shape : Shape
+        Geometry of the network.
+    methods : tuple of MethodCheck
+        Each method with its requirements.
+    alpha, threshold : float
+        Level of the F tests, and correlation from which pairs are named.
+    """
+
+    findings: tuple[Finding, ...]
+    search: Search
+    cameras: tuple[CameraAnalysis | None, ...]
+    shape: Shape
+    methods: tuple[MethodCheck, ...]
+    alpha: float
+    threshold: float
+
+
+def analyse_network(
+    network: Network, checks: Checks, alpha: float, threshold: float, done: Callable[[], None] = lambda: None
+) -> Outcome:
+    """Adjust a network and analyse it.
+
+    Parameters
+    ----------
+    network : Network
+        As it was adjusted.
+    checks : Checks
+        Check points, perhaps none.
+    alpha : float
+        Significance level of the F tests.
+    threshold : float
+        Absolute value from which correlations are named.
+    done : callable
+        Called after each new adjustment.
+
+    Returns
+    -------
+    Outcome
+        All figures.
+
+    Raises
+    ------
+    IllPosedError, NotConvergedError
+        As the adjustment does.
+    """
+    fitted = fit(network)
+    searched = search(fitted, done)
+    geometry = shape(network, fitted.state)
+    return Outcome(
+        findings(searched),
+        searched,
+        tuple(analyse_camera(fitted, k, checks, alpha, threshold, done) for k in range(len(network.cameras))),
+        geometry,
+        tuple(check_method(method, geometry) for method in METHODS),
+        alpha,
+        threshold,
+    )

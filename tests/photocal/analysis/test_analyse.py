@@ -1,0 +1,114 @@
+"""`photocal analyse` from a run folder to its answer."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.analysis.estimates import without
+from photocal.analysis.hidden.left_out import Checks, left_out
+from photocal.analysis.hidden.refit import fit
+from photocal.analysis.hidden.search import camera_estimates
+from photocal.block.folder import read_block
+from photocal.block.network import assemble
+from photocal.block.process import adjust_block
+from photocal.cli import app
+from photocal.commands.run_block import block_of_run
+from photocal.geometry.camera import PARAMETERS
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory, dcs460_block: Path) -> Path:
+    """Folder with the block and a run of it, side by side."""
+    folder = tmp_path_factory.mktemp("made")
+    shutil.copytree(dcs460_block, folder / "block")
+    adjust_block(folder / "block", folder / "run")
+    return folder
+
+
+def test_json(made: Path) -> None:
+    done = CliRunner().invoke(app, ["analyse", str(made / "run"), "--json"])
+    assert done.exit_code == 0, done.output
+    figures = json.loads(done.stdout)
+    assert next(iter(figures)) == "schema"
+    assert figures["findings"][0]["kind"] == "y-scale"
+    assert figures["findings"][0]["figure"] == pytest.approx(0.99804, abs=1e-4)
+    assert figures["findings"][0]["effect_c"] == pytest.approx(0.028, abs=5e-4)
+    own = figures["cameras"]["dcs460"]
+    k3 = next(test for test in own["significance"] if test["parameters"] == ["K3"])
+    # The source's own figures: t = 5.6, though its text calls K3 insignificant.
+    assert k3["statistic"] * own["variance_factor_of_tests"] == pytest.approx(5.64**2, rel=5e-3)
+    assert figures["jackknife"]["dcs460"]["standard_error"]["c"] == pytest.approx(0.058, abs=5e-4)
+    assert {one["method"] for one in figures["methods"] if one["met"]} >= {"convergent", "self-calibration"}
+
+
+def test_words(made: Path) -> None:
+    done = CliRunner().invoke(app, ["analyse", str(made / "run")])
+    assert done.exit_code == 0, done.output
+    assert done.stdout.startswith("Hidden errors, worst first\n  1. Camera dcs460: y scale factor 0.9980")
+    for words in ("K1 K2 K3", "x0-P1 +0.87", "adjusted anew without", "convergent: satisfied"):
+        assert words in done.stdout
+
+
+def test_the_block_is_recognised_by_its_hashes(made: Path, tmp_path: Path) -> None:
+    result = json.loads((made / "run/result.json").read_text())
+    assert block_of_run(made / "run", result, None, tmp_path) == made / "block"
+    assert block_of_run(made / "run", result, made / "block", tmp_path) == made / "block"
+    far = tmp_path / "a/b/c"
+    shutil.copytree(made / "block", far)
+    shutil.copytree(made / "run", tmp_path / "elsewhere/run")
+    assert block_of_run(tmp_path / "elsewhere/run", result, None, tmp_path) == far
+
+
+def test_a_changed_block_is_named(made: Path, tmp_path: Path) -> None:
+    result = json.loads((made / "run/result.json").read_text())
+    changed = tmp_path / "block"
+    shutil.copytree(made / "block", changed)
+    points = (changed / "points.csv").read_text()
+    (changed / "points.csv").write_text(points.replace("6.327", "6.328", 1))
+    with pytest.raises(InputMalformedError, match=r"points.csv: is not the file that the run was made from"):
+        block_of_run(made / "run", result, changed, tmp_path)
+    shutil.copytree(made / "run", tmp_path / "run")
+    with pytest.raises(InputNotFoundError, match="name it with --block"):
+        block_of_run(tmp_path / "run", result, None, tmp_path)
+
+
+def test_a_missing_run_is_one_line(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["analyse", str(tmp_path / "nothing")])
+    assert isinstance(done.exception, InputNotFoundError)
+    assert "\n" not in str(done.exception)
+
+
+def test_left_out_is_adjusting_without_it(dcs460_block: Path) -> None:
+    """Against the network whose camera never had the parameter, and the prediction from the covariance."""
+    network = assemble(read_block(dcs460_block)).network
+    fitted = fit(network)
+    checks = Checks(np.array([0, 5]), network.points.values[[0, 5]])
+    outcomes = {one.parameter: one for one in left_out(fitted, 0, checks)}
+    assert set(outcomes) == {"x0", "y0", "K1", "K2", "K3", "P1", "P2"}
+    own = network.cameras[0]
+    estimated = own.estimated.copy()
+    estimated[PARAMETERS.index("K3")] = False
+    anew = fit(replace(network, cameras=(replace(own, estimated=estimated),))).solution
+    k3 = outcomes["K3"]
+    assert k3.c == pytest.approx(float(anew.cameras[0, 0]), abs=1e-7)
+    assert k3.chi_squared == pytest.approx(anew.chi_squared, abs=1e-4)
+    assert k3.sigma0_squared == pytest.approx(anew.variance_factor, rel=1e-9)
+    assert k3.check_rmse_m is not None
+    moved = anew.points[[0, 5]] - network.points.values[[0, 5]]
+    np.testing.assert_allclose(k3.check_rmse_m, np.sqrt(np.mean(moved**2, axis=0)), rtol=1e-4)
+    predicted, increase = without(camera_estimates(fitted, 0), ("K3",))
+    assert k3.c == pytest.approx(float(predicted.values[0]), abs=2e-4)
+    assert k3.chi_squared - fitted.solution.chi_squared == pytest.approx(increase, rel=0.02)
+
+
+def test_help_names_the_formats() -> None:
+    done = CliRunner().invoke(app, ["analyse", "--help"])
+    assert done.exit_code == 0
