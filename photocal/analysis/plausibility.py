@@ -21,6 +21,8 @@ SENSOR_TOLERANCE = 0.05
 GSD_TOLERANCE = 0.05
 OVERLAP_TOLERANCE = 0.10
 PRIOR_SHARE = 0.95
+# A calibration of a usual network gives c to better than a thousandth; five times that is weak.
+WEAK = 0.005
 RADIAL = ("K1", "K2", "K3", "K4")
 
 
@@ -71,6 +73,8 @@ class CalibrationRecord:
         Width and height of the sensor, or one dimension (a side or the diagonal).
     nominal_focal_mm, height_m, gsd_cm, base_m, forward_overlap : float
         Focal length by the maker, height over ground, ground sampling distance, air base, share of overlap.
+    convergence_deg, depth_spread : float
+        Largest angle between two optical axes; spread of the camera-object distances over their median.
     prior_sigmas : mapping
         Standard deviations of values that were observations too, by parameter.
     lever_arm_cm, boresight_deg : Offsets
@@ -95,6 +99,8 @@ class CalibrationRecord:
     gsd_cm: float | None = None
     base_m: float | None = None
     forward_overlap: float | None = None
+    convergence_deg: float | None = None
+    depth_spread: float | None = None
     prior_sigmas: Mapping[str, float] = field(default_factory=dict)
     lever_arm_cm: Offsets | None = None
     boresight_deg: Offsets | None = None
@@ -121,6 +127,7 @@ def plausibility(record: CalibrationRecord) -> tuple[Finding, ...]:
         *_folding(record),
         *_ground(record),
         *_base(record),
+        *_weakness(record),
         *_significance(record),
         *_priors(record),
         *_offsets("lever_arm", record.lever_arm_cm),
@@ -241,6 +248,18 @@ def _base(record: CalibrationRecord) -> list[Finding]:
     else:
         wrong = max(overlaps) < 0.5
     return [Finding("base_contradicts_overlap", "doubtful", "base", figures)] if wrong else []
+
+
+def _weakness(record: CalibrationRecord) -> list[Finding]:
+    """Find a principal distance that the network hardly tells from the distance of the object."""
+    share = record.sigmas.get("c", 0.0) / record.values["c"]
+    if share <= WEAK:
+        return []
+    figures = {"percent": 100.0 * share}
+    if record.convergence_deg is None or record.depth_spread is None:
+        return [Finding("weak_principal_distance", "doubtful", "c", figures)]
+    figures |= {"convergence_deg": record.convergence_deg, "depth_percent": 100.0 * record.depth_spread}
+    return [Finding("weak_principal_distance_shape", "doubtful", "c", figures)]
 
 
 def _significance(record: CalibrationRecord) -> list[Finding]:

@@ -12,6 +12,8 @@ from acquire.console import answer
 if TYPE_CHECKING:
     import datetime as dt
 
+    from photocal.report.run import Run
+
 
 def certificate(
     run: Annotated[Path, typer.Argument(help="Folder that `photocal adjust` wrote.")],
@@ -41,7 +43,7 @@ def certificate(
     Example: `photocal certificate run -o certificate --block block --language pt-BR`
     """
     from acquire.outputs import output_folder
-    from photocal.report.carried_inputs import FOLDER, carry, find_inputs
+    from photocal.report.carried_inputs import FOLDER, carry
     from photocal.report.catalogue import catalogue
     from photocal.report.certificate import certificate as compose
     from photocal.report.html import html
@@ -54,7 +56,7 @@ def certificate(
     say = catalogue(language)
     given = read_particulars(particulars, day, client=client, operator=operator)
     results = read_run(run)
-    inputs = find_inputs(results, run, block)
+    inputs = _inputs(run, results, block)
     document = compose(results, given, say)
     forms = {"certificate.html": html(document).encode(), "certificate.pdf": pdf(document, day)}
     forms[NAME] = with_documents(record(results, given, say), forms)
@@ -79,6 +81,18 @@ def certificate(
             ]
         ),
     )
+
+
+def _inputs(folder: Path, run: Run, block: Path | None) -> Path | None:
+    """Find the files that the run was made from; None when nobody named them and they are not near."""
+    from drivers.errors import InputNotFoundError
+    from photocal.commands.run_block import block_of_run
+
+    result = {"inputs": [vars(file) for file in run.result.inputs]}
+    try:
+        return block_of_run(folder, result, block, Path.cwd())
+    except InputNotFoundError:
+        return None
 
 
 def _day(date: str | None) -> dt.date:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from acquire.console import answer
+from drivers.errors import InputMalformedError, InputNotFoundError
 
 if TYPE_CHECKING:
     from photocal.report.verification import Difference
@@ -19,7 +20,9 @@ def verify(
     certificate: Annotated[Path, typer.Argument(help="Folder of a certificate, or its certificate.json.")],
     block: Annotated[
         Path | None,
-        typer.Option(help="Block folder with the inputs; that carried by the certificate if not given."),
+        typer.Option(
+            help="Block folder with the inputs; that carried by the certificate, or near it, if not given."
+        ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
 ) -> None:
@@ -27,12 +30,11 @@ def verify(
 
     Example: `photocal verify certificate`
     """
-    from drivers.errors import InputMalformedError
     from photocal.report.record import read_record
     from photocal.report.verification import changed_documents, changed_inputs
 
     certified, folder = read_record(certificate)
-    inputs = _inputs(folder, block)
+    inputs = _inputs(certified, folder, block)
     changed = changed_inputs(certified, inputs)
     documents = changed_documents(certified, folder)
     found = [] if changed else _differences(certified, inputs)
@@ -66,17 +68,19 @@ def verify(
         )
 
 
-def _inputs(folder: Path, block: Path | None) -> Path:
-    from drivers.errors import InputNotFoundError
+def _inputs(certified: dict[str, Any], folder: Path, block: Path | None) -> Path:
+    """The folder that was named, that the certificate carries, or one near it with the certified files."""
+    from photocal.commands.run_block import block_of_run
+    from photocal.report.carried_inputs import FOLDER
 
-    inputs = block if block is not None else folder / "inputs"
-    if not inputs.is_dir():
-        raise InputNotFoundError(
-            "the inputs of the certificate are not there",
-            where=inputs,
-            remedy="name the block folder by --block",
-        )
-    return inputs
+    if block is not None or (folder / FOLDER).is_dir():
+        inputs = block if block is not None else folder / FOLDER
+        if not inputs.is_dir():
+            raise InputNotFoundError(
+                "no such folder", where=inputs, remedy="name the block folder by --block"
+            )
+        return inputs
+    return block_of_run(folder, certified["result"], None, Path.cwd())
 
 
 def _differences(certified: dict[str, Any], inputs: Path) -> list[Difference]:

@@ -79,7 +79,8 @@ def _block_facts(run: Run, say: Catalogue) -> KeyValues:
         (say("method.frame"), result.block.frame),
     ]
     if result.block.height:
-        rows.append((say("method.height"), result.block.height))
+        key = f"method.height_{result.block.height}"
+        rows.append((say("method.height"), say(key) if key in say.messages else result.block.height))
     counts = {role: roles.get(role, 0) for role in ("control", "check", "tie")}
     unit = f"{result.block.observation_unit}, {say(f'word.{result.block.observation_axes}')}"
     rows += [

@@ -6,7 +6,7 @@ import numpy as np
 
 from photocal.report.catalogue import Catalogue
 from photocal.report.digits import fixed, measured, power_of_ten, significant, symbol, unit_power
-from photocal.report.distortion import farthest_corner, radial_profile
+from photocal.report.distortion import RADIAL, farthest_corner, radial_profile
 from photocal.report.document import (
     Column,
     Figure,
@@ -89,7 +89,9 @@ def _affinity(camera: CameraResult, say: Catalogue) -> str:
     if not used:
         return say("camera.affinity_none")
     return say(
-        "camera.affinity_value", form=camera.affinity_form, place=say(f"camera.affinity_{camera.affinity}")
+        "camera.affinity_value",
+        form=say(f"camera.form_{camera.affinity_form}"),
+        place=say(f"camera.affinity_{camera.affinity}"),
     )
 
 
@@ -239,6 +241,8 @@ def radial_distortion(title: str, name: str, run: Run, camera_id: str, say: Cata
     Section
     """
     camera = run.result.cameras[camera_id]
+    if not any(camera.value(key) or key in camera.correlation.names for key in RADIAL):
+        return Section(title, (Paragraph(say("distortion.none")),))
     corner = farthest_corner(camera)
     place = sensor_residuals(run, camera_id).place - [camera.value("x0"), camera.value("y0")]
     outermost = float(np.hypot(*place.T).max()) if len(place) else 0.0

@@ -71,7 +71,7 @@ def certificate(run: Run, particulars: Particulars, say: Catalogue) -> Document:
     return Document(
         language=say.language,
         title=say("title.certificate"),
-        subtitle=say("title.subtitle", cameras=", ".join(result.cameras)),
+        subtitle=_subtitle(run, say),
         number=certificate_number(run, particulars),
         facts=_facts(run, particulars, say),
         highlights=_highlights(run, say),
@@ -79,6 +79,12 @@ def certificate(run: Run, particulars: Particulars, say: Catalogue) -> Document:
         sections=_sections(run, particulars, known, say),
         words={word: say(f"word.{word}") for word in WORDS},
     )
+
+
+def _subtitle(run: Run, say: Catalogue) -> str:
+    cameras = run.result.cameras
+    calibrated = any(camera.correlation.names for camera in cameras.values())
+    return say("title.subtitle" if calibrated else "title.subtitle_held", cameras=", ".join(cameras))
 
 
 def certificate_number(run: Run, particulars: Particulars) -> str:

@@ -122,7 +122,7 @@ def measured(value: float, sigma: float, mark: str) -> Measured:
     Parameters
     ----------
     value, sigma : float
-        In the same unit. Without sigma (0: the value was held) six digits of the value are given.
+        In the same unit. Without sigma (0: the value was held) the value has the digits it was given with.
     mark : str
         The decimal mark.
 
@@ -137,7 +137,7 @@ def measured(value: float, sigma: float, mark: str) -> Measured:
         exponent = math.floor(math.log10(size))
     scale = 10.0**exponent
     if sigma == 0.0:
-        return Measured(significant(value / scale, 6, mark), "", exponent)
+        return Measured(as_given(value / scale, mark), "", exponent)
     decimals = decimals_of(sigma / scale)
     return Measured(fixed(value / scale, decimals, mark), fixed(sigma / scale, decimals, mark), exponent)
 

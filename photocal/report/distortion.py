@@ -84,7 +84,8 @@ def covariance(camera: CameraResult, names: list[str]) -> Floats:
     """
     at = [camera.correlation.names.index(name) for name in names]
     sigma = np.array([camera.parameters[name].sigma for name in names])
-    matrix = np.array(camera.correlation.matrix, dtype=np.float64).reshape(len(camera.correlation.names), -1)
+    n = len(camera.correlation.names)
+    matrix = np.array(camera.correlation.matrix, dtype=np.float64).reshape(n, n)
     return np.asarray(matrix[np.ix_(at, at)] * np.outer(sigma, sigma), dtype=np.float64)
 
 

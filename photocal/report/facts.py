@@ -10,6 +10,7 @@ from photocal.analysis.finding import Finding
 from photocal.analysis.plausibility import CalibrationRecord, Offsets, plausibility
 from photocal.report.acceptance import Limit, expected_altimetric_error_cm, limits
 from photocal.report.camera_sections import rms_px
+from photocal.report.network_shape import network_shape
 from photocal.report.particulars import Particulars
 from photocal.report.run import CameraResult, Run
 from photocal.report.sensor import sensor_residuals
@@ -143,6 +144,7 @@ def _record(run: Run, camera_id: str, particulars: Particulars) -> CalibrationRe
     estimated = {name: p for name, p in camera.parameters.items() if p.estimated}
     place = sensor_residuals(run, camera_id).place - [camera.value("x0"), camera.value("y0")]
     given, campaign, system = particulars.camera, particulars.campaign, particulars.gnss_ins
+    shape = network_shape(run, camera_id)
     return CalibrationRecord(
         unit=camera.unit,
         values={name: p.value for name, p in camera.parameters.items()},
@@ -160,6 +162,8 @@ def _record(run: Run, camera_id: str, particulars: Particulars) -> CalibrationRe
         gsd_cm=campaign.gsd_cm,
         base_m=campaign.air_base_m,
         forward_overlap=campaign.forward_overlap,
+        convergence_deg=shape.convergence_deg if shape else None,
+        depth_spread=shape.depth_spread if shape else None,
         prior_sigmas={n: p.prior_sigma for n, p in estimated.items() if p.prior_sigma is not None},
         lever_arm_cm=_offsets(system.lever_arm_cm, system.lever_arm_sigma_cm, None),
         boresight_deg=_offsets(

@@ -135,7 +135,7 @@ def residual_map(camera: CameraResult, vectors: Vectors, say: Catalogue) -> str:
     scale = 0.05 * w / arrow
     # Margins in inches: left, right, bottom, top.
     margins = (0.75, 0.25, 0.45, 0.38)
-    across = min(WIDTH - margins[0] - margins[1], 6.5 * w / h)
+    across = min(WIDTH - margins[0] - margins[1], 5.8 * w / h)
     tall = across * h / w
     total = tall + margins[2] + margins[3]
     left = (WIDTH - across + margins[0] - margins[1]) / 2
@@ -180,7 +180,7 @@ def correlation_picture(correlation: Correlation, say: Catalogue) -> str:
         SVG.
     """
     n = len(correlation.names)
-    cell, edge, legend = 0.27, 0.32, 1.15
+    cell, edge, legend = 0.235, 0.32, 1.15
     width, height = n * cell + edge + legend, max(n * cell, 4 * 1.15 * cell) + 0.1
     with _figure(width, height) as (figure, out):
         ax = figure.add_axes(

@@ -48,7 +48,7 @@ def acceptance(title: str, facts: Facts, say: Catalogue) -> Section:
         Column(say("acceptance.met"), align="center"),
     )
     rows = tuple(_limit_row(limit, say) for limit in facts.limits)
-    note = say("acceptance.note", dz=_maybe(facts.dz_cm, say), gsd=_maybe(facts.gsd_cm, say))
+    note = say("acceptance.note", dz=_centimetres(facts.dz_cm, say), gsd=_centimetres(facts.gsd_cm, say))
     return Section(
         title, (acceptance_statement(facts, say), Table(say("acceptance.table"), columns, rows, note))
     )
@@ -70,7 +70,7 @@ def acceptance_statement(facts: Facts, say: Catalogue) -> Statement:
     """
     found = verdict(facts.limits)
     missing = [say(f"acceptance.{limit.key}") for limit in facts.limits if limit.met is None]
-    text = say(f"acceptance.{found}_text", missing=", ".join(missing))
+    text = say(f"acceptance.{found}_text", missing=", ".join(missing) or say("word.none"))
     return Statement(TONES[found], say(f"acceptance.{found}"), text)
 
 
@@ -87,6 +87,10 @@ def _limit_row(limit: Limit, say: Catalogue) -> tuple[str, ...]:
 
 def _maybe(value: float | None, say: Catalogue) -> str:
     return significant(value, 4, say.mark) if value is not None else say("ministry.not_determined")
+
+
+def _centimetres(value: float | None, say: Catalogue) -> str:
+    return _maybe(value, say) if value is None else f"{_maybe(value, say)} cm"
 
 
 def findings(title: str, found: tuple[Finding, ...], say: Catalogue) -> Section:
@@ -175,6 +179,8 @@ def equipment(title: str, particulars: Particulars, say: Catalogue) -> Section:
 
 def _offsets(particulars: Particulars, say: Catalogue) -> Piece:
     system, missing = particulars.gnss_ins, say("ministry.not_determined")
+    if system.lever_arm_cm is None and system.boresight_deg is None:
+        return KeyValues(((say("equipment.offsets"), missing),))
     columns = (
         Column(say("equipment.offset"), align="left"),
         *(Column(axis) for axis in ("X / ω", "Y / φ", "Z / κ")),
@@ -185,7 +191,7 @@ def _offsets(particulars: Particulars, say: Catalogue) -> Piece:
         (say("equipment.boresight"), system.boresight_deg, system.boresight_sigma_deg),
     )
     rows = tuple(
-        (label, *(as_given(v, say.mark) if v is not None else missing for v in _six(values, sigmas)))
+        (label, *(as_given(v, say.mark) if v is not None else say("word.none") for v in _six(values, sigmas)))
         for label, values, sigmas in table
     )
     return Table(say("equipment.offsets"), columns, rows)

@@ -42,15 +42,13 @@ def record(run: Run, particulars: Particulars, say: Catalogue) -> dict[str, Any]
     dict
         Plain values, ready for JSON. `documents` is for the caller to fill.
     """
-    result = dataclasses.asdict(run.result)
-    result["block"].pop("folder")
     return {
         "schema": SCHEMA,
         "number": certificate_number(run, particulars),
         "date": particulars.date.isoformat(),
         "language": say.language,
         "particulars": particulars.model_dump(mode="json", exclude={"date"}),
-        "result": result,
+        "result": dataclasses.asdict(run.result),
         "exposures": _exposures(run),
         "cameras": {name: _camera(run, facts(run, name, particulars)) for name in run.result.cameras},
         "technical_reports": {

@@ -33,7 +33,7 @@ class Software:
 
 @dataclass(frozen=True)
 class BlockFacts:
-    """What the adjusted block said of itself; `folder` is where it lay, seen from the folder of the run."""
+    """What the adjusted block said of itself: its name, frame, heights, datum and observation unit."""
 
     name: str
     frame: str
@@ -41,7 +41,6 @@ class BlockFacts:
     observation_unit: Literal["mm", "px"]
     observation_axes: Literal["pixel", "photo"]
     height: str = ""
-    folder: str = ""
 
 
 @dataclass(frozen=True)

@@ -182,6 +182,14 @@ def test_one_fault_gives_one_finding(change: dict[str, object], code: str) -> No
     assert code in codes
 
 
+def test_weak_principal_distance_says_why() -> None:
+    weak = replace(sound(), sigmas={"c": 0.013 * 3673.03}, convergence_deg=31.0, depth_spread=0.08)
+    (finding,) = plausibility(weak)
+    assert finding.code == "weak_principal_distance_shape"
+    assert finding.figures == pytest.approx({"percent": 1.3, "convergence_deg": 31.0, "depth_percent": 8.0})
+    assert plausibility(replace(weak, sigmas={"c": 0.004 * 3673.03})) == ()
+
+
 def test_malformed_matrices() -> None:
     for spoilt in (np.eye(7), np.full((8, 8), np.nan), 2 * np.eye(8), np.triu(np.ones((8, 8)))):
         assert correlation_findings(NAMES, spoilt, 0.005)[0].code == "correlation_malformed"

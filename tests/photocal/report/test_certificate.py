@@ -6,14 +6,20 @@ import datetime as dt
 import io
 import json
 import re
+from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+import pyarrow.csv
+import pyarrow.parquet
 import pytest
 from defusedxml import ElementTree
 from pypdf import PdfReader
 from typer.testing import CliRunner
 
+from drivers.errors import InputMalformedError
 from photocal.cli import app
 from photocal.report.catalogue import catalogue
 from photocal.report.certificate import certificate
@@ -178,8 +184,7 @@ def test_table_rows_against_the_study(published_run: Run) -> None:
 def test_a_parameter_that_is_noise_is_called_so(invented_run: Run) -> None:
     """K2 of the invented run is half of its standard deviation."""
     text = html(certificate(invented_run, Particulars(date=DAY), catalogue("en")))
-    assert "K₂ cannot be told from zero" in text
-    assert "K₁ cannot" not in text
+    assert "Not told from zero at the 95 % level: K₂." in text
 
 
 def test_factor_is_given_and_not_applied(invented_run: Run) -> None:
@@ -203,6 +208,70 @@ def test_failed_test_is_said_on_top(run_folder: Path, chi_squared: float, title:
     document = certificate(read_run(run_folder), Particulars(date=DAY), catalogue("en"))
     assert title in document.verdicts[0].title
     assert document.verdicts[0].tone == "bad"
+
+
+def hold_camera(result: dict[str, Any]) -> None:
+    camera = result["cameras"]["l1"]
+    camera["correlation"] = {"names": [], "matrix": []}
+    for parameter in camera["parameters"].values():
+        parameter |= {"sigma": 0.0, "estimated": False}
+    for name in ("K1", "K2"):
+        camera["parameters"][name]["value"] = 0.0
+
+
+def no_redundancy(result: dict[str, Any]) -> None:
+    result |= {"degrees_of_freedom": 0, "sigma0_squared": None, "global_test": None}
+
+
+def no_convergence(result: dict[str, Any]) -> None:
+    result["converged"] = False
+
+
+def no_checks(result: dict[str, Any]) -> None:
+    result["checks"] = {"n": 0, "rmse_m": {"x": None, "y": None, "z": None}, "points": []}
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (hold_camera, "held fixed: no calibration"),
+        (no_redundancy, "The adjustment has no degrees of freedom"),
+        (no_convergence, "The adjustment did not converge"),
+        (no_checks, "No surveyed point was kept out"),
+    ],
+)
+def test_unusual_runs_are_certified_for_what_they_are(
+    run_folder: Path, change: Callable[[dict[str, Any]], None], said: str
+) -> None:
+    path = run_folder / "result.json"
+    result = json.loads(path.read_text(encoding="utf-8"))
+    change(result)
+    path.write_text(json.dumps(result), encoding="utf-8")
+    document = certificate(read_run(run_folder), Particulars(date=DAY), catalogue("en"))
+    assert said in html(document)
+    assert said.split()[0] in words(document)
+
+
+def test_residuals_in_parquet_and_with_empty_cells(run_folder: Path) -> None:
+    """A long block has its residuals as Parquet; an unchecked ray has no standardised residual."""
+    whole = read_run(run_folder)
+    path = run_folder / "residuals.csv"
+    lines = path.read_text(encoding="utf-8").splitlines()
+    cells = lines[1].split(",")
+    lines[1] = ",".join([*cells[:8], "", ""])
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    emptied = read_run(run_folder)
+    assert np.isnan(emptied.residuals.standardised[0]).all()
+    certificate(emptied, Particulars(date=DAY), catalogue("en"))
+    table = pyarrow.csv.read_csv(path)
+    path.unlink()
+    pyarrow.parquet.write_table(table, run_folder / "residuals.parquet")
+    again = read_run(run_folder)
+    assert again.residuals.image == whole.residuals.image
+    assert again.residuals.measured == pytest.approx(whole.residuals.measured)
+    (run_folder / "residuals.parquet").write_bytes(b"PAR1 cut")
+    with pytest.raises(InputMalformedError, match="Parquet"):
+        read_run(run_folder)
 
 
 def test_large_block_keeps_to_a_few_pages(large_folder: Path) -> None:

@@ -1,0 +1,42 @@
+"""The shape of a network against closed figures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from photocal.report.network_shape import network_shape
+from photocal.report.run import Run
+
+
+@pytest.mark.shared
+def test_convergence_of_the_published_wall(published_run: Run) -> None:
+    """Stations left, middle and right of the wall, phi from -30 to 37 degrees by the published table."""
+    shape = network_shape(published_run, "dcs460")
+    assert shape is not None
+    assert 60.0 < shape.convergence_deg < 80.0
+
+
+def test_two_axes_a_right_angle_apart(invented_run: Run) -> None:
+    """Turned by 90 degrees about Y in two images, not at all in the others."""
+    n = len(invented_run.exposures.image)
+    angles = np.zeros((n, 3))
+    angles[:2, 1] = 90.0
+    exposures = replace(invented_run.exposures, angles_deg=angles)
+    shape = network_shape(replace(invented_run, exposures=exposures), "l1")
+    assert shape is not None
+    assert shape.convergence_deg == pytest.approx(90.0)
+
+
+def test_depths_of_a_plane_seen_from_above(invented_run: Run) -> None:
+    n = len(invented_run.exposures.image)
+    position = np.column_stack([np.arange(n) * 30.0, np.zeros(n), np.full(n, 100.0)])
+    exposures = replace(invented_run.exposures, angles_deg=np.zeros((n, 3)), position_m=position)
+    points = replace(invented_run.points, position_m=invented_run.points.position_m * [1.0, 1.0, 0.0])
+    shape = network_shape(replace(invented_run, exposures=exposures, points=points), "l1")
+    assert shape is not None
+    assert shape.depth_spread == pytest.approx(0.0, abs=1e-9)
+    # The angle of an arccosine near 1: half of the digits are lost.
+    assert shape.convergence_deg == pytest.approx(0.0, abs=1e-5)
