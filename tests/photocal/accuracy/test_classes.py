@@ -163,3 +163,10 @@ def test_one_point_has_an_accuracy_and_no_precision() -> None:
     assert not decide(product, limits.limits_at(1000.0)[0], 0.9, 0.90).precise
     assert decide(product, limits.limits_at(1000.0)[0], 0.9, 0.90).accurate
     assert admitted_size(product, limits, "A", 0.9, 0.90).precision is None
+
+
+def test_errors_equal_to_the_limit_are_within_it() -> None:
+    """The norm asks for errors "equal to or smaller than" PEC: 0.50 m at 1:1000 in class A of the decree."""
+    limit = table("decree-89817", "planimetry").limits_at(1000.0)[0]
+    d = np.array([[0.5, 0.0]] + [[0.0, 0.0]] * 4)
+    assert decide(sample(d), limit, 1.0, 0.90).share_passes

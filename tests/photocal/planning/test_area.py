@@ -74,8 +74,8 @@ def test_the_plane_keeps_distances_and_comes_back(lat: float, lon: float, east: 
     plane = LocalPlane(lat, lon)
     latitude, longitude = plane.to_degrees(np.array([[0.0, 0.0], [east, north]]))
     distance = Geod(ellps="WGS84").inv(longitude[0], latitude[0], longitude[1], latitude[1])[2]
-    assert distance == pytest.approx(float(np.hypot(east, north)), abs=1e-6)
-    assert plane.to_plane(latitude, longitude)[1] == pytest.approx([east, north], abs=1e-6)
+    assert distance == pytest.approx(float(np.hypot(east, north)), abs=1e-3)
+    assert plane.to_plane(latitude, longitude)[1] == pytest.approx([east, north], abs=1e-3)
 
 
 def test_inside_agrees_with_a_hand_drawn_polygon() -> None:

@@ -80,6 +80,16 @@ def test_cross_strips_are_at_right_angles(flight: Flight) -> None:
     assert math.cos(direction(100.0) - direction(140.0)) == pytest.approx(0.0, abs=1e-9)
 
 
+def test_strips_run_out_by_half_the_footprint_in_flying_direction(flight: Flight) -> None:
+    """The rows lie along the flight: half of 3648 px, on every strip that touches the area's end."""
+    direction = np.array([math.sin(flight.azimuth_rad), math.cos(flight.azimuth_rad)])
+    along = flight.corners_m @ direction
+    places = np.vstack([s.exposures_m for s in flight.strips if s.height_m == 100.0]) @ direction
+    half = 3648 * flight.levels[0].gsd_m / 2.0
+    for beyond in (along.min() - places.min(), places.max() - along.max()):
+        assert half - 1e-6 <= beyond <= half + flight.levels[0].base_m
+
+
 def test_text_mission_is_read_by_pymavlink(flight: Flight, tmp_path: Path) -> None:
     items = mission_items(flight, HOME, 705.0)
     path = tmp_path / "flight.waypoints"
@@ -97,6 +107,9 @@ def test_text_mission_is_read_by_pymavlink(flight: Flight, tmp_path: Path) -> No
         [strip.length_m / (len(strip.exposures_m) - 1) for strip in flight.strips], rel=1e-6
     )
     assert set(triggers[1::2]) == {0.0}
+    # The first photo is taken at once where a strip begins, and none when triggering is switched off.
+    at_once = [wp.param3 for wp in read if wp.command == dialect.MAV_CMD_DO_SET_CAM_TRIGG_DIST]
+    assert at_once == [1.0, 0.0] * len(flight.strips)
 
 
 def test_waypoints_lie_where_the_strips_end(flight: Flight) -> None:
