@@ -41,9 +41,10 @@ def of_round(one: Round) -> Finding:
     ground = ground_effect(one.before, parameter.candidate.camera, change)
     sentence = (
         f"Camera {camera.id}: {text}; up to {parameter.effect_px:.2f} px in the image "
-        f"(F = {parameter.statistic:.0f}), it shifts c by {change:+.3g} {camera.unit} and heights by "
-        f"{metres(ground)}"
+        f"(F = {parameter.statistic:.0f})"
     )
+    if change:
+        sentence += f", it shifts c by {change:+.3g} {camera.unit} and heights by {metres(ground)}"
     if parameter.alike:
         sentence += f"; {' and '.join(parameter.alike)} would explain it as well"
     return Finding(
@@ -109,22 +110,26 @@ def of_sigma(search: Search) -> list[Finding]:
     ratio = sigma.found / sigma.assumed
     honest = "the precisions are too good" if ratio > 1.0 else "the precisions are too poor"
     hidden = " and the global test could not see what is listed here" if ratio < 1.0 and search.rounds else ""
+    # Residuals are smaller than errors: their rms is the plain figure where too much was assumed, but only
+    # the one that counts the redundancy can show that too little was.
+    figure = sigma.rms if ratio < 1.0 else sigma.found
+    by = f"rms of the residuals; sigma {sigma.found * scale:.2f} {unit} by their redundancy"
+    how = by if ratio < 1.0 else "by the residuals and their redundancy"
     sentence = (
         f"Image coordinates: sigma {sigma.assumed * scale:.3g} {unit} was assumed where "
-        f"{sigma.rms * scale:.2g} {unit} is found (rms of the residuals; sigma "
-        f"{sigma.found * scale:.2f} {unit} by their redundancy, "
-        f"{sigma.lower * scale:.2f} to {sigma.upper * scale:.2f} at 95 %): {honest}{hidden}."
+        f"{figure * scale:.2g} {unit} is found ({how}, {sigma.lower * scale:.2f} to "
+        f"{sigma.upper * scale:.2f} at 95 %): {honest}{hidden}."
     )
     return [
         Finding(
             "observation-sigma",
             sentence,
-            sigma.rms * scale,
+            figure * scale,
             (sigma.upper - sigma.lower) / 4.0 * scale,
             unit,
             0.0,
             0.0,
-            sigma.rms / min(camera.pitch),
+            figure / min(camera.pitch),
             ratio < 1.2 and not search.rounds,
         )
     ]

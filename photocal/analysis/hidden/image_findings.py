@@ -10,6 +10,9 @@ from photocal.analysis.hidden.variance_components import VarianceComponent
 
 # An image's own scale or principal point is listed when it moves a ray beyond the noise of single ones.
 VISIBLE_SIGMAS = 2.5
+# Scatter against that of all together: from here on an axis or camera is listed, and no longer called small.
+WORTH_A_LINE = 1.05
+SMALL_RATIO = 1.25
 
 
 def of_groups(search: Search) -> list[Finding]:
@@ -31,7 +34,7 @@ def of_groups(search: Search) -> list[Finding]:
         listed += [
             _scatter(f"{what} {one.name}", "variance-component", one, search)
             for one in components
-            if one.p_value < LEVEL and one.ratio > overall
+            if one.p_value < LEVEL and one.ratio > WORTH_A_LINE * overall
         ]
     return listed
 
@@ -77,7 +80,7 @@ def of_images(search: Search) -> list[Finding]:
 def _scatter(name: str, kind: str, one: VarianceComponent, search: Search) -> Finding:
     relative = one.ratio / (search.sigma.found / search.sigma.assumed)
     effect = one.ratio * search.sigma.assumed / min(search.last.network.cameras[0].pitch)
-    small = effect < SMALL_PX or relative < 1.0
+    small = effect < SMALL_PX or relative < SMALL_RATIO
     label = name[0].upper() + name[1:]
     sentence = f"{label} scatters {relative:.1f} times as much as all together ({effect:.2f} px)"
     return Finding(
