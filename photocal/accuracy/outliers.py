@@ -11,6 +11,8 @@ from photocal.accuracy.statistics import FloatArray
 
 # Below this many points a deviation cannot be told from the spread it makes itself.
 SMALLEST_SAMPLE = 5
+# More outliers than this are no outliers any more but another distribution.
+MOST_TESTED = 100
 
 
 def outliers(values_m: FloatArray, confidence: float) -> tuple[int, ...]:
@@ -29,14 +31,15 @@ def outliers(values_m: FloatArray, confidence: float) -> tuple[int, ...]:
     -------
     tuple of int
         Row numbers, the most deviating first; empty for fewer than five values. At most a quarter of
-        the values are tested. With one value tested this is the test of Grubbs 1969.
+        the values, and no more than a hundred, are tested. With one value tested this is the test of
+        Grubbs 1969.
     """
     if len(values_m) < SMALLEST_SAMPLE:
         return ()
     rows = np.arange(len(values_m))
     removed: list[int] = []
     found = 0
-    for _ in range(max(1, len(values_m) // 4)):
+    for _ in range(min(max(1, len(values_m) // 4), MOST_TESTED)):
         rest = values_m[rows]
         deviation = np.abs(rest - np.mean(rest))
         std = float(np.std(rest, ddof=1))

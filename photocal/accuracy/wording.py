@@ -13,6 +13,14 @@ from photocal.accuracy.value_class import ValueClass, class_cm
 SMALL_SAMPLE = 30
 _INTERVAL_CONFIDENCE = 0.95
 
+# What makes a whole product lie beside or below the truth.
+_PLANE_CAUSES = "datum, lever arm, time offset of the exposures, principal point"
+_CAUSES = {
+    "E": _PLANE_CAUSES,
+    "N": _PLANE_CAUSES,
+    "h": "geoid or kind of height, vertical lever arm, principal distance",
+}
+
 
 def findings(assessment: Assessment) -> tuple[Finding, ...]:
     """Say in words what an assessment found.
@@ -69,7 +77,7 @@ def _bias(component: ComponentResult) -> list[Finding]:
         f"{component.name}: there is a bias of {figures.mean_m:+.3f} m ({SIGN}; |t| = {abs(test.t):.2f}, "
         f"limit {test.critical:.3f} at {test.confidence:.0%}). The product is too "
         f"{_direction(component.name, figures.mean_m)}; adding {figures.mean_m:+.3f} m to it would remove "
-        "the bias, but look for the cause first (datum, geoid, lever arm, principal distance). Without "
+        f"the bias, but look for the cause first ({_CAUSES[component.name]}). Without "
         f"the bias the RMSE is {figures.rmse_without_mean_m:.3f} m instead of {figures.rmse_m:.3f} m."
     )
     return [Finding("bias", text)]
