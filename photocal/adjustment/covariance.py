@@ -88,6 +88,7 @@ def complete(problem: Problem, minimum: Minimum) -> Solution:
         point_covariance,
         residuals,
         redundancy,
+        state,
     )
 
 

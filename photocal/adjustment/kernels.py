@@ -442,6 +442,34 @@ def accumulate(
 
 
 @compiled
+def evaluate_piece(
+    design: Design, values: Values, piece: int, room: Scratch, residuals: Floats, depth: Floats
+) -> None:
+    """Residuals of one thread's points, see `evaluate`."""
+    for j in range(design.pieces[piece], design.pieces[piece + 1]):
+        for r in range(design.ray_start[j], design.ray_start[j + 1]):
+            residuals[r, 0], residuals[r, 1] = ray_rows(design, values, r, design.ray_image[r], j, room)
+            depth[r] = room.depth[0]
+
+
+@compiled_parallel
+def evaluate(design: Design, values: Values, residuals: Floats, depth: Floats) -> None:
+    """Residuals of all rays.
+
+    Parameters
+    ----------
+    design, values
+        As in `accumulate`.
+    residuals : ndarray, shape (rays, 2)
+        Receives computed minus measured.
+    depth : ndarray, shape (rays,)
+        Receives how far each point lies in front of the camera, m.
+    """
+    for piece in numba.prange(len(design.pieces) - 1):
+        evaluate_piece(design, values, piece, scratch(), residuals, depth)
+
+
+@compiled
 def back_substitute_piece(
     design: Design, band: int, step: Floats, kept: Eliminated, piece: int, points: Floats
 ) -> float:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from photocal.adjustment.solver import Iteration
+from photocal.adjustment.state import State
 
 Floats = NDArray[np.float64]
 
@@ -78,6 +79,8 @@ class Solution:
     point_covariance : ndarray, shape (points, 3, 3)
     residuals, redundancy : ndarray, shape (rays, 2)
         Computed minus measured, in the image plane; redundancy numbers.
+    state : State
+        The values as the adjustment holds them.
     """
 
     iterations: tuple[Iteration, ...]
@@ -94,6 +97,7 @@ class Solution:
     point_covariance: Floats
     residuals: Floats
     redundancy: Floats
+    state: State
 
     @property
     def degrees_of_freedom(self) -> int:

@@ -94,11 +94,11 @@ def minimise(problem: Problem, state: State, report: Callable[[Iteration], None]
     start = state
     normal = normal_equations(problem, state)
     while len(steps) < ITERATIONS:
-        step = _reduced_step(problem, normal, damping)
+        step = reduced_step(problem, normal, damping)
         if step is None and damping == 0.0 and decrement < CONVERGED:
             explain_singular(problem, state)
         if step is not None:
-            moved, step_decrement = _moved(problem, state, normal, step)
+            moved, step_decrement = moved_by(problem, state, normal, step)
             calmer = damping / 10 if damping > 1e-6 and step_decrement >= CONVERGED else 0.0
             trial = normal_equations(problem, moved, calmer, normal.kept)
             # At the minimum rounding may raise the sum of squares in its last digits.
@@ -135,7 +135,7 @@ def _released(problem: Problem, minimum: Minimum, start: State) -> Minimum:
     return Minimum(state, normal, minimum.iterations)
 
 
-def _reduced_step(problem: Problem, normal: Normal, damping: float) -> Floats | None:
+def reduced_step(problem: Problem, normal: Normal, damping: float) -> Floats | None:
     """Solve the reduced system, in place of its matrix; None when it is singular."""
     diagonal = diagonal_addresses(problem)
     before = normal.matrix[diagonal]
@@ -148,7 +148,7 @@ def _reduced_step(problem: Problem, normal: Normal, damping: float) -> Floats | 
     return step
 
 
-def _moved(problem: Problem, state: State, normal: Normal, step: Floats) -> tuple[State, float]:
+def moved_by(problem: Problem, state: State, normal: Normal, step: Floats) -> tuple[State, float]:
     """State after a step and the step's squared length in units of the standard deviations."""
     cameras, rotation, centre = moved_exposures(problem.network, problem.layout, state, step)
     points = state.points.copy()

@@ -1,0 +1,262 @@
+"""Gross errors: a robust start, then data snooping with re-admission.
+
+The start weighs rays down by their residual (Cauchy's function on a scale that follows the residuals'
+median), so that gross errors do not bend the network. What then stands out is set aside, the rest
+adjusted, and every ray tested by its standardised residual: the worst of each point is rejected, those
+that fit again are taken back, until nothing changes (Baarda 1968; Pope 1976).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from drivers.errors import NotConvergedError
+from photocal.adjustment.covariance import complete
+from photocal.adjustment.datum import with_datum
+from photocal.adjustment.kernels import evaluate
+from photocal.adjustment.network import Network, Points, Rays
+from photocal.adjustment.normal import Problem, normal_equations, prepare, values_of
+from photocal.adjustment.solution import Solution
+from photocal.adjustment.solver import Iteration, minimise, moved_by, reduced_step
+from photocal.adjustment.state import State, start_state
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Test = Literal["w", "tau"]
+
+# Largest probability of rejecting one good observation (Baarda 1968). In a large network it is lowered so
+# that of all good observations one is expected to be rejected.
+SIGNIFICANCE = 0.001
+# Cauchy's function halves the weight of a ray at this multiple of the scale.
+HALF_WEIGHT = 3.0
+ROUNDS = 30
+
+
+@dataclass(frozen=True)
+class Snooping:
+    """An adjustment without its gross errors.
+
+    Attributes
+    ----------
+    network : Network
+        What was adjusted: the accepted rays and the points that they determine.
+    solution : Solution
+    accepted : ndarray of bool, shape (rays,)
+        Rays of the original network that take part.
+    points : ndarray of int
+        Points of the original network that take part.
+    rounds : int
+    """
+
+    network: Network
+    solution: Solution
+    accepted: Flags
+    points: NDArray[np.int64]
+    rounds: int
+
+
+def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None] | None = None) -> Snooping:
+    """Adjust a network that may hold gross errors among its rays.
+
+    Parameters
+    ----------
+    network : Network
+    test : {"w", "tau"}
+        Test with the a priori standard deviations (Baarda's w) or with the a posteriori variance factor
+        (Pope's tau).
+    report : callable, optional
+        Called after each iteration.
+
+    Returns
+    -------
+    Snooping
+
+    Raises
+    ------
+    IllPosedError
+        When the accepted observations do not determine the unknowns.
+    NotConvergedError
+        When the iteration or the rejections do not come to an end.
+    """
+    whole = prepare(network)
+    state = robust_state(with_datum(whole, start_state(network)), start_state(network), report)
+    fit = ray_fit(whole, state)
+    level = significance_of(2 * len(fit))
+    accepted = fit < np.sqrt(stats.chi2.isf(level, 2)) * _scale(fit)
+    for rounds in range(1, ROUNDS + 1):
+        part, rays, points = subset(network, accepted)
+        own = replace(state, points=state.points[points])
+        problem = with_datum(prepare(part), own)
+        solution = complete(problem, minimise(problem, own, report))
+        moved = state.points.copy()
+        moved[points] = solution.points
+        state = replace(solution.state, points=moved)
+        wrong = np.zeros(len(accepted), dtype=np.bool_)
+        wrong[rays[worst_of_points(part, solution, test)]] = True
+        factor = np.sqrt(solution.variance_factor) if test == "tau" else 1.0
+        fits = ray_fit(whole, state) < stats.norm.isf(level / 2) * factor
+        inside = np.zeros(len(network.points.values), dtype=np.bool_)
+        inside[points] = True
+        # Late in the search nothing is taken back, so that it ends.
+        again = fits & ~accepted & inside[network.rays.point] & (rounds < ROUNDS // 2)
+        if not wrong.any() and not again.any():
+            taking_part = np.zeros(len(accepted), dtype=np.bool_)
+            taking_part[rays] = True
+            return Snooping(part, solution, taking_part, points, rounds)
+        accepted = (accepted & ~wrong) | again
+    raise NotConvergedError(
+        f"data snooping still finds gross errors after {ROUNDS} rounds",
+        remedy="look at the images with the largest residuals; whole images may be wrong",
+    )
+
+
+def robust_state(problem: Problem, state: State, report: Callable[[Iteration], None] | None = None) -> State:
+    """State that gross errors do not bend, by iteratively reweighted least squares.
+
+    Parameters
+    ----------
+    problem : Problem
+    state : State
+        Start values.
+    report : callable, optional
+        Called after each iteration.
+
+    Returns
+    -------
+    State
+    """
+    for number in range(1, 31):
+        fit = ray_fit(problem, state)
+        factor = 1.0 / (1.0 + (fit / (HALF_WEIGHT * _scale(fit))) ** 2)
+        weight = problem.design.weight * factor[:, None]
+        weighted = replace(problem, design=problem.design._replace(weight=weight))
+        for damping in (0.0, 1e-3, 1e-1, 1e1):
+            normal = normal_equations(weighted, state, damping)
+            step = reduced_step(weighted, normal, damping)
+            if step is not None:
+                break
+        else:
+            return state
+        state, decrement = moved_by(weighted, state, normal, step)
+        if report:
+            report(Iteration(number, normal.chi_squared, decrement, damping))
+        # The weights follow the residuals, so that the last digits of this state mean nothing.
+        if decrement < 1e-3 * np.sqrt(len(fit)):
+            break
+    return state
+
+
+def ray_fit(problem: Problem, state: State) -> Floats:
+    """Length of each ray's residual in units of its standard deviations, shape (rays,).
+
+    Infinite for points behind the camera.
+    """
+    rays = problem.network.rays
+    residuals, depth = np.empty(rays.plane.shape), np.empty(len(rays.image))
+    evaluate(problem.design, values_of(problem, state), residuals, depth)
+    fit = np.linalg.norm(residuals / rays.sigma, axis=1)
+    return np.where(depth > 0, fit, np.inf)
+
+
+def worst_of_points(network: Network, solution: Solution, test: Test) -> NDArray[np.int64]:
+    """Rays whose standardised residual is rejected; of each point at most the worst.
+
+    Parameters
+    ----------
+    network : Network
+    solution : Solution
+    test : {"w", "tau"}
+
+    Returns
+    -------
+    ndarray of int
+        Indices of rays.
+    """
+    w = np.abs(solution.standardised(network.rays.sigma))
+    if test == "tau":
+        w = w / np.sqrt(solution.variance_factor)
+    worst = np.nanmax(np.nan_to_num(w), axis=1)
+    order = np.lexsort((-worst, network.rays.point))
+    _, first = np.unique(network.rays.point[order], return_index=True)
+    leading = order[first]
+    limit = critical_value(solution.degrees_of_freedom, test, significance_of(w.size))
+    return np.asarray(leading[worst[leading] > limit])
+
+
+def significance_of(tests: int) -> float:
+    """Probability of rejecting one good observation when so many are tested."""
+    return min(SIGNIFICANCE, 1.0 / max(tests, 1))
+
+
+def critical_value(degrees_of_freedom: int, test: Test, significance: float) -> float:
+    """Critical value of a standardised residual, two-sided.
+
+    Parameters
+    ----------
+    degrees_of_freedom : int
+    test : {"w", "tau"}
+        Normal distribution, or Pope's (1976) tau = t sqrt(f) / sqrt(f - 1 + t^2), t of f - 1.
+    significance : float
+
+    Returns
+    -------
+    float
+    """
+    if test == "w" or degrees_of_freedom < 2:
+        return float(stats.norm.isf(significance / 2))
+    t = stats.t.isf(significance / 2, degrees_of_freedom - 1)
+    return float(t * np.sqrt(degrees_of_freedom) / np.sqrt(degrees_of_freedom - 1 + t**2))
+
+
+def subset(network: Network, accepted: Flags) -> tuple[Network, NDArray[np.int64], NDArray[np.int64]]:
+    """Network of some of the rays, without the points that are then no longer determined.
+
+    Parameters
+    ----------
+    network : Network
+    accepted : ndarray of bool, shape (rays,)
+
+    Returns
+    -------
+    network : Network
+    rays, points : ndarray of int
+        What of the original network takes part.
+    """
+    count = np.bincount(network.rays.point[accepted], minlength=len(network.points.values))
+    known = network.points.held.all(axis=1) | (np.diagonal(network.points.weight, axis1=1, axis2=2) > 0).any(
+        axis=1
+    )
+    bound = np.concatenate([network.relations.first, network.relations.second])
+    needed = count >= np.where(known, 1, 2)
+    needed[bound] = True
+    points = np.flatnonzero(needed)
+    rays = np.flatnonzero(accepted & needed[network.rays.point])
+    place = np.full(len(needed), -1)
+    place[points] = np.arange(len(points))
+    old, own = network.rays, network.points
+    datum = network.datum_points
+    if datum is not None and len(datum):
+        datum = place[datum][place[datum] >= 0]
+    part = replace(
+        network,
+        points=Points(own.values[points], own.held[points], own.weight[points]),
+        rays=Rays(old.image[rays], place[old.point[rays]], old.plane[rays], old.sigma[rays]),
+        point_names=tuple(network.point_names[j] for j in points),
+        relations=replace(
+            network.relations, first=place[network.relations.first], second=place[network.relations.second]
+        ),
+        datum_points=datum,
+    )
+    return part, rays, points
+
+
+def _scale(fit: Floats) -> float:
+    """Scale of the residuals' lengths from their median, at least 1: the a priori sigmas."""
+    # The median of the length of a pair of unit normal deviates is sqrt(2 ln 2).
+    return max(1.0, float(np.median(fit) / np.sqrt(2 * np.log(2))))
