@@ -8,7 +8,6 @@ coordinates that the block gives the same points).
 from __future__ import annotations
 
 import math
-from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,7 +62,7 @@ def check_points_used_as_control(control: GroundPoints, check: GroundPoints) -> 
         said.append(
             Finding(
                 "check-as-control",
-                f"{_list(both)} used both as control and as check: they were fitted, so they check nothing. "
+                f"{name_list(both)} used both as control and as check: they were fitted, so they check nothing. "
                 "Give each point one role.",
             )
         )
@@ -244,50 +243,6 @@ def wrong_utm_zone(
     )
 
 
-def control_in_few_images(
-    names: tuple[str, ...], observations: tuple[tuple[str, str], ...], role: str
-) -> tuple[Finding, ...]:
-    """Find ground points that are measured in one image only, or in none.
-
-    Parameters
-    ----------
-    names : tuple of str
-        Names of the ground points.
-    observations : tuple of tuple of str
-        Image and point of every observation.
-    role : {"control", "check"}
-        What the points are for.
-
-    Returns
-    -------
-    tuple of Finding
-        What such points can and cannot do.
-    """
-    images = Counter(point for _, point in set(observations))
-    one = [name for name in names if images[name] == 1]
-    none = [name for name in names if images[name] == 0]
-    said = []
-    if one:
-        cannot = (
-            "holds the image in two directions, but a blunder in it cannot be found"
-            if role == "control"
-            else "cannot be intersected, so it checks nothing"
-        )
-        said.append(
-            Finding(
-                "one-image-only",
-                f"{role} point {_list(one)}: measured in one image only; such a point {cannot}. Measure "
-                "it in at least "
-                "three images.",
-            )
-        )
-    if none:
-        said.append(
-            Finding("no-image", f"{role} point {_list(none)}: measured in no image, it has no effect.")
-        )
-    return tuple(said)
-
-
 def geodesic_m(latitude_1: float, longitude_1: float, latitude_2: float, longitude_2: float) -> float:
     """Give the distance of two places on the ellipsoid.
 
@@ -336,6 +291,18 @@ def _distance_ratio(a: FloatArray, b: FloatArray) -> float | None:
     return spread_a / spread_b
 
 
-def _list(names: list[str]) -> str:
+def name_list(names: list[str]) -> str:
+    """Write names for a sentence.
+
+    Parameters
+    ----------
+    names : list of str
+        Names of points.
+
+    Returns
+    -------
+    str
+        The first eight, and how many more there are.
+    """
     shown = ", ".join(names[:8])
     return shown if len(names) <= 8 else f"{shown} and {len(names) - 8} more"

@@ -58,7 +58,7 @@ def check(
     from photocal.accuracy.assessment import Question, assess
     from photocal.accuracy.discrepancies import read_discrepancies
     from photocal.accuracy.map_scale import parse_scale
-    from photocal.accuracy.standard import SHIPPED, load_standard
+    from photocal.accuracy.standard_file import SHIPPED, load_standard
 
     question = Question(
         None if scale is None else parse_scale(scale),

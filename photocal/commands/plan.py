@@ -69,8 +69,8 @@ def plan(
     --gsd-cm 3 --second-height 140 --home -28.853,-51.294,700 --ground-height 705`
     """
     from photocal.accuracy.map_scale import parse_scale
-    from photocal.accuracy.standard import load_standard
-    from photocal.planning.area import read_area
+    from photocal.accuracy.standard_file import load_standard
+    from photocal.planning.area_file import read_area
     from photocal.planning.control_layout import suggest_layout
     from photocal.planning.flight import Wish, plan_flight
     from photocal.planning.frame import Frame, flying_height, scale_denominator

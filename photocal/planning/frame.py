@@ -34,7 +34,18 @@ class Frame:
             raise ConfigurationError("focal length, pixel size and image size must be positive")
 
     def side_px(self, side: Side) -> int:
-        """Give the number of pixels along one side of the image."""
+        """Give the number of pixels along one side of the image.
+
+        Parameters
+        ----------
+        side : {"columns", "rows"}
+            Image width or image height.
+
+        Returns
+        -------
+        int
+            Pixels.
+        """
         return self.columns if side == "columns" else self.rows
 
 

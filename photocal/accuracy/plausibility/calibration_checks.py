@@ -15,7 +15,18 @@ _SIGNIFICANT = 3.0
 
 
 def correlation_matrix(report: StatedReport) -> tuple[Finding, ...]:
-    """Notice a matrix that is no correlation matrix, and the sign that was lost."""
+    """Notice a matrix that is no correlation matrix, and the sign that was lost.
+
+    Parameters
+    ----------
+    report : StatedReport
+        What the report states.
+
+    Returns
+    -------
+    tuple of Finding
+        Empty when nothing is wrong, or the report does not state enough.
+    """
     matrix, names = report.correlation, report.correlation_names
     if matrix is None:
         return ()
@@ -44,7 +55,18 @@ def correlation_matrix(report: StatedReport) -> tuple[Finding, ...]:
 
 
 def significance(report: StatedReport) -> tuple[Finding, ...]:
-    """Name the parameters that are smaller than three of their standard deviations."""
+    """Name the parameters that are smaller than three of their standard deviations.
+
+    Parameters
+    ----------
+    report : StatedReport
+        What the report states.
+
+    Returns
+    -------
+    tuple of Finding
+        Empty when nothing is wrong, or the report does not state enough.
+    """
     return tuple(
         Finding(
             "not-significant",
@@ -58,7 +80,18 @@ def significance(report: StatedReport) -> tuple[Finding, ...]:
 
 
 def boresight(report: StatedReport) -> tuple[Finding, ...]:
-    """Notice a boresight that was never estimated: all zero with one standard deviation."""
+    """Notice a boresight that was never estimated: all zero with one standard deviation.
+
+    Parameters
+    ----------
+    report : StatedReport
+        What the report states.
+
+    Returns
+    -------
+    tuple of Finding
+        Empty when nothing is wrong, or the report does not state enough.
+    """
     angles = report.boresight
     if (
         not angles
@@ -77,7 +110,18 @@ def boresight(report: StatedReport) -> tuple[Finding, ...]:
 
 
 def tables_that_disagree(report: StatedReport) -> tuple[Finding, ...]:
-    """Compare two printings of the same parameters."""
+    """Compare two printings of the same parameters.
+
+    Parameters
+    ----------
+    report : StatedReport
+        What the report states.
+
+    Returns
+    -------
+    tuple of Finding
+        Empty when nothing is wrong, or the report does not state enough.
+    """
     elsewhere = {parameter.name: parameter for parameter in report.parameters_elsewhere}
     said = []
     for first in report.parameters:
@@ -91,7 +135,18 @@ def tables_that_disagree(report: StatedReport) -> tuple[Finding, ...]:
 
 
 def exterior_orientation(report: StatedReport) -> tuple[Finding, ...]:
-    """Compare the two things that a report says of the camera positions."""
+    """Compare the two things that a report says of the camera positions.
+
+    Parameters
+    ----------
+    report : StatedReport
+        What the report states.
+
+    Returns
+    -------
+    tuple of Finding
+        Empty when nothing is wrong, or the report does not state enough.
+    """
     said = []
     rmse, error = report.eo_rmse_m, report.camera_position_error_m
     if rmse is not None and error is not None and error > 10.0 * rmse:

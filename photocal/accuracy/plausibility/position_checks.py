@@ -10,7 +10,18 @@ _ROUNDING_SHARE = 0.1
 
 
 def position_digits(report: StatedReport) -> tuple[Finding, ...]:
-    """Compare the last printed digit of the positions with what they are used for."""
+    """Compare the last printed digit of the positions with what they are used for.
+
+    Parameters
+    ----------
+    report : StatedReport
+        What the report states.
+
+    Returns
+    -------
+    tuple of Finding
+        Empty when nothing is wrong, or the report does not state enough.
+    """
     if not report.positions_deg:
         return ()
     decimals = max(len(text.partition(".")[2]) for position in report.positions_deg for text in position)
@@ -76,7 +87,18 @@ def decimals_for(need_m: float) -> int:
 
 
 def roles(report: StatedReport) -> tuple[Finding, ...]:
-    """Notice a report that accepts by check points and does not say which they are."""
+    """Notice a report that accepts by check points and does not say which they are.
+
+    Parameters
+    ----------
+    report : StatedReport
+        What the report states.
+
+    Returns
+    -------
+    tuple of Finding
+        Empty when nothing is wrong, or the report does not state enough.
+    """
     if report.check_rmse_m is None or report.check_points:
         return ()
     targets = "" if report.targets is None else f" of the {report.targets} targets"
@@ -91,7 +113,18 @@ def roles(report: StatedReport) -> tuple[Finding, ...]:
 
 
 def claimed_class(report: StatedReport) -> tuple[Finding, ...]:
-    """Notice an accuracy class without scale or contour interval."""
+    """Notice an accuracy class without scale or contour interval.
+
+    Parameters
+    ----------
+    report : StatedReport
+        What the report states.
+
+    Returns
+    -------
+    tuple of Finding
+        Empty when nothing is wrong, or the report does not state enough.
+    """
     if report.claimed_class is None or report.claimed_scale or report.claimed_interval_m:
         return ()
     return (
@@ -105,7 +138,18 @@ def claimed_class(report: StatedReport) -> tuple[Finding, ...]:
 
 
 def motion_blur(report: StatedReport) -> tuple[Finding, ...]:
-    """Notice an exposure time that smears the image even at walking pace."""
+    """Notice an exposure time that smears the image even at walking pace.
+
+    Parameters
+    ----------
+    report : StatedReport
+        What the report states.
+
+    Returns
+    -------
+    tuple of Finding
+        Empty when nothing is wrong, or the report does not state enough.
+    """
     if report.exposure_s is None or report.gsd_m is None:
         return ()
     slowest = 0.5 * report.gsd_m / report.exposure_s

@@ -16,7 +16,8 @@ from photocal.accuracy.as_text import to_text
 from photocal.accuracy.assessment import Assessment, Question, TableResult, assess
 from photocal.accuracy.discrepancies import Discrepancies
 from photocal.accuracy.findings import Finding
-from photocal.accuracy.standard import SHIPPED, ValueStandard, load_standard
+from photocal.accuracy.standard import ValueStandard
+from photocal.accuracy.standard_file import SHIPPED, load_standard
 from photocal.accuracy.value_class import class_cm, value_class
 from photocal.accuracy.wording import findings
 

@@ -6,10 +6,10 @@ from numpy.typing import NDArray
 from pyproj import Transformer
 
 from photocal.accuracy.findings import Finding
+from photocal.accuracy.ground_point_images import control_in_few_images
 from photocal.accuracy.ground_points import (
     GroundPoints,
     check_points_used_as_control,
-    control_in_few_images,
     feet_for_metres,
     heights_all_equal,
     latitude_longitude_swapped,

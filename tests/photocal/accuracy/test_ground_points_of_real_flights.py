@@ -11,9 +11,9 @@ import pytest
 from numpy.typing import NDArray
 from pyproj import Transformer
 
+from photocal.accuracy.ground_point_images import control_in_few_images
 from photocal.accuracy.ground_points import (
     GroundPoints,
-    control_in_few_images,
     geodesic_m,
     heights_all_equal,
     latitude_longitude_swapped,
