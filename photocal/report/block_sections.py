@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.report.catalogue import Catalogue
-from photocal.report.digits import decimals_of, fixed, probability
+from photocal.report.digits import decimals_of, fixed, probability, symbol
+from photocal.report.distortion import RADIAL
 from photocal.report.document import Column, KeyValues, Paragraph, Piece, Section, Table
 from photocal.report.run import CheckPoint, InputFile, Run
 
@@ -37,12 +38,8 @@ def method(title: str, run: Run, say: Catalogue) -> Section:
     """
     result = run.result
     models = sorted({camera.model for camera in result.cameras.values()})
-    texts = [
-        say("method.text"),
-        *(say(f"method.model_{m.removeprefix('brown-')}") for m in models),
-        say("method.terms"),
-    ]
-    pieces: list[Piece] = [Paragraph(" ".join(texts[:-1])), Paragraph(texts[-1]), _block_facts(run, say)]
+    texts = [say("method.text"), *(say(f"method.model_{m.removeprefix('brown-')}") for m in models)]
+    pieces: list[Piece] = [Paragraph(" ".join(texts)), Paragraph(_terms(run, say)), _block_facts(run, say)]
     columns = (
         Column(say("method.group"), align="left"),
         Column(say("method.group_n")),
@@ -63,6 +60,29 @@ def method(title: str, run: Run, say: Catalogue) -> Section:
     if rows:
         pieces.append(Table(say("method.groups"), columns, rows))
     return Section(title, tuple(pieces))
+
+
+def _terms(run: Run, say: Catalogue) -> str:
+    """The polynomial of the distortion with the terms that some camera of the block has."""
+    cameras = run.result.cameras.values()
+    used = {n for camera in cameras for n, p in camera.parameters.items() if p.estimated or p.value != 0.0}
+    balanced = any(camera.reference_radius for camera in cameras)
+    radial = [
+        f"{symbol(name)} {f'(r{power} − R₀{power})' if balanced else f'r{power}'}"
+        for name, power in zip(RADIAL, "²⁴⁶⁸", strict=True)
+        if name in used
+    ]
+    swell = [f"{symbol(name)} r{power}" for name, power in (("P3", "²"), ("P4", "⁴")) if name in used]
+    decentring = {"x": "P₁ (r² + 2x²) + 2 P₂ x y", "y": "P₂ (r² + 2y²) + 2 P₁ x y"}
+    sums = {}
+    for axis, text in decentring.items():
+        parts = [f"{axis} ({' + '.join(radial)})"] if radial else []
+        if swell:
+            parts.append(f"({text}) (1 + {' + '.join(swell)})")
+        elif used & {"P1", "P2"}:
+            parts.append(text)
+        sums[axis] = " + ".join(parts)
+    return say("method.terms", dx=sums["x"], dy=sums["y"]) if sums["x"] else say("method.no_terms")
 
 
 def _block_facts(run: Run, say: Catalogue) -> KeyValues:
@@ -279,6 +299,6 @@ def _files(caption: str, files: tuple[InputFile, ...], say: Catalogue) -> Table:
     columns = (
         Column(say("inputs.file"), align="left"),
         Column(say("inputs.bytes")),
-        Column(say("inputs.sha256"), align="left"),
+        Column(say("inputs.sha256"), align="left", code=True),
     )
     return Table(caption, columns, tuple((f.path, str(f.bytes), f.sha256) for f in files), dense=True)

@@ -288,7 +288,7 @@ def _distortion_table(camera: CameraResult, corner: float, note: str, say: Catal
 
 def _round_step(step: float) -> float:
     power = 10.0 ** np.floor(np.log10(step))
-    return float(power * next(m for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= step * 0.999))
+    return float(power * next(m for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= step * 0.95))
 
 
 def image_residuals(title: str, name: str, run: Run, camera_id: str, say: Catalogue) -> Section:

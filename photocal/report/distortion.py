@@ -27,7 +27,7 @@ class RadialProfile:
     sigma : ndarray
         Its standard deviation from the covariance of the radial coefficients.
     decentering : ndarray
-        Largest displacement by P1 and P2 at that radius, 3 sqrt(P1^2 + P2^2) r^2.
+        Largest displacement by P1 to P4 at that radius.
     """
 
     radius: Floats
@@ -54,7 +54,7 @@ def radial_profile(camera: CameraResult, radius: Floats) -> RadialProfile:
     -----
     d(r) = K1 (r^3 - R0^2 r) + K2 (r^5 - R0^4 r) + ..., Brown (1971), the part of the camera equations
     that is added to the projection. The decentring part along the line of its largest effect is
-    3 sqrt(P1^2 + P2^2) r^2 (Brown 1966).
+    3 sqrt(P1^2 + P2^2) r^2 (1 + P3 r^2 + P4 r^4) (Brown 1966).
     """
     r = np.asarray(radius, dtype=np.float64)
     powers = np.arange(2, 2 * len(RADIAL) + 1, 2)
@@ -63,7 +63,8 @@ def radial_profile(camera: CameraResult, radius: Floats) -> RadialProfile:
     names = [name for name in camera.correlation.names if name in RADIAL]
     jacobian = basis[:, [RADIAL.index(name) for name in names]]
     variance = np.einsum("ni,ij,nj->n", jacobian, covariance(camera, names), jacobian)
-    tangential = 3.0 * np.hypot(camera.value("P1"), camera.value("P2")) * r**2
+    swell = np.abs(1.0 + camera.value("P3") * r**2 + camera.value("P4") * r**4)
+    tangential = 3.0 * np.hypot(camera.value("P1"), camera.value("P2")) * r**2 * swell
     return RadialProfile(r, displacement, np.sqrt(np.maximum(variance, 0.0)), tangential)
 
 

@@ -34,11 +34,12 @@ class KeyValues:
 
 @dataclass(frozen=True)
 class Column:
-    """Heading, unit and alignment of one column."""
+    """Heading, unit and alignment of one column; `code` for what is compared letter by letter."""
 
     head: str
     unit: str = ""
     align: Align = "right"
+    code: bool = False
 
 
 @dataclass(frozen=True)

@@ -31,18 +31,19 @@ def html(document: Document) -> str:
     from markupsafe import Markup
 
     figures = [piece for piece in _pieces(document) if isinstance(piece, Figure)]
+    numbers = numbered(document)
     template = _environment().get_template(TEMPLATE)
     text = template.render(
         document=document,
         css=Markup(_text(STYLE)),  # noqa: S704 - our own style sheet
-        numbers=numbered(document),
+        number=lambda piece: numbers[id(piece)],
         pictures={figure.name: Markup(_inline(figure)) for figure in figures},  # noqa: S704 - drawn here
     )
     return re.sub(r"\n{2,}", "\n", text).strip() + "\n"
 
 
-def numbered(document: Document) -> dict[Table | Figure, int]:
-    """Number the tables and the figures, each kind from 1 on.
+def numbered(document: Document) -> dict[int, int]:
+    """Number the tables and the figures, each kind from 1 on, as they stand: equal ones are two.
 
     Parameters
     ----------
@@ -52,12 +53,12 @@ def numbered(document: Document) -> dict[Table | Figure, int]:
     Returns
     -------
     dict
-        Number of each table and figure.
+        Number of each table and figure by the identity of the piece.
     """
-    numbers: dict[Table | Figure, int] = {}
+    numbers: dict[int, int] = {}
     for kind in (Table, Figure):
         found = [piece for piece in _pieces(document) if isinstance(piece, kind)]
-        numbers.update({piece: number for number, piece in enumerate(found, start=1)})
+        numbers.update({id(piece): number for number, piece in enumerate(found, start=1)})
     return numbers
 
 

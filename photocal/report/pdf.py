@@ -67,10 +67,10 @@ def _plain(document: Document) -> dict[str, Any]:
     return plain
 
 
-def _piece(piece: Piece, numbers: dict[Any, int]) -> dict[str, Any]:
+def _piece(piece: Piece, numbers: dict[int, int]) -> dict[str, Any]:
     plain = {"kind": type(piece).__name__, **dataclasses.asdict(piece)}
-    if piece in numbers:
-        plain["number"] = numbers[piece]
+    if id(piece) in numbers:
+        plain["number"] = numbers[id(piece)]
     if isinstance(piece, Table):
         plain["columns"] = [
             {**dataclasses.asdict(column), "weight": _weight(piece, i)}

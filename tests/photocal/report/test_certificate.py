@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import datetime as dt
 import io
 import json
@@ -250,6 +251,31 @@ def test_unusual_runs_are_certified_for_what_they_are(
     document = certificate(read_run(run_folder), Particulars(date=DAY), catalogue("en"))
     assert said in html(document)
     assert said.split()[0] in words(document)
+
+
+def two_cameras(result: dict[str, Any]) -> None:
+    camera = result["cameras"].pop("l1")
+    result["cameras"] = {'front <1> & "co"': camera, "rear": copy.deepcopy(camera)}
+
+
+def test_two_cameras_have_their_own_sections_and_numbers(run_folder: Path) -> None:
+    """Equal tables of two cameras are two tables; names with special characters stay names."""
+    path = run_folder / "result.json"
+    result = json.loads(path.read_text(encoding="utf-8"))
+    two_cameras(result)
+    path.write_text(json.dumps(result), encoding="utf-8")
+    images = (run_folder / "images.csv").read_text(encoding="utf-8").replace(",l1,", ",rear,")
+    (run_folder / "images.csv").write_text(
+        images.replace(",rear,", ',"front <1> & ""co""",', 2), encoding="utf-8"
+    )
+    document = certificate(read_run(run_folder), Particulars(date=DAY), catalogue("en"))
+    page = html(document)
+    outline(page)
+    for kind in ("Table", "Figure"):
+        numbers = [int(n) for n in re.findall(rf"<b>{kind} (\d+)\.</b>", page)]
+        assert numbers == list(range(1, len(numbers) + 1))
+    assert 'Interior orientation: front <1> & "co"' in words(document)
+    assert "Interior orientation: rear" in page
 
 
 def test_residuals_in_parquet_and_with_empty_cells(run_folder: Path) -> None:
