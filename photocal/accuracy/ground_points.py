@@ -62,8 +62,8 @@ def check_points_used_as_control(control: GroundPoints, check: GroundPoints) -> 
         said.append(
             Finding(
                 "check-as-control",
-                f"{name_list(both)} used both as control and as check: they were fitted, so they check nothing. "
-                "Give each point one role.",
+                f"{name_list(both)} used both as control and as check: they were fitted, so they check "
+                "nothing. Give each point one role.",
             )
         )
     for name, place in zip(check.names, check.xyz_m, strict=True):
