@@ -1,0 +1,92 @@
+"""`photocal export`: an adjusted block for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from acquire.console import answer
+from drivers.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from photocal.exchange.geographic import Origin
+    from photocal.exchange.orientation_tables import Angle
+
+FORMATS = "colmap, colmap-binary, opencv, opensfm, metashape, pix4d, patb, inpho, geojson, kml"
+
+
+def export(
+    run: Annotated[Path, typer.Argument(help="Run folder that photocal adjust wrote.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the files.")],
+    form: Annotated[str, typer.Option("--format", help=f"One of {FORMATS}.")],
+    angle_unit: Annotated[
+        str, typer.Option("--angle-unit", help="Unit of omega, phi, kappa for patb: deg or gon.")
+    ] = "",
+    origin: Annotated[
+        str, typer.Option("--origin", help="LATITUDE,LONGITUDE,HEIGHT of the local frame (geojson, kml).")
+    ] = "",
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
+) -> None:
+    """Export cameras, orientations, points and measurements; says what a change of camera model costs.
+
+    Example: `photocal export run --format colmap -o colmap`
+    """
+    from acquire.outputs import output_folder
+    from photocal.exchange.reconstruction import read_run
+    from photocal.exchange.writers import Choices, writer
+
+    choices = Choices(_angle_unit(angle_unit), _origin(origin))
+    write = writer(form)
+    given = read_run(run)
+    with output_folder(output) as aside:
+        conversions = write(aside, given, choices)
+        files = sorted(str(path.relative_to(aside)) for path in aside.rglob("*") if path.is_file())
+    result = {
+        "schema": "photocal.export/1",
+        "format": form,
+        "files": files,
+        "cameras": [
+            {"camera": made.camera.id, "rms_px": made.rms_px, "largest_px": made.largest_px}
+            for made in conversions
+        ],
+    }
+    answer(as_json, lambda: result, lambda: _text(result, output))
+
+
+def _angle_unit(text: str) -> Angle | None:
+    if text == "":
+        return None
+    if text == "deg":
+        return "deg"
+    if text == "gon":
+        return "gon"
+    raise ConfigurationError(f"angle unit {text!r} is not known", remedy="use deg or gon")
+
+
+def _origin(text: str) -> Origin | None:
+    from photocal.exchange.geographic import Origin
+    from photocal.exchange.source import number
+
+    if text == "":
+        return None
+    cells = text.split(",")
+    if len(cells) != 3:
+        raise ConfigurationError(
+            f"origin {text!r} has {len(cells)} numbers", remedy="give LATITUDE,LONGITUDE,HEIGHT"
+        )
+    latitude, longitude, height = (number(cell, "--origin", "origin") for cell in cells)
+    return Origin(latitude, longitude, height)
+
+
+def _text(result: dict[str, Any], output: Path) -> str:
+    lines = [f"{result['format']}: {', '.join(result['files'])} written to {output}"]
+    for camera in result["cameras"]:
+        cost = (
+            f"fitted, {camera['rms_px']:.2g} px rms, {camera['largest_px']:.2g} px at most"
+            if camera["largest_px"]
+            else "the same model, nothing lost"
+        )
+        lines.append(f"camera {camera['camera']}: {cost}")
+    return "\n".join(lines)

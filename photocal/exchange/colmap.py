@@ -1,0 +1,182 @@
+"""COLMAP models: cameras, images and points3D, as text or binary.
+
+Pixels: x right, y down, the centre of the upper-left pixel is (0.5, 0.5), half a pixel more than ours. The
+distortion is added to the normalised projection (`brown-ideal`), camera axes x right, y down, z forward; an
+image has the rotation (quaternion w, x, y, z) and translation from object to camera axes. Written with the
+model FULL_OPENCV, whose k4, k5, k6 are zero. Source: COLMAP documentation, "Output format".
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputMalformedError
+from photocal.exchange.colmap_binary import read_binary_model, write_binary_model
+from photocal.exchange.colmap_content import MODELS, NO_POINT, NUMBERS, Content, Lens, Shot
+from photocal.exchange.colmap_text import read_text_model, write_text_model
+from photocal.exchange.convert import Conversion
+from photocal.exchange.pinhole import (
+    Pinhole,
+    from_pinhole,
+    from_vision,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+    to_pinhole,
+    to_vision,
+)
+from photocal.exchange.reconstruction import Reconstruction
+from photocal.geometry.camera import PARAMETERS, Camera
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+_WRITTEN = "FULL_OPENCV"
+# Which of our parameters each of COLMAP's makes free.
+_FREES = {"k1": ("K1",), "k2": ("K2",), "k3": ("K3",), "p1": ("P1", "P2"), "fx": ("B1",)}
+
+
+def read_colmap(folder: Path) -> Reconstruction:
+    """Read a model folder; binary files where there are any.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    Reconstruction
+        Marks without a point are left out; points have their numbers as names.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+    """
+    binary = (folder / "cameras.bin").exists()
+    content = read_binary_model(folder) if binary else read_text_model(folder)
+    cameras = {lens.key: _camera(lens, folder) for lens in content.lenses}
+    order = {key: k for k, key in enumerate(cameras)}
+    position = {key: k for k, key in enumerate(content.keys.tolist())}
+    if len(position) < len(content.keys) or len(cameras) < len(content.lenses):
+        raise InputMalformedError("has two points or cameras of the same number", where=folder)
+    for shot in content.shots:
+        lost = [key for key in shot.points.tolist() if key != NO_POINT and key not in position]
+        if shot.lens not in order or lost:
+            what = f"point {lost[0]}" if lost else f"camera {shot.lens}"
+            raise InputMalformedError(f"image {shot.name} has the unknown {what}", where=folder)
+    seen = [shot.points != NO_POINT for shot in content.shots]
+    uses = list(zip(content.shots, seen, strict=True))
+    rotation = rotation_from_quaternion(np.array([shot.quaternion for shot in content.shots]).reshape(-1, 4))
+    translation = np.array([shot.translation for shot in content.shots]).reshape(-1, 3)
+    return Reconstruction(
+        tuple(cameras.values()),
+        tuple(shot.name for shot in content.shots),
+        np.array([order[shot.lens] for shot in content.shots], dtype=np.int64),
+        from_vision(rotation, translation),
+        tuple(str(key) for key in position),
+        content.xyz,
+        np.repeat(np.arange(len(seen)), [int(use.sum()) for use in seen]),
+        np.array([position[key] for shot, use in uses for key in shot.points[use].tolist()], dtype=np.int64),
+        np.vstack([np.empty((0, 2)), *(shot.marks[use] for shot, use in uses)]) - 0.5,
+    )
+
+
+def write_colmap(folder: Path, given: Reconstruction, *, binary: bool = False) -> tuple[Conversion, ...]:
+    """Write a model folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Exists.
+    given : Reconstruction
+    binary : bool
+        Whether .bin or .txt files.
+
+    Returns
+    -------
+    tuple of Conversion
+        What each camera lost.
+
+    Raises
+    ------
+    InputMalformedError
+        For cameras with a skew, or names that the text form cannot hold.
+    """
+    made = [to_pinhole(own, "COLMAP") for own in given.cameras]
+    lenses = [
+        Lens(k, _WRITTEN, pinhole.size_px, _parameters(pinhole))
+        for k, (pinhole, _) in enumerate(made, start=1)
+    ]
+    rotation, translation = to_vision(given.poses)
+    quaternion = quaternion_from_rotation(rotation)
+    keys = _point_keys(given.point_names)
+    order = np.argsort(given.image, kind="stable")
+    bounds = np.searchsorted(given.image[order], np.arange(len(given.image_names) + 1))
+    place = np.empty(len(order), dtype=np.int64)
+    place[order] = np.arange(len(order)) - bounds[given.image[order]]
+    shots = []
+    for k, name in enumerate(given.image_names):
+        own = order[bounds[k] : bounds[k + 1]]
+        pose = tuple(quaternion[k].tolist()), tuple(translation[k].tolist())
+        marks = given.pixels[own] + 0.5
+        shots.append(Shot(k + 1, *pose, int(given.image_camera[k]) + 1, name, marks, keys[given.point[own]]))
+    by_point = np.argsort(given.point, kind="stable")
+    tracks = np.split(
+        np.column_stack([given.image + 1, place])[by_point],
+        np.searchsorted(given.point[by_point], np.arange(1, len(keys))),
+    )
+    content = Content(tuple(lenses), tuple(shots), keys, given.xyz, _errors(given), tuple(tracks))
+    (write_binary_model if binary else write_text_model)(folder, content)
+    return tuple(conversion for _, conversion in made)
+
+
+def _point_keys(names: tuple[str, ...]) -> Integers:
+    """Numbers of the points: their names where all are numbers, else counted from 1."""
+    plain = all(name.isdecimal() and str(int(name)) == name and len(name) < 18 for name in names)
+    return np.array([int(name) for name in names] if plain else range(1, len(names) + 1), dtype=np.int64)
+
+
+def _parameters(pinhole: Pinhole) -> tuple[float, ...]:
+    """FULL_OPENCV's parameters; the principal point half a pixel further."""
+    head = (pinhole.fx, pinhole.fy, pinhole.cx + 0.5, pinhole.cy + 0.5)
+    return (*head, pinhole.k1, pinhole.k2, pinhole.p1, pinhole.p2, pinhole.k3, 0.0, 0.0, 0.0)
+
+
+def _errors(given: Reconstruction) -> Floats:
+    """Mean length of each point's residuals, px; -1 when not known."""
+    count = np.bincount(given.point, minlength=len(given.point_names))
+    if not len(given.residuals_px):
+        return np.full(len(count), -1.0)
+    total = np.bincount(given.point, np.hypot(*given.residuals_px.T), minlength=len(count))
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), -1.0))
+
+
+def _camera(lens: Lens, place: object) -> Camera:
+    names = MODELS[NUMBERS[lens.model]][1]
+    if len(lens.parameters) != len(names):
+        raise InputMalformedError(
+            f"camera {lens.key} has {len(lens.parameters)} parameters where {lens.model} has {len(names)}",
+            where=place,
+        )
+    value = dict(zip(names, lens.parameters, strict=True))
+    if any(value.get(k) for k in ("k4", "k5", "k6")):
+        raise InputMalformedError(
+            f"camera {lens.key} has k4 to k6, for which there is no equivalent",
+            where=place,
+            remedy="use the model OPENCV",
+        )
+    f = value.get("f", 0.0)
+    pinhole = Pinhole(
+        lens.size_px,
+        value.get("fx", f),
+        value.get("fy", f),
+        value["cx"] - 0.5,
+        value["cy"] - 0.5,
+        **{k: value.get(k, 0.0) for k in ("k1", "k2", "k3", "p1", "p2")},
+    )
+    own = from_pinhole(pinhole, str(lens.key), place)
+    free = {"c", "x0", "y0"}.union(*(ours for theirs, ours in _FREES.items() if theirs in value))
+    return replace(own, estimated=np.array([parameter in free for parameter in PARAMETERS]))

@@ -1,0 +1,103 @@
+"""What a COLMAP model holds, as its files have it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputMalformedError
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Name and parameters of each model by COLMAP's number.
+MODELS: dict[int, tuple[str, tuple[str, ...]]] = {
+    0: ("SIMPLE_PINHOLE", ("f", "cx", "cy")),
+    1: ("PINHOLE", ("fx", "fy", "cx", "cy")),
+    2: ("SIMPLE_RADIAL", ("f", "cx", "cy", "k1")),
+    3: ("RADIAL", ("f", "cx", "cy", "k1", "k2")),
+    4: ("OPENCV", ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")),
+    6: ("FULL_OPENCV", ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")),
+}
+NUMBERS = {name: number for number, (name, _) in MODELS.items()}
+# Key of a mark that belongs to no point.
+NO_POINT = -1
+
+
+@dataclass(frozen=True)
+class Lens:
+    """One camera.
+
+    Attributes
+    ----------
+    key : int
+    model : str
+    size_px : tuple of int
+    parameters : tuple of float
+    """
+
+    key: int
+    model: str
+    size_px: tuple[int, int]
+    parameters: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One image.
+
+    Attributes
+    ----------
+    key : int
+    quaternion, translation : tuple of float
+        From object to camera axes.
+    lens : int
+        Key of its camera.
+    name : str
+    marks : ndarray, shape (n, 2)
+    points : ndarray of int, shape (n,)
+        Keys of the points, or `NO_POINT`.
+    """
+
+    key: int
+    quaternion: tuple[float, ...]
+    translation: tuple[float, ...]
+    lens: int
+    name: str
+    marks: Floats
+    points: Integers
+
+
+@dataclass(frozen=True)
+class Content:
+    """A whole model.
+
+    Attributes
+    ----------
+    lenses : tuple of Lens
+    shots : tuple of Shot
+    keys : ndarray of int, shape (n,)
+        Of the points.
+    xyz : ndarray, shape (n, 3)
+    errors : ndarray, shape (n,)
+        Mean reprojection error of each point, px.
+    tracks : tuple of ndarray of int, shape (rays, 2)
+        Image key and position of the mark in that image, for each point.
+    """
+
+    lenses: tuple[Lens, ...]
+    shots: tuple[Shot, ...]
+    keys: Integers
+    xyz: Floats
+    errors: Floats
+    tracks: tuple[Integers, ...]
+
+
+def unknown_model(name: object, place: object) -> InputMalformedError:
+    """Complaint about a camera model that we have no equivalent of."""
+    known = ", ".join(known for known, _ in MODELS.values())
+    return InputMalformedError(
+        f"camera model {name} has no equivalent", where=place, remedy=f"convert it to one of {known}"
+    )

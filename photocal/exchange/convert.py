@@ -1,0 +1,209 @@
+"""From one camera model to another: exactly where they agree, else by a fit whose residual is stated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputMalformedError
+from photocal.geometry.camera import PARAMETERS, Affinity, Camera, Model
+from photocal.geometry.distortion import affinity_matrix, distorted, undistorted
+
+Floats = NDArray[np.float64]
+
+# Power of a length in each parameter: c, x0, y0 are lengths; K1 is 1/length^2 ...
+_POWERS = np.array([1, 1, 1, -2, -4, -6, -8, -1, -1, -2, -4, 0, 0], dtype=float)
+_K, _P, _B = slice(3, 7), slice(7, 11), slice(11, 13)
+# Points on a side of the grid over the image at which models are compared.
+GRID = 31
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """A camera in another model.
+
+    Attributes
+    ----------
+    camera : Camera
+    rms_px, largest_px : float
+        Distance between the image points of the same ray in both models, over the whole image; 0 when the
+        models are the same.
+    """
+
+    camera: Camera
+    rms_px: float = 0.0
+    largest_px: float = 0.0
+
+
+def in_pixels(own: Camera) -> Camera:
+    """Express a camera in px.
+
+    Parameters
+    ----------
+    own : Camera
+
+    Returns
+    -------
+    Camera
+        The same camera; pixels that are not square become an affinity.
+
+    Raises
+    ------
+    InputMalformedError
+        When pixels that are not square meet an affinity that acts elsewhere.
+    """
+    if own.unit == "px":
+        return own
+    width, height = own.pitch
+    stretch = height / width
+    values = own.values * (1 / height) ** _POWERS
+    affinity = own.affinity
+    if abs(stretch - 1) > 1e-12:
+        if not own.values[_B].any():
+            affinity = "after" if own.model == "brown-ideal" else "before"
+        possible = "after" if own.model == "brown-ideal" else "before"
+        if affinity != possible or own.affinity_form != "fraser":
+            raise InputMalformedError(
+                f"camera {own.id} has pixels that are not square and an affinity that acts elsewhere",
+                remedy="use square pixels",
+            )
+        values[1] *= stretch
+        if possible == "after":
+            values[_B] = [stretch * (1 + values[11]) - 1, stretch * values[12]]
+        else:
+            values[11] = (1 + values[11]) / stretch - 1
+    sigma = own.prior_sigma * (1 / height) ** _POWERS
+    return replace(
+        own,
+        unit="px",
+        pitch=(1.0, 1.0),
+        values=values,
+        prior_sigma=sigma,
+        reference_radius=own.reference_radius / height,
+        affinity=affinity,
+    )
+
+
+def unbalanced(own: Camera) -> Camera:
+    """Turn balanced radial distortion (R0 > 0) into the plain polynomial: the same camera with another c.
+
+    The constant part s = K1 R0^2 + K2 R0^4 + ... scales the image and goes into the principal distance.
+
+    Parameters
+    ----------
+    own : Camera
+
+    Returns
+    -------
+    Camera
+        With R0 = 0.
+    """
+    if own.reference_radius == 0:
+        return own
+    values = own.values.copy()
+    s = float(values[_K] @ own.reference_radius ** np.array([2, 4, 6, 8]))
+    if own.model == "brown-ideal":
+        scale = 1 - s
+        values[0] *= scale
+        values[_K] /= scale ** np.array([3, 5, 7, 9])
+        values[_P] /= scale ** np.array([2, 2, 2, 4])
+    else:
+        scale = 1 / (1 + s)
+        values[0] *= scale
+        values[_K] *= scale
+        values[7:9] *= scale
+    if own.affinity == "additive":
+        values[_B] *= 1 / scale if own.model == "brown-ideal" else scale
+    return replace(own, values=values, reference_radius=0.0)
+
+
+def converted(
+    own: Camera, model: Model, affinity: Affinity = "after", terms: Sequence[str] | None = None
+) -> Conversion:
+    """Convert a camera to another model.
+
+    Parameters
+    ----------
+    own : Camera
+        Without balanced distortion (see `unbalanced`).
+    model : {"brown-observed", "brown-ideal"}
+    affinity : {"additive", "before", "after"}
+        Where the affinity acts in the new model.
+    terms : sequence of str, optional
+        Distortion parameters that the new model has; K1 to K4, P1, P2, B1, B2 when not given. c, x0 and y0
+        are kept where the directions are the same and adapt otherwise.
+
+    Returns
+    -------
+    Conversion
+        Nothing is lost and the residual is zero when the models are the same.
+    """
+    own = unbalanced(own)
+    allowed = tuple(terms or ("K1", "K2", "K3", "K4", "P1", "P2", "B1", "B2"))
+    used = {name for name, value in zip(PARAMETERS[3:], own.values[3:], strict=True) if value}
+    plain = not own.values[_B].any()
+    same = own.affinity_form == "fraser" and (own.affinity == affinity or plain)
+    if own.model == model and same and used <= set(allowed):
+        return Conversion(replace(own, affinity=affinity, affinity_form="fraser"))
+    return _fitted(own, model, affinity, allowed)
+
+
+def _fitted(own: Camera, model: Model, affinity: Affinity, terms: Sequence[str]) -> Conversion:
+    from scipy.optimize import least_squares
+
+    size = np.array(own.size_px)
+    side = [
+        np.linspace(-0.5, 0.5, GRID) * extent * pitch for extent, pitch in zip(size, own.pitch, strict=True)
+    ]
+    measured = np.stack(np.meshgrid(*side), axis=-1).reshape(-1, 2)
+    rays = undistorted(own, measured) / own.values[0]
+    seen = np.isfinite(rays).all(axis=1)
+    measured, rays = measured[seen], rays[seen]
+    index = [0, 1, 2, *(PARAMETERS.index(name) for name in terms)]
+    start = np.zeros(len(PARAMETERS))
+    start[:3] = own.values[:3]
+    target = replace(own, model=model, values=start, affinity=affinity, affinity_form="fraser")
+    # Scaled so that each unknown moves the corner of the image by about its own size.
+    radius = float(np.hypot(*(size * own.pitch)) / 2)
+    unit = radius ** (_POWERS[index] + 0.0) / np.where(np.arange(len(index)) < 3, radius, 1.0)
+
+    def filled(unknown: Floats) -> Camera:
+        values = start.copy()
+        values[index] = start[index] + unknown * unit
+        return target.with_values(values)
+
+    def miss(unknown: Floats) -> Floats:
+        guess = filled(unknown)
+        if model == "brown-ideal":
+            return np.ravel(distorted(guess, guess.values[0] * rays) - measured)
+        return np.ravel(undistorted(guess, measured) - guess.values[0] * rays)
+
+    found = least_squares(miss, np.zeros(len(index)), xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac")
+    result = filled(found.x)
+    image = distorted(result, result.values[0] * rays) - measured
+    apart = np.hypot(*(image / own.pitch).T)
+    return Conversion(result, float(np.sqrt(np.mean(apart**2))), float(apart.max()))
+
+
+def require_no_skew(own: Camera, program: str) -> None:
+    """Complain when a camera has a skew that a program has no place for.
+
+    Parameters
+    ----------
+    own : Camera
+    program : str
+        For the message.
+
+    Raises
+    ------
+    InputMalformedError
+    """
+    matrix = affinity_matrix(own)
+    if matrix[0, 1] or matrix[1, 0]:
+        raise InputMalformedError(
+            f"camera {own.id} has a skew (B2), which {program} cannot hold",
+            remedy="adjust without B2, or export to Metashape",
+        )

@@ -1,0 +1,208 @@
+"""Exposures, footprints and points as GeoJSON (RFC 7946) and KML.
+
+Longitude and latitude in deg, height in m, WGS 84. A local frame is topocentric (east, north, up) about an
+origin that the caller gives; heights are ellipsoidal. Both formats are written for looking at, not for
+reading back into an adjustment.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError
+from photocal.exchange.pinhole import to_vision
+from photocal.exchange.reconstruction import Reconstruction
+from photocal.geometry.distortion import undistorted
+
+Floats = NDArray[np.float64]
+
+# Turns local coordinates, shape (n, 3), into longitude, latitude, height.
+ToGeographic = Callable[[Floats], Floats]
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a local frame touches the ellipsoid.
+
+    Attributes
+    ----------
+    latitude_deg, longitude_deg : float
+    height_m : float
+        Ellipsoidal.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
+
+
+def topocentric(origin: Origin) -> ToGeographic:
+    """Make the way from a topocentric frame (east, north, up) to WGS 84.
+
+    Parameters
+    ----------
+    origin : Origin
+
+    Returns
+    -------
+    callable
+
+    Raises
+    ------
+    ConfigurationError
+        For an origin that is not on the Earth.
+    """
+    from pyproj import Transformer
+
+    if not (
+        abs(origin.latitude_deg) <= 90 and abs(origin.longitude_deg) <= 360 and abs(origin.height_m) < 1e5
+    ):
+        raise ConfigurationError(
+            f"origin {origin.latitude_deg}, {origin.longitude_deg}, {origin.height_m} is not on the Earth",
+            remedy="give latitude and longitude in degrees, ellipsoidal height in m",
+        )
+    pipeline = (
+        f"+proj=pipeline +step +inv +proj=topocentric +ellps=WGS84 +lat_0={origin.latitude_deg!r} "
+        f"+lon_0={origin.longitude_deg!r} +h_0={origin.height_m!r} +step +inv +proj=cart +ellps=WGS84"
+    )
+    transformer = Transformer.from_pipeline(pipeline)
+
+    def turn(xyz: Floats) -> Floats:
+        return np.column_stack(transformer.transform(xyz[:, 0], xyz[:, 1], xyz[:, 2], radians=False)).reshape(
+            -1, 3
+        )
+
+    return turn
+
+
+def write_geojson(path: Path, given: Reconstruction, to_geographic: ToGeographic) -> None:
+    """Write exposures, footprints and points.
+
+    Parameters
+    ----------
+    path : Path
+    given : Reconstruction
+    to_geographic : callable
+        From `topocentric`.
+    """
+    features = [
+        {"type": "Feature", "geometry": geometry, "properties": properties}
+        for geometry, properties in _features(given, to_geographic)
+    ]
+    content = {"type": "FeatureCollection", "features": features}
+    path.write_text(json.dumps(content, allow_nan=False), encoding="utf-8", newline="\n")
+
+
+def write_kml(path: Path, given: Reconstruction, to_geographic: ToGeographic) -> None:
+    """Write exposures, footprints and points; parameters as of `write_geojson`."""
+    root = Element("kml", xmlns="http://www.opengis.net/kml/2.2")
+    document = SubElement(root, "Document")
+    folders: dict[str, Element] = {}
+    for geometry, properties in _features(given, to_geographic):
+        kind = properties["kind"]
+        if kind not in folders:
+            folders[kind] = SubElement(document, "Folder")
+            SubElement(folders[kind], "name").text = kind
+        place = SubElement(folders[kind], "Placemark")
+        SubElement(place, "name").text = properties["name"]
+        data = SubElement(place, "ExtendedData")
+        for key, value in properties.items():
+            SubElement(SubElement(data, "Data", name=key), "value").text = str(value)
+        _kml_geometry(place, geometry)
+    indent(root)
+    path.write_bytes(b'<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root) + b"\n")
+
+
+def footprints(given: Reconstruction, height_m: float) -> Floats:
+    """Corners of each image on a horizontal plane.
+
+    Parameters
+    ----------
+    given : Reconstruction
+    height_m : float
+        Z of the plane.
+
+    Returns
+    -------
+    ndarray, shape (images, 4, 3)
+        From the upper-left corner clockwise in the image; NaN for images that look past the plane.
+    """
+    rotation, _ = to_vision(given.poses)
+    corners = np.full((len(given.poses), 4, 3), np.nan)
+    for k, pose in enumerate(given.poses):
+        own = given.cameras[given.image_camera[k]]
+        half = np.array(own.size_px) * own.pitch / 2
+        edge = np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]]) * half
+        rays = undistorted(own, edge) / own.value("c") * [1.0, -1.0]
+        direction = np.column_stack([rays, np.ones(4)]) @ rotation[k]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = (height_m - pose[5]) / direction[:, 2]
+        if (distance > 0).all() and np.isfinite(distance).all():
+            corners[k] = pose[3:] + distance[:, None] * direction
+    return corners
+
+
+def _features(
+    given: Reconstruction, to_geographic: ToGeographic
+) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    exposures = to_geographic(given.poses[:, 3:])
+    for k, name in enumerate(given.image_names):
+        angles = dict(
+            zip(("omega_deg", "phi_deg", "kappa_deg"), np.degrees(given.poses[k, :3]).tolist(), strict=True)
+        )
+        sigma = _sigma(given.pose_sigma[k, 3:]) if len(given.pose_sigma) else {}
+        camera = given.cameras[given.image_camera[k]].id
+        yield _point(exposures[k]), {"kind": "exposure", "name": name, "camera": camera, **angles, **sigma}
+    seen = np.bincount(given.point, minlength=len(given.point_names))
+    ground = float(np.median(given.xyz[:, 2])) if len(given.xyz) else math.nan
+    for name, ring in zip(given.image_names, footprints(given, ground), strict=True):
+        if np.isfinite(ring).all():
+            closed = to_geographic(np.vstack([ring, ring[:1]]))
+            # RFC 7946: exterior rings run counterclockwise.
+            x, y = closed[:, 0] - closed[0, 0], closed[:, 1] - closed[0, 1]
+            if np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]) < 0:
+                closed = closed[::-1]
+            yield (
+                {"type": "Polygon", "coordinates": [closed[:, :2].tolist()]},
+                {"kind": "footprint", "name": name, "plane_z_m": ground},
+            )
+    points = to_geographic(given.xyz)
+    for k, name in enumerate(given.point_names):
+        role = given.roles[k] if given.roles else "point"
+        sigma = _sigma(given.xyz_sigma[k]) if len(given.xyz_sigma) else {}
+        residual = _residual(given, k) if len(given.residuals_px) else {}
+        yield _point(points[k]), {"kind": role, "name": name, "rays": int(seen[k]), **sigma, **residual}
+
+
+def _point(position: Floats) -> dict[str, Any]:
+    return {"type": "Point", "coordinates": position.tolist()}
+
+
+def _sigma(values: Floats) -> dict[str, float]:
+    named = zip(("sX_m", "sY_m", "sZ_m"), values.tolist(), strict=True)
+    return {name: value for name, value in named if math.isfinite(value)}
+
+
+def _residual(given: Reconstruction, k: int) -> dict[str, float]:
+    own = given.residuals_px[given.point == k]
+    return {"residual_rms_px": float(np.sqrt(np.mean(own**2)))} if len(own) else {}
+
+
+def _kml_geometry(place: Element, geometry: dict[str, Any]) -> None:
+    if geometry["type"] == "Point":
+        point = SubElement(place, "Point")
+        SubElement(point, "altitudeMode").text = "absolute"
+        SubElement(point, "coordinates").text = ",".join(repr(value) for value in geometry["coordinates"])
+        return
+    ring = SubElement(SubElement(SubElement(place, "Polygon"), "outerBoundaryIs"), "LinearRing")
+    corners = geometry["coordinates"][0]
+    SubElement(ring, "coordinates").text = " ".join(f"{x!r},{y!r}" for x, y in corners)

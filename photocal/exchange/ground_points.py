@@ -1,0 +1,200 @@
+"""ODM's gcp_list.txt and geo.txt.
+
+gcp_list.txt: first line the coordinate system (EPSG:n, WGS84 UTM zone, or a PROJ string), then X, Y, Z,
+column, row, image and an optional name, separated by blanks; pixels x right, y down, the centre of the
+upper-left pixel is (0, 0), as ours; rows with the same coordinates are the same point. geo.txt: coordinate
+system, then image, X, Y and optional Z, yaw, pitch, roll (deg), horizontal and vertical accuracy (m).
+Neither states the kind of the heights: that stays with the reader. Source: OpenDroneMap documentation,
+"Ground control points".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputMalformedError
+from photocal.exchange.parts import require_unique
+from photocal.exchange.source import Line, number, numbers, read_lines
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class GroundMark:
+    """A ground point seen in an image.
+
+    Attributes
+    ----------
+    point : str
+    xyz : tuple of float
+        In the file's coordinate system; geographic ones as longitude, latitude (deg), height (m).
+    column, row : float
+        px.
+    image : str
+    place : str
+        File and line.
+    """
+
+    point: str
+    xyz: tuple[float, float, float]
+    column: float
+    row: float
+    image: str
+    place: str
+
+
+@dataclass(frozen=True)
+class ImagePosition:
+    """Where an image was taken, as far as geo.txt knows.
+
+    Attributes
+    ----------
+    image : str
+    xyz : tuple of float
+        In the file's coordinate system; height NaN when not given.
+    yaw_pitch_roll_deg : tuple of float
+        NaN when not given.
+    accuracy_m : tuple of float
+        Horizontal and vertical; NaN when not given.
+    """
+
+    image: str
+    xyz: tuple[float, float, float]
+    yaw_pitch_roll_deg: tuple[float, float, float]
+    accuracy_m: tuple[float, float]
+
+
+def read_gcp_list(path: Path) -> tuple[str, tuple[GroundMark, ...]]:
+    """Read gcp_list.txt.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    crs : str
+        As written in the first line.
+    marks : tuple of GroundMark
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        Also when one name has two places, or a point is marked twice in an image.
+    """
+    crs, lines = _head(path)
+    marks = []
+    names: dict[tuple[float, float, float], str] = {}
+    for line in lines:
+        cells = line.text.split()
+        if len(cells) < 6:
+            raise InputMalformedError(
+                f"has {len(cells)} cells where X Y Z column row image were expected",
+                where=line.place,
+                remedy="complete the row, or is the file cut?",
+            )
+        x, y, z, column, row = numbers(" ".join(cells[:5]), line.place, "ground point")
+        known = names.setdefault((x, y, z), cells[6] if len(cells) > 6 else f"point{len(names) + 1}")
+        if len(cells) > 6 and cells[6] != known:
+            raise InputMalformedError(
+                f"points {known} and {cells[6]} have the same coordinates", where=line.place
+            )
+        marks.append(GroundMark(known, (x, y, z), column, row, cells[5], line.place))
+    require_unique(list(names.values()), "a point with other coordinates,", path)
+    require_unique([f"{mark.point} in image {mark.image}" for mark in marks], "point", path)
+    return crs, tuple(marks)
+
+
+def write_gcp_list(path: Path, crs: str, marks: Sequence[GroundMark]) -> None:
+    """Write gcp_list.txt.
+
+    Parameters
+    ----------
+    path : Path
+    crs : str
+    marks : sequence of GroundMark
+
+    Raises
+    ------
+    InputMalformedError
+        For names with blanks, which the format cannot hold.
+    """
+    for mark in marks:
+        for name in (mark.image, mark.point):
+            if any(letter.isspace() for letter in name):
+                raise InputMalformedError(f"the name {name!r} has blanks", remedy="rename it")
+    rows = (
+        " ".join([*(repr(float(v)) for v in (*mark.xyz, mark.column, mark.row)), mark.image, mark.point])
+        for mark in marks
+    )
+    path.write_text("\n".join([crs, *rows]) + "\n", encoding="utf-8", newline="\n")
+
+
+def read_geo(path: Path) -> tuple[str, tuple[ImagePosition, ...]]:
+    """Read geo.txt.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    crs : str
+    positions : tuple of ImagePosition
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+    """
+    crs, lines = _head(path)
+    positions = []
+    for line in lines:
+        cells = line.text.split()
+        if not 3 <= len(cells) <= 9:
+            raise InputMalformedError(
+                f"has {len(cells)} cells where image X Y [Z yaw pitch roll accuracies] were expected",
+                where=line.place,
+            )
+        # Orientation may be skipped by writing "-" or "nan"; both mean not known.
+        values = [
+            float("nan") if cell.lower() in ("-", "nan") and k >= 2 else number(cell, line.place, "position")
+            for k, cell in enumerate(cells[1:])
+        ]
+        x, y, z, yaw, pitch, roll, h, v = values + [float("nan")] * (8 - len(values))
+        positions.append(ImagePosition(cells[0], (x, y, z), (yaw, pitch, roll), (h, v)))
+    require_unique([position.image for position in positions], "image", path)
+    return crs, tuple(positions)
+
+
+def write_geo(path: Path, crs: str, positions: Sequence[ImagePosition]) -> None:
+    """Write geo.txt; what is not known at the end of a row is left out, in between it is "nan".
+
+    Parameters
+    ----------
+    path : Path
+    crs : str
+    positions : sequence of ImagePosition
+    """
+    rows = []
+    for position in positions:
+        values = [*position.xyz, *position.yaw_pitch_roll_deg, *position.accuracy_m]
+        last = max((k for k, value in enumerate(values) if not np.isnan(value)), default=1)
+        rows.append(" ".join([position.image, *(repr(float(value)) for value in values[: last + 1])]))
+    path.write_text("\n".join([crs, *rows]) + "\n", encoding="utf-8", newline="\n")
+
+
+def _head(path: Path) -> tuple[str, list[Line]]:
+    lines = read_lines(path, comment="#")
+    first = lines[0].text.strip() if lines else ""
+    if not first or not any(first.upper().startswith(key) for key in ("EPSG:", "WGS84", "+PROJ", "+INIT")):
+        raise InputMalformedError(
+            f"begins with {first[:40]!r}, not with a coordinate system",
+            where=path,
+            remedy="write EPSG:n, WGS84 UTM zone, or a PROJ string in the first line",
+        )
+    return first, lines[1:]

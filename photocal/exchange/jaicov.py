@@ -1,0 +1,243 @@
+"""JAICOV and AICON 3D Studio: .ior, .eor, .obc, .phc and .scale files of one name, into a block.
+
+Image coordinates in mm, x right, y up, from the middle of the sensor. The distortion is added to the
+projection (`brown-ideal`), balanced by R0; A1..A3, B1, B2 and C1, C2 are our K1..K3, P1, P2 and B1, B2 with
+the same sign (C additive); the principal distance Ck is negative. Orientation as X, Y, Z (mm), omega, phi,
+kappa (rad) of our own rotation. Object space in mm, in the block in m. Standard deviations in the .obc and
+.phc files are results: the a priori one of the image coordinates stands in the report (.htm). Which
+parameters of the camera were estimated is not in the files: all but A3, C1 and C2 are.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.adjustment.network import RELATIONS, Relations
+from photocal.block.model import Block
+from photocal.exchange import parts
+from photocal.exchange.source import (
+    Line,
+    fingerprint,
+    image_size,
+    number,
+    numbers,
+    read_lines,
+    require_readable,
+)
+from photocal.geometry.camera import Camera, camera
+
+Floats = NDArray[np.float64]
+
+SUFFIXES = (".ior", ".eor", ".obc", ".phc")
+MM = 1e-3
+_A_PRIORI = re.compile(rb"S0 apriori:\s*([0-9.eE+-]+)")
+
+
+@dataclass(frozen=True)
+class ScaleBar:
+    """A measured distance between two points.
+
+    Attributes
+    ----------
+    one, other : str
+    length, sigma : float
+        m.
+    """
+
+    one: str
+    other: str
+    length: float
+    sigma: float
+
+
+def read_jaicov(path: Path, sigma_mm: float | None = None, *, switched_off: bool = False) -> Block:
+    """Read a JAICOV project.
+
+    Parameters
+    ----------
+    path : Path
+        Any of its files; the others have the same name. Scale bars (.scale) may be missing.
+    sigma_mm : float, optional
+        A priori standard deviation of an image coordinate; from the report when not given.
+    switched_off : bool
+        Whether observations that the file marks as switched off take part; of a point that was measured
+        several times in an image, the first.
+
+    Returns
+    -------
+    Block
+        With the datum of a free network. Observations of unknown images or points are not in it.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        For missing or damaged files.
+    ConfigurationError
+        When nothing tells the a priori standard deviation.
+    """
+    files = {suffix: path.with_suffix(suffix) for suffix in SUFFIXES}
+    sigma = _a_priori(path.with_suffix(".htm")) if sigma_mm is None else sigma_mm
+    own = _camera(read_lines(files[".ior"]))
+    names, poses = _orientations(read_lines(files[".eor"]), own.id)
+    points, xyz = _objects(read_lines(files[".obc"]))
+    marks = _marks(read_lines(files[".phc"]), set(names), set(points), sigma, switched_off)
+    bars = files[".phc"].with_suffix(".scale")
+    scale = read_scale_bars(bars) if bars.exists() else ()
+    read = [*files.values(), *([bars] if bars.exists() else [])]
+    entries = [parts.PointEntry(name, "tie", row) for name, row in zip(points, xyz, strict=True)]
+    return Block(
+        path.stem,
+        "local",
+        "",
+        "free",
+        (),
+        (own,),
+        parts.images(names, [0] * len(names), poses),
+        parts.object_points(entries),
+        parts.observations(marks, names, points, "mm", "photo"),
+        tuple(fingerprint(file) for file in read),
+        _distances(scale, points, bars),
+    )
+
+
+def read_scale_bars(path: Path) -> tuple[ScaleBar, ...]:
+    """Read a .scale file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    tuple of ScaleBar
+        Those that are switched on.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+    """
+    bars = []
+    for line in read_lines(path):
+        row = re.fullmatch(r'\s*\S+\s+"[^"]*"\s+(\S+)\s+(\S+)\s+(\S+)\s+(\S+)\s+([01])\s*', line.text)
+        if row is None:
+            raise InputMalformedError("is no row of a scale bar", where=line.place, remedy="is the file cut?")
+        one, other, length, sigma, on = row.groups()
+        if on == "1":
+            bars.append(
+                ScaleBar(
+                    one,
+                    other,
+                    number(length, line.place, "length") * MM,
+                    number(sigma, line.place, "sigma") * MM,
+                )
+            )
+    return tuple(bars)
+
+
+def _distances(bars: tuple[ScaleBar, ...], points: list[str], place: Path) -> Relations:
+    position = {name: k for k, name in enumerate(points)}
+    for bar in bars:
+        lost = [name for name in (bar.one, bar.other) if name not in position]
+        if lost:
+            raise InputMalformedError(f"a scale bar ends at the unknown point {lost[0]}", where=place)
+        if not (bar.length > 0 and bar.sigma > 0):
+            raise InputMalformedError("a scale bar has no length or no sigma", where=place)
+    return Relations(
+        np.full(len(bars), RELATIONS.index("distance")),
+        np.array([position[bar.one] for bar in bars], dtype=np.int64),
+        np.array([position[bar.other] for bar in bars], dtype=np.int64),
+        np.array([bar.length for bar in bars]),
+        np.array([bar.sigma for bar in bars]),
+    )
+
+
+def _a_priori(report: Path) -> float:
+    if report.is_file():
+        require_readable(report)
+        found = _A_PRIORI.search(report.read_bytes())
+        if found:
+            return number(found.group(1).decode(), report, "S0 a priori")
+    raise ConfigurationError(
+        "nothing tells the a priori standard deviation of the image coordinates",
+        where=report.with_suffix(".phc"),
+        remedy=f"put the report {report.name} beside it",
+    )
+
+
+def _camera(lines: list[Line]) -> Camera:
+    if len(lines) != 5:
+        raise InputMalformedError(
+            f"has {len(lines)} lines where one camera has 5",
+            where=lines[0].path if lines else None,
+            remedy="only projects with one camera are read",
+        )
+    head, third, decentering, affinity, sensor = (
+        numbers(line.text, line.place, "interior orientation", count)
+        for line, count in zip(lines, (8, 1, 2, 2, 4), strict=True)
+    )
+    if not head[2] < 0:
+        raise InputMalformedError("the principal distance is not negative", where=lines[0].place)
+    size_px = image_size(sensor[2], sensor[3], lines[4].place)
+    if not min(sensor[:2]) > 0:
+        raise InputMalformedError("the sensor has no size", where=lines[4].place)
+    return camera(
+        f"{int(head[0])}",
+        "brown-ideal",
+        "mm",
+        size_px,
+        (sensor[0] / size_px[0], sensor[1] / size_px[1]),
+        {"c": -head[2], "x0": head[3], "y0": head[4], "K1": head[5], "K2": head[6], "K3": third[0]}
+        | {"P1": decentering[0], "P2": decentering[1], "B1": affinity[0], "B2": affinity[1]},
+        estimate=("c", "x0", "y0", "K1", "K2", "P1", "P2"),
+        reference_radius=head[7],
+    )
+
+
+def _orientations(lines: list[Line], camera_id: str) -> tuple[list[str], Floats]:
+    names, poses = [], []
+    for line in lines:
+        row = numbers(line.text, line.place, "exterior orientation", 11)
+        if str(int(row[1])) != camera_id:
+            raise InputMalformedError(
+                f"has camera {row[1]:g}, which is not in the .ior file", where=line.place
+            )
+        names.append(str(int(row[0])))
+        poses.append([*row[5:8], *(value * MM for value in row[2:5])])
+    parts.require_unique(names, "image", lines[0].path if lines else None)
+    return names, np.array(poses).reshape(-1, 6)
+
+
+def _objects(lines: list[Line]) -> tuple[list[str], Floats]:
+    names, xyz = [], []
+    for line in lines:
+        cells = line.text.split(maxsplit=1)
+        row = numbers(cells[1] if len(cells) > 1 else "", line.place, "object point", 10)
+        names.append(cells[0])
+        xyz.append([value * MM for value in row[:3]])
+    parts.require_unique(names, "object point", lines[0].path if lines else None)
+    return names, np.array(xyz).reshape(-1, 3)
+
+
+def _marks(
+    lines: list[Line], images: set[str], points: set[str], sigma: float, switched_off: bool
+) -> list[parts.Mark]:
+    marks = []
+    seen: set[tuple[str, str]] = set()
+    for line in lines:
+        cells = line.text.split()
+        if len(cells) != 11:
+            raise InputMalformedError(
+                f"has {len(cells)} values where an image point has 11", where=line.place, remedy="is it cut?"
+            )
+        used = cells[9] == "1" or (switched_off and (cells[0], cells[1]) not in seen)
+        if used and cells[0] in images and cells[1] in points:
+            seen.add((cells[0], cells[1]))
+            x, y = number(cells[2], line.place, "x"), number(cells[3], line.place, "y")
+            marks.append(parts.Mark(cells[0], cells[1], x, y, (sigma, sigma), line.place))
+    return marks

@@ -1,0 +1,316 @@
+"""Agisoft Metashape (PhotoScan): camera XML, as exported or as a project's doc.xml.
+
+Pixels: x right, y down, the centre of the upper-left pixel is (0.5, 0.5), half a pixel more than ours; cx, cy
+from the middle of the image. The distortion is added to the normalised projection (`brown-ideal`):
+x' = x (1 + k1 r^2 + ... + k4 r^8) + (p1 (r^2 + 2 x^2) + 2 p2 x y) (1 + p3 r^2 + p4 r^4), and p1, p2 exchanged
+for y; u = w/2 + cx + x' f + x' b1 + y' b2, v = h/2 + cy + y' f. Camera axes x right, y down, z forward; a
+camera has the 4 x 4 matrix from camera to chunk, the chunk that to the world. f, cx, cy, b1, b2 in px. Older
+files give fx, fy and cx, cy from the upper-left corner. Source: Metashape user manual, appendix "Camera
+models".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputMalformedError
+from photocal.exchange.convert import Conversion, converted, in_pixels
+from photocal.exchange.markup import child, read_xml
+from photocal.exchange.pinhole import from_vision, to_vision
+from photocal.exchange.reconstruction import Reconstruction
+from photocal.exchange.source import image_size, number, numbers
+from photocal.geometry.camera import Camera, camera
+
+Floats = NDArray[np.float64]
+
+_KEYS = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A marker with its surveyed coordinates.
+
+    Attributes
+    ----------
+    name : str
+    xyz, sigma : tuple of float
+        In the chunk's coordinate system; NaN when not given.
+    enabled : bool
+        Whether it is control; else it is a check point.
+    """
+
+    name: str
+    xyz: tuple[float, float, float]
+    sigma: tuple[float, float, float]
+    enabled: bool
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """What a camera XML holds.
+
+    Attributes
+    ----------
+    reconstruction : Reconstruction
+        Cameras that are used, aligned images, markers as points and their projections as rays.
+    markers : tuple of Marker
+        In the order of the points.
+    crs : str
+        The chunk's coordinate system; empty when local.
+    """
+
+    reconstruction: Reconstruction
+    markers: tuple[Marker, ...]
+    crs: str
+
+
+def read_metashape(path: Path) -> Chunk:
+    """Read a camera XML.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Chunk
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        Also when the file has several chunks.
+    """
+    root = read_xml(path)
+    chunks = list(root.iter("chunk"))
+    if root.tag != "document" or len(chunks) != 1:
+        raise InputMalformedError(
+            f"has {len(chunks)} chunks where one was expected",
+            where=path,
+            remedy="export the cameras of one chunk",
+        )
+    chunk = chunks[0]
+    sensors = {
+        sensor.get("id", ""): _camera(sensor, path)
+        for sensor in chunk.iterfind("sensors/sensor")
+        if sensor.find("calibration") is not None
+    }
+    shots = [shot for shot in chunk.iterfind("cameras/camera") if shot.find("transform") is not None]
+    lost = [shot for shot in shots if shot.get("sensor_id") not in sensors]
+    if lost:
+        raise InputMalformedError(
+            f"image {lost[0].get('label')} has a sensor without calibration", where=path
+        )
+    order = {key: k for k, key in enumerate(sensors)}
+    matrices = np.array([_numbers(child(shot, "transform", path), path, 16) for shot in shots])
+    to_world = _chunk_transform(chunk, path)
+    poses = _poses(matrices.reshape(-1, 4, 4), to_world)
+    markers = _markers(chunk, path)
+    position = {key: k for k, key in enumerate(markers)}
+    image = {shot.get("id", ""): k for k, shot in enumerate(shots)}
+    rays = []
+    for marker in chunk.iterfind("frames/frame/markers/marker"):
+        for seen in marker.iterfind("location"):
+            if marker.get("marker_id") in position and seen.get("camera_id") in image:
+                x, y = (number(seen.get(axis, ""), path, f"marker {axis}") for axis in "xy")
+                rays.append((image[seen.get("camera_id", "")], position[marker.get("marker_id", "")], x, y))
+    table = np.array(rays, dtype=float).reshape(-1, 4)
+    reconstruction = Reconstruction(
+        tuple(sensors.values()),
+        tuple(shot.get("label", "") for shot in shots),
+        np.array([order[shot.get("sensor_id", "")] for shot in shots], dtype=np.int64),
+        poses,
+        tuple(marker.name for marker in markers.values()),
+        np.array([marker.xyz for marker in markers.values()], dtype=float).reshape(-1, 3),
+        table[:, 0].astype(np.int64),
+        table[:, 1].astype(np.int64),
+        table[:, 2:] - 0.5,
+    )
+    crs = (chunk.findtext("reference") or "").strip()
+    return Chunk(reconstruction, tuple(markers.values()), "" if crs.startswith("LOCAL_CS") else crs)
+
+
+def write_metashape(path: Path, given: Reconstruction) -> tuple[Conversion, ...]:
+    """Write a camera XML in local coordinates, with the control and check points as markers.
+
+    Parameters
+    ----------
+    path : Path
+    given : Reconstruction
+
+    Returns
+    -------
+    tuple of Conversion
+        What each camera lost.
+    """
+    root = Element("document", version="1.5.0")
+    chunk = SubElement(root, "chunk", label="photocal", enabled="true")
+    sensors = SubElement(chunk, "sensors", next_id=str(len(given.cameras)))
+    made = []
+    for k, own in enumerate(given.cameras):
+        conversion = to_metashape(own)
+        made.append(conversion)
+        sensor = SubElement(sensors, "sensor", id=str(k), label=own.id, type="frame")
+        width, height = (str(side) for side in own.size_px)
+        SubElement(sensor, "resolution", width=width, height=height)
+        calibration = SubElement(sensor, "calibration", {"type": "frame", "class": "adjusted"})
+        SubElement(calibration, "resolution", width=width, height=height)
+        for key, value in _frame(conversion.camera).items():
+            if value or key in ("f", "cx", "cy"):
+                SubElement(calibration, key).text = repr(value)
+    rotation, translation = to_vision(given.poses)
+    shots = SubElement(chunk, "cameras", next_id=str(len(given.image_names)))
+    for k, name in enumerate(given.image_names):
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation[k].T
+        matrix[:3, 3] = -rotation[k].T @ translation[k]
+        shot = SubElement(
+            shots, "camera", id=str(k), sensor_id=str(given.image_camera[k]), label=name, enabled="true"
+        )
+        SubElement(shot, "transform").text = " ".join(repr(value) for value in matrix.ravel().tolist())
+    _write_markers(chunk, given)
+    crs = 'LOCAL_CS["Local Coordinates (m)",LOCAL_DATUM["Local Datum",0],UNIT["metre",1]]'
+    SubElement(chunk, "reference").text = crs
+    indent(root)
+    path.write_bytes(b'<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root) + b"\n")
+    return tuple(made)
+
+
+def to_metashape(own: Camera) -> Conversion:
+    """Express a camera in Metashape's model, still with our signs, in px.
+
+    Parameters
+    ----------
+    own : Camera
+
+    Returns
+    -------
+    Conversion
+    """
+    terms = ["K1", "K2", "K3", "K4", "P1", "P2", "B1", "B2"]
+    if own.model == "brown-ideal":
+        # In a fit P3 and P4 would stand on P1 and P2, which are nearly zero.
+        terms += ["P3", "P4"]
+    return converted(in_pixels(own), "brown-ideal", "after", terms)
+
+
+def _frame(own: Camera) -> dict[str, float]:
+    """Metashape's keys of a camera in its model."""
+    f = own.value("c")
+    return {
+        "f": f,
+        "cx": own.value("x0"),
+        "cy": -own.value("y0"),
+        "b1": own.value("B1") * f,
+        "b2": -own.value("B2") * f,
+        **{f"k{n}": own.value(f"K{n}") * f ** (2 * n) for n in (1, 2, 3, 4)},
+        "p1": own.value("P1") * f,
+        "p2": -own.value("P2") * f,
+        "p3": own.value("P3") * f**2,
+        "p4": own.value("P4") * f**4,
+    }
+
+
+def _camera(sensor: Element, path: Path) -> Camera:
+    given = max(sensor.iterfind("calibration"), key=lambda element: element.get("class") == "adjusted")
+    if given.get("type", "frame") != "frame":
+        raise InputMalformedError(
+            f"sensor {sensor.get('label')} is {given.get('type')}, not a frame camera", where=path
+        )
+    resolution = child(given, "resolution", path)
+    sides = [number(resolution.get(side, ""), path, side) for side in ("width", "height")]
+    width, height = image_size(sides[0], sides[1], path)
+    value = dict.fromkeys(_KEYS, 0.0)
+    for element in given:
+        if element.tag in (*_KEYS, "fx", "fy", "skew"):
+            value[element.tag] = number(element.text or "", path, element.tag)
+    if "fx" in value:
+        # The older form: principal point from the corner, and the affinity in fx and skew.
+        value["f"] = value["fy"]
+        value["b1"] = value["fx"] - value["fy"]
+        value["b2"] = value.get("skew", 0.0)
+        value["cx"], value["cy"] = value["cx"] - width / 2, value["cy"] - height / 2
+    f = value["f"]
+    if not f > 0:
+        raise InputMalformedError(f"sensor {sensor.get('label')} has no focal length", where=path)
+    ours = {"c": f, "x0": value["cx"], "y0": -value["cy"], "B1": value["b1"] / f, "B2": -value["b2"] / f}
+    ours |= {f"K{n}": value[f"k{n}"] / f ** (2 * n) for n in (1, 2, 3, 4)}
+    # y is up here and down there.
+    ours |= {
+        "P1": value["p1"] / f,
+        "P2": -value["p2"] / f,
+        "P3": value["p3"] / f**2,
+        "P4": value["p4"] / f**4,
+    }
+    name = sensor.get("label") or sensor.get("id") or "camera"
+    return camera(name, "brown-ideal", "px", (width, height), (1.0, 1.0), ours, affinity="after")
+
+
+def _chunk_transform(chunk: Element, path: Path) -> Floats:
+    matrix = np.eye(4)
+    given = chunk.find("transform")
+    if given is None:
+        return matrix
+    scale, rotation, translation = (given.find(key) for key in ("scale", "rotation", "translation"))
+    if rotation is not None:
+        matrix[:3, :3] = np.reshape(_numbers(rotation, path, 9), (3, 3))
+    if scale is not None:
+        matrix[:3, :3] *= _numbers(scale, path, 1)[0]
+    if translation is not None:
+        matrix[:3, 3] = _numbers(translation, path, 3)
+    return matrix
+
+
+def _poses(matrices: Floats, to_world: Floats) -> Floats:
+    """Exterior orientations from camera-to-chunk matrices."""
+    whole = to_world @ matrices
+    axes = whole[:, :3, :3]
+    axes = axes / np.cbrt(np.linalg.det(axes))[:, None, None] if len(axes) else axes
+    rotation = np.swapaxes(axes, -1, -2)
+    return from_vision(rotation, -np.einsum("nij,nj->ni", rotation, whole[:, :3, 3]))
+
+
+def _markers(chunk: Element, path: Path) -> dict[str, Marker]:
+    nan = (float("nan"),) * 3
+    markers = {}
+    for element in chunk.iterfind("markers/marker"):
+        given = element.find("reference")
+        xyz = sigma = nan
+        if given is not None and given.get("x"):
+            xyz = _triple(given, ("x", "y", "z"), path)
+            if given.get("sx"):
+                sigma = _triple(given, ("sx", "sy", "sz"), path)
+        enabled = given is not None and given.get("enabled", "true") in ("true", "1")
+        name = element.get("label") or element.get("id") or ""
+        markers[element.get("id", "")] = Marker(name, xyz, sigma, enabled)
+    return markers
+
+
+def _triple(element: Element, keys: tuple[str, str, str], path: Path) -> tuple[float, float, float]:
+    one, two, three = (number(element.get(key, ""), path, f"marker {key}") for key in keys)
+    return one, two, three
+
+
+def _write_markers(chunk: Element, given: Reconstruction) -> None:
+    surveyed = [k for k, role in enumerate(given.roles) if role != "tie"]
+    if not surveyed:
+        return
+    markers = SubElement(chunk, "markers", next_id=str(len(surveyed)))
+    frame = SubElement(SubElement(chunk, "frames"), "frame", id="0")
+    seen = SubElement(frame, "markers")
+    for key, k in enumerate(surveyed):
+        marker = SubElement(markers, "marker", id=str(key), label=given.point_names[k])
+        xyz = {axis: repr(value) for axis, value in zip("xyz", given.xyz[k].tolist(), strict=True)}
+        SubElement(marker, "reference", {**xyz, "enabled": str(given.roles[k] == "control").lower()})
+        rays = SubElement(seen, "marker", marker_id=str(key))
+        for ray in np.flatnonzero(given.point == k):
+            x, y = (given.pixels[ray] + 0.5).tolist()
+            SubElement(rays, "location", camera_id=str(given.image[ray]), pinned="true", x=repr(x), y=repr(y))
+
+
+def _numbers(element: Element, path: Path, count: int) -> list[float]:
+    return numbers(element.text or "", path, element.tag, count)

@@ -1,0 +1,307 @@
+"""MicMac: ground points, image measurements (saisies), orientations and Tapas calibrations, XML.
+
+Pixels: x right, y down; principal point and measurements count from the same origin, which the files do not
+name: it is taken for the centre of the upper-left pixel, as ours. The distortion is added to the projection
+in px (`brown-ideal`, convention DistM2C): radial coefficients of r^2, r^4, ... about the principal point,
+and affine and decentering terms of Fraser's model. Orientation as centre and the matrix from camera (x
+right, y down, z forward) to object axes, by rows. Source: MicMac documentation, "Conventions", and the
+residuals in its own <Verif> tables.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputMalformedError
+from photocal.block.model import Block
+from photocal.exchange import parts
+from photocal.exchange.markup import child, number_of, read_xml, text_of
+from photocal.exchange.pinhole import from_vision
+from photocal.exchange.source import fingerprint, image_size, numbers
+from photocal.geometry.camera import Camera, camera
+
+Floats = NDArray[np.float64]
+
+_CONVENTION = "eConvApero_DistM2C"
+
+
+@dataclass(frozen=True)
+class GroundPoint:
+    """A ground point.
+
+    Attributes
+    ----------
+    name : str
+    xyz, sigma : tuple of float
+        Unit of the project, taken as m.
+    """
+
+    name: str
+    xyz: tuple[float, float, float]
+    sigma: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """Exterior orientation of one image.
+
+    Attributes
+    ----------
+    pose : ndarray, shape (6,)
+        omega, phi, kappa in radians, X, Y, Z.
+    calibration : str
+        File of its interior orientation, without folders.
+    image_points, ground_points : ndarray, shapes (n, 2) and (n, 3)
+        Points that MicMac gives for checking: column, row and X, Y, Z.
+    """
+
+    pose: Floats
+    calibration: str
+    image_points: Floats
+    ground_points: Floats
+
+
+def read_calibration(path: Path, camera_id: str = "") -> Camera:
+    """Read a calibration (AutoCal_...xml) with radial distortion or Fraser's model.
+
+    Parameters
+    ----------
+    path : Path
+    camera_id : str
+        The file's name when empty.
+
+    Returns
+    -------
+    Camera
+        In px.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        Also for other models, another convention, or a distortion centre of its own.
+    """
+    given = child(read_xml(path), "CalibrationInternConique", path)
+    _require_convention(given, path)
+    place = _vector(given, "PP", path, 2)
+    size = _vector(given, "SzIm", path, 2)
+    width, height = image_size(size[0], size[1], path)
+    values = {
+        "c": number_of(given, "F", path),
+        "x0": place[0] - (width - 1) / 2,
+        "y0": (height - 1) / 2 - place[1],
+    }
+    models = list(child(given, "CalibDistortion", path))
+    if len(models) != 1:
+        raise InputMalformedError("has several distortions, one after the other", where=path)
+    values |= _distortion(models[0], place, path)
+    return camera(
+        camera_id or path.stem, "brown-ideal", "px", (width, height), (1.0, 1.0), values, affinity="additive"
+    )
+
+
+def read_orientation(path: Path) -> Orientation:
+    """Read an orientation (Orientation-IMAGE.xml).
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Orientation
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+    """
+    given = child(read_xml(path), "OrientationConique", path)
+    outer = child(given, "Externe", path)
+    _require_convention(outer, path)
+    axes = np.array([_vector(outer, f"ParamRotation/CodageMatr/L{k}", path, 3) for k in (1, 2, 3)])
+    if not np.allclose(axes @ axes.T, np.eye(3), atol=1e-6) or np.linalg.det(axes) < 0:
+        raise InputMalformedError("its rotation is no rotation matrix", where=path)
+    centre = np.array(_vector(outer, "Centre", path, 3))
+    checks = given.findall("Verif/Appuis")
+    return Orientation(
+        from_vision(axes.T, -axes.T @ centre),
+        text_of(given, "FileInterne", path).replace("\\", "/").rsplit("/", 1)[-1],
+        np.array([_vector(check, "Im", path, 2) for check in checks]).reshape(-1, 2),
+        np.array([_vector(check, "Ter", path, 3) for check in checks]).reshape(-1, 3),
+    )
+
+
+def read_ground_points(path: Path) -> tuple[GroundPoint, ...]:
+    """Read ground points (DicoAppuisFlottant, or SetGCP of MMVII).
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    tuple of GroundPoint
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+    """
+    root = read_xml(path)
+    points = []
+    for element in root.iter("OneAppuisDAF"):
+        sigma = _vector(element, "Incertitude", path, 3)
+        points.append(_ground(text_of(element, "NamePt", path), _vector(element, "Pt", path, 3), sigma, path))
+    for element in root.iterfind("Data/SetGCP/Measures/el"):
+        # xx, xy, xz, yy, yz, zz
+        variance = np.array(_vector(element, "__Opt__Sigma2", path, 6))[[0, 3, 5]]
+        name = text_of(element, "Name", path).strip('"')
+        points.append(_ground(name, _vector(element, "Pt", path, 3), np.sqrt(variance).tolist(), path))
+    if not points:
+        raise InputMalformedError("has no ground points", where=path, remedy="is it the right file?")
+    parts.require_unique([point.name for point in points], "ground point", path)
+    return tuple(points)
+
+
+def read_measures(path: Path) -> tuple[parts.Mark, ...]:
+    """Read image measurements (SetOfMesureAppuisFlottants, or SetMesIm of MMVII).
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    tuple of Mark
+        With a standard deviation of 1 px, which the older form does not have.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+    """
+    root = read_xml(path)
+    marks = []
+    for image in root.iter("MesureAppuiFlottant1Im"):
+        name = text_of(image, "NameIm", path)
+        for element in image.iterfind("OneMesureAF1I"):
+            x, y = _vector(element, "PtIm", path, 2)
+            marks.append(parts.Mark(name, text_of(element, "NamePt", path), x, y, (1.0, 1.0), path))
+    for image in root.iterfind("Data/SetMesIm"):
+        name = text_of(image, "NameIm", path).strip('"')
+        for element in image.iterfind("Measures/el"):
+            x, y = _vector(element, "Pt", path, 2)
+            xx, _, yy = _vector(element, "Sigma2", path, 3)
+            point = text_of(element, "Name", path).strip('"')
+            marks.append(parts.Mark(name, point, x, y, (float(np.sqrt(xx)), float(np.sqrt(yy))), path))
+    if not marks:
+        raise InputMalformedError("has no image measurements", where=path, remedy="is it the right file?")
+    return tuple(marks)
+
+
+def read_micmac(points: Path, measures: Path, orientations: Path) -> Block:
+    """Read a MicMac project: control, its measurements, and start values.
+
+    Parameters
+    ----------
+    points : Path
+        Ground points; their uncertainties are the standard deviations of the control.
+    measures : Path
+        Image measurements.
+    orientations : Path
+        Folder with Orientation-IMAGE.xml and the calibration that they name.
+
+    Returns
+    -------
+    Block
+        Images without orientation are left out, with their measurements.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+    """
+    ground = read_ground_points(points)
+    marks = read_measures(measures)
+    names = list(dict.fromkeys(mark.image for mark in marks))
+    files = {name: orientations / f"Orientation-{name}.xml" for name in names}
+    found = {name: read_orientation(path) for name, path in files.items() if path.exists()}
+    if not found:
+        raise InputMalformedError("has no orientation of a measured image", where=orientations)
+    calibrations = list(dict.fromkeys(own.calibration for own in found.values()))
+    cameras = tuple(read_calibration(orientations / name) for name in calibrations)
+    entries = [parts.PointEntry(point.name, "control", point.xyz, point.sigma) for point in ground]
+    used = [mark for mark in marks if mark.image in found]
+    read = [
+        points,
+        measures,
+        *(files[name] for name in found),
+        *(orientations / name for name in calibrations),
+    ]
+    return Block(
+        points.stem,
+        "local",
+        "",
+        "control",
+        (),
+        cameras,
+        parts.images(
+            list(found),
+            [calibrations.index(own.calibration) for own in found.values()],
+            np.array([own.pose for own in found.values()]),
+        ),
+        parts.object_points(entries),
+        parts.observations(used, list(found), [point.name for point in ground], "px", "pixel"),
+        tuple(fingerprint(path) for path in read),
+    )
+
+
+def _ground(name: str, xyz: list[float], sigma: list[float], path: Path) -> GroundPoint:
+    if not min(sigma) >= 0:
+        raise InputMalformedError(f"the uncertainty of point {name} is negative", where=path)
+    return GroundPoint(name, (xyz[0], xyz[1], xyz[2]), (sigma[0], sigma[1], sigma[2]))
+
+
+def _vector(element: Element, path_in: str, path: Path, count: int) -> list[float]:
+    return numbers(text_of(element, path_in, path), path, path_in.rsplit("/", 1)[-1], count)
+
+
+def _require_convention(element: Element, path: Path) -> None:
+    found = text_of(element, "KnownConv", path)
+    if found != _CONVENTION:
+        raise InputMalformedError(
+            f"has the convention {found}", where=path, remedy=f"convert it to {_CONVENTION}"
+        )
+
+
+def _distortion(given: Element, place: list[float], path: Path) -> dict[str, float]:
+    """Our coefficients of a distortion in px about the principal point, whose y runs down."""
+    if given.tag == "ModNoDist":
+        return {}
+    if given.tag not in ("ModRad", "ModPhgrStd"):
+        raise InputMalformedError(
+            f"distortion {given.tag} has no equivalent",
+            where=path,
+            remedy="calibrate with RadialStd or FraserBasic",
+        )
+    radial = given if given.tag == "ModRad" else child(given, "RadialePart", path)
+    centre = _vector(radial, "CDist", path, 2)
+    if max(abs(a - b) for a, b in zip(centre, place, strict=True)) > 1e-6:
+        raise InputMalformedError(
+            "the distortion has a centre of its own",
+            where=path,
+            remedy="calibrate with a common centre (PPaEqPPs)",
+        )
+    coefficients = [numbers(c.text or "", path, "CoeffDist", 1)[0] for c in radial.iterfind("CoeffDist")]
+    if any(coefficients[4:]):
+        raise InputMalformedError("has more than four radial coefficients", where=path)
+    values = {f"K{k}": value for k, value in enumerate(coefficients[:4], start=1)}
+    if given.tag == "ModPhgrStd":
+        p1, p2, b1, b2 = (
+            number_of(given, key, path) if given.find(key) is not None else 0.0
+            for key in ("P1", "P2", "b1", "b2")
+        )
+        # dx = P1 (r^2 + 2 x^2) + 2 P2 x y + b1 x + b2 y, with y down.
+        values |= {"P1": p1, "P2": -p2, "B1": b1, "B2": -b2}
+    return values

@@ -1,0 +1,214 @@
+"""OpenSfM and ODM: cameras.json and reconstruction.json.
+
+Image coordinates are divided by the larger side of the image and counted from its middle, x right, y down
+(a pixel's column is x * size + w/2 - 0.5, so that the centre of the upper-left pixel is (0, 0), as ours).
+The distortion is added to the normalised projection (`brown-ideal`): "perspective" has focal, k1, k2;
+"brown" has focal_x, focal_y, c_x, c_y, k1, k2, k3, p1, p2. Camera axes x right, y down, z forward; a shot
+has the rotation vector and translation from object to camera axes. Object space: east, north, up in m about
+`reference_lla`. Source: OpenSfM documentation, "Geometric models" and "Reconstruction format".
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputMalformedError
+from photocal.exchange.convert import Conversion
+from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, to_pinhole, to_vision
+from photocal.exchange.reconstruction import Reconstruction, read_json
+from photocal.exchange.source import image_size
+from photocal.geometry.camera import Camera
+
+Floats = NDArray[np.float64]
+T = TypeVar("T")
+
+
+def read_cameras(path: Path) -> tuple[Camera, ...]:
+    """Read cameras.json.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    tuple of Camera
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+    """
+    return tuple(
+        _checked(path, lambda: [_camera(name, keys, path) for name, keys in read_json(path).items()])
+    )
+
+
+def read_reconstruction(path: Path) -> Reconstruction:
+    """Read the first reconstruction of reconstruction.json.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Reconstruction
+        Measurements are not in this file (see tracks.csv): there are no rays.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+    """
+    content = read_json(path)
+    if not isinstance(content, list) or not content:
+        raise InputMalformedError("holds no reconstruction", where=path, remedy="is it an OpenSfM file?")
+
+    def made() -> Reconstruction:
+        first = content[0]
+        cameras = {name: _camera(name, keys, path) for name, keys in first["cameras"].items()}
+        order = {name: k for k, name in enumerate(cameras)}
+        shots, points = first["shots"], first.get("points", {})
+        turns = np.array([shot["rotation"] for shot in shots.values()], dtype=float).reshape(-1, 3)
+        shifts = np.array([shot["translation"] for shot in shots.values()], dtype=float).reshape(-1, 3)
+        none = np.empty(0, dtype=np.int64)
+        return Reconstruction(
+            tuple(cameras.values()),
+            tuple(shots),
+            np.array([order[shot["camera"]] for shot in shots.values()], dtype=np.int64),
+            from_vision(_rotations(turns), shifts),
+            tuple(points),
+            np.array([point["coordinates"] for point in points.values()], dtype=float).reshape(-1, 3),
+            none,
+            none,
+            np.empty((0, 2)),
+        )
+
+    return _checked(path, made)
+
+
+def write_opensfm(folder: Path, given: Reconstruction) -> tuple[Conversion, ...]:
+    """Write cameras.json, reconstruction.json and tracks.csv.
+
+    Parameters
+    ----------
+    folder : Path
+        Exists.
+    given : Reconstruction
+
+    Returns
+    -------
+    tuple of Conversion
+        What each camera lost.
+
+    Raises
+    ------
+    InputMalformedError
+        For cameras with a skew.
+    """
+    made = [to_pinhole(own, "OpenSfM") for own in given.cameras]
+    names = [own.id for own in given.cameras]
+    cameras = {name: _keys(pinhole) for name, (pinhole, _) in zip(names, made, strict=True)}
+    rotation, translation = to_vision(given.poses)
+    turns = _vectors(rotation)
+    shots = {
+        name: {
+            "rotation": turns[k].tolist(),
+            "translation": translation[k].tolist(),
+            "camera": names[given.image_camera[k]],
+        }
+        for k, name in enumerate(given.image_names)
+    }
+    points = {
+        name: {"color": [128, 128, 128], "coordinates": xyz}
+        for name, xyz in zip(given.point_names, given.xyz.tolist(), strict=True)
+    }
+    whole = [{"cameras": cameras, "shots": shots, "points": points}]
+    (folder / "cameras.json").write_text(json.dumps(cameras, indent=1, allow_nan=False), encoding="utf-8")
+    (folder / "reconstruction.json").write_text(json.dumps(whole, allow_nan=False), encoding="utf-8")
+    _write_tracks(folder / "tracks.csv", given)
+    return tuple(conversion for _, conversion in made)
+
+
+def _write_tracks(path: Path, given: Reconstruction) -> None:
+    size = np.array([own.size_px for own in given.cameras], dtype=float)[given.image_camera[given.image]]
+    normalised = (given.pixels + 0.5 - size / 2) / size.max(axis=1, keepdims=True)
+    count = np.zeros(len(given.image_names), dtype=np.int64)
+    with path.open("w", encoding="utf-8", newline="\n") as out:
+        out.write("OPENSFM_TRACKS_VERSION_v2\n")
+        for image, point, (x, y) in zip(
+            given.image.tolist(), given.point.tolist(), normalised.tolist(), strict=True
+        ):
+            row = [given.image_names[image], given.point_names[point], count[image], repr(x), repr(y)]
+            out.write("\t".join(str(cell) for cell in [*row, 0.001, 128, 128, 128, -1, -1]) + "\n")
+            count[image] += 1
+
+
+def _keys(pinhole: Pinhole) -> dict[str, Any]:
+    width, height = pinhole.size_px
+    size = max(pinhole.size_px)
+    return {
+        "projection_type": "brown",
+        "width": width,
+        "height": height,
+        "focal_x": pinhole.fx / size,
+        "focal_y": pinhole.fy / size,
+        "c_x": (pinhole.cx + 0.5 - width / 2) / size,
+        "c_y": (pinhole.cy + 0.5 - height / 2) / size,
+    } | {name: getattr(pinhole, name) for name in ("k1", "k2", "k3", "p1", "p2")}
+
+
+def _camera(name: str, keys: dict[str, Any], path: Path) -> Camera:
+    width, height = image_size(float(keys["width"]), float(keys["height"]), path)
+    size = max(width, height)
+    kind = keys["projection_type"]
+    if kind == "perspective":
+        f = float(keys["focal"])
+        fx, fy, cx, cy = f, f, 0.0, 0.0
+        names = ["k1", "k2"]
+    elif kind == "brown":
+        fx, fy, cx, cy = (float(keys[key]) for key in ("focal_x", "focal_y", "c_x", "c_y"))
+        names = ["k1", "k2", "k3", "p1", "p2"]
+    else:
+        raise InputMalformedError(
+            f"camera {name} is {kind!r}, which has no equivalent",
+            where=path,
+            remedy="use brown or perspective",
+        )
+    distortion = {key: float(keys.get(key, 0.0)) for key in names}
+    pinhole = Pinhole(
+        (width, height),
+        fx * size,
+        fy * size,
+        cx * size + width / 2 - 0.5,
+        cy * size + height / 2 - 0.5,
+        **distortion,
+    )
+    return from_pinhole(pinhole, name, path)
+
+
+def _checked(path: Path, read: Callable[[], T]) -> T:
+    """Turn what a wrong structure raises into one line."""
+    try:
+        return read()
+    except (KeyError, TypeError, ValueError, AttributeError) as failure:
+        raise InputMalformedError(
+            f"has not the structure of an OpenSfM file ({type(failure).__name__}: {failure})", where=path
+        ) from failure
+
+
+def _rotations(vectors: Floats) -> Floats:
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_rotvec(vectors).as_matrix(), dtype=float)
+
+
+def _vectors(rotations: Floats) -> Floats:
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(rotations).as_rotvec(), dtype=float)

@@ -1,0 +1,181 @@
+"""The pinhole camera of computer vision: fx, fy, cx, cy and coefficients of normalised coordinates.
+
+Common to OpenCV, COLMAP, OpenSfM and Pix4D: camera axes x right, y down, z forward; the projection (X/Z, Y/Z)
+is distorted (`brown-ideal`) with k1, k2, k3 and p1, p2 in normalised coordinates,
+x = x' (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x' y' + p2 (r^2 + 2 x'^2), then scaled by fx, fy and moved to
+cx, cy. Here the centre of the upper-left pixel is (0, 0), as in OpenCV and in this project; each format adds
+its own half pixel. Source: Bradski and Kaehler 2008, Learning OpenCV, ch. 11; Brown 1971.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputMalformedError
+from photocal.exchange.convert import Conversion, converted, in_pixels, require_no_skew
+from photocal.geometry.camera import Camera, camera
+from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
+
+Floats = NDArray[np.float64]
+
+# From our camera axes to those of computer vision, and back.
+FLIP = np.diag([1.0, -1.0, -1.0])
+_TERMS = ("K1", "K2", "K3", "P1", "P2", "B1")
+
+
+@dataclass(frozen=True)
+class Pinhole:
+    """Intrinsics as OpenCV has them.
+
+    Attributes
+    ----------
+    size_px : tuple of int
+    fx, fy, cx, cy : float
+        px; the centre of the upper-left pixel is (0, 0).
+    k1, k2, k3, p1, p2 : float
+        Of normalised coordinates.
+    """
+
+    size_px: tuple[int, int]
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+
+
+def from_pinhole(given: Pinhole, camera_id: str, place: object) -> Camera:
+    """Turn pinhole intrinsics into a camera in px.
+
+    Parameters
+    ----------
+    given : Pinhole
+    camera_id : str
+    place : object
+        For messages.
+
+    Returns
+    -------
+    Camera
+        `brown-ideal`, affinity "after" when fx and fy differ.
+
+    Raises
+    ------
+    InputMalformedError
+        When a focal length is not positive.
+    """
+    if not (given.fx > 0 and given.fy > 0):
+        raise InputMalformedError("the focal length is not positive", where=place, remedy="correct it")
+    c = given.fy
+    values = {
+        "c": c,
+        "x0": given.cx - (given.size_px[0] - 1) / 2,
+        "y0": (given.size_px[1] - 1) / 2 - given.cy,
+        "K1": given.k1 / c**2,
+        "K2": given.k2 / c**4,
+        "K3": given.k3 / c**6,
+        # y is up here and down there: p1 and p2 change places, and one its sign.
+        "P1": given.p2 / c,
+        "P2": -given.p1 / c,
+        "B1": given.fx / given.fy - 1,
+    }
+    return camera(camera_id, "brown-ideal", "px", given.size_px, (1.0, 1.0), values, affinity="after")
+
+
+def to_pinhole(own: Camera, program: str) -> tuple[Pinhole, Conversion]:
+    """Turn a camera into pinhole intrinsics.
+
+    Parameters
+    ----------
+    own : Camera
+        Of any model.
+    program : str
+        For messages.
+
+    Returns
+    -------
+    pinhole : Pinhole
+    conversion : Conversion
+        What the change of model cost.
+
+    Raises
+    ------
+    InputMalformedError
+        When the camera has a skew.
+    """
+    require_no_skew(own, program)
+    conversion = converted(in_pixels(own), "brown-ideal", "after", _TERMS)
+    same = conversion.camera
+    c = same.value("c")
+    return Pinhole(
+        same.size_px,
+        c * (1 + same.value("B1")),
+        c,
+        same.value("x0") + (same.size_px[0] - 1) / 2,
+        (same.size_px[1] - 1) / 2 - same.value("y0"),
+        same.value("K1") * c**2,
+        same.value("K2") * c**4,
+        same.value("K3") * c**6,
+        -same.value("P2") * c,
+        same.value("P1") * c,
+    ), conversion
+
+
+def to_vision(pose: Floats) -> tuple[Floats, Floats]:
+    """Turn exterior orientations into rotation and translation from object to vision camera axes.
+
+    Parameters
+    ----------
+    pose : ndarray, shape (..., 6)
+        omega, phi, kappa in radians, X, Y, Z in m.
+
+    Returns
+    -------
+    rotation : ndarray, shape (..., 3, 3)
+    translation : ndarray, shape (..., 3)
+    """
+    rotation = FLIP @ matrix_from_angles(pose[..., :3])
+    return rotation, -np.einsum("...ij,...j->...i", rotation, pose[..., 3:])
+
+
+def from_vision(rotation: Floats, translation: Floats) -> Floats:
+    """Turn rotation and translation from object to vision camera axes into exterior orientations.
+
+    Parameters
+    ----------
+    rotation : ndarray, shape (..., 3, 3)
+    translation : ndarray, shape (..., 3)
+
+    Returns
+    -------
+    ndarray, shape (..., 6)
+        omega, phi, kappa in radians, X, Y, Z.
+    """
+    place = -np.einsum("...ji,...j->...i", rotation, translation)
+    return np.concatenate([angles_from_matrix(FLIP @ rotation), place], axis=-1)
+
+
+def rotation_from_quaternion(quaternion: Floats) -> Floats:
+    """Rotation matrices of quaternions (w, x, y, z) of any length, shape (..., 4) to (..., 3, 3)."""
+    w, x, y, z = np.moveaxis(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows, dtype=float), (0, 1), (-2, -1))
+
+
+def quaternion_from_rotation(rotation: Floats) -> Floats:
+    """Unit quaternions (w, x, y, z), w not negative, of rotation matrices; inverse of the former."""
+    from scipy.spatial.transform import Rotation
+
+    xyzw = np.asarray(Rotation.from_matrix(rotation).as_quat(canonical=True), dtype=float)
+    return np.roll(xyzw, 1, axis=-1)

@@ -1,0 +1,235 @@
+"""What programs pass around: cameras, oriented images, points and measurements; read from a run folder."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.block.model import ROLES, Block, InputFile, ObjectPoints, Observations
+from photocal.block.table import read_table
+from photocal.exchange.parts import images
+from photocal.exchange.source import read_text
+from photocal.geometry.camera import PARAMETERS, Camera, camera, plane_to_pixel
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+_SCHEMA = "photocal.adjustment/"
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """Oriented images and the points that they see.
+
+    Attributes
+    ----------
+    cameras : tuple of Camera
+    image_names : tuple of str
+    image_camera : ndarray of int, shape (images,)
+        Index into the cameras.
+    poses : ndarray, shape (images, 6)
+        omega, phi, kappa in radians, X, Y, Z in m.
+    point_names : tuple of str
+    xyz : ndarray, shape (points, 3)
+        m.
+    image, point : ndarray of int, shape (rays,)
+    pixels : ndarray, shape (rays, 2)
+        Column and row as measured; the centre of the upper-left pixel is (0, 0).
+    roles : tuple of str
+        control, check or tie for each point; empty when not known.
+    pose_sigma, xyz_sigma, residuals_px
+        Like `poses` (radians, m), `xyz` and `pixels`; residuals computed minus measured. Empty when unknown.
+    """
+
+    cameras: tuple[Camera, ...]
+    image_names: tuple[str, ...]
+    image_camera: Integers
+    poses: Floats
+    point_names: tuple[str, ...]
+    xyz: Floats
+    image: Integers
+    point: Integers
+    pixels: Floats
+    roles: tuple[str, ...] = ()
+    pose_sigma: Floats = field(default_factory=lambda: np.empty((0, 6)))
+    xyz_sigma: Floats = field(default_factory=lambda: np.empty((0, 3)))
+    residuals_px: Floats = field(default_factory=lambda: np.empty((0, 2)))
+
+
+def as_block(given: Reconstruction, name: str, sigma_px: float, inputs: tuple[InputFile, ...]) -> Block:
+    """Make a block of a reconstruction: orientations and points as start values, datum free.
+
+    Parameters
+    ----------
+    given : Reconstruction
+    name : str
+    sigma_px : float
+        Standard deviation of an image coordinate, which these formats do not have.
+    inputs : tuple of InputFile
+
+    Returns
+    -------
+    Block
+    """
+    count = len(given.point_names)
+    return Block(
+        name,
+        "local",
+        "",
+        "free",
+        (),
+        given.cameras,
+        images(given.image_names, given.image_camera.tolist(), given.poses),
+        ObjectPoints(
+            given.point_names,
+            given.xyz,
+            np.full((count, 3), np.inf),
+            np.full(count, ROLES.index("tie"), dtype=np.int64),
+        ),
+        Observations(
+            "px", "pixel", given.image, given.point, given.pixels, np.full(given.pixels.shape, sigma_px)
+        ),
+        inputs,
+    )
+
+
+def read_run(folder: Path) -> Reconstruction:
+    """Read what `photocal adjust` wrote.
+
+    Parameters
+    ----------
+    folder : Path
+        Run folder.
+
+    Returns
+    -------
+    Reconstruction
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        When it is no complete run folder.
+    """
+    if not folder.is_dir():
+        raise InputNotFoundError(
+            "is no folder", where=folder, remedy="name the folder that photocal adjust wrote"
+        )
+    place = folder / "result.json"
+    result = read_json(place)
+    if not str(result.get("schema", "")).startswith(_SCHEMA):
+        raise InputMalformedError("is not the result of an adjustment", where=place)
+    try:
+        cameras = tuple(_camera(name, keys) for name, keys in result["cameras"].items())
+        unit = result["block"]["observation_unit"], result["block"]["observation_axes"]
+    except (KeyError, TypeError, AttributeError, ValueError) as failure:
+        raise InputMalformedError(
+            f"lacks {failure}", where=place, remedy="adjust the block again"
+        ) from failure
+    pose_columns = ("X", "Y", "Z", "omega", "phi", "kappa")
+    table = read_table(
+        folder / "images.csv", ("image", "camera", *pose_columns), ("sX", "sY", "sZ", "so", "sp", "sk")
+    )
+    image_names = table.unique_names("image")
+    which, camera_names = table.names("camera")
+    known = {own.id: k for k, own in enumerate(cameras)}
+    image_camera = np.array([known[name] for name in camera_names], dtype=np.int64)[which]
+    poses = _pose_columns(table, pose_columns[3:] + pose_columns[:3])
+    pose_sigma = _pose_columns(table, ("so", "sp", "sk", "sX", "sY", "sZ"))
+    points = read_table(folder / "points.csv", ("point", "role", "X", "Y", "Z"), ("sX", "sY", "sZ", "rays"))
+    point_names = points.unique_names("point")
+    role, role_names = points.names("role")
+    rays = _residual_table(folder)
+    image = _rows(rays, "image", image_names)
+    point = _rows(rays, "point", point_names)
+    values = np.column_stack([rays.numbers("x"), rays.numbers("y")])
+    residuals = np.column_stack([rays.numbers("vx"), rays.numbers("vy")])
+    size = np.array([own.size_px for own in cameras], dtype=float)[image_camera[image]]
+    pitch = np.array([own.pitch for own in cameras])[image_camera[image]]
+    if unit == ("px", "photo"):
+        pitch = np.ones_like(pitch)
+    if unit[0] == "mm":
+        residuals = residuals / pitch
+    if unit[1] == "photo":
+        values, residuals = plane_to_pixel(size, pitch, values), residuals * [1.0, -1.0]
+    elif unit[0] == "mm":
+        values = values / pitch
+    return Reconstruction(
+        cameras,
+        image_names,
+        image_camera,
+        poses,
+        point_names,
+        np.column_stack([points.numbers(axis) for axis in "XYZ"]),
+        image,
+        point,
+        values,
+        tuple(role_names[k] for k in role),
+        pose_sigma,
+        np.column_stack([points.numbers("s" + axis, empty=np.nan) for axis in "XYZ"]),
+        residuals,
+    )
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON object; errors in one line.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+    """
+    text = read_text(path)
+    try:
+        content = json.loads(text, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as failure:
+        raise InputMalformedError(
+            f"is no valid JSON ({failure})", where=path, remedy="was it written completely?"
+        ) from failure
+    return content
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"the number {name} is not finite")
+
+
+def _camera(name: str, keys: dict[str, Any]) -> Camera:
+    parameters = {key: float(keys["parameters"][key]["value"]) for key in PARAMETERS}
+    return camera(
+        name,
+        keys["model"],
+        keys["unit"],
+        (int(keys["size_px"][0]), int(keys["size_px"][1])),
+        (1.0, 1.0) if keys["unit"] == "px" else (float(keys["pitch_mm"][0]), float(keys["pitch_mm"][1])),
+        parameters,
+        reference_radius=float(keys["reference_radius"]),
+        affinity=keys["affinity"],
+        affinity_form=keys["affinity_form"],
+    )
+
+
+def _pose_columns(table: Any, columns: tuple[str, ...]) -> Floats:
+    values = np.column_stack([table.numbers(column, empty=np.nan) for column in columns])
+    values[:, :3] = np.radians(values[:, :3])
+    return values
+
+
+def _residual_table(folder: Path) -> Any:
+    long = folder / "residuals.parquet"
+    path = long if long.exists() else folder / "residuals.csv"
+    return read_table(path, ("image", "point", "x", "y", "vx", "vy"), ("rx", "ry", "wx", "wy"))
+
+
+def _rows(table: Any, column: str, names: tuple[str, ...]) -> Integers:
+    index, found = table.names(column)
+    position = {name: k for k, name in enumerate(names)}
+    missing = [name for name in found if name not in position]
+    if missing:
+        raise InputMalformedError(
+            f"{column} {missing[0]} is in no other table", where=table.path, remedy="adjust the block again"
+        )
+    return np.asarray(np.array([position[name] for name in found], dtype=np.int64)[index])
