@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from acquire.console import application, run
-from photocal.commands import adjust, analyse, certificate, check, compare, plan, verify
+from photocal.commands import adjust, analyse, certificate, check, compare, export, plan, verify
 
 app = application("From flight log, images and control points to a calibrated camera and its certificate.")
 app.command()(adjust.adjust)
@@ -13,6 +13,7 @@ app.command()(analyse.analyse)
 app.command()(compare.compare)
 app.command()(check.check)
 app.command()(plan.plan)
+app.command()(export.export)
 
 
 def main() -> None:
