@@ -44,7 +44,8 @@ class Shape:
     height_ratio : float
         Largest over smallest median distance of a photograph.
     constraints : int
-        Observed or held coordinates of points and exposures that carry the datum.
+        Observed or held coordinates of points and exposures, observations between points, and the inner
+        constraints of a free network: what carries the datum.
     control_points : int
         Points with surveyed coordinates.
     quadrants : int
@@ -132,6 +133,7 @@ def shape(network: Network, state: State) -> Shape:
     pairs = _some_pairs(len(axes))
     angles = [float(np.degrees(np.arccos(np.clip(axes[i] @ axes[j], -1.0, 1.0)))) for i, j in pairs]
     rolls = [_from_right_angle(state.rotation[i] @ state.rotation[j].T) for i, j in pairs]
+    inner = 0 if network.datum_points is None else DATUM_CONSTRAINTS
     flat = _across(state.points, axes)
     return Shape(
         len(axes),
@@ -139,7 +141,7 @@ def shape(network: Network, state: State) -> Shape:
         min(rolls, default=90.0),
         float((high - low) / middle),
         float(median.max() / median.min()),
-        int(known.sum() + np.isfinite(network.exposures.sigma).sum()),
+        int(known.sum() + np.isfinite(network.exposures.sigma).sum() + len(network.relations.kind) + inner),
         len(control),
         _quadrants(flat, control),
         _share(flat, control),

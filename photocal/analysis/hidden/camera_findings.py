@@ -14,6 +14,8 @@ from photocal.geometry.camera import PARAMETERS, Camera
 
 # A jackknife error of a parameter this many times its formal one is worth a line.
 UNSTABLE = 3.0
+# Less than this is no wrong sigma: `brown-observed` alone stretches the noise at the edge by some percent.
+WRONG_SIGMA = 0.10
 ALPHA = 0.10
 
 
@@ -103,7 +105,7 @@ def of_sigma(search: Search) -> list[Finding]:
         No line, or one for each that is concerned.
     """
     sigma = search.sigma
-    if sigma.p_value >= LEVEL:
+    if sigma.p_value >= LEVEL or abs(sigma.found / sigma.assumed - 1.0) < WRONG_SIGMA:
         return []
     camera = search.last.network.cameras[0]
     scale, unit = (1000.0, "um") if camera.unit == "mm" else (1.0, "px")

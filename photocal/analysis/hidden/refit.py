@@ -165,6 +165,9 @@ def without_images(network: Network, state: State, left_out: NDArray[np.bool_]) 
     kept &= points[network.rays.point]
     point_place = np.cumsum(points) - 1
     rays = network.rays
+    relations = network.relations
+    related = points[relations.first] & points[relations.second]
+    datum = network.datum_points
     smaller = replace(
         network,
         exposures=replace(
@@ -187,6 +190,15 @@ def without_images(network: Network, state: State, left_out: NDArray[np.bool_]) 
             sigma=rays.sigma[kept],
         ),
         image_names=tuple(name for name, out in zip(network.image_names, left_out, strict=True) if not out),
+        relations=replace(
+            relations,
+            kind=relations.kind[related],
+            first=point_place[relations.first[related]],
+            second=point_place[relations.second[related]],
+            values=relations.values[related],
+            sigma=relations.sigma[related],
+        ),
+        datum_points=None if datum is None else point_place[datum[points[datum]]],
         point_names=tuple(name for name, has in zip(network.point_names, points, strict=True) if has),
     )
     return smaller, State(

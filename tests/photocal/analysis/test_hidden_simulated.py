@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
+from photocal.adjustment.network import Exposures, Network, Points, Rays, Relations, point_weights
 from photocal.analysis.estimates import Array
 from photocal.analysis.hidden.candidates import candidates
 from photocal.analysis.hidden.extra_parameter import estimated_amount
@@ -273,6 +273,29 @@ def test_leaving_out_an_image_is_adjusting_without_it(networks: dict[str, Simula
     found_without = jackknife(fitted)
     at = found_without.left_out.index(("i3",))
     np.testing.assert_allclose(found_without.cameras[at], anew.cameras, rtol=1e-6, atol=1e-12)
+
+
+def test_leaving_out_images_keeps_relations_and_datum_of_the_points_that_stay(
+    networks: dict[str, Simulated],
+) -> None:
+    network = noisy(networks["flight"], 1)
+    fitted = fit(network)
+    lonely = int(np.flatnonzero(np.bincount(network.rays.point) == 1)[0])
+    (image,) = network.rays.image[network.rays.point == lonely]
+    others = np.argsort(np.bincount(network.rays.point))[-2:].tolist()
+    pairs = np.array([[lonely, others[0]], others])
+    tied = replace(
+        network,
+        relations=Relations(np.zeros(2, dtype=np.int64), pairs[:, 0], pairs[:, 1], np.ones(2), np.ones(2)),
+        datum_points=np.array([lonely, *others]),
+    )
+    smaller, state = without_images(tied, fitted.state, np.arange(len(network.image_names)) == image)
+    assert smaller.datum_points is not None
+    names = [smaller.point_names[j] for j in smaller.datum_points]
+    assert names == [network.point_names[j] for j in others]
+    assert [smaller.point_names[j] for j in smaller.relations.first] == [network.point_names[others[0]]]
+    assert [smaller.point_names[j] for j in smaller.relations.second] == [network.point_names[others[1]]]
+    assert len(state.points) == len(smaller.point_names)
 
 
 def test_the_residual_map_finds_a_patch_and_nothing_else() -> None:

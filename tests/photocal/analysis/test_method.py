@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
+from photocal.adjustment.network import Exposures, Network, Points, Rays, Relations, point_weights
 from photocal.adjustment.state import start_state
 from photocal.analysis.estimates import Array
 from photocal.analysis.method import METHODS, Shape, check_method, shape
@@ -131,6 +131,14 @@ def test_observed_exposures_carry_the_datum_too() -> None:
     sigma[:, 3:] = 0.05
     observed = replace(network, exposures=replace(network.exposures, sigma=sigma))
     assert shape(observed, start_state(observed)).constraints == 9
+
+
+def test_a_free_network_and_distances_carry_the_datum_too() -> None:
+    network = network_of([[0, 0, 0]] * 3, [[0, 0, 100], [50, 0, 100], [50, 50, 130]], GROUND, FREE)
+    one = Relations(np.array([0]), np.array([0]), np.array([1]), np.array([50.0]), np.array([0.01]))
+    assert shape(replace(network, relations=one), start_state(network)).constraints == 1
+    free = replace(network, relations=one, datum_points=np.arange(9))
+    assert shape(free, start_state(network)).constraints == 8
 
 
 def test_the_convergent_camera_study_satisfies_its_method(dcs460_block: Path) -> None:
