@@ -37,7 +37,7 @@ def gps_to_utc_ns(gps_ns: NDArray[np.int64], leap_s: NDArray[np.int64] | None = 
     gps_ns : int64 (n,)
         Nanoseconds of GPS time since its epoch, 1980-01-06.
     leap_s : int64 (n,), optional
-        GPS minus UTC where the receiver has told it; without it the table decides.
+        GPS minus UTC where the receiver has told it; where it is negative or missing the table decides.
 
     Returns
     -------
@@ -45,11 +45,12 @@ def gps_to_utc_ns(gps_ns: NDArray[np.int64], leap_s: NDArray[np.int64] | None = 
         UTC, nanoseconds since 1970 without leap seconds.
     """
     civil = gps_ns + GPS_EPOCH_NS
-    if leap_s is None:
-        # In GPS time each step of the table comes later by the offset that it brings.
-        place = np.searchsorted(_FROM_NS + _OFFSET_S * SECOND_NS, civil, side="right") - 1
-        leap_s = _OFFSET_S[np.maximum(place, 0)]
-    return np.asarray(civil - leap_s * SECOND_NS, np.int64)
+    # In GPS time each step of the table comes later by the offset that it brings.
+    place = np.searchsorted(_FROM_NS + _OFFSET_S * SECOND_NS, civil, side="right") - 1
+    offset_s = _OFFSET_S[np.maximum(place, 0)]
+    if leap_s is not None:
+        offset_s = np.where(leap_s >= 0, leap_s, offset_s)
+    return np.asarray(civil - offset_s * SECOND_NS, np.int64)
 
 
 def week_to_ns(week: Any, seconds: Any) -> NDArray[np.int64]:

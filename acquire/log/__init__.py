@@ -1,1 +1,1 @@
-"""The flight log: raw frames first, everything decoded beside them, in one MCAP file."""
+"""The flight log: MCAP files with each frame as it came over the wire and what was decoded."""

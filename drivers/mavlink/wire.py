@@ -31,8 +31,7 @@ _STEP = [crc_hqx(bytes((value,)), 0) for value in range(256)]
 
 
 def extent(data: bytes, at: int) -> Examination:
-    """Return the length and the message id that the header at `at` claims; known is True when it could be
-    read.
+    """Return the length and the message id that the header at `at` claims, and True when it could be read.
 
     Length 0: no header can begin like this; negative: so many bytes are needed to tell.
     """

@@ -1,0 +1,1 @@
+"""What the flight log holds beside the raw frames: made from them, the same each time."""

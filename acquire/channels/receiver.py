@@ -1,0 +1,273 @@
+"""Channels decoded from a GNSS receiver: position, quality, time marks, clock and base station."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.channels.decoded import Decoded, JsonLayout, Times
+from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, STATION
+from acquire.channels.receiver_time import ReceiverClock
+from acquire.log import foxglove
+from acquire.log.records import Channel
+from drivers import nmea, rtcm3
+from drivers.frames import Batch
+from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS, gps_to_utc_ns, week_to_ns
+from drivers.ubx import decode as ubx
+
+ELLIPSOIDAL = "above the ellipsoid"
+_PVT_FIXES = ("none", "dead_reckoning", "2d", "3d", "3d", "time_only")
+_GGA_FIXES = {1: "3d", 2: "differential", 3: "3d", 4: "rtk_fixed", 5: "rtk_float", 6: "dead_reckoning"}
+# TIM-TM2 flags
+_NEW_FALLING, _NEW_RISING, _TIME_VALID, _BASE_SHIFT = 0x04, 0x80, 0x40, 3
+_BASE_GNSS, _BASE_UTC = 1, 2
+
+
+class ReceiverDecoder:
+    """Decodes the UBX, RTCM 3 and NMEA frames of one link; a `Decoder`.
+
+    Parameters
+    ----------
+    link : str
+        Name of the link.
+    """
+
+    def __init__(self, link: str) -> None:
+        self._link = link
+        self._clock = ReceiverClock()
+        self._fix_rank = _Rank()
+        self._status_rank = _Rank()
+
+    def feed(self, batch: Batch, log_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[Decoded]]:
+        """Return the device's time of each frame and the decoded messages."""
+        device = self._clock.feed(batch)
+        publish = np.where(device >= 0, device, log_ns)
+        decoded = [
+            *self._positions(batch, publish),
+            *self._time_marks(batch, publish),
+            *self._clocks(batch, log_ns, publish),
+            *self._stations(batch, publish),
+        ]
+        return publish, [d for d in decoded if d.payloads]
+
+    def _positions(self, batch: Batch, publish: NDArray[np.int64]) -> Iterator[Decoded]:
+        found = {name: read(batch) for name, read in _READERS.items()}
+        for source, fixes in self._fix_rank.used(found, len(batch)):
+            yield self._fix_messages(source, fixes, publish)
+        telling = {name: found[name] for name in _STATUS_SOURCES}
+        for source, fixes in self._status_rank.used(telling, len(batch)):
+            columns = {
+                "time": Times(publish[fixes.index]),
+                "fix": fixes.fix,
+                "satellites": fixes.satellites,
+                "hdop": fixes.hdop,
+                "horizontal_m": fixes.horizontal_m,
+                "vertical_m": fixes.vertical_m,
+                "correction_age_s": fixes.age_s,
+            }
+            yield self._json(f"/gnss/{self._link}/status", GNSS_STATUS, source, columns, fixes.index, publish)
+
+    def _fix_messages(self, source: str, fixes: _Fixes, publish: NDArray[np.int64]) -> Decoded:
+        there = np.isfinite(fixes.latitude_deg) & np.isfinite(fixes.height_m) & fixes.valid
+        f = fixes.rows(there)
+        payloads = foxglove.location_fixes(
+            f"{self._link}/antenna",
+            publish[f.index],
+            f.latitude_deg,
+            f.longitude_deg,
+            f.height_m,
+            f.horizontal_m,
+            f.vertical_m,
+        )
+        metadata = {"source": source, "height": ELLIPSOIDAL}
+        schema = foxglove.schema("foxglove.LocationFix")
+        channel = Channel(f"/gnss/{self._link}/fix", "protobuf", schema, metadata)
+        return Decoded(channel, payloads, f.index, publish[f.index])
+
+    def _time_marks(self, batch: Batch, publish: NDArray[np.int64]) -> Iterator[Decoded]:
+        marks = ubx.decode(batch, ubx.TIM_TM2)
+        f = marks.fields
+        base = f["flags"] >> _BASE_SHIFT & 3
+        for edge, bit, letter in (("rising", _NEW_RISING, "R"), ("falling", _NEW_FALLING, "F")):
+            new = (f["flags"] & bit) != 0
+            time = week_to_ns(f[f"wn{letter}"], 0.0) + (
+                f[f"towMs{letter}"].astype(np.int64) * 1_000_000 + f[f"towSubMs{letter}"]
+            )
+            # Time base 2 is UTC already, counted in weeks since the GPS epoch.
+            utc = np.where(base == _BASE_UTC, time + GPS_EPOCH_NS, gps_to_utc_ns(time))
+            sure = ((f["flags"] & _TIME_VALID) != 0) & ((base == _BASE_GNSS) | (base == _BASE_UTC))
+            columns = {
+                "sequence": f["count"][new],
+                "edge": edge,
+                "time": Times(np.where(sure, utc, -1)[new]),
+                "accuracy_ns": f["accEst"][new],
+            }
+            yield self._json("/camera/exposure", EXPOSURE, "TIM-TM2", columns, marks.index[new], publish)
+
+    def _clocks(
+        self, batch: Batch, log_ns: NDArray[np.int64], publish: NDArray[np.int64]
+    ) -> Iterator[Decoded]:
+        epochs = ubx.decode_rawx(batch).epochs
+        f = epochs.fields
+        device = publish[epochs.index]
+        columns = {
+            "device": Times(device),
+            "host_minus_device_s": (log_ns[epochs.index] - device) / SECOND_NS,
+            "gps_week": f["week"],
+            "gps_seconds_of_week_s": f["rcvTow"],
+            "leap_s": np.where(f["recStat"] & 1, f["leapS"].astype(int), -1),
+        }
+        yield self._json("/clock", CLOCK, "RXM-RAWX", columns, epochs.index, publish)
+
+    def _stations(self, batch: Batch, publish: NDArray[np.int64]) -> Iterator[Decoded]:
+        topic = f"/gnss/{self._link}/station"
+        announced = rtcm3.decode_stations(batch)
+        columns: dict[str, Any] = {
+            "station": announced.station,
+            "x_m": announced.ecef_m[:, 0],
+            "y_m": announced.ecef_m[:, 1],
+            "z_m": announced.ecef_m[:, 2],
+            "antenna_height_m": announced.antenna_height_m,
+        }
+        yield self._json(topic, STATION, "1005/1006", columns, announced.index, publish)
+        survey = ubx.decode(batch, ubx.NAV_SVIN)
+        # A receiver that surveys nothing sends zeros.
+        surveyed = survey.fields["obs"] > 0
+        f, index = survey.fields[surveyed], survey.index[surveyed]
+        columns = {
+            axis: f[f"mean{letter}"] * 1e-2 + f[f"mean{letter}HP"] * 1e-4
+            for axis, letter in (("x_m", "X"), ("y_m", "Y"), ("z_m", "Z"))
+        }
+        columns |= {"accuracy_m": f["meanAcc"] * 1e-4, "survey_valid": f["valid"] != 0}
+        yield self._json(topic, STATION, "NAV-SVIN", columns, index, publish)
+
+    def _json(
+        self,
+        topic: str,
+        layout: JsonLayout,
+        source: str,
+        columns: Mapping[str, Any],
+        index: NDArray[np.int64],
+        publish: NDArray[np.int64],
+    ) -> Decoded:
+        payloads = layout.rows({"link": self._link, "source": source, **columns}, len(index))
+        return Decoded(Channel(topic, "json", layout.schema()), payloads, index, publish[index])
+
+
+class _Rank:
+    """Remembers the best source so far: a lesser one counts as long as no better one has come."""
+
+    def __init__(self) -> None:
+        self._best: int | None = None
+
+    def used(self, found: Mapping[str, _Fixes], frames: int) -> Iterator[tuple[str, _Fixes]]:
+        """Yield what counts of each source; the sources are given best first."""
+        ranks = list(found.items())
+        for rank, (source, fixes) in enumerate(ranks):
+            if self._best is not None and self._best < rank:
+                continue
+            better = [int(f.index[0]) for _, f in ranks[:rank] if len(f.index)]
+            own = fixes.index < min(better, default=frames)
+            if own.any():
+                yield source, fixes.rows(own)
+        seen = [rank for rank, (_, fixes) in enumerate(ranks) if len(fixes.index)]
+        self._best = min([*seen, *([] if self._best is None else [self._best])], default=None)
+
+
+class _Fixes:
+    """Positions of one message type, whatever it is called there."""
+
+    def __init__(self, index: NDArray[np.int64], **columns: Any) -> None:
+        count = len(index)
+        self.index = index
+        self.latitude_deg: NDArray[np.float64] = columns["latitude_deg"]
+        self.longitude_deg: NDArray[np.float64] = columns["longitude_deg"]
+        self.height_m: NDArray[np.float64] = columns["height_m"]
+        unknown = np.full(count, np.nan)
+        self.horizontal_m: NDArray[np.float64] = columns.get("horizontal_m", unknown)
+        self.vertical_m: NDArray[np.float64] = columns.get("vertical_m", unknown)
+        self.hdop: NDArray[np.float64] = columns.get("hdop", unknown)
+        self.age_s: NDArray[np.float64] = columns.get("age_s", unknown)
+        self.satellites: NDArray[np.int64] = columns.get("satellites", np.full(count, -1))
+        self.valid: NDArray[np.bool_] = columns.get("valid", np.ones(count, bool))
+        self.fix: NDArray[np.str_] = np.asarray(columns.get("fix", ["3d"] * count), "U16")
+
+    def rows(self, used: NDArray[np.bool_]) -> _Fixes:
+        """Return some of the positions."""
+        columns = {name: values[used] for name, values in vars(self).items() if name != "index"}
+        return _Fixes(self.index[used], **columns)
+
+
+def _pvt(batch: Batch) -> _Fixes:
+    found = ubx.decode(batch, ubx.NAV_PVT)
+    f = found.fields
+    carrier = f["flags"] >> 6
+    fix = np.array([_PVT_FIXES[min(v, 5)] for v in f["fixType"].tolist()], "U16")
+    fix[(f["flags"] & 2) != 0] = "differential"
+    fix[carrier == 1] = "rtk_float"
+    fix[carrier == 2] = "rtk_fixed"
+    return _Fixes(
+        found.index,
+        latitude_deg=f["lat"] * 1e-7,
+        longitude_deg=f["lon"] * 1e-7,
+        height_m=f["height"] * 1e-3,
+        horizontal_m=f["hAcc"] * 1e-3,
+        vertical_m=f["vAcc"] * 1e-3,
+        satellites=f["numSV"].astype(np.int64),
+        valid=(f["flags"] & 1) != 0,
+        fix=fix,
+    )
+
+
+def _hpposllh(batch: Batch) -> _Fixes:
+    found = ubx.decode(batch, ubx.NAV_HPPOSLLH)
+    f = found.fields
+    return _Fixes(
+        found.index,
+        latitude_deg=f["lat"] * 1e-7 + f["latHp"] * 1e-9,
+        longitude_deg=f["lon"] * 1e-7 + f["lonHp"] * 1e-9,
+        height_m=f["height"] * 1e-3 + f["heightHp"] * 1e-4,
+        horizontal_m=f["hAcc"] * 1e-4,
+        vertical_m=f["vAcc"] * 1e-4,
+        valid=(f["flags"] & 1) == 0,
+    )
+
+
+def _posllh(batch: Batch) -> _Fixes:
+    found = ubx.decode(batch, ubx.NAV_POSLLH)
+    f = found.fields
+    return _Fixes(
+        found.index,
+        latitude_deg=f["lat"] * 1e-7,
+        longitude_deg=f["lon"] * 1e-7,
+        height_m=f["height"] * 1e-3,
+        horizontal_m=f["hAcc"] * 1e-3,
+        vertical_m=f["vAcc"] * 1e-3,
+    )
+
+
+def _gga(batch: Batch) -> _Fixes:
+    f = nmea.decode_gga(batch)
+    return _Fixes(
+        f.index,
+        latitude_deg=f.latitude_deg,
+        longitude_deg=f.longitude_deg,
+        height_m=f.height_m,
+        hdop=f.hdop,
+        age_s=f.age_s,
+        satellites=f.satellites,
+        valid=f.quality > 0,
+        fix=[_GGA_FIXES.get(v, "none") for v in f.quality.tolist()],
+    )
+
+
+_READERS: dict[str, Callable[[Batch], _Fixes]] = {
+    "NAV-PVT": _pvt,
+    "NAV-HPPOSLLH": _hpposllh,
+    "NAV-POSLLH": _posllh,
+    "GGA": _gga,
+}
+_STATUS_SOURCES = ("NAV-PVT", "GGA")

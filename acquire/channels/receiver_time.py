@@ -1,0 +1,134 @@
+"""The time of a GNSS receiver, read from its own messages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers import nmea
+from drivers.frames import Batch
+from drivers.gnsstime import DAY_NS, GPS_EPOCH_NS, SECOND_NS, WEEK_S, gps_to_utc_ns, utc_date_ns, week_to_ns
+from drivers.ubx import decode as ubx
+
+# Messages whose only time is the time of week: they need the week of one that has it.
+_WEEKLESS = (ubx.NAV_HPPOSLLH, ubx.NAV_POSLLH, ubx.NAV_SVIN)
+_WEEK_NS = WEEK_S * SECOND_NS
+_LEAP_NS = 600 * SECOND_NS
+
+
+class ReceiverClock:
+    """Gives each frame the receiver's time: that of the last message that told it.
+
+    The whole time comes from RXM-RAWX, NAV-TIMEGPS, NAV-PVT, NAV-TIMEUTC, RMC and ZDA. Messages that tell
+    only the time of week or of day are completed with the week or day of the last whole one.
+    """
+
+    def __init__(self) -> None:
+        self._last_ns = -1
+        self._suspect_ns = -1
+        self._leap_s = -1
+        self.sources: set[str] = set()
+
+    def feed(self, batch: Batch) -> NDArray[np.int64]:
+        """Return the receiver's UTC for each frame, nanoseconds since 1970; -1 before it was told."""
+        index, time_ns = self._whole(batch)
+        order = np.argsort(index, kind="stable")
+        index, time_ns = self._credible(index[order], time_ns[order])
+        index, time_ns = self._completed(batch, index, time_ns)
+        times = np.concatenate([[self._last_ns], time_ns])
+        device = times[np.searchsorted(index, np.arange(len(batch)), side="right")]
+        self._last_ns = int(times[-1])
+        return np.asarray(device, np.int64)
+
+    def _whole(self, batch: Batch) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        epochs = ubx.decode_rawx(batch).epochs
+        f = epochs.fields
+        leap = self._leaps(epochs.index, f)
+        usable = f["week"] > 0
+        gps = week_to_ns(f["week"], f["rcvTow"])[usable]
+        parts = {"RXM-RAWX": (epochs.index[usable], gps_to_utc_ns(gps, leap(epochs.index[usable])))}
+        timegps = ubx.decode(batch, ubx.NAV_TIMEGPS)
+        f = timegps.fields
+        sure = (f["valid"] & 3) == 3
+        gps = week_to_ns(f["week"], f["iTOW"] * 1e-3 + f["fTOW"] * 1e-9)[sure]
+        parts["NAV-TIMEGPS"] = (timegps.index[sure], gps_to_utc_ns(gps, leap(timegps.index[sure])))
+        for name, kind, mask in (("NAV-PVT", ubx.NAV_PVT, 3), ("NAV-TIMEUTC", ubx.NAV_TIMEUTC, 4)):
+            civil = ubx.decode(batch, kind)
+            f = civil.fields
+            sure = (f["valid"] & mask) == mask
+            seconds = f["hour"].astype(np.int64) * 3600 + f["min"].astype(np.int64) * 60 + f["sec"]
+            utc = utc_date_ns(f["year"], f["month"], f["day"]) + seconds * SECOND_NS + f["nano"]
+            parts[name] = (civil.index[sure], utc[sure])
+        parts["RMC/ZDA"] = nmea.decode_times(batch)
+        self.sources |= {name for name, (index, _) in parts.items() if len(index)}
+        return (
+            np.concatenate([index for index, _ in parts.values()]),
+            np.concatenate([time for _, time in parts.values()]),
+        )
+
+    def _leaps(
+        self, index: NDArray[np.int64], epochs: NDArray[Any]
+    ) -> Callable[[NDArray[np.int64]], NDArray[np.int64]]:
+        """Return what gives the leap seconds last told before each frame, -1 where none were."""
+        told = (epochs["recStat"] & 1) != 0
+        since = index[told]
+        leaps = np.concatenate([[self._leap_s], epochs["leapS"][told].astype(np.int64)])
+        self._leap_s = int(leaps[-1])
+        return lambda frames: np.asarray(leaps[np.searchsorted(since, frames, side="right")])
+
+    def _credible(
+        self, index: NDArray[np.int64], time_ns: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Leave out times that leap and are not confirmed by the next: short checksums let errors through."""
+        if not len(index):
+            return index, time_ns
+        before = np.concatenate([[self._last_ns if self._last_ns >= 0 else time_ns[0]], time_ns[:-1]])
+        if self._suspect_ns < 0 and (np.abs(time_ns - before) < _LEAP_NS).all():
+            return index, time_ns
+        kept = []
+        last = self._last_ns
+        for row, time in enumerate(time_ns.tolist()):
+            near = last < 0 or abs(time - last) < _LEAP_NS
+            confirmed = self._suspect_ns >= 0 and abs(time - self._suspect_ns) < _LEAP_NS
+            if near or confirmed:
+                kept.append(row)
+                last = time
+            self._suspect_ns = -1 if near or confirmed else time
+        return index[kept], time_ns[kept]
+
+    def _completed(
+        self, batch: Batch, index: NDArray[np.int64], time_ns: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Add the times of messages without week or day, completed with the whole time before them."""
+        whole = np.concatenate([[self._last_ns], time_ns])
+        more_index, more_time = [index], [time_ns]
+        for kind in _WEEKLESS:
+            found = ubx.decode(batch, kind)
+            near = whole[np.searchsorted(index, found.index, side="right")]
+            usable = near >= 0
+            of_week = found.fields["iTOW"][usable].astype(np.int64) * 1_000_000
+            # The epoch of the GPS weeks in UTC, by the leap seconds at that time.
+            offset = self._week_offset(near[usable])
+            more_index.append(found.index[usable])
+            more_time.append(_nearest(near[usable], of_week + offset, _WEEK_NS))
+        gga = nmea.decode_gga(batch)
+        near = whole[np.searchsorted(index, gga.index, side="right")]
+        usable = (near >= 0) & (gga.time_of_day_ns >= 0)
+        more_index.append(gga.index[usable])
+        more_time.append(_nearest(near[usable], gga.time_of_day_ns[usable], DAY_NS))
+        all_index = np.concatenate(more_index)
+        order = np.argsort(all_index, kind="stable")
+        return all_index[order], np.concatenate(more_time)[order]
+
+    @staticmethod
+    def _week_offset(utc_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        leap = utc_ns - gps_to_utc_ns(utc_ns - GPS_EPOCH_NS)
+        return np.asarray(GPS_EPOCH_NS - leap, np.int64)
+
+
+def _nearest(near: NDArray[np.int64], phase: NDArray[np.int64], period: int) -> NDArray[np.int64]:
+    """Return the time with the given phase of a period that is nearest to another time."""
+    return np.asarray(near + (phase - near + period // 2) % period - period // 2, np.int64)

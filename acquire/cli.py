@@ -1,0 +1,19 @@
+"""The command `acquire`: a list of its commands, each in a module of its own."""
+
+from __future__ import annotations
+
+from acquire.commands import import_, info
+from acquire.console import application, run
+
+app = application("Record, import, replay and inspect flights; the flight log is an MCAP file.")
+app.command("import")(import_.import_)
+app.command()(info.info)
+
+
+def main() -> None:
+    """Run the command line."""
+    run(app)
+
+
+if __name__ == "__main__":
+    main()

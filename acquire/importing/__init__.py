@@ -1,0 +1,1 @@
+"""Recordings of other programs brought into the flight log."""

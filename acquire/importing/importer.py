@@ -1,0 +1,193 @@
+"""Import of recordings: bytes to frames to the flight log, link after link."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from acquire import __version__
+from acquire.channels.decoded import Decoder
+from acquire.channels.receiver import ReceiverDecoder
+from acquire.channels.receiver_time import ReceiverClock
+from acquire.channels.vehicle import VehicleDecoder
+from acquire.importing.log_time import derived, stamped
+from acquire.importing.recording import Format, Source, identify, open_recording
+from acquire.log.link import LinkLog, Tally
+from acquire.log.writer import LogWriter
+from acquire.outputs import output_file
+from drivers.errors import ConfigurationError
+from drivers.frames import Batch, Wire
+from drivers.mavlink.dialect import Dialect, ardupilotmega
+
+CHUNK_BYTES = 1 << 20
+HOST_TIME = "host stamps of the recording"
+_LISTED_RUNS = 200
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What was imported over one link.
+
+    Parameters
+    ----------
+    link : str
+        Its name.
+    path : Path
+        The recording.
+    sha256, size : str, int
+        Of the file as it lies on disk.
+    form : Format
+        What it is.
+    log_time : str
+        Where the times of receipt come from.
+    tally : Tally
+        Frames and damage.
+    cut : int
+        Bytes of a frame that the end of the recording cut off.
+    packing_cut : bool
+        Whether the file is packed and its end is missing.
+    """
+
+    link: str
+    path: Path
+    sha256: str
+    size: int
+    form: Format
+    log_time: str
+    tally: Tally
+    cut: int
+    packing_cut: bool
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figures for programs."""
+        return {
+            "link": self.link,
+            "file": str(self.path),
+            "sha256": self.sha256,
+            "bytes": self.size,
+            "format": self.form.name,
+            "log_time": self.log_time,
+            "frames": self.tally.frames,
+            "frame_bytes": self.tally.frame_bytes,
+            "stamp_bytes": self.tally.stamp_bytes,
+            "damage_bytes": self.tally.damage_bytes,
+            "damage_runs": len(self.tally.damage),
+            "cut_bytes": self.cut,
+            "packing_cut": self.packing_cut,
+        }
+
+    def metadata(self) -> dict[str, str]:
+        """Return the table that the log keeps."""
+        runs = self.tally.damage
+        listed = " ".join(f"{offset}+{length}" for offset, length in runs[:_LISTED_RUNS])
+        figures = {key: str(value) for key, value in self.as_json().items()}
+        # The name is enough: the folder says something about a machine, not about the flight.
+        figures["file"] = self.path.name
+        figures["damage_at"] = listed + (" ..." if len(runs) > _LISTED_RUNS else "")
+        return figures
+
+
+def import_recordings(
+    named: Sequence[tuple[str, Path]],
+    unnamed: Sequence[Path],
+    output: Path,
+    advance: Callable[[float], None],
+) -> list[Imported]:
+    """Import recordings into one flight log.
+
+    Parameters
+    ----------
+    named : sequence of (str, Path)
+        Recordings with the names of their links.
+    unnamed : sequence of Path
+        Recordings whose links are named after their content or file.
+    output : Path
+        The flight log; it is there when the import has succeeded, not before.
+    advance : callable
+        Is told the number of bytes that were read since the last call.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError, ConfigurationError, OutputError
+        See the messages.
+    """
+    dialect = ardupilotmega()
+    results: list[Imported] = []
+    links: set[str] = set()
+    with output_file(output) as aside, aside.open("wb") as stream:
+        writer = LogWriter(stream)
+        writer.metadata("software", {"name": "photocal acquire", "version": __version__})
+        for name, path in [*named, *(("", path) for path in unnamed)]:
+            with open_recording(path) as source:
+                form = identify(source, dialect)
+                link = name or _link_name(path, form)
+                if link in links:
+                    raise ConfigurationError(
+                        f"two recordings would be the link {link!r}",
+                        where=path,
+                        remedy="name each with --link NAME=FILE",
+                    )
+                links.add(link)
+                results.append(_import(writer, link, source, form, dialect, advance))
+        writer.close()
+    return results
+
+
+def _import(
+    writer: LogWriter,
+    link: str,
+    source: Source,
+    form: Format,
+    dialect: Dialect,
+    advance: Callable[[float], None],
+) -> Imported:
+    framer = form.framer(dialect)
+    clock = ReceiverClock()
+    log = LinkLog(writer, link, _decoders(link, form, dialect))
+
+    def batches() -> Iterator[Batch]:
+        done = 0
+        for piece in source.pieces():
+            yield framer.feed(piece)
+            advance(source.position() - done)
+            done = source.position()
+        yield framer.close()
+
+    timed = stamped(batches()) if framer.stamped else derived(batches(), clock, source.path)
+    for batch, log_ns in timed:
+        log.write(batch, log_ns)
+        if writer.open_bytes > CHUNK_BYTES:
+            writer.end_chunk()
+    log_time = HOST_TIME if framer.stamped else _derivation(clock)
+    imported = Imported(
+        link=link,
+        path=source.path,
+        sha256=source.sha256(),
+        size=source.size(),
+        form=form,
+        log_time=log_time,
+        tally=log.tally,
+        cut=framer.cut,
+        packing_cut=source.cut,
+    )
+    writer.metadata(f"import {link}", imported.metadata())
+    return imported
+
+
+def _decoders(link: str, form: Format, dialect: Dialect) -> list[Decoder]:
+    if Wire.MAVLINK in form.wires:
+        return [VehicleDecoder(link, dialect)]
+    return [ReceiverDecoder(link)]
+
+
+def _derivation(clock: ReceiverClock) -> str:
+    return f"derived from the receiver's own time ({', '.join(sorted(clock.sources))}); no host clock"
+
+
+def _link_name(path: Path, form: Format) -> str:
+    if Wire.MAVLINK in form.wires:
+        return "vehicle"
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", path.name.split(".")[0]).strip("-") or "receiver"

@@ -1,0 +1,65 @@
+"""Time of receipt of recordings that do not carry it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.channels.receiver_time import ReceiverClock
+from drivers.errors import InputMalformedError
+from drivers.frames import Batch
+
+
+def stamped(batches: Iterable[Batch]) -> Iterator[tuple[Batch, NDArray[np.int64]]]:
+    """Yield batches with the host stamps of their recording."""
+    for batch in batches:
+        assert batch.host_ns is not None  # noqa: S101
+        yield batch, batch.host_ns
+
+
+def derived(
+    batches: Iterable[Batch], clock: ReceiverClock, where: object
+) -> Iterator[tuple[Batch, NDArray[np.int64]]]:
+    """Yield batches with the receiver's own UTC, since there is no time of receipt.
+
+    Each frame has the last time that was told before it; what comes before the first time has that one.
+    Times never go back.
+
+    Parameters
+    ----------
+    batches : iterable of Batch
+        The frames.
+    clock : ReceiverClock
+        Reads the time.
+    where : object
+        The recording, for the message.
+
+    Raises
+    ------
+    InputMalformedError
+        When no message tells date and time.
+    """
+    waiting: list[Batch] = []
+    last = -1
+    for batch in batches:
+        device = clock.feed(batch)
+        told = device[device >= 0]
+        if last < 0 and not len(told):
+            waiting.append(batch)
+            continue
+        if last < 0:
+            last = int(told[0])
+            for earlier in waiting:
+                yield earlier, np.full(len(earlier), last)
+            waiting.clear()
+        times = np.maximum.accumulate(np.concatenate([[last], device]))[1:]
+        last = int(times[-1]) if len(times) else last
+        yield batch, times
+    if waiting:
+        raise InputMalformedError(
+            "no message tells the date (RXM-RAWX, NAV-PVT, NAV-TIMEGPS, NAV-TIMEUTC, RMC or ZDA)",
+            where=where,
+            remedy="record one of these messages too",
+        )

@@ -1,0 +1,169 @@
+"""A recording of another program: what it is, told by its content, and its bytes."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from drivers.errors import InputMalformedError, InputNotFoundError
+from drivers.frames import Framer, Wire
+from drivers.framing import GNSS, StreamFramer
+from drivers.mavlink.dialect import Dialect
+from drivers.tlog import TlogFramer
+
+PIECE_BYTES = 1 << 18
+_HEAD_BYTES = 1 << 17
+_GZIP = b"\x1f\x8b"
+
+
+@dataclass(frozen=True)
+class Format:
+    """A kind of recording.
+
+    Parameters
+    ----------
+    name : str
+        What people call it.
+    wires : tuple of Wire
+        The protocols in it.
+    stamped : bool
+        Whether it carries times of receipt.
+    """
+
+    name: str
+    wires: tuple[Wire, ...]
+    stamped: bool
+
+    def framer(self, dialect: Dialect) -> Framer:
+        """Return what finds the frames."""
+        return TlogFramer(dialect) if self.stamped else StreamFramer(self.wires, dialect)
+
+
+TELEMETRY_LOG = Format("MAVLink telemetry log", (Wire.MAVLINK,), stamped=True)
+RECEIVER_STREAM = Format("GNSS receiver stream", GNSS, stamped=False)
+FORMATS = (TELEMETRY_LOG, RECEIVER_STREAM)
+
+
+class Source:
+    """The bytes of a recording, unpacked, with the hash and the size of the file that they come from.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    raw : binary file
+        The file, open.
+    """
+
+    def __init__(self, path: Path, raw: BinaryIO) -> None:
+        self.path = path
+        self.packed = raw.read(2) == _GZIP
+        raw.seek(0)
+        self._raw = raw
+        self.cut = False
+
+    def pieces(self) -> Iterator[bytes]:
+        """Yield the bytes from the beginning; a packed file that ends early sets `cut`.
+
+        Raises
+        ------
+        InputMalformedError
+            When a packed file is damaged inside.
+        """
+        self._raw.seek(0)
+        if not self.packed:
+            while piece := self._raw.read(PIECE_BYTES):
+                yield piece
+            return
+        with gzip.GzipFile(fileobj=self._raw) as unpacked:
+            while True:
+                try:
+                    # read1 gives what could still be unpacked before the cut.
+                    piece = unpacked.read1(PIECE_BYTES)
+                except EOFError:
+                    self.cut = True
+                    return
+                except (OSError, zlib.error) as damage:
+                    raise InputMalformedError(
+                        f"the gzip packing is damaged ({damage})", where=self.path, remedy="take another copy"
+                    ) from damage
+                if not piece:
+                    return
+                yield piece
+
+    def position(self) -> int:
+        """Return how much of the file has been read, bytes."""
+        return self._raw.tell()
+
+    def size(self) -> int:
+        """Return the size of the file, bytes."""
+        return self.path.stat().st_size
+
+    def sha256(self) -> str:
+        """Return the SHA-256 of the file as it lies on disk."""
+        self._raw.seek(0)
+        return hashlib.file_digest(self._raw, "sha256").hexdigest()
+
+
+@contextmanager
+def open_recording(path: Path) -> Iterator[Source]:
+    """Open a recording.
+
+    Raises
+    ------
+    InputNotFoundError
+        When it is missing, empty, a folder or may not be read.
+    """
+    if path.is_dir():
+        raise InputNotFoundError("is a folder, a recording was expected", where=path, remedy="name the file")
+    try:
+        raw = path.open("rb")
+    except OSError as refusal:
+        reason = (refusal.strerror or str(refusal)).lower()
+        raise InputNotFoundError(
+            f"cannot be read ({reason})", where=path, remedy="check name and rights"
+        ) from refusal
+    with raw:
+        if not raw.read(1):
+            raise InputNotFoundError("is empty", where=path, remedy="name a recording that has data")
+        raw.seek(0)
+        yield Source(path, raw)
+
+
+def identify(source: Source, dialect: Dialect) -> Format:
+    """Tell the format of a recording by what its first part holds.
+
+    Raises
+    ------
+    InputMalformedError
+        When there is no frame of any format that is known.
+    """
+    head = bytearray()
+    for piece in source.pieces():
+        head += piece
+        if len(head) >= _HEAD_BYTES:
+            break
+    best, most = None, 0
+    for form in FORMATS:
+        framer = form.framer(dialect)
+        batches = [framer.feed(bytes(head[:_HEAD_BYTES]))]
+        if len(head) < _HEAD_BYTES:
+            batches.append(framer.close())
+        held = sum(int(batch.length.sum()) for batch in batches)
+        if held > most:
+            best, most = form, held
+        if 2 * held > len(head):
+            break
+    if best is None:
+        raise InputMalformedError(
+            "holds no whole MAVLink record and no UBX, RTCM3 or NMEA frame",
+            where=source.path,
+            remedy="import a .tlog, .ubx, .rtcm3 or .nmea recording",
+        )
+    return best

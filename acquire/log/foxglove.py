@@ -1,0 +1,162 @@
+"""Positions and attitudes in Foxglove's published schemas (protobuf)."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.log.protobuf_rows import Field, RowEncoder
+from acquire.log.records import Schema
+
+SECOND_NS = 1_000_000_000
+
+# LocationFix.PositionCovarianceType
+COVARIANCE_UNKNOWN, COVARIANCE_APPROXIMATED, COVARIANCE_DIAGONAL_KNOWN, COVARIANCE_KNOWN = range(4)
+
+_TIMESTAMP = [Field(1, "#seconds"), Field(2, "#nanoseconds")]
+
+
+@cache
+def schema(name: str) -> Schema:
+    """Return the published schema of a message type, for example ``foxglove.LocationFix``."""
+    from importlib import import_module
+
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet
+
+    short = name.split(".")[-1]
+    module = import_module(f"foxglove_schemas_protobuf.{short}_pb2")
+    files = FileDescriptorSet()
+    seen: set[str] = set()
+
+    def add(file: Any) -> None:
+        if file.name not in seen:
+            seen.add(file.name)
+            for dependency in file.dependencies:
+                add(dependency)
+            file.CopyToProto(files.file.add())
+
+    add(module.DESCRIPTOR)
+    return Schema(name, "protobuf", files.SerializeToString(deterministic=True))
+
+
+@cache
+def _location_encoder(frame: str) -> RowEncoder:
+    return RowEncoder(
+        [
+            Field(6, _TIMESTAMP),
+            Field(7, frame.encode()),
+            Field(1, "latitude"),
+            Field(2, "longitude"),
+            Field(3, "altitude"),
+            Field(4, 9, "covariance"),
+            Field(5, "#covariance_type"),
+        ]
+    )
+
+
+def location_fixes(
+    frame: str,
+    time_ns: NDArray[np.int64],
+    latitude_deg: NDArray[np.float64],
+    longitude_deg: NDArray[np.float64],
+    height_m: NDArray[np.float64],
+    horizontal_m: NDArray[np.float64],
+    vertical_m: NDArray[np.float64],
+) -> list[bytes]:
+    """Return `foxglove.LocationFix` messages.
+
+    Parameters
+    ----------
+    frame : str
+        What is located.
+    time_ns : int64 (n,)
+        Time of validity, UTC, nanoseconds since 1970.
+    latitude_deg, longitude_deg, height_m : float64 (n,)
+        Position; the kind of the height is told by the channel.
+    horizontal_m, vertical_m : float64 (n,)
+        Accuracy that the device claims: radius in the plane, standard deviation of the height. NaN: unknown.
+        The variance of each horizontal component is taken as half of the radius squared.
+    """
+    count = len(time_ns)
+    known = np.isfinite(horizontal_m) & np.isfinite(vertical_m)
+    covariance = np.zeros((count, 9))
+    covariance[:, 0] = covariance[:, 4] = np.where(known, horizontal_m, 0.0) ** 2 / 2
+    covariance[:, 8] = np.where(known, vertical_m, 0.0) ** 2
+    columns = {
+        "#seconds": time_ns // SECOND_NS,
+        "#nanoseconds": time_ns % SECOND_NS,
+        "latitude": latitude_deg,
+        "longitude": longitude_deg,
+        "altitude": height_m,
+        "covariance": covariance,
+        "#covariance_type": np.where(known, COVARIANCE_APPROXIMATED, COVARIANCE_UNKNOWN),
+    }
+    return _location_encoder(frame).encode(columns, count)
+
+
+@cache
+def _transform_encoder(parent: str, child: str) -> RowEncoder:
+    return RowEncoder(
+        [
+            Field(1, _TIMESTAMP),
+            Field(2, parent.encode()),
+            Field(3, child.encode()),
+            Field(4, [Field(1, "tx"), Field(2, "ty"), Field(3, "tz")]),
+            Field(5, [Field(1, "x"), Field(2, "y"), Field(3, "z"), Field(4, "w")]),
+        ]
+    )
+
+
+def frame_transforms(
+    parent: str, child: str, time_ns: NDArray[np.int64], quaternion: NDArray[np.float64]
+) -> list[bytes]:
+    """Return `foxglove.FrameTransform` messages of a pure rotation.
+
+    Parameters
+    ----------
+    parent, child : str
+        Names of the frames.
+    time_ns : int64 (n,)
+        Time of validity, UTC, nanoseconds since 1970.
+    quaternion : float64 (n, 4)
+        x, y, z, w: takes vectors of the child into the parent.
+    """
+    columns = {
+        "#seconds": time_ns // SECOND_NS,
+        "#nanoseconds": time_ns % SECOND_NS,
+        "x": quaternion[:, 0],
+        "y": quaternion[:, 1],
+        "z": quaternion[:, 2],
+        "w": quaternion[:, 3],
+    }
+    return _transform_encoder(parent, child).encode(columns, len(time_ns))
+
+
+def quaternion_from_euler(
+    roll: NDArray[np.float64], pitch: NDArray[np.float64], yaw: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the rotation from body (forward, right, down) to north, east, down.
+
+    Parameters
+    ----------
+    roll, pitch, yaw : float64 (n,)
+        Radians; the rotation is yaw about down, then pitch, then roll.
+
+    Returns
+    -------
+    float64 (n, 4)
+        x, y, z, w.
+    """
+    (sr, cr), (sp, cp), (sy, cy) = ((np.sin(a / 2), np.cos(a / 2)) for a in (roll, pitch, yaw))
+    return np.stack(
+        [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ],
+        axis=1,
+    )

@@ -1,0 +1,132 @@
+"""The way of one link into the flight log: frames raw first, then what is decoded from them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.channels.decoded import Decoder
+from acquire.log.records import Channel
+from acquire.log.writer import LogWriter
+from drivers.frames import Batch, Wire
+
+DAMAGE_ENCODING = "octets"
+
+
+def raw_channel(link: str, wire: Wire) -> Channel:
+    """Return the channel of the raw frames of one protocol on a link."""
+    return Channel(f"/{link}/raw", wire.encoding)
+
+
+def damage_channel(link: str) -> Channel:
+    """Return the channel of the bytes of a link that belong to no frame."""
+    return Channel(f"/{link}/damage", DAMAGE_ENCODING)
+
+
+@dataclass
+class Tally:
+    """What has come over a link so far.
+
+    Parameters
+    ----------
+    frames, frame_bytes, stamp_bytes, damage_bytes : int
+        Number and size; stamps are those of the recording format.
+    damage : list of [int, int]
+        Offset in the stream and length of the runs of damage, adjacent ones merged.
+    """
+
+    frames: int = 0
+    frame_bytes: int = 0
+    stamp_bytes: int = 0
+    damage_bytes: int = 0
+    damage: list[list[int]] = field(default_factory=list)
+
+    def add(self, batch: Batch) -> None:
+        """Count the frames and the damage of a batch."""
+        self.frames += len(batch)
+        self.frame_bytes += int(batch.length.sum())
+        for offset, length in batch.damage.tolist():
+            self.damage_bytes += length
+            if self.damage and sum(self.damage[-1]) == offset:
+                self.damage[-1][1] += length
+            else:
+                self.damage.append([offset, length])
+        self.stamp_bytes += len(batch.data) - int(batch.length.sum()) - int(batch.damage[:, 1].sum())
+
+
+class LinkLog:
+    """Writes the frames of one link, the damage between them and what is decoded to a log.
+
+    The sequence numbers of raw frames and damage count through both in the order of the stream, so the
+    stream can be put together again; a decoded message has the number of the frame that it was made from.
+
+    Parameters
+    ----------
+    writer : LogWriter
+        The log.
+    link : str
+        Name of the link.
+    decoders : sequence of Decoder
+        What decodes the frames.
+    """
+
+    def __init__(self, writer: LogWriter, link: str, decoders: Sequence[Decoder]) -> None:
+        self._writer = writer
+        self._link = link
+        self._decoders = tuple(decoders)
+        self._next = 0
+        self._last_ns = 0
+        self.tally = Tally()
+
+    def write(self, batch: Batch, log_ns: NDArray[np.int64]) -> None:
+        """Write a batch.
+
+        Parameters
+        ----------
+        batch : Batch
+            The frames.
+        log_ns : int64 (n,)
+            Time of receipt of each, UTC, nanoseconds since 1970.
+        """
+        self.tally.add(batch)
+        own, damage = self._numbers(batch)
+        publish = log_ns
+        decoded = []
+        for decoder in self._decoders:
+            told, made = decoder.feed(batch, log_ns)
+            publish = np.where(told != log_ns, told, publish)
+            decoded.extend(made)
+        for wire in np.unique(batch.wire).tolist():
+            rows = np.flatnonzero(batch.wire == wire)
+            data = batch.data
+            begin, end = batch.start[rows], batch.start[rows] + batch.length[rows]
+            payloads = [data[a:b] for a, b in zip(begin.tolist(), end.tolist(), strict=True)]
+            channel = raw_channel(self._link, Wire(wire))
+            self._writer.messages(channel, payloads, log_ns[rows], publish[rows], own[rows])
+        if len(damage) and len(log_ns):
+            # Damage has the time of the frame before it, at the beginning of a batch of the one after it.
+            place = np.searchsorted(batch.start + batch.base, batch.damage[:, 0]) - 1
+            times = log_ns[np.maximum(place, 0)]
+            self._damage(batch, times, damage)
+        elif len(damage):
+            self._damage(batch, np.full(len(damage), self._last_ns), damage)
+        for part in decoded:
+            self._writer.messages(
+                part.channel, part.payloads, log_ns[part.index], part.publish_ns, own[part.index]
+            )
+        if len(log_ns):
+            self._last_ns = int(log_ns[-1])
+
+    def _damage(self, batch: Batch, times: NDArray[np.int64], numbers: NDArray[np.int64]) -> None:
+        payloads = [data for _, data in batch.damaged()]
+        self._writer.messages(damage_channel(self._link), payloads, times, times, numbers)
+
+    def _numbers(self, batch: Batch) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        place = np.concatenate([batch.start + batch.base, batch.damage[:, 0]])
+        number = np.empty(len(place), np.int64)
+        number[np.argsort(place, kind="stable")] = self._next + np.arange(len(place))
+        self._next += len(place)
+        return number[: len(batch)], number[len(batch) :]

@@ -1,0 +1,200 @@
+"""What a flight log holds: links, rates, gaps, damage, fixes, sources and clocks."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.log.clock_offset import ClockOffset
+from acquire.log.link import DAMAGE_ENCODING
+from acquire.log.reader import LogReader, Messages
+from drivers.frames import Batch, Wire
+from drivers.identify import batch_of_payloads
+from drivers.mavlink.decode import decode, sequences, sources
+from drivers.mavlink.dialect import Dialect
+from drivers.names import kind_name
+
+_ENCODINGS = {wire.encoding: wire for wire in Wire}
+# A pause of a link counts as a gap from here on.
+GAP_S = 2.0
+_LISTED_GAPS = 20
+
+
+@dataclass
+class LinkSummary:
+    """What came over one link.
+
+    Parameters
+    ----------
+    name : str
+        The link.
+    dialect : Dialect
+        Names of MAVLink messages.
+    """
+
+    name: str
+    dialect: Dialect
+    frames: int = 0
+    frame_bytes: int = 0
+    damage_bytes: int = 0
+    times: list[NDArray[np.int64]] = field(default_factory=list)
+    by_type: dict[tuple[str, str], list[NDArray[np.int64]]] = field(default_factory=dict)
+    senders: dict[tuple[int, int], list[NDArray[np.uint8]]] = field(default_factory=dict)
+    clock: ClockOffset = field(default_factory=ClockOffset)
+
+    def add(self, batch: Batch, log_ns: NDArray[np.int64]) -> None:
+        """Count frames of one protocol."""
+        self.frames += len(batch)
+        self.frame_bytes += int(batch.length.sum())
+        self.times.append(log_ns)
+        wire = Wire(int(batch.wire[0]))
+        codes = batch.kind * 2 + batch.known
+        for code in np.unique(codes).tolist():
+            name = kind_name(wire, code >> 1, bool(code & 1), self.dialect)
+            self.by_type.setdefault((wire.encoding, name), []).append(log_ns[codes == code])
+        if wire == Wire.MAVLINK:
+            index = np.arange(len(batch))
+            system, component = sources(batch, index)
+            number = sequences(batch, index)
+            both = system.astype(np.int64) * 256 + component
+            for code in np.unique(both).tolist():
+                self.senders.setdefault(divmod(code, 256), []).append(number[both == code])
+            told = decode(batch, self.dialect.number("SYSTEM_TIME"), self.dialect)
+            self.clock.add(told.system, told.fields, log_ns[told.index])
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figures."""
+        times = np.sort(np.concatenate([np.empty(0, np.int64), *self.times]))
+        duration = _seconds(times[-1] - times[0]) if len(times) else 0.0
+        return {
+            "link": self.name,
+            "frames": self.frames,
+            "frame_bytes": self.frame_bytes,
+            "damage_bytes": self.damage_bytes,
+            "duration_s": duration,
+            "rate_hz": _rate(len(times), duration),
+            "gaps": _gaps(times),
+            "types": [self._type(key, parts) for key, parts in sorted(self.by_type.items())],
+            "sources": [_sender(*item) for item in sorted(self.senders.items())],
+            "clock": self.clock.as_json(),
+        }
+
+    @staticmethod
+    def _type(key: tuple[str, str], parts: list[NDArray[np.int64]]) -> dict[str, Any]:
+        times = np.sort(np.concatenate(parts))
+        steps = np.diff(times)
+        return {
+            "encoding": key[0],
+            "type": key[1],
+            "frames": len(times),
+            "rate_hz": _rate(len(times), _seconds(times[-1] - times[0])),
+            "longest_gap_s": _seconds(steps.max()) if len(steps) else None,
+        }
+
+
+@dataclass(frozen=True)
+class LogSummary:
+    """What a flight log holds, see `summarise`."""
+
+    path: Path
+    complete: bool
+    links: dict[str, LinkSummary]
+    fixes: dict[str, Counter[str]]
+    topics: Counter[tuple[str, str, str]]
+    metadata: dict[str, dict[str, str]]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figures for programs."""
+        return {
+            "schema": "acquire.info/1",
+            "file": str(self.path),
+            "bytes": self.path.stat().st_size,
+            "complete": self.complete,
+            "links": [link.as_json() for _, link in sorted(self.links.items())],
+            "fixes": {receiver: dict(counts) for receiver, counts in sorted(self.fixes.items())},
+            "topics": [
+                {"topic": topic, "encoding": encoding, "schema": schema, "messages": count}
+                for (topic, encoding, schema), count in sorted(self.topics.items())
+            ],
+            "metadata": self.metadata,
+        }
+
+
+def summarise(path: Path, dialect: Dialect) -> LogSummary:
+    """Read a flight log and count what it holds.
+
+    Parameters
+    ----------
+    path : Path
+        The log.
+    dialect : Dialect
+        Names of MAVLink messages.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        See `LogReader.chunks`.
+    """
+    reader = LogReader(path)
+    links: dict[str, LinkSummary] = {}
+    fixes: dict[str, Counter[str]] = {}
+    topics: Counter[tuple[str, str, str]] = Counter()
+    for chunk in reader.chunks():
+        for messages in chunk:
+            channel = messages.channel
+            schema = channel.schema.name if channel.schema else ""
+            topics[channel.topic, channel.encoding, schema] += len(messages.payloads)
+            if schema == "photocal.GnssStatus":
+                receiver = channel.topic.removeprefix("/gnss/").removesuffix("/status")
+                counts = fixes.setdefault(receiver, Counter())
+                counts.update(json.loads(payload)["fix"] for payload in messages.payloads)
+            elif channel.schema is None:
+                link = channel.topic.split("/")[1]
+                _add(links.setdefault(link, LinkSummary(link, dialect)), messages)
+    return LogSummary(path, reader.complete, links, fixes, topics, reader.metadata)
+
+
+def _add(link: LinkSummary, messages: Messages) -> None:
+    encoding = messages.channel.encoding
+    if encoding == DAMAGE_ENCODING:
+        link.damage_bytes += sum(map(len, messages.payloads))
+    elif encoding in _ENCODINGS:
+        link.add(batch_of_payloads(_ENCODINGS[encoding], messages.payloads, link.dialect), messages.log_ns)
+
+
+def _sender(source: tuple[int, int], parts: list[NDArray[np.uint8]]) -> dict[str, int]:
+    # Each source numbers its frames modulo 256: what the steps skip was sent but did not arrive.
+    steps = np.diff(np.concatenate(parts).astype(np.int64)) % 256
+    lost = int((steps[steps > 0] - 1).sum())
+    return {
+        "system": source[0],
+        "component": source[1],
+        "frames": sum(map(len, parts)),
+        "missing_numbers": lost,
+    }
+
+
+def _gaps(times: NDArray[np.int64]) -> dict[str, Any]:
+    steps = np.diff(times) / 1e9
+    long = np.flatnonzero(steps > GAP_S)
+    worst = long[np.argsort(-steps[long], kind="stable")][:_LISTED_GAPS]
+    return {
+        "longer_than_s": GAP_S,
+        "count": len(long),
+        "longest_s": float(steps.max()) if len(steps) else 0.0,
+        "longest": [{"utc_ns": int(times[i]), "seconds": float(steps[i])} for i in worst.tolist()],
+    }
+
+
+def _seconds(nanoseconds: Any) -> float:
+    return float(nanoseconds) / 1e9
+
+
+def _rate(count: int, duration_s: float) -> float | None:
+    return (count - 1) / duration_s if duration_s > 0 else None

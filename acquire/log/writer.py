@@ -1,0 +1,224 @@
+"""Writing flight logs: blocks of messages at once, so that the speed does not hang on single messages."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.log import records
+from acquire.log.records import Channel, Schema
+
+LIBRARY = "photocal"
+COMPRESSION = "lz4"
+
+
+class LogWriter:
+    """Writes one MCAP file; what `end_chunk` has returned from is complete in the file.
+
+    Messages are collected in an open chunk. Each chunk carries the schemas and channels that were new in it
+    and is followed by the indexes of its messages, so a file that ends after any chunk can be repaired from
+    what is there.
+
+    Parameters
+    ----------
+    stream : binary file
+        Where the log goes, open for writing at its beginning.
+    library : str, optional
+        The program that writes.
+    """
+
+    def __init__(self, stream: BinaryIO, library: str = LIBRARY) -> None:
+        self._stream = stream
+        self._position = 0
+        self._crc = 0
+        self._schemas: dict[Schema, int] = {}
+        self._channels: dict[Channel, int] = {}
+        self._definitions: list[bytes] = []
+        self._pieces: list[bytes] = []
+        self._size = 0
+        self._index: defaultdict[int, list[NDArray[np.void]]] = defaultdict(list)
+        self._counts: defaultdict[int, int] = defaultdict(int)
+        self._chunks: list[bytes] = []
+        self._attachments: list[bytes] = []
+        self._metadata: list[bytes] = []
+        self._span: tuple[int, int] | None = None
+        self._put(records.MAGIC)
+        self._put(records.record(records.HEADER, records.text("") + records.text(library)))
+
+    @property
+    def open_bytes(self) -> int:
+        """Size of the messages that are not in the file yet."""
+        return self._size
+
+    def channel(self, channel: Channel) -> int:
+        """Return the number of a channel; a new one is written with the open chunk."""
+        number = self._channels.get(channel)
+        if number is None:
+            number = self._channels[channel] = len(self._channels)
+            schema = 0
+            if channel.schema is not None:
+                schema = self._schemas.get(channel.schema, 0)
+                if not schema:
+                    schema = self._schemas[channel.schema] = len(self._schemas) + 1
+                    self._define(records.schema_record(schema, channel.schema))
+            self._define(records.channel_record(number, schema, channel))
+        return number
+
+    def messages(
+        self,
+        channel: Channel,
+        payloads: Sequence[bytes | memoryview],
+        log_ns: NDArray[np.int64],
+        publish_ns: NDArray[np.int64],
+        sequence: NDArray[np.int64],
+    ) -> None:
+        """Add messages of one channel to the open chunk.
+
+        Parameters
+        ----------
+        channel : Channel
+            The channel.
+        payloads : sequence of bytes (n,)
+            The messages.
+        log_ns, publish_ns : int64 (n,)
+            Time of receipt and time of the device, UTC, nanoseconds since 1970.
+        sequence : int64 (n,)
+            Number of each message; 32 bits are kept.
+        """
+        if not len(payloads):
+            return
+        number = self.channel(channel)
+        size = np.fromiter(map(len, payloads), np.int64, len(payloads))
+        head = np.empty(len(payloads), records.MESSAGE_ROW)
+        head["opcode"] = records.MESSAGE
+        head["size"] = size + (records.MESSAGE_ROW.itemsize - 9)
+        head["channel"] = number
+        head["sequence"] = sequence & 0xFFFFFFFF
+        head["log_ns"] = log_ns
+        head["publish_ns"] = publish_ns
+        end = np.cumsum(size + records.MESSAGE_ROW.itemsize)
+        index = np.empty(len(payloads), records.INDEX_ROW)
+        index["log_ns"] = log_ns
+        index["offset"] = self._size
+        index["offset"][1:] += end[:-1].astype(np.uint64)
+        heads = head.tobytes()
+        width = records.MESSAGE_ROW.itemsize
+        pieces: list[bytes | memoryview] = [b""] * (2 * len(payloads))
+        pieces[0::2] = [heads[at : at + width] for at in range(0, len(heads), width)]
+        pieces[1::2] = payloads
+        self._pieces.append(b"".join(pieces))
+        self._size += int(end[-1])
+        self._index[number].append(index)
+        self._counts[number] += len(payloads)
+
+    def end_chunk(self) -> None:
+        """Write the open chunk; nothing happens when it is empty."""
+        if not self._pieces:
+            return
+        import lz4.frame
+
+        content = b"".join(self._pieces)
+        packed = lz4.frame.compress(content)
+        rows = {number: np.concatenate(parts) for number, parts in sorted(self._index.items())}
+        begin = min((int(r["log_ns"].min()) for r in rows.values()), default=0)
+        end = max((int(r["log_ns"].max()) for r in rows.values()), default=0)
+        head = struct.pack("<QQQI", begin, end, len(content), zlib.crc32(content))
+        body = head + records.text(COMPRESSION) + struct.pack("<Q", len(packed)) + packed
+        start = self._position
+        chunk = records.record(records.CHUNK, body)
+        offsets = b""
+        after = start + len(chunk)
+        indexes = []
+        for number, row in rows.items():
+            offsets += struct.pack("<HQ", number, after)
+            indexes.append(records.index_record(number, row))
+            after += len(indexes[-1])
+        # One write: a crash leaves either a whole chunk or a torn last one, never a hole.
+        self._put(b"".join([chunk, *indexes]))
+        self._chunks.append(
+            records.record(
+                records.CHUNK_INDEX,
+                struct.pack("<QQQQI", begin, end, start, len(chunk), len(offsets))
+                + offsets
+                + struct.pack("<Q", after - start - len(chunk))
+                + records.text(COMPRESSION)
+                + struct.pack("<QQ", len(packed), len(content)),
+            )
+        )
+        if rows:
+            self._span = (min(begin, self._span[0]), max(end, self._span[1])) if self._span else (begin, end)
+        self._pieces.clear()
+        self._index.clear()
+        self._size = 0
+
+    def attachment(self, name: str, media_type: str, data: bytes, log_ns: int, create_ns: int = 0) -> None:
+        """Attach a file."""
+        self.end_chunk()
+        start = self._position
+        record = records.attachment_record(name, media_type, data, log_ns, create_ns)
+        self._put(record)
+        place = struct.pack("<QQQQQ", start, len(record), log_ns, create_ns, len(data))
+        names = records.text(name) + records.text(media_type)
+        self._attachments.append(records.record(records.ATTACHMENT_INDEX, place + names))
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Add a named table of texts."""
+        self.end_chunk()
+        start = self._position
+        record = records.record(records.METADATA, records.text(name) + records.table(values))
+        self._put(record)
+        place = struct.pack("<QQ", start, len(record)) + records.text(name)
+        self._metadata.append(records.record(records.METADATA_INDEX, place))
+
+    def close(self) -> None:
+        """Write the last chunk, the summary and the footer; the stream stays open."""
+        self.end_chunk()
+        self._put(records.record(records.DATA_END, struct.pack("<I", self._crc)))
+        begin, end = self._span or (0, 0)
+        counts = b"".join(struct.pack("<HQ", *pair) for pair in sorted(self._counts.items()))
+        statistics = struct.pack(
+            "<QHIIIIQQI",
+            sum(self._counts.values()),
+            len(self._schemas),
+            len(self._channels),
+            len(self._attachments),
+            len(self._metadata),
+            len(self._chunks),
+            begin,
+            end,
+            len(counts),
+        )
+        groups = {
+            records.SCHEMA: [d for d in self._definitions if d[0] == records.SCHEMA],
+            records.CHANNEL: [d for d in self._definitions if d[0] == records.CHANNEL],
+            records.STATISTICS: [records.record(records.STATISTICS, statistics + counts)],
+            records.CHUNK_INDEX: self._chunks,
+            records.ATTACHMENT_INDEX: self._attachments,
+            records.METADATA_INDEX: self._metadata,
+        }
+        start = self._position
+        summary = b""
+        offsets = b""
+        for opcode, group in groups.items():
+            body = b"".join(group)
+            if body:
+                place = struct.pack("<BQQ", opcode, start + len(summary), len(body))
+                offsets += records.record(records.SUMMARY_OFFSET, place)
+                summary += body
+        self._put(summary + offsets + records.footer(summary + offsets, start, start + len(summary)))
+
+    def _define(self, record: bytes) -> None:
+        self._definitions.append(record)
+        self._pieces.append(record)
+        self._size += len(record)
+
+    def _put(self, data: bytes) -> None:
+        self._stream.write(data)
+        self._position += len(data)
+        self._crc = zlib.crc32(data, self._crc)

@@ -1,0 +1,68 @@
+"""Frames that were already cut out of their stream: what they carry."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers import nmea
+from drivers.checksums import x25
+from drivers.frames import Batch, Wire
+from drivers.mavlink.dialect import Dialect
+from drivers.mavlink.wire import SIGNATURE_BYTES, SIGNED, V2
+
+
+def batch_of_payloads(wire: Wire, payloads: list[bytes], dialect: Dialect) -> Batch:
+    """Return intact frames of one protocol as a batch.
+
+    Parameters
+    ----------
+    wire : Wire
+        The protocol.
+    payloads : list of bytes
+        The frames.
+    dialect : Dialect
+        The known MAVLink messages.
+    """
+    length = np.fromiter(map(len, payloads), np.int64, len(payloads))
+    data = b"".join(payloads)
+    start = np.cumsum(length) - length
+    octets = np.frombuffer(data, np.uint8)
+    known = np.ones(len(payloads), bool)
+    if wire == Wire.MAVLINK:
+        kind = _mavlink_kinds(octets, start)
+        agrees = [_agrees(payload, k, dialect) for payload, k in zip(payloads, kind.tolist(), strict=True)]
+        known = np.array(agrees, bool)
+    elif wire == Wire.UBX:
+        kind = octets[start + 2].astype(np.int64) << 8 | octets[start + 3]
+    elif wire == Wire.RTCM3:
+        kind = octets[start + 3].astype(np.int64) << 4 | octets[start + 4] >> 4
+        kind[length < 8] = 0
+    else:
+        kind = np.array([nmea.kind_of(payload[1:9]) for payload in payloads], np.int64)
+    return Batch(
+        data=data,
+        base=0,
+        start=start,
+        length=length,
+        wire=np.full(len(payloads), wire, np.uint8),
+        kind=kind,
+        known=known,
+        damage=np.empty((0, 2), np.int64),
+    )
+
+
+def _mavlink_kinds(octets: NDArray[np.uint8], start: NDArray[np.int64]) -> NDArray[np.int64]:
+    second = octets[start] == V2
+    at = np.where(second, start + 7, start)
+    wide = octets[at].astype(np.int64) | octets[at + 1].astype(np.int64) << 8
+    wide |= octets[at + 2].astype(np.int64) << 16
+    return np.where(second, wide, octets[start + 5])
+
+
+def _agrees(frame: bytes, kind: int, dialect: Dialect) -> bool:
+    seed = dialect.seeds.get(kind)
+    if seed is None:
+        return False
+    end = len(frame) - 2 - (SIGNATURE_BYTES if frame[0] == V2 and frame[2] & SIGNED else 0)
+    return x25(frame[1:end], seed) == frame[end] | frame[end + 1] << 8
