@@ -17,7 +17,12 @@ if TYPE_CHECKING:
 
 
 def verify(
-    certificate: Annotated[Path, typer.Argument(help="Folder of a certificate, or its certificate.json.")],
+    certificate: Annotated[
+        Path,
+        typer.Argument(
+            help="Folder of a certificate, its certificate.json, or a TOML file with a printed calibration."
+        ),
+    ],
     block: Annotated[
         Path | None,
         typer.Option(
@@ -28,8 +33,13 @@ def verify(
 ) -> None:
     """Repeat the computation of a certificate from its inputs and compare every figure.
 
+    A calibration that another program printed (a TOML file) has no inputs: it is checked against itself.
+
     Example: `photocal verify certificate`
     """
+    if certificate.suffix == ".toml":
+        _printed(certificate, as_json)
+        return
     from photocal.report.record import read_record
     from photocal.report.verification import changed_documents, changed_inputs
 
@@ -65,6 +75,45 @@ def verify(
             f"not verified: {problems[0]}" + (f" and {len(problems) - 1} more" if len(problems) > 1 else ""),
             where=certificate,
             remedy="ask the issuer for the inputs that belong to the certificate",
+        )
+
+
+def _printed(path: Path, as_json: bool) -> None:
+    from photocal.report.acceptance import verdict
+    from photocal.report.catalogue import catalogue
+    from photocal.report.ministry_sections import finding_text
+    from photocal.report.printed import check_printed
+
+    checked = check_printed(path)
+    say = catalogue("en")
+    refused = [finding for finding in checked.findings if finding.severity == "refused"]
+    judged = verdict(checked.limits)
+    answer(
+        as_json,
+        lambda: {
+            "name": checked.name,
+            "plausible": not refused,
+            "findings": [
+                {**vars(f), "figures": dict(f.figures), "text": finding_text(f, say)}
+                for f in checked.findings
+            ],
+            "acceptance": {
+                "verdict": judged,
+                "limits": [{**vars(limit), "met": limit.met} for limit in checked.limits],
+            },
+        },
+        lambda: "\n".join(
+            [
+                f"{checked.name}, as printed; limits of the ministry: {say(f'acceptance.{judged}').lower()}",
+                *(f"  {say(f'plausibility.{f.severity}')}: {finding_text(f, say)}" for f in checked.findings),
+            ]
+        ),
+    )
+    if refused:
+        raise InputMalformedError(
+            f"cannot be right: {finding_text(refused[0], say)}".removesuffix("."),
+            where=path,
+            remedy="correct the figures at their source",
         )
 
 

@@ -213,7 +213,7 @@ def probability(p: float, mark: str) -> str:
     str
         "0.130" or "< 0.001".
     """
-    return relation(p, mark).removeprefix("= ")
+    return relation(p, mark).removeprefix("=\u00a0")
 
 
 def relation(p: float, mark: str) -> str:
@@ -231,4 +231,5 @@ def relation(p: float, mark: str) -> str:
     str
         "= 0.130" or "< 0.001".
     """
-    return f"= {fixed(p, 3, mark)}" if p >= 0.001 else f"< {fixed(0.001, 3, mark)}"
+    sign, printed = ("=", p) if p >= 0.001 else ("<", 0.001)
+    return f"{sign}\u00a0{fixed(printed, 3, mark)}"

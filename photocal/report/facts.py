@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from photocal.analysis.finding import Finding
-from photocal.analysis.plausibility import CalibrationRecord, Offsets, plausibility
+from photocal.analysis.plausibility import CalibrationRecord, plausibility
 from photocal.report.acceptance import Limit, expected_altimetric_error_cm, limits
 from photocal.report.camera_sections import rms_px
 from photocal.report.network_shape import network_shape
 from photocal.report.particulars import Particulars
+from photocal.report.printed import offsets
 from photocal.report.run import CameraResult, Run
 from photocal.report.sensor import sensor_residuals
 
@@ -165,14 +166,8 @@ def _record(run: Run, camera_id: str, particulars: Particulars) -> CalibrationRe
         convergence_deg=shape.convergence_deg if shape else None,
         depth_spread=shape.depth_spread if shape else None,
         prior_sigmas={n: p.prior_sigma for n, p in estimated.items() if p.prior_sigma is not None},
-        lever_arm_cm=_offsets(system.lever_arm_cm, system.lever_arm_sigma_cm, None),
-        boresight_deg=_offsets(
+        lever_arm_cm=offsets(system.lever_arm_cm, system.lever_arm_sigma_cm),
+        boresight_deg=offsets(
             system.boresight_deg, system.boresight_sigma_deg, system.boresight_prior_sigma_deg
         ),
     )
-
-
-def _offsets(
-    values: tuple[float, float, float] | None, sigmas: tuple[float, float, float] | None, prior: float | None
-) -> Offsets | None:
-    return Offsets(values, sigmas, prior) if values is not None and sigmas is not None else None

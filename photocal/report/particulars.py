@@ -16,11 +16,13 @@ Sigmas = tuple[PositiveFloat, PositiveFloat, PositiveFloat]
 Vertex = tuple[str, FiniteFloat, FiniteFloat]
 
 
-class _Strict(BaseModel):
+class StrictKeys(BaseModel):
+    """Keys of a file: unknown ones are refused."""
+
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class DocumentKeys(_Strict):
+class DocumentKeys(StrictKeys):
     """Section `[document]`."""
 
     client: str = ""
@@ -30,7 +32,7 @@ class DocumentKeys(_Strict):
     references: tuple[str, ...] = ()
 
 
-class CameraKeys(_Strict):
+class CameraKeys(StrictKeys):
     """Section `[camera]`: what the maker says."""
 
     model: str = ""
@@ -45,7 +47,7 @@ class CameraKeys(_Strict):
     pixel_size_mm: PositiveFloat | None = None
 
 
-class GnssInsKeys(_Strict):
+class GnssInsKeys(StrictKeys):
     """Section `[gnss_ins]`: positioning system and its offsets."""
 
     receiver: str = ""
@@ -57,7 +59,7 @@ class GnssInsKeys(_Strict):
     boresight_prior_sigma_deg: PositiveFloat | None = None
 
 
-class CampaignKeys(_Strict):
+class CampaignKeys(StrictKeys):
     """Section `[campaign]`: field and flight."""
 
     method: str = ""
@@ -72,7 +74,7 @@ class CampaignKeys(_Strict):
     forward_overlap: Annotated[float, Field(gt=0, lt=1)] | None = None
 
 
-class ExteriorKeys(_Strict):
+class ExteriorKeys(StrictKeys):
     """Section `[exterior_orientation]`: original less calibrated."""
 
     rmse_m: Triple | None = None
@@ -81,7 +83,7 @@ class ExteriorKeys(_Strict):
     mean_arcsec: Triple | None = None
 
 
-class EquipmentKeys(_Strict):
+class EquipmentKeys(StrictKeys):
     """One `[[equipment]]`."""
 
     name: str
@@ -91,14 +93,14 @@ class EquipmentKeys(_Strict):
     calibration: str = ""
 
 
-class ValidityKeys(_Strict):
+class ValidityKeys(StrictKeys):
     """Section `[validity]`."""
 
     until: dt.date | None = None
     conditions: str = ""
 
 
-class ResponsibleKeys(_Strict):
+class ResponsibleKeys(StrictKeys):
     """Section `[responsible]`."""
 
     name: str = ""
@@ -106,7 +108,7 @@ class ResponsibleKeys(_Strict):
     registration: str = ""
 
 
-class Particulars(_Strict):
+class Particulars(StrictKeys):
     """All that a person gives; sections as in the file, and the day of the certificate."""
 
     date: dt.date
@@ -145,7 +147,7 @@ def read_particulars(
     ConfigurationError
         For a wrong key or value.
     """
-    keys: dict[str, Any] = _load(path) if path is not None else {}
+    keys: dict[str, Any] = load_toml(path) if path is not None else {}
     if "date" in keys:
         raise ConfigurationError("unknown key 'date'", where=path, remedy="give the day by --date")
     named = {"client": client, "operator": operator}
@@ -190,10 +192,28 @@ def _validated(keys: dict[str, Any], where: object) -> Particulars:
         ) from None
 
 
-def _load(path: Path) -> dict[str, Any]:
+def load_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    InputNotFoundError
+        When there is no such file.
+    ConfigurationError
+        When it is not TOML.
+    """
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (FileNotFoundError, IsADirectoryError):
-        raise InputNotFoundError("no such file", where=path, remedy="name the file of particulars") from None
+        raise InputNotFoundError("no such file", where=path, remedy="name a TOML file") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as broken:
         raise ConfigurationError(f"is not TOML ({broken})", where=path, remedy="correct the file") from None

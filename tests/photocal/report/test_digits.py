@@ -73,5 +73,5 @@ def test_pieces() -> None:
     assert power_of_ten(0, "mm") == "mm"
     assert (unit_power("mm", -6), unit_power("px", 1), unit_power("px", 0)) == ("mm⁻⁶", "px", "")
     assert symbol("K1") == "K₁"
-    assert (relation(0.13, ","), relation(1e-5, ".")) == ("= 0,130", "< 0.001")
+    assert (relation(0.13, ","), relation(1e-5, ".")) == ("=\u00a00,130", "<\u00a00.001")
     assert probability(0.13, ".") == "0.130"

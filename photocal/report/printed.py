@@ -1,0 +1,196 @@
+"""A calibration that another program printed: what can be checked of it without its inputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, FiniteFloat, PositiveFloat, PositiveInt, ValidationError
+
+from drivers.errors import ConfigurationError
+from photocal.analysis.finding import Finding
+from photocal.analysis.plausibility import CalibrationRecord, Offsets, effective_unit, plausibility
+from photocal.report.acceptance import Limit, expected_altimetric_error_cm, limits
+from photocal.report.particulars import GnssInsKeys, StrictKeys, load_toml
+
+Pair = tuple[FiniteFloat, FiniteFloat]
+
+
+class CalibrationKeys(StrictKeys):
+    """Section `[calibration]`: parameters as (value, standard deviation), correlations as lower triangle."""
+
+    name: str
+    unit: Literal["mm", "px"]
+    coefficients: Literal["plane", "normalised"]
+    direction: Literal["observed", "ideal"]
+    parameters: dict[str, Pair]
+    correlation_names: tuple[str, ...] = ()
+    correlation: tuple[tuple[FiniteFloat, ...], ...] = ()
+    correlation_decimals: PositiveInt = 2
+
+
+class PrintedCameraKeys(StrictKeys):
+    """Section `[camera]`."""
+
+    size_px: tuple[PositiveInt, PositiveInt] | None = None
+    pixel_size_mm: PositiveFloat | None = None
+    sensor_size_mm: Annotated[tuple[PositiveFloat, ...], Field(min_length=1, max_length=2)] | None = None
+    nominal_focal_length_mm: PositiveFloat | None = None
+
+
+class FlightKeys(StrictKeys):
+    """Section `[campaign]`."""
+
+    flying_height_m: PositiveFloat | None = None
+    gsd_cm: PositiveFloat | None = None
+    air_base_m: PositiveFloat | None = None
+    forward_overlap: Annotated[float, Field(gt=0, lt=1)] | None = None
+
+
+class ResidualKeys(StrictKeys):
+    """Section `[residuals]`: root mean square errors."""
+
+    image_rmse_mm: Pair | None = None
+    check_rmse_cm: Pair | None = None
+
+
+class PrintedKeys(StrictKeys):
+    """The whole file."""
+
+    calibration: CalibrationKeys
+    camera: PrintedCameraKeys = PrintedCameraKeys()
+    campaign: FlightKeys = FlightKeys()
+    gnss_ins: GnssInsKeys = GnssInsKeys()
+    residuals: ResidualKeys = ResidualKeys()
+
+
+@dataclass(frozen=True)
+class PrintedCheck:
+    """What the check of a printed calibration gave.
+
+    Attributes
+    ----------
+    name : str
+        What the calibration is of.
+    findings : tuple of Finding
+        Worst first.
+    limits : tuple of Limit
+        The ministry's limits, with the figures taken as they are printed.
+    """
+
+    name: str
+    findings: tuple[Finding, ...]
+    limits: tuple[Limit, ...]
+
+
+def check_printed(path: Path) -> PrintedCheck:
+    """Check a printed calibration against itself.
+
+    Parameters
+    ----------
+    path : Path
+        TOML file with the printed figures.
+
+    Returns
+    -------
+    PrintedCheck
+
+    Raises
+    ------
+    InputNotFoundError
+        When there is no such file.
+    ConfigurationError
+        For a wrong key or value.
+    """
+    keys = _keys(path)
+    record = _record(keys, path)
+    flight, camera = keys.campaign, keys.camera
+    # The form works with the focal length in millimetres; a value in pixels cannot stand in for it.
+    focal = camera.nominal_focal_length_mm
+    if effective_unit(record) == "mm":
+        focal = record.values["c"]
+    dz = None
+    if flight.flying_height_m and flight.air_base_m and focal and camera.pixel_size_mm:
+        dz = expected_altimetric_error_cm(
+            flight.flying_height_m, flight.air_base_m, focal, camera.pixel_size_mm
+        )
+    checked = limits(
+        keys.residuals.image_rmse_mm,
+        camera.pixel_size_mm,
+        keys.residuals.check_rmse_cm,
+        flight.gsd_cm,
+        dz,
+    )
+    return PrintedCheck(keys.calibration.name, plausibility(record), checked)
+
+
+def _keys(path: Path) -> PrintedKeys:
+    try:
+        return PrintedKeys.model_validate(load_toml(path))
+    except ValidationError as refusal:
+        first = refusal.errors()[0]
+        place = ".".join(str(step) for step in first["loc"])
+        raise ConfigurationError(
+            f"{place}: {first['msg']}", where=path, remedy="see configs/studies/phantom4pro.toml"
+        ) from None
+
+
+def _record(keys: PrintedKeys, path: Path) -> CalibrationRecord:
+    printed, camera, flight, system = keys.calibration, keys.camera, keys.campaign, keys.gnss_ins
+    if not printed.parameters.get("c", (0.0, 0.0))[0] > 0.0:
+        raise ConfigurationError("calibration.parameters: c must be positive", where=path, remedy="give c")
+    names, rows = printed.correlation_names, printed.correlation
+    if [len(row) for row in rows] != list(range(1, len(names) + 1)):
+        raise ConfigurationError(
+            f"calibration.correlation is no lower triangle of {len(names)} rows",
+            where=path,
+            remedy="give one number more in each row",
+        )
+    matrix = np.eye(len(names))
+    for i, row in enumerate(rows):
+        matrix[i, : i + 1] = matrix[: i + 1, i] = row
+    return CalibrationRecord(
+        unit=printed.unit,
+        values={name: value for name, (value, _) in printed.parameters.items()},
+        sigmas={name: sigma for name, (_, sigma) in printed.parameters.items()},
+        coefficients=printed.coefficients,
+        direction=printed.direction,
+        names=names,
+        correlation=matrix if names else None,
+        correlation_rounding=0.5 * 10.0**-printed.correlation_decimals,
+        size_px=camera.size_px,
+        pitch_mm=camera.pixel_size_mm,
+        sensor_mm=camera.sensor_size_mm,
+        nominal_focal_mm=camera.nominal_focal_length_mm,
+        height_m=flight.flying_height_m,
+        gsd_cm=flight.gsd_cm,
+        base_m=flight.air_base_m,
+        forward_overlap=flight.forward_overlap,
+        lever_arm_cm=offsets(system.lever_arm_cm, system.lever_arm_sigma_cm),
+        boresight_deg=offsets(
+            system.boresight_deg, system.boresight_sigma_deg, system.boresight_prior_sigma_deg
+        ),
+    )
+
+
+def offsets(
+    values: tuple[float, float, float] | None,
+    sigmas: tuple[float, float, float] | None,
+    prior: float | None = None,
+) -> Offsets | None:
+    """Make offsets of what is given; None unless values and standard deviations are.
+
+    Parameters
+    ----------
+    values, sigmas : tuple of float or None
+        Three components and their standard deviations.
+    prior : float or None
+        Standard deviation beforehand.
+
+    Returns
+    -------
+    Offsets or None
+    """
+    return Offsets(values, sigmas, prior) if values is not None and sigmas is not None else None
