@@ -1,0 +1,129 @@
+"""The adjustment against a plain dense one: values, every covariance block, redundancy numbers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from photocal.adjustment.adjust import adjust
+from photocal.adjustment.network import Network
+from photocal.geometry.camera import (
+    AFFINITIES,
+    AFFINITY_FORMS,
+    MODELS,
+    PARAMETERS,
+    Affinity,
+    AffinityForm,
+    Model,
+)
+from tests.photocal import networks, oracle
+
+ALL = ("c", "x0", "y0", "K1", "K2", "P1", "P2", "B1", "B2")
+INF = np.inf
+
+
+def same(network: Network, tolerance: float = 1e-5) -> None:
+    """Compare everything that both know, in units of the standard deviations."""
+    ours, plain = adjust(network), oracle.adjust_densely(network)
+    assert ours.observations == plain.observations
+    assert ours.unknowns == len(plain.covariance)
+    assert ours.chi_squared == pytest.approx(plain.chi_squared, rel=1e-8)
+    assert sum(group.redundancy for group in ours.groups) == pytest.approx(ours.degrees_of_freedom, abs=1e-6)
+    assert sum(group.chi_squared for group in ours.groups) == pytest.approx(ours.chi_squared)
+    assert ours.redundancy == pytest.approx(plain.redundancy, abs=1e-6)
+    assert np.abs((ours.residuals - plain.residuals) / network.rays.sigma).max() < 2e-4
+    for kind, values, theirs, covariance in (
+        ("camera", ours.cameras, plain.cameras, ours.camera_covariance),
+        ("exposure", ours.exposures, plain.exposures, ours.exposure_covariance),
+        ("point", ours.points, plain.points, ours.point_covariance),
+    ):
+        for index in range(len(values)):
+            expected = plain.block(kind, index, values.shape[1])
+            sigma = np.sqrt(np.diag(expected))
+            scale = np.where(sigma > 0, sigma, 1.0)
+            error = values[index] - theirs[index]
+            if kind == "exposure":
+                error[:3] = (error[:3] + np.pi) % (2 * np.pi) - np.pi
+            assert np.abs(error / scale).max() < 2e-3, (kind, index)
+            assert np.abs((covariance[index] - expected) / np.outer(scale, scale)).max() < tolerance, (
+                kind,
+                index,
+            )
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("affinity", AFFINITIES)
+@pytest.mark.parametrize("form", AFFINITY_FORMS)
+def test_every_camera_model(model: Model, affinity: Affinity, form: AffinityForm) -> None:
+    # Over a free exposure the forms with a rotation inside are as well determined as the others.
+    own = networks.lens(model=model, affinity=affinity, affinity_form=form, estimate=ALL)
+    same(networks.observe(networks.convergent((own,), images=5, points=14), np.random.default_rng(3)))
+
+
+def test_all_parameters_with_priors() -> None:
+    prior = {"K3": 1e-9, "K4": 1e-12, "P3": 1e-2, "P4": 1e-4, "x0": 0.05, "c": 0.1}
+    own = networks.lens(estimate=PARAMETERS, prior_sigma=prior)
+    # P3 and P4 multiply P1 and P2: the last 1e-4 sigma of the iteration shows in the covariance.
+    same(networks.observe(networks.convergent((own,), images=5, points=14), np.random.default_rng(4)), 2e-4)
+
+
+def test_several_cameras_of_different_models() -> None:
+    cameras = (
+        networks.lens("a"),
+        networks.lens("b", "brown-ideal", estimate=("c", "x0", "K1"), c=24.0),
+        networks.lens("c", estimate=()),
+    )
+    same(networks.observe(networks.convergent(cameras, images=6, points=15), np.random.default_rng(5)))
+
+
+def test_weighted_exposures_and_tie_points() -> None:
+    exposure = np.array([0.002, 0.002, 0.001, 0.02, 0.03, 0.02])
+    network = networks.observe(
+        networks.convergent(images=5, points=14),
+        np.random.default_rng(6),
+        point_sigma=INF,
+        exposure_sigma=exposure,
+        missing=0.2,
+    )
+    same(network)
+
+
+def test_points_of_every_kind() -> None:
+    sigma = np.full((16, 3), INF)
+    sigma[:6] = 0.003
+    sigma[6] = [0.0, 0.002, INF]
+    sigma[7] = [INF, INF, 0.001]
+    sigma[8] = 0.0
+    same(
+        networks.observe(
+            networks.convergent(images=4, points=16), np.random.default_rng(7), point_sigma=sigma
+        )
+    )
+
+
+def test_exposure_elements_of_every_kind() -> None:
+    sigma = np.full((5, 6), INF)
+    sigma[0] = 0.0
+    sigma[1, 3:] = [0.0, 0.01, INF]
+    sigma[2, :3] = [0.0, INF, 0.001]
+    sigma[3, 1] = 0.0005
+    same(
+        networks.observe(
+            networks.convergent(images=5, points=14), np.random.default_rng(8), exposure_sigma=sigma
+        )
+    )
+
+
+def test_correlated_control_coordinates() -> None:
+    network = networks.observe(networks.convergent(images=4, points=12), np.random.default_rng(9))
+    root = np.array([[0.003, 0, 0], [0.002, 0.003, 0], [-0.001, 0.002, 0.004]])
+    weight = np.broadcast_to(np.linalg.inv(root @ root.T), (12, 3, 3)).copy()
+    same(replace(network, points=replace(network.points, weight=weight)))
+
+
+def test_observations_with_their_own_sigmas() -> None:
+    network = networks.observe(networks.convergent(images=4, points=14), np.random.default_rng(10))
+    sigma = np.random.default_rng(1).uniform(0.001, 0.01, network.rays.sigma.shape)
+    same(replace(network, rays=replace(network.rays, sigma=sigma)))

@@ -1,0 +1,78 @@
+"""Networks that do not determine their unknowns are answered with what is missing, never with numbers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.errors import IllPosedError, NotConvergedError
+from photocal.adjustment.adjust import adjust
+from tests.photocal import networks
+from tests.photocal.networks import Scene
+
+INF = np.inf
+
+
+def complaint(*args: object, **kwargs: object) -> str:
+    with pytest.raises(IllPosedError) as failure:
+        adjust(networks.observe(*args, **kwargs))  # type: ignore[arg-type]
+    assert "\n" not in str(failure.value)
+    return str(failure.value)
+
+
+def test_no_datum_at_all() -> None:
+    said = complaint(networks.convergent(), np.random.default_rng(1), point_sigma=INF)
+    for element in ("position in X", "position in Z", "rotation about Y", "scale"):
+        assert element in said
+    assert "rank defect 7" in said
+
+
+def test_no_scale() -> None:
+    sigma = np.full((6, 6), INF)
+    sigma[0] = 0.0
+    said = complaint(networks.convergent(), np.random.default_rng(2), point_sigma=INF, exposure_sigma=sigma)
+    assert "rank defect 1" in said
+
+
+def test_no_heights() -> None:
+    """Positions known in X and Y only: the height of everything is free, and so is nothing else."""
+    sigma = np.full((20, 3), INF)
+    sigma[:, :2] = 0.003
+    said = complaint(networks.convergent(), np.random.default_rng(3), point_sigma=sigma)
+    assert "position in Z" in said
+    assert "position in X" not in said
+    assert "scale" not in said
+
+
+def nadir(relief: float) -> Scene:
+    """Vertical images over a field without relief."""
+    own = networks.lens(estimate=("c", "x0", "y0"), K1=0.0, K2=0.0, K3=0.0, P1=0.0, P2=0.0, B1=0.0, B2=0.0)
+    rng = np.random.default_rng(5)
+    points = np.column_stack([rng.uniform(-60, 60, (40, 2)), rng.uniform(-relief, relief, 40)])
+    places = np.array([[x, y, 100.0] for x in (-20.0, 0.0, 20.0) for y in (-15.0, 15.0)])
+    return Scene((own,), np.zeros(6, np.int64), np.hstack([np.zeros((6, 3)), places]), points)
+
+
+def test_flat_vertical_block_does_not_give_the_principal_distance() -> None:
+    # Exactly vertical images over a plane with its scale held: c goes with the flying height (Merchant).
+    sigma = np.full((6, 6), INF)
+    sigma[:, :3] = 0.0
+    said = complaint(nadir(0.0), None, point_sigma=0.0, exposure_sigma=sigma, disturb=0.0)
+    assert "c" in said.partition("separate")[2]
+    assert "Z" in said.partition("separate")[2]
+
+
+def test_mirrored_start_values_end_at_the_truth_or_in_words() -> None:
+    scene = networks.convergent()
+    given = networks.observe(scene, np.random.default_rng(5))
+    values = given.exposures.values.copy()
+    values[:, 3:] *= -1.0
+    mirrored = replace(given, exposures=replace(given.exposures, values=values))
+    try:
+        solution = adjust(mirrored)
+    except (IllPosedError, NotConvergedError) as failure:
+        assert "\n" not in str(failure)  # noqa: PT017
+    else:
+        assert solution.exposures[:, 3:] == pytest.approx(scene.exposures[:, 3:], abs=0.05)
