@@ -1,0 +1,1 @@
+"""Flights that never took place, for demonstrations and tests; they say so themselves."""
