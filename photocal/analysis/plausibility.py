@@ -20,6 +20,8 @@ FOCAL_TOLERANCE = 0.10
 SENSOR_TOLERANCE = 0.05
 GSD_TOLERANCE = 0.05
 OVERLAP_TOLERANCE = 0.10
+# Sides of a pixel that differ by more than this come from rounded dimensions of the frame, not from a sensor.
+SQUARE_TOLERANCE = 1e-4
 PRIOR_SHARE = 0.95
 # A calibration of a usual network gives c to better than a thousandth; five times that is weak.
 WEAK = 0.005
@@ -68,7 +70,9 @@ class CalibrationRecord:
     observed_radius : float
         Largest distance of an observation from the principal point, in `unit`; the corner if not stated.
     pitch_mm : float
-        Size of a pixel.
+        Size of a pixel, the mean of its sides.
+    pitch_ratio : float
+        Its width over its height.
     sensor_mm : tuple of float
         Width and height of the sensor, or one dimension (a side or the diagonal).
     nominal_focal_mm, height_m, gsd_cm, base_m, forward_overlap : float
@@ -93,6 +97,7 @@ class CalibrationRecord:
     size_px: tuple[int, int] | None = None
     observed_radius: float | None = None
     pitch_mm: float | None = None
+    pitch_ratio: float = 1.0
     sensor_mm: tuple[float, ...] | None = None
     nominal_focal_mm: float | None = None
     height_m: float | None = None
@@ -171,9 +176,12 @@ def _units(record: CalibrationRecord) -> list[Finding]:
 
 
 def _format(record: CalibrationRecord) -> list[Finding]:
-    if record.size_px is None or record.pitch_mm is None:
-        return []
     found = []
+    if abs(record.pitch_ratio - 1.0) > SQUARE_TOLERANCE:
+        figures = {"percent": 100.0 * abs(record.pitch_ratio - 1.0)}
+        found.append(Finding("pitch_not_square", "doubtful", "pitch", figures))
+    if record.size_px is None or record.pitch_mm is None:
+        return found
     width, height = (n * record.pitch_mm for n in record.size_px)
     if record.sensor_mm is not None and not _fits(record.sensor_mm, width, height):
         figures = {"width_mm": width, "height_mm": height, "sensor_mm": max(record.sensor_mm)}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from acquire.console import answer
+from acquire.console import answer, progress
 
 if TYPE_CHECKING:
     import datetime as dt
@@ -55,11 +55,16 @@ def certificate(
     day = _day(date)
     say = catalogue(language)
     given = read_particulars(particulars, day, client=client, operator=operator)
-    results = read_run(run)
-    inputs = _inputs(run, results, block)
-    document = compose(results, given, say)
-    forms = {"certificate.html": html(document).encode(), "certificate.pdf": pdf(document, day)}
-    forms[NAME] = with_documents(record(results, given, say), forms)
+    with progress("certificate", 4) as step:
+        results = read_run(run)
+        inputs = _inputs(run, results, block)
+        step(1)
+        document = compose(results, given, say)
+        step(1)
+        forms = {"certificate.html": html(document).encode(), "certificate.pdf": pdf(document, day)}
+        step(1)
+        forms[NAME] = with_documents(record(results, given, say), forms)
+        step(1)
     with output_folder(output) as folder:
         for name, content in forms.items():
             (folder / name).write_bytes(content)

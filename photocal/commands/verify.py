@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from acquire.console import answer
+from acquire.console import answer, progress
 from drivers.errors import InputMalformedError, InputNotFoundError
 
 if TYPE_CHECKING:
@@ -142,13 +142,14 @@ def _differences(certified: dict[str, Any], inputs: Path) -> list[Difference]:
     from photocal.report.verification import differences
 
     particulars = given_particulars(certified["particulars"], certified["date"])
-    with tempfile.TemporaryDirectory(prefix="photocal-verify-") as name:
+    with tempfile.TemporaryDirectory(prefix="photocal-verify-") as name, progress("repeating", 2) as step:
         aside = Path(name)
         # Only what is certified takes part, whatever else lies beside it.
         (aside / "block").mkdir()
         for entry in certified["result"]["inputs"]:
             shutil.copyfile(inputs / entry["path"], aside / "block" / entry["path"])
         adjust_block(aside / "block", aside / "run")
+        step(1)
         again = plain_record(read_run(aside / "run"), particulars, catalogue(certified["language"]))
     # A block that does not name itself is called as its folder, which is another one here.
     again["result"]["block"]["name"] = certified["result"]["block"].get("name")

@@ -157,6 +157,7 @@ def _record(run: Run, camera_id: str, particulars: Particulars) -> CalibrationRe
         size_px=camera.size_px,
         observed_radius=float(np.hypot(*place.T).max()) if len(place) else None,
         pitch_mm=pixel_size_mm(camera, particulars),
+        pitch_ratio=camera.pitch[0] / camera.pitch[1],
         sensor_mm=given.sensor_size_mm,
         nominal_focal_mm=given.nominal_focal_length_mm,
         height_m=campaign.flying_height_m,

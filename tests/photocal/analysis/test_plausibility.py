@@ -169,6 +169,7 @@ def test_sound_record_has_no_findings() -> None:
     ("change", "code"),
     [
         ({"sensor_mm": (23.5, 15.6)}, "pitch_contradicts_sensor"),
+        ({"pitch_ratio": 0.99804}, "pitch_not_square"),
         ({"nominal_focal_mm": 12.0}, "pitch_contradicts_focal_length"),
         ({"gsd_cm": 3.17}, "gsd_contradicts_height"),
         ({"base_m": 110.0}, "base_contradicts_overlap"),

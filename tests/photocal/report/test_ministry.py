@@ -115,6 +115,13 @@ def test_a_wall_is_no_flight(published_run: Run) -> None:
     assert known.pixel_mm == pytest.approx(0.00902847, abs=1e-8)
 
 
+@pytest.mark.shared
+def test_pixel_from_rounded_frame_sizes_is_doubted(published_run: Run) -> None:
+    """27.6 mm / 3060 over 18.4 mm / 2036 is 0.99804: the error of the published calibration."""
+    found = {f.code: f.figures for f in facts(published_run, "dcs460", Particulars(date=DAY)).findings}
+    assert found["pitch_not_square"]["percent"] == pytest.approx(0.196, abs=1e-3)
+
+
 def test_contradicting_particulars_stop_the_certificate(invented_run: Run) -> None:
     """The example's sensor is not that of the invented camera: nothing is printed."""
     with pytest.raises(InputMalformedError, match=r"9\.640 × 7\.230 mm; the sensor has 13\.20 mm"):
