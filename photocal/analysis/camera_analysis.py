@@ -9,6 +9,7 @@ from photocal.analysis.components import Proposal, propose_removal
 from photocal.analysis.correlation import StrongCorrelation, strong_correlations
 from photocal.analysis.effects import Effect, effects
 from photocal.analysis.estimates import Estimates, scaled
+from photocal.analysis.exterior_correlation import ExteriorCorrelation, exterior_correlations
 from photocal.analysis.hidden.left_out import Checks, LeftOut, left_out
 from photocal.analysis.hidden.refit import Fit
 from photocal.analysis.hidden.search import camera_estimates
@@ -31,6 +32,8 @@ class CameraAnalysis:
         Over the format, px.
     correlations : tuple of StrongCorrelation
         Over the threshold.
+    exterior : tuple of ExteriorCorrelation
+        With elements of the exterior orientation, over the threshold.
     proposal : Proposal
         Of the principal component analysis.
     left_out : tuple of LeftOut
@@ -42,6 +45,7 @@ class CameraAnalysis:
     tests: tuple[FTest, ...]
     effects: tuple[Effect, ...]
     correlations: tuple[StrongCorrelation, ...]
+    exterior: tuple[ExteriorCorrelation, ...]
     proposal: Proposal
     left_out: tuple[LeftOut, ...]
 
@@ -94,6 +98,7 @@ def analyse_camera(
         significance(judged, fit.solution.degrees_of_freedom, alpha),
         effects(own, judged),
         strong_correlations(judged, threshold),
+        exterior_correlations(fit, camera, threshold, done),
         propose_removal(judged),
         left_out(fit, camera, checks, done),
     )

@@ -25,6 +25,10 @@ _HEIGHT = (
     "vertical photos of flat ground: a longer principal distance is a higher camera; relief, two heights or "
     "convergent photos separate them"
 )
+_ALONG_THE_AXIS = (
+    "tilted photos: a longer principal distance is a camera farther back along its axis; relief or photos "
+    "from opposite sides separate them"
+)
 _TWO_SCALES = "one scale is seen in two directions only by photos rolled by 90 degrees"
 _ONE_SIDE = "the photos see the object from one side only; opposite tilts or rolled photos separate them"
 _ALL_AROUND = "decentring of the same form; only points all around the image separate them"
@@ -34,8 +38,8 @@ _CAUSES: tuple[tuple[frozenset[str], frozenset[str], str], ...] = (
     (frozenset({"y0"}), frozenset({"P2"}), _SHIFT_TILT),
     (frozenset({"c"}), _RADIAL, _SCALE_RADII),
     (frozenset({"c"}), frozenset({"Z", "Z0"}), _HEIGHT),
-    (frozenset({"x0"}), frozenset({"X", "X0", "phi"}), _SAME_HEADING),
-    (frozenset({"y0"}), frozenset({"Y", "Y0", "omega"}), _SAME_HEADING),
+    (frozenset({"c"}), frozenset({"X", "X0", "Y", "Y0", "omega", "phi"}), _ALONG_THE_AXIS),
+    (frozenset({"x0", "y0"}), frozenset({"X", "X0", "phi", "Y", "Y0", "omega"}), _SAME_HEADING),
     (frozenset({"c", "x0", "y0"}), frozenset({"B1", "B2"}), _TWO_SCALES),
     (frozenset({"x0"}), frozenset({"y0"}), _ONE_SIDE),
     (frozenset({"c"}), frozenset({"x0", "y0"}) | _DECENTRING, _ONE_SIDE),

@@ -65,6 +65,7 @@ def _camera(one: CameraAnalysis) -> dict[str, Any]:
         "significance": [_plain(asdict(test)) for test in one.tests],
         "effects": [_plain(asdict(effect)) for effect in one.effects],
         "correlations": [_plain(asdict(pair)) for pair in one.correlations],
+        "correlations_with_exterior": [_plain(asdict(pair)) for pair in one.exterior],
         "components": {
             "steps": [_plain(asdict(step)) for step in one.proposal.steps],
             "final": _plain(asdict(one.proposal.final)),

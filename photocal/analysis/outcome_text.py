@@ -52,9 +52,13 @@ def _camera(name: str, unit: str, one: CameraAnalysis, outcome: Outcome) -> str:
             f"  {' '.join(test.parameters):<12}{test.kind:<11} F {test.statistic:>10.4g} against "
             f"{test.critical:.2f}  {verdict:<15}{in_px}".rstrip()
         )
-    if one.correlations:
+    if one.correlations or one.exterior:
         lines.append(f"Camera {name}: correlations from {outcome.threshold:g}")
         lines += [f"  {p.first}-{p.second} {p.value:+.3f}: {p.cause}" for p in one.correlations]
+        lines += [
+            f"  {p.parameter}-{p.element} {p.value:+.3f} in image {p.image}, {p.images} image(s): {p.cause}"
+            for p in one.exterior
+        ]
     lines.append(f"Camera {name}: principal components")
     lines += [f"  {sentence}" for sentence in one.proposal.sentences]
     if one.left_out:
