@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from photocal.adjustment.datum import correction
 from photocal.adjustment.envelope import factorise, selected_inverse
+from photocal.adjustment.equations import Equations
 from photocal.adjustment.kernels import Structure, element_address, statistics
 from photocal.adjustment.normal import Problem, other_equations, values_of
-from photocal.adjustment.observations import Equations
 from photocal.adjustment.rank import explain_singular
 from photocal.adjustment.solution import Group, Solution
 from photocal.adjustment.solver import Minimum
@@ -88,6 +88,7 @@ def complete(problem: Problem, minimum: Minimum) -> Solution:
         point_covariance,
         residuals,
         redundancy,
+        _common_covariance(problem, inverse),
         state,
     )
 
@@ -170,6 +171,16 @@ def _camera_covariance(problem: Problem, inverse: Floats) -> Floats:
     covariance = np.zeros((len(problem.network.cameras), len(PARAMETERS), len(PARAMETERS)))
     for own, (active, columns) in zip(covariance, problem.layout.camera_columns, strict=True):
         own[np.ix_(active, active)] = blocks(columns[None, :], problem.structure, inverse)[0]
+    return covariance
+
+
+def _common_covariance(problem: Problem, inverse: Floats) -> Floats:
+    columns = problem.layout.common_columns
+    unknown = np.flatnonzero(columns >= 0)
+    covariance = np.zeros((len(columns), len(columns)))
+    if len(unknown):
+        own = blocks(columns[unknown][None, :], problem.structure, inverse)[0]
+        covariance[np.ix_(unknown, unknown)] = own
     return covariance
 
 

@@ -186,11 +186,11 @@ def _transformed(state: State, change: Floats) -> State:
     middle = state.centre.mean(axis=0)
     turn = Rotation.from_rotvec(change[3:6]).as_matrix()
     matrix, shift = (1.0 + change[6]) * turn, middle + change[:3]
-    return State(
-        state.cameras,
-        state.rotation @ turn.T,
-        (state.centre - middle) @ matrix.T + shift,
-        (state.points - middle) @ matrix.T + shift,
+    return replace(
+        state,
+        rotation=state.rotation @ turn.T,
+        centre=(state.centre - middle) @ matrix.T + shift,
+        points=(state.points - middle) @ matrix.T + shift,
     )
 
 
@@ -236,13 +236,13 @@ def _solved(problem: Problem, normal: Normal, right: Floats) -> tuple[Floats, Fl
     right = np.ascontiguousarray(right)
     layout = problem.layout
     reduced = np.zeros(layout.size)
-    reduce_right(problem.design, problem.structure.band, right, normal.kept, reduced)
+    reduce_right(problem.design, problem.structure, right, normal.kept, reduced)
     reduced[layout.point_columns] += right[layout.kept_points]
     reduced[problem.held] = 0.0
     step = solve(layout.envelope, normal.matrix, reduced)
     points = np.zeros_like(right)
     threads = len(problem.design.pieces) - 1
     kept = normal.kept._replace(gradient=-right)
-    back_substitute(problem.design, problem.structure.band, step, kept, points, np.zeros(threads))
+    back_substitute(problem.design, problem.structure, step, kept, points, np.zeros(threads))
     points[layout.kept_points] = step[layout.point_columns]
     return step, points

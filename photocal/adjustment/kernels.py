@@ -88,7 +88,10 @@ class Values(NamedTuple):
 
 
 class Structure(NamedTuple):
-    """Structure of the reduced matrix, see `envelope.Envelope`."""
+    """Structure of the reduced matrix, see `envelope.Envelope`.
+
+    The first `lens` columns of the border belong to the cameras: the only ones that rays touch.
+    """
 
     panel: int
     last: Integers
@@ -96,6 +99,7 @@ class Structure(NamedTuple):
     offset: Integers
     band: int
     border: int
+    lens: int
 
 
 class Eliminated(NamedTuple):
@@ -105,8 +109,8 @@ class Eliminated(NamedTuple):
     ----------
     mixed : ndarray, shape (rays, 3, 6)
         Normal matrix between the point and the exposure of each ray.
-    mixed_border : ndarray, shape (points, 3, border)
-        Between each point and the unknowns of the border.
+    mixed_border : ndarray, shape (points, 3, lens)
+        Between each point and the cameras.
     inverse : ndarray, shape (points, 3, 3)
         Inverse of each point's own block; zero where its rays do not determine it.
     gradient : ndarray, shape (points, 3)
@@ -266,18 +270,19 @@ def eliminate(
 ) -> None:
     """Subtract what the point's own unknowns explain from the normal equations of what sees it."""
     panel, band, border, width = structure.panel, structure.band, structure.border, structure.width
+    lens = structure.lens
     mixed, mixed_border, inverse, side = kept.mixed, kept.mixed_border, kept.inverse, kept.gradient
     begin, end = design.ray_start[j], design.ray_start[j + 1]
     g0, g1, g2 = side[j, 0], side[j, 1], side[j, 2]
     for a in range(3):
-        for s in range(border):
+        for s in range(lens):
             scaled_border[a, s] = (
                 inverse[j, a, 0] * mixed_border[j, 0, s]
                 + inverse[j, a, 1] * mixed_border[j, 1, s]
                 + inverse[j, a, 2] * mixed_border[j, 2, s]
             )
     own = structure.offset[len(width) - 1]
-    for s in range(border):
+    for s in range(lens):
         gradient[band + s] -= scaled_border[0, s] * g0 + scaled_border[1, s] * g1 + scaled_border[2, s] * g2
         m0, m1, m2 = mixed_border[j, 0, s], mixed_border[j, 1, s], mixed_border[j, 2, s]
         row = own + s * border
@@ -298,7 +303,7 @@ def eliminate(
         top = home * panel
         step = width[home]
         foot = structure.offset[home] + (structure.last[home] - top) * step + column - top
-        for s in range(border):
+        for s in range(lens):
             m0, m1, m2 = mixed_border[j, 0, s], mixed_border[j, 1, s], mixed_border[j, 2, s]
             row = foot + s * step
             for b in range(6):
@@ -336,7 +341,7 @@ def retain(
         for b in range(a + 1):
             matrix[row + at + b] += block[a, b]
         # The cameras' columns come before those of the points.
-        for s in range(at):
+        for s in range(structure.lens):
             matrix[row + s] += kept.mixed_border[j, a, s]
         for r in range(design.ray_start[j], design.ray_start[j + 1]):
             column = design.image_column[design.ray_image[r]]
@@ -371,7 +376,7 @@ def accumulate_piece(
     for j in range(design.pieces[piece], design.pieces[piece + 1]):
         total += own_block(design, values, j, block, side)
         for a in range(3):
-            for s in range(structure.border):
+            for s in range(structure.lens):
                 kept.mixed_border[j, a, s] = 0.0
         for r in range(design.ray_start[j], design.ray_start[j + 1]):
             i = design.ray_image[r]
@@ -437,7 +442,7 @@ def accumulate(
             np.zeros((3, 3)),
             np.zeros(3),
             np.zeros((3, 6)),
-            np.zeros((3, max(structure.border, 1))),
+            np.zeros((3, max(structure.lens, 1))),
         )
 
 
@@ -471,10 +476,10 @@ def evaluate(design: Design, values: Values, residuals: Floats, depth: Floats) -
 
 @compiled
 def back_substitute_piece(
-    design: Design, band: int, step: Floats, kept: Eliminated, piece: int, points: Floats
+    design: Design, structure: Structure, step: Floats, kept: Eliminated, piece: int, points: Floats
 ) -> float:
     """Move one thread's points; returns g'V^-1 g, see `back_substitute`."""
-    decrease = 0.0
+    decrease, band = 0.0, structure.band
     for j in range(design.pieces[piece], design.pieces[piece + 1]):
         g0, g1, g2 = kept.gradient[j, 0], kept.gradient[j, 1], kept.gradient[j, 2]
         c0, c1, c2 = g0, g1, g2
@@ -484,7 +489,7 @@ def back_substitute_piece(
                 c0 += kept.mixed[r, 0, b] * step[column + b]
                 c1 += kept.mixed[r, 1, b] * step[column + b]
                 c2 += kept.mixed[r, 2, b] * step[column + b]
-        for s in range(len(step) - band):
+        for s in range(structure.lens):
             c0 += kept.mixed_border[j, 0, s] * step[band + s]
             c1 += kept.mixed_border[j, 1, s] * step[band + s]
             c2 += kept.mixed_border[j, 2, s] * step[band + s]
@@ -497,15 +502,14 @@ def back_substitute_piece(
 
 @compiled_parallel
 def back_substitute(
-    design: Design, band: int, step: Floats, kept: Eliminated, points: Floats, decreases: Floats
+    design: Design, structure: Structure, step: Floats, kept: Eliminated, points: Floats, decreases: Floats
 ) -> None:
     """Move the points by the steps that belong to a step of the reduced system.
 
     Parameters
     ----------
-    design : Design
-    band : int
-        Columns before the border.
+    design, structure
+        As in `accumulate`.
     step : ndarray, shape (n,)
         Step of the reduced system.
     kept : Eliminated
@@ -516,18 +520,19 @@ def back_substitute(
         Receive g'V^-1 g of the points, their part of the Newton decrement.
     """
     for piece in numba.prange(len(design.pieces) - 1):
-        decreases[piece] = back_substitute_piece(design, band, step, kept, piece, points)
+        decreases[piece] = back_substitute_piece(design, structure, step, kept, piece, points)
 
 
 @compiled
-def reduce_right(design: Design, band: int, right: Floats, kept: Eliminated, reduced: Floats) -> None:
+def reduce_right(
+    design: Design, structure: Structure, right: Floats, kept: Eliminated, reduced: Floats
+) -> None:
     """Eliminate the points from a right-hand side.
 
     Parameters
     ----------
-    design : Design
-    band : int
-        Columns before the border.
+    design, structure
+        As in `accumulate`.
     right : ndarray, shape (points, 3)
         Right-hand side at the points.
     kept : Eliminated
@@ -535,6 +540,7 @@ def reduce_right(design: Design, band: int, right: Floats, kept: Eliminated, red
     reduced : ndarray, shape (n,)
         Its part of the reduced system; less W V^-1 of the points' part afterwards.
     """
+    band = structure.band
     for j in range(len(design.ray_start) - 1):
         b0, b1, b2 = right[j, 0], right[j, 1], right[j, 2]
         for a in range(3):
@@ -545,7 +551,7 @@ def reduce_right(design: Design, band: int, right: Floats, kept: Eliminated, red
                 column = design.image_column[design.ray_image[r]]
                 for b in range(6):
                     reduced[column + b] -= kept.mixed[r, a, b] * x
-            for s in range(len(reduced) - band):
+            for s in range(structure.lens):
                 reduced[band + s] -= kept.mixed_border[j, a, s] * x
 
 
@@ -562,6 +568,8 @@ def most_rays(design: Design, piece: int) -> int:
 def gather(design: Design, structure: Structure, j: int, inverse: Floats, local: Floats) -> int:
     """Copy the covariance among all that a point's rays touch; returns its size."""
     panel, border, width = structure.panel, structure.border, structure.width
+    # Only a point that stays among the unknowns has columns behind those of the cameras.
+    reach = border if design.point_column[j] >= 0 else structure.lens
     begin, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
     edge = 6 * n
     for r in range(n):
@@ -581,17 +589,17 @@ def gather(design: Design, structure: Structure, j: int, inverse: Floats, local:
                     local[6 * t + a, 6 * r + b] = z
                     local[6 * r + b, 6 * t + a] = z
         foot = start + (structure.last[home] - top) * step
-        for s in range(border):
+        for s in range(reach):
             for b in range(6):
                 z = inverse[foot + s * step + b]
                 local[edge + s, 6 * r + b] = z
                 local[6 * r + b, edge + s] = z
     own = structure.offset[len(width) - 1]
-    for s in range(border):
+    for s in range(reach):
         for t in range(s + 1):
             local[edge + s, edge + t] = inverse[own + s * border + t]
             local[edge + t, edge + s] = inverse[own + s * border + t]
-    return int(edge + border)
+    return int(edge + reach)
 
 
 @compiled
@@ -627,7 +635,9 @@ def statistics_piece(
                         + q1 * kept.mixed[begin + r, 1, b]
                         + q2 * kept.mixed[begin + r, 2, b]
                     )
-            for s in range(structure.border):
+            for s in range(edge, m):
+                mixed[a, s] = 0.0
+            for s in range(structure.lens):
                 mixed[a, edge + s] = (
                     q0 * kept.mixed_border[j, 0, s]
                     + q1 * kept.mixed_border[j, 1, s]

@@ -32,6 +32,8 @@ class Layout:
         Columns of the three rotation unknowns and of X, Y, Z of each image.
     camera_columns : tuple of (ndarray, ndarray)
         For each camera the positions of its estimated parameters and their columns.
+    common_columns : ndarray of int, shape (k,)
+        Column of each common value of the mounting; -1 for those that are no unknowns.
     kept_points : ndarray of int, shape (m,)
         Points that are not eliminated because observations relate them to others.
     point_columns : ndarray of int, shape (m, 3)
@@ -44,6 +46,7 @@ class Layout:
 
     image_columns: Integers
     camera_columns: tuple[tuple[Integers, Integers], ...]
+    common_columns: Integers
     kept_points: Integers
     point_columns: Integers
     envelope: Envelope
@@ -76,6 +79,11 @@ def layout(network: Network, ray_start: Integers) -> Layout:
         active = np.flatnonzero(camera.estimated)
         camera_columns.append((active, column + np.arange(len(active))))
         column += len(active)
+    common_columns = np.full(len(network.mounting.values), -1)
+    if len(network.positions.image) or len(network.attitudes.image):
+        unknown = np.flatnonzero(network.mounting.sigma != 0)
+        common_columns[unknown] = column + np.arange(len(unknown))
+        column += len(unknown)
     relations = network.relations
     kept_points = np.unique(np.concatenate([relations.first, relations.second]))
     point_columns = column + np.arange(3 * len(kept_points)).reshape(-1, 3)
@@ -85,7 +93,9 @@ def layout(network: Network, ray_start: Integers) -> Layout:
     last = count - 1 - np.argmax(sorted_together[:, ::-1], axis=1) if count else np.zeros(0, dtype=np.int64)
     last = np.maximum(last, np.arange(count))
     structure = envelope(POSE * (last + 1), POSE, column - POSE * count)
-    return Layout(image_columns, tuple(camera_columns), kept_points, point_columns, structure, column)
+    return Layout(
+        image_columns, tuple(camera_columns), common_columns, kept_points, point_columns, structure, column
+    )
 
 
 @compiled

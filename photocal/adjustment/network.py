@@ -7,6 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from photocal.adjustment.mounting import (
+    NO_ATTITUDES,
+    NO_MOUNTING,
+    NO_POSITIONS,
+    Attitudes,
+    Mounting,
+    Positions,
+)
 from photocal.geometry.camera import Camera
 
 Floats = NDArray[np.float64]
@@ -116,6 +124,8 @@ class Network:
     datum_points : ndarray of int or None
         Points over which a free network is least moved (inner constraints); None when the observations
         carry the datum.
+    positions, attitudes, mounting
+        Observations of a GNSS antenna and an inertial unit, and how they are mounted.
     """
 
     cameras: tuple[Camera, ...]
@@ -126,6 +136,9 @@ class Network:
     point_names: tuple[str, ...]
     relations: Relations = NO_RELATIONS
     datum_points: Integers | None = None
+    positions: Positions = NO_POSITIONS
+    attitudes: Attitudes = NO_ATTITUDES
+    mounting: Mounting = NO_MOUNTING
 
 
 def point_weights(sigma: Floats) -> tuple[NDArray[np.bool_], Floats]:

@@ -8,14 +8,14 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from photocal.adjustment.equations import Equations, add_equations
 from photocal.adjustment.kernels import Design, Eliminated, Structure, Values, accumulate
 from photocal.adjustment.layout import POSE, Layout, layout
 from photocal.adjustment.network import Network
 from photocal.adjustment.observations import (
-    Equations,
-    add_equations,
     camera_equations,
     exposure_equations,
+    mounting_equations,
     relation_equations,
 )
 from photocal.adjustment.state import State, turn_basis
@@ -124,7 +124,13 @@ def prepare(network: Network) -> Problem:
     )
     envelope = where.envelope
     structure = Structure(
-        envelope.panel, envelope.last, envelope.width, envelope.offset, envelope.band, envelope.border
+        envelope.panel,
+        envelope.last,
+        envelope.width,
+        envelope.offset,
+        envelope.band,
+        envelope.border,
+        int(count.sum()),
     )
     held = np.zeros(where.size, dtype=np.bool_)
     held[where.image_columns[exposures.sigma == 0]] = True
@@ -145,6 +151,7 @@ def other_equations(problem: Problem, state: State) -> dict[str, Equations]:
         "camera": camera_equations(problem.network, problem.layout, state),
         "exposure": exposure_equations(problem.network, problem.layout, state),
         **relation_equations(problem.network, problem.layout, state),
+        **mounting_equations(problem.network, problem.layout, state),
     }
 
 
@@ -171,7 +178,7 @@ def normal_equations(
     threads, points = len(design.pieces) - 1, len(design.point_free)
     kept = room or Eliminated(
         np.empty((len(design.ray_image), 3, 6)),
-        np.empty((points, 3, structure.border)),
+        np.empty((points, 3, structure.lens)),
         np.empty((points, 3, 3)),
         np.empty((points, 3)),
     )

@@ -2,44 +2,18 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.adjustment.kernels import Structure, element_address
+from photocal.adjustment.equations import Equations
 from photocal.adjustment.layout import Layout
+from photocal.adjustment.mounting import attitude_equations, common_equations, position_equations
 from photocal.adjustment.network import RELATIONS, Network
 from photocal.adjustment.state import State, turn_basis
-from photocal.compiled import compiled
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-
-class Equations(NamedTuple):
-    """Linearised observations in compressed rows.
-
-    Attributes
-    ----------
-    start : ndarray of int, shape (n + 1,)
-        Where the coefficients of each observation begin.
-    column : ndarray of int
-    coefficient : ndarray
-    residual, weight : ndarray, shape (n,)
-        Computed minus observed, and 1 / sigma^2.
-    """
-
-    start: Integers
-    column: Integers
-    coefficient: Floats
-    residual: Floats
-    weight: Floats
-
-    def chi_squared(self) -> float:
-        """Sum of v'Pv."""
-        return float(np.sum(self.weight * self.residual**2))
 
 
 def camera_equations(network: Network, layout: Layout, state: State) -> Equations:
@@ -110,6 +84,24 @@ def relation_equations(network: Network, layout: Layout, state: State) -> dict[s
     return result
 
 
+def mounting_equations(network: Network, layout: Layout, state: State) -> dict[str, Equations]:
+    """Antenna positions, attitudes and their common unknowns, where there are any."""
+    if not len(network.positions.image) and not len(network.attitudes.image):
+        return {}
+    mounting, basis = network.mounting, turn_basis(network, state)
+    columns = np.where(network.exposures.sigma == 0, -1, layout.image_columns)
+    common = layout.common_columns
+    return {
+        "position": position_equations(
+            network.positions, mounting, state.common, state.rotation, state.centre, columns, basis, common
+        ),
+        "attitude": attitude_equations(
+            network.attitudes, mounting, state.common, state.rotation, columns, basis, common
+        ),
+        "mounting": common_equations(mounting, state.common, common),
+    }
+
+
 def related(kind: str, difference: Floats) -> tuple[Floats, Floats]:
     """Value of a relation and its derivative with respect to the second point.
 
@@ -133,34 +125,3 @@ def related(kind: str, difference: Floats) -> tuple[Floats, Floats]:
     dx, dy = difference[:, 0], difference[:, 1]
     square = dx**2 + dy**2
     return np.arctan2(dx, dy), np.column_stack([dy / square, -dx / square, np.zeros_like(dx)])
-
-
-@compiled
-def add_equations(
-    start: Integers,
-    column: Integers,
-    coefficient: Floats,
-    residual: Floats,
-    weight: Floats,
-    structure: Structure,
-    matrix: Floats,
-    gradient: Floats,
-) -> None:
-    """Add observations to the normal equations.
-
-    Parameters
-    ----------
-    start, column, coefficient, residual, weight
-        As in `Equations`.
-    structure : Structure
-    matrix, gradient : ndarray
-        Receive the sums.
-    """
-    for row in range(len(residual)):
-        p = weight[row]
-        for a in range(start[row], start[row + 1]):
-            gradient[column[a]] += coefficient[a] * p * residual[row]
-            for b in range(start[row], start[row + 1]):
-                if column[b] <= column[a]:
-                    at = element_address(structure, column[a], column[b])
-                    matrix[at] += p * coefficient[a] * coefficient[b]

@@ -79,6 +79,8 @@ class Solution:
     point_covariance : ndarray, shape (points, 3, 3)
     residuals, redundancy : ndarray, shape (rays, 2)
         Computed minus measured, in the image plane; redundancy numbers.
+    common_covariance : ndarray, shape (k, k)
+        Of the common values of the mounting; zero for those that are held.
     state : State
         The values as the adjustment holds them.
     """
@@ -97,6 +99,7 @@ class Solution:
     point_covariance: Floats
     residuals: Floats
     redundancy: Floats
+    common_covariance: Floats
     state: State
 
     @property

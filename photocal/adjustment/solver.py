@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,9 +150,9 @@ def reduced_step(problem: Problem, normal: Normal, damping: float) -> Floats | N
 
 def moved_by(problem: Problem, state: State, normal: Normal, step: Floats) -> tuple[State, float]:
     """State after a step and the step's squared length in units of the standard deviations."""
-    cameras, rotation, centre = moved_exposures(problem.network, problem.layout, state, step)
+    moved = moved_exposures(problem.network, problem.layout, state, step)
     points = state.points.copy()
     decreases = np.zeros(len(problem.design.pieces) - 1)
-    back_substitute(problem.design, problem.structure.band, step, normal.kept, points, decreases)
+    back_substitute(problem.design, problem.structure, step, normal.kept, points, decreases)
     points[problem.layout.kept_points] += step[problem.layout.point_columns]
-    return State(cameras, rotation, centre, points), float(decreases.sum() - normal.gradient @ step)
+    return replace(moved, points=points), float(decreases.sum() - normal.gradient @ step)

@@ -26,12 +26,15 @@ class State:
         Object to camera axes.
     centre : ndarray, shape (images, 3)
     points : ndarray, shape (points, 3)
+    common : ndarray, shape (k,)
+        Common values of the mounting.
     """
 
     cameras: Floats
     rotation: Floats
     centre: Floats
     points: Floats
+    common: Floats
 
 
 def start_state(network: Network) -> State:
@@ -42,6 +45,7 @@ def start_state(network: Network) -> State:
         matrix_from_angles(exposures.values[:, :3]),
         exposures.values[:, 3:].copy(),
         network.points.values.copy(),
+        network.mounting.values.copy(),
     )
 
 
@@ -62,10 +66,8 @@ def _angles_held(network: Network) -> NDArray[np.bool_]:
     return np.asarray(held.any(axis=1) & ~held.all(axis=1))
 
 
-def moved_exposures(
-    network: Network, layout: Layout, state: State, step: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Cameras, rotations and centres after a step of the reduced system.
+def moved_exposures(network: Network, layout: Layout, state: State, step: Floats) -> State:
+    """State after a step of the reduced system; the points are still the old ones.
 
     Parameters
     ----------
@@ -77,8 +79,7 @@ def moved_exposures(
 
     Returns
     -------
-    tuple of ndarray
-        New `cameras`, `rotation` and `centre`.
+    State
     """
     pose = step[layout.image_columns]
     rotation = turned(state.rotation, pose[:, :3])
@@ -87,4 +88,6 @@ def moved_exposures(
     cameras = state.cameras.copy()
     for row, (active, columns) in zip(cameras, layout.camera_columns, strict=True):
         row[active] += step[columns]
-    return cameras, rotation, state.centre + pose[:, 3:]
+    common, unknown = state.common.copy(), layout.common_columns >= 0
+    common[unknown] += step[layout.common_columns[unknown]]
+    return State(cameras, rotation, state.centre + pose[:, 3:], state.points, common)

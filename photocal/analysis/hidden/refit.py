@@ -201,6 +201,6 @@ def without_images(network: Network, state: State, left_out: NDArray[np.bool_]) 
         datum_points=None if datum is None else point_place[datum[points[datum]]],
         point_names=tuple(name for name, has in zip(network.point_names, points, strict=True) if has),
     )
-    return smaller, State(
-        state.cameras.copy(), state.rotation[~left_out], state.centre[~left_out], state.points[points]
+    return smaller, replace(
+        state, rotation=state.rotation[~left_out], centre=state.centre[~left_out], points=state.points[points]
     )

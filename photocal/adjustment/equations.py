@@ -1,0 +1,69 @@
+"""Linearised observations in compressed rows, and how they enter the normal equations."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.adjustment.kernels import Structure, element_address
+from photocal.compiled import compiled
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+class Equations(NamedTuple):
+    """Linearised observations in compressed rows.
+
+    Attributes
+    ----------
+    start : ndarray of int, shape (n + 1,)
+        Where the coefficients of each observation begin.
+    column : ndarray of int
+    coefficient : ndarray
+    residual, weight : ndarray, shape (n,)
+        Computed minus observed, and 1 / sigma^2.
+    """
+
+    start: Integers
+    column: Integers
+    coefficient: Floats
+    residual: Floats
+    weight: Floats
+
+    def chi_squared(self) -> float:
+        """Sum of v'Pv."""
+        return float(np.sum(self.weight * self.residual**2))
+
+
+@compiled
+def add_equations(
+    start: Integers,
+    column: Integers,
+    coefficient: Floats,
+    residual: Floats,
+    weight: Floats,
+    structure: Structure,
+    matrix: Floats,
+    gradient: Floats,
+) -> None:
+    """Add observations to the normal equations.
+
+    Parameters
+    ----------
+    start, column, coefficient, residual, weight
+        As in `Equations`.
+    structure : Structure
+    matrix, gradient : ndarray
+        Receive the sums.
+    """
+    for row in range(len(residual)):
+        p = weight[row]
+        for a in range(start[row], start[row + 1]):
+            gradient[column[a]] += coefficient[a] * p * residual[row]
+            for b in range(start[row], start[row + 1]):
+                if column[b] <= column[a]:
+                    at = element_address(structure, column[a], column[b])
+                    matrix[at] += p * coefficient[a] * coefficient[b]

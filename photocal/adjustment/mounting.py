@@ -1,0 +1,241 @@
+"""GNSS antenna and inertial unit beside the camera: positions and attitudes as observations.
+
+The antenna of image i is observed at  X0 + M' B l - v dt + s + d t,  with l the lever arm from the
+projection centre to the antenna in body axes, B the rotation from body to camera axes, v the velocity
+and dt the time by which exposures happen later than their stamps, s and d shift and drift of the strip.
+The attitude R (object to body axes) obeys  M = exp([r]x) B R  with r the residual in camera axes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from photocal.adjustment.equations import Equations
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Camera axes (x right, y up in the image, z backwards) of a camera that looks down, the upper edge of its
+# image forward, in terms of body axes (forward, right, down).
+NADIR = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+
+# What is common to all exposures: 3 lever arm (m), 3 boresight (rad), 1 time offset (s), then 3 shift (m)
+# and 3 drift (m/s) of each strip.
+LEVER, BORESIGHT, TIME, STRIPS = slice(0, 3), slice(3, 6), 6, 7
+COMMON = (
+    "lever_arm_x",
+    "lever_arm_y",
+    "lever_arm_z",
+    "boresight_x",
+    "boresight_y",
+    "boresight_z",
+    "time_offset",
+)
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """The common unknowns of positions and attitudes.
+
+    Attributes
+    ----------
+    rotation : ndarray, shape (3, 3)
+        Nominal rotation from body to camera axes.
+    values, sigma : ndarray, shape (7 + 6 strips,)
+        Lever arm, boresight (a rotation vector in camera axes), time offset, shift and drift of each
+        strip. A sigma of 0 holds a value, a positive one weights it, infinity leaves it free.
+    """
+
+    rotation: Floats
+    values: Floats
+    sigma: Floats
+
+
+@dataclass(frozen=True)
+class Positions:
+    """Observed antenna positions.
+
+    Attributes
+    ----------
+    image : ndarray of int, shape (n,)
+    values : ndarray, shape (n, 3)
+        m, in the object frame.
+    covariance : ndarray, shape (n, 3, 3)
+    velocity : ndarray, shape (n, 3)
+        m/s; zero where unknown.
+    strip : ndarray of int, shape (n,)
+    time : ndarray, shape (n,)
+        Seconds since the middle of the strip, for the drift.
+    """
+
+    image: Integers
+    values: Floats
+    covariance: Floats
+    velocity: Floats
+    strip: Integers
+    time: Floats
+
+
+@dataclass(frozen=True)
+class Attitudes:
+    """Observed attitudes of the body.
+
+    Attributes
+    ----------
+    image : ndarray of int, shape (n,)
+    rotation : ndarray, shape (n, 3, 3)
+        Object to body axes.
+    covariance : ndarray, shape (n, 3, 3)
+        Of small turns about the body axes, rad^2.
+    """
+
+    image: Integers
+    rotation: Floats
+    covariance: Floats
+
+
+NO_MOUNTING = Mounting(NADIR, np.zeros(STRIPS), np.zeros(STRIPS))
+_NONE = np.zeros(0, dtype=np.int64)
+NO_POSITIONS = Positions(_NONE, np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), _NONE, np.zeros(0))
+NO_ATTITUDES = Attitudes(_NONE, np.zeros((0, 3, 3)), np.zeros((0, 3, 3)))
+
+
+def body_to_camera(mounting: Mounting, values: Floats) -> Floats:
+    """Rotation from body to camera axes with the boresight of the common values, shape (3, 3)."""
+    return np.asarray(Rotation.from_rotvec(values[BORESIGHT]).as_matrix() @ mounting.rotation)
+
+
+def position_equations(
+    positions: Positions,
+    mounting: Mounting,
+    values: Floats,
+    rotation: Floats,
+    centre: Floats,
+    image_columns: Integers,
+    basis: Floats,
+    common_columns: Integers,
+) -> Equations:
+    """Linearise the antenna positions.
+
+    Parameters
+    ----------
+    positions, mounting
+        What was observed.
+    values : ndarray
+        Current common values.
+    rotation, centre, basis : ndarray, shape (images, 3, 3), (images, 3), (images, 3, 3)
+        Current exposures and the turns of their rotation unknowns.
+    image_columns : ndarray of int, shape (images, 6)
+    common_columns : ndarray of int, shape (7 + 6 strips,)
+        Columns of the unknowns; -1 for those of held common values.
+
+    Returns
+    -------
+    Equations
+        Whitened: three of unit weight for each position.
+    """
+    image, n = positions.image, len(positions.image)
+    matrix = body_to_camera(mounting, values)
+    arm = matrix @ values[LEVER]
+    to_object = np.swapaxes(rotation[image], 1, 2)
+    at = STRIPS + 6 * positions.strip
+    shift = np.array([values[at + k] for k in range(3)]).T if n else np.zeros((0, 3))
+    drift = np.array([values[at + 3 + k] for k in range(3)]).T if n else np.zeros((0, 3))
+    computed = centre[image] + to_object @ arm - positions.velocity * values[TIME] + shift
+    computed = computed + drift * positions.time[:, None]
+    eye = np.broadcast_to(np.eye(3), (n, 3, 3))
+    turned_arm = to_object @ _skew(arm)
+    parts = [
+        (image_columns[image, :3], turned_arm @ basis[image]),
+        (image_columns[image, 3:], eye),
+        (np.tile(common_columns[LEVER], (n, 1)), to_object @ matrix),
+        (np.tile(common_columns[BORESIGHT], (n, 1)), -turned_arm @ _left_jacobian(values[BORESIGHT])),
+        (np.tile(common_columns[TIME : TIME + 1], (n, 1)), -positions.velocity[:, :, None]),
+        (common_columns[at[:, None] + np.arange(3)], eye),
+        (common_columns[at[:, None] + np.arange(3, 6)], eye * positions.time[:, None, None]),
+    ]
+    return _whitened(parts, computed - positions.values, positions.covariance)
+
+
+def attitude_equations(
+    attitudes: Attitudes,
+    mounting: Mounting,
+    values: Floats,
+    rotation: Floats,
+    image_columns: Integers,
+    basis: Floats,
+    common_columns: Integers,
+) -> Equations:
+    """Linearise the attitudes; parameters and result as in `position_equations`."""
+    image, n = attitudes.image, len(attitudes.image)
+    matrix = body_to_camera(mounting, values)
+    residual = (
+        Rotation.from_matrix(rotation[image] @ np.swapaxes(matrix @ attitudes.rotation, 1, 2)).as_rotvec()
+        if n
+        else np.zeros((0, 3))
+    )
+    to_body = matrix.T
+    inverse_left = np.linalg.inv(_left_jacobian(residual))
+    inverse_right = np.linalg.inv(_left_jacobian(-residual))
+    parts = [
+        (image_columns[image, :3], to_body @ inverse_left @ basis[image]),
+        (
+            np.tile(common_columns[BORESIGHT], (n, 1)),
+            -to_body @ inverse_right @ _left_jacobian(values[BORESIGHT]),
+        ),
+    ]
+    return _whitened(parts, residual @ matrix, attitudes.covariance)
+
+
+def common_equations(mounting: Mounting, values: Floats, common_columns: Integers) -> Equations:
+    """Common values as observations, where they have a sigma."""
+    weighted = np.flatnonzero(np.isfinite(mounting.sigma) & (mounting.sigma > 0) & (common_columns >= 0))
+    column = common_columns[weighted]
+    residual = (values - mounting.values)[weighted]
+    return Equations(
+        np.arange(len(column) + 1), column, np.ones(len(column)), residual, mounting.sigma[weighted] ** -2.0
+    )
+
+
+def _whitened(parts: list[tuple[Integers, Floats]], residual: Floats, covariance: Floats) -> Equations:
+    """Equations of unit weight from blocks of columns and coefficients; unused columns drop out."""
+    columns = np.hstack([columns for columns, _ in parts])
+    coefficient = np.concatenate([block for _, block in parts], axis=2)
+    if not len(residual):
+        return Equations(np.zeros(1, np.int64), _NONE, np.zeros(0), np.zeros(0), np.zeros(0))
+    # With covariance = L L', the rows L^-1 A have unit weight.
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    coefficient, residual = root @ coefficient, np.einsum("nab,nb->na", root, residual)
+    used = columns >= 0
+    keep = np.repeat(used[:, None, :], 3, axis=1)
+    count = np.repeat(used.sum(axis=1), 3)
+    return Equations(
+        np.concatenate([[0], np.cumsum(count)]),
+        np.repeat(columns[:, None, :], 3, axis=1)[keep],
+        coefficient[keep],
+        residual.ravel(),
+        np.ones(residual.size),
+    )
+
+
+def _skew(vector: Floats) -> Floats:
+    """Cross product matrices, shape (..., 3, 3)."""
+    x, y, z = np.moveaxis(vector, -1, 0)
+    zero = np.zeros_like(x)
+    return np.moveaxis(np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]), (0, 1), (-2, -1))
+
+
+def _left_jacobian(turn: Floats) -> Floats:
+    """J with exp([t + d]x) = exp([J d]x) exp([t]x) to first order, shape (..., 3, 3).
+
+    J = I + (1 - cos a)/a^2 [t]x + (a - sin a)/a^3 [t]x^2 (Chirikjian 2012, eq. 10.86).
+    """
+    angle = np.linalg.norm(turn, axis=-1)[..., None, None]
+    skew = _skew(turn)
+    safe = np.where(angle > 1e-6, angle, 1.0)
+    second = np.where(angle > 1e-6, (safe - np.sin(safe)) / safe**3, 1.0 / 6.0)
+    return np.asarray(np.eye(3) + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * skew + second * skew @ skew)
