@@ -20,6 +20,7 @@ from photocal.exchange.colmap_content import MODELS, NO_POINT, NUMBERS, Content,
 from photocal.exchange.colmap_text import read_text_model, write_text_model
 from photocal.exchange.convert import Conversion
 from photocal.exchange.pinhole import (
+    LARGEST,
     Pinhole,
     from_pinhole,
     from_vision,
@@ -69,8 +70,16 @@ def read_colmap(folder: Path) -> Reconstruction:
             raise InputMalformedError(f"image {shot.name} has the unknown {what}", where=folder)
     seen = [shot.points != NO_POINT for shot in content.shots]
     uses = list(zip(content.shots, seen, strict=True))
-    rotation = rotation_from_quaternion(np.array([shot.quaternion for shot in content.shots]).reshape(-1, 4))
+    quaternions = np.array([shot.quaternion for shot in content.shots]).reshape(-1, 4)
+    # The largest part of a unit quaternion lies between 1/2 and 1.
+    crooked = np.flatnonzero(np.abs(np.abs(quaternions).max(axis=1, initial=0) - 0.75) > 0.251)
+    if len(crooked):
+        name = content.shots[crooked[0]].name
+        raise InputMalformedError(f"the quaternion of image {name} has not the length 1", where=folder)
+    rotation = rotation_from_quaternion(quaternions)
     translation = np.array([shot.translation for shot in content.shots]).reshape(-1, 3)
+    if not max(np.abs(translation).max(initial=0), np.abs(content.xyz).max(initial=0)) < LARGEST:
+        raise InputMalformedError("has coordinates beyond 1e9 m", where=folder, remedy="is it damaged?")
     return Reconstruction(
         tuple(cameras.values()),
         tuple(shot.name for shot in content.shots),

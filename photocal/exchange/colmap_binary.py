@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError
-from photocal.exchange.colmap_content import MODELS, NUMBERS, Content, Lens, Shot, unknown_model
+from photocal.exchange.colmap_content import MODELS, NUMBERS, Content, Lens, Shot, key_of, unknown_model
 from photocal.exchange.source import image_size, require_readable
 
 Integers = NDArray[np.int64]
@@ -121,7 +121,12 @@ def _points(path: Path) -> Iterator[tuple[int, tuple[float, ...], float, Integer
     for _ in range(reader.count(51)):
         key, x, y, z, _, _, _, error = reader.take("Q3d3Bd")
         rows = reader.records(_TRACK)
-        yield key, (x, y, z), error, np.column_stack([rows["image"], rows["place"]]).astype(np.int64)
+        yield (
+            key_of(key, path),
+            (x, y, z),
+            error,
+            np.column_stack([rows["image"], rows["place"]]).astype(np.int64),
+        )
 
 
 def write_binary_model(folder: Path, content: Content) -> None:

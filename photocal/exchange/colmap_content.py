@@ -22,6 +22,7 @@ MODELS: dict[int, tuple[str, tuple[str, ...]]] = {
     6: ("FULL_OPENCV", ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")),
 }
 NUMBERS = {name: number for number, (name, _) in MODELS.items()}
+LARGEST_KEY = 1 << 62
 # Key of a mark that belongs to no point.
 NO_POINT = -1
 
@@ -93,6 +94,30 @@ class Content:
     xyz: Floats
     errors: Floats
     tracks: tuple[Integers, ...]
+
+
+def key_of(value: float, place: object) -> int:
+    """Check a number that names something.
+
+    Parameters
+    ----------
+    value : float
+        As read.
+    place : object
+        For messages.
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    InputMalformedError
+        When it is no number that can name something.
+    """
+    if not -1 <= value < LARGEST_KEY or value % 1:
+        raise InputMalformedError(f"the number {value:g} names nothing", where=place, remedy="is it damaged?")
+    return int(value)
 
 
 def unknown_model(name: object, place: object) -> InputMalformedError:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError
-from photocal.exchange.colmap_content import NUMBERS, Content, Lens, Shot, unknown_model
+from photocal.exchange.colmap_content import NUMBERS, Content, Lens, Shot, key_of, unknown_model
 from photocal.exchange.source import Line, image_size, numbers, read_text, whole
 
 Floats = NDArray[np.float64]
@@ -81,14 +81,9 @@ def _shots(path: Path) -> Iterator[Shot]:
             raise InputMalformedError("has a mark that is not complete", where=marks.place)
         table = flat.reshape(-1, 3)
         pose = tuple(values[1:5]), tuple(values[5:8])
-        yield Shot(
-            int(values[0]),
-            *pose,
-            int(values[8]),
-            cells[9].strip(),
-            table[:, :2],
-            table[:, 2].astype(np.int64),
-        )
+        keys = np.array([key_of(value, marks.place) for value in table[:, 2].tolist()], dtype=np.int64)
+        key, lens = (key_of(values[k], line.place) for k in (0, 8))
+        yield Shot(key, *pose, lens, cells[9].strip(), table[:, :2], keys)
 
 
 def _points(path: Path) -> Iterator[tuple[int, list[float], float, Integers]]:
@@ -99,7 +94,8 @@ def _points(path: Path) -> Iterator[tuple[int, list[float], float, Integers]]:
         if len(cells) < 8 or len(cells) % 2:
             raise InputMalformedError("is no row of a point", where=line.place, remedy="is the file cut?")
         values = numbers(line.text, line.place, "point")
-        yield int(values[0]), values[1:4], values[7], np.array(values[8:], dtype=np.int64).reshape(-1, 2)
+        key, *track = (key_of(value, line.place) for value in (values[0], *values[8:]))
+        yield key, values[1:4], values[7], np.array(track, dtype=np.int64).reshape(-1, 2)
 
 
 def write_text_model(folder: Path, content: Content) -> None:

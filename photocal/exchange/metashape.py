@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from drivers.errors import InputMalformedError
 from photocal.exchange.convert import Conversion, converted, in_pixels
 from photocal.exchange.markup import child, read_xml
-from photocal.exchange.pinhole import from_vision, to_vision
+from photocal.exchange.pinhole import from_vision, require_credible, to_vision
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import image_size, number, numbers
 from photocal.geometry.camera import Camera, camera
@@ -191,11 +191,14 @@ def to_metashape(own: Camera) -> Conversion:
     -------
     Conversion
     """
-    terms = ["K1", "K2", "K3", "K4", "P1", "P2", "B1", "B2"]
+    flat = in_pixels(own)
+    terms = ["K1", "K2", "K3", "K4", "P1", "P2"]
+    if flat.value("B1") or flat.value("B2"):
+        terms += ["B1", "B2"]
     if own.model == "brown-ideal":
         # In a fit P3 and P4 would stand on P1 and P2, which are nearly zero.
         terms += ["P3", "P4"]
-    return converted(in_pixels(own), "brown-ideal", "after", terms)
+    return converted(flat, "brown-ideal", "after", terms)
 
 
 def _frame(own: Camera) -> dict[str, float]:
@@ -235,8 +238,7 @@ def _camera(sensor: Element, path: Path) -> Camera:
         value["b2"] = value.get("skew", 0.0)
         value["cx"], value["cy"] = value["cx"] - width / 2, value["cy"] - height / 2
     f = value["f"]
-    if not f > 0:
-        raise InputMalformedError(f"sensor {sensor.get('label')} has no focal length", where=path)
+    require_credible((f,), [value[key] for key in _KEYS if key != "f"], path)
     ours = {"c": f, "x0": value["cx"], "y0": -value["cy"], "B1": value["b1"] / f, "B2": -value["b2"] / f}
     ours |= {f"K{n}": value[f"k{n}"] / f ** (2 * n) for n in (1, 2, 3, 4)}
     # y is up here and down there.

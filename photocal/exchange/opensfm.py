@@ -196,7 +196,7 @@ def _checked(path: Path, read: Callable[[], T]) -> T:
     """Turn what a wrong structure raises into one line."""
     try:
         return read()
-    except (KeyError, TypeError, ValueError, AttributeError) as failure:
+    except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as failure:
         raise InputMalformedError(
             f"has not the structure of an OpenSfM file ({type(failure).__name__}: {failure})", where=path
         ) from failure

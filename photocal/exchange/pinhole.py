@@ -9,6 +9,7 @@ its own half pixel. Source: Bradski and Kaehler 2008, Learning OpenCV, ch. 11; B
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,8 @@ Floats = NDArray[np.float64]
 
 # From our camera axes to those of computer vision, and back.
 FLIP = np.diag([1.0, -1.0, -1.0])
+# Beyond every focal length, coefficient and coordinate in use.
+LARGEST = 1e9
 _TERMS = ("K1", "K2", "K3", "P1", "P2", "B1")
 
 
@@ -69,10 +72,10 @@ def from_pinhole(given: Pinhole, camera_id: str, place: object) -> Camera:
     Raises
     ------
     InputMalformedError
-        When a focal length is not positive.
+        When a number is beyond what any camera has.
     """
-    if not (given.fx > 0 and given.fy > 0):
-        raise InputMalformedError("the focal length is not positive", where=place, remedy="correct it")
+    require_credible((given.fx, given.fy), (given.cx, given.cy), place)
+    require_credible((), (given.k1, given.k2, given.k3, given.p1, given.p2), place)
     c = given.fy
     values = {
         "c": c,
@@ -87,6 +90,32 @@ def from_pinhole(given: Pinhole, camera_id: str, place: object) -> Camera:
         "B1": given.fx / given.fy - 1,
     }
     return camera(camera_id, "brown-ideal", "px", given.size_px, (1.0, 1.0), values, affinity="after")
+
+
+def require_credible(focal_px: Sequence[float], others: Sequence[float], place: object) -> None:
+    """Complain about numbers that no camera has, before they overflow.
+
+    Parameters
+    ----------
+    focal_px : sequence of float
+        Focal lengths, px.
+    others : sequence of float
+        Principal points (px) and coefficients of normalised coordinates.
+    place : object
+        For messages.
+
+    Raises
+    ------
+    InputMalformedError
+    """
+    for value in focal_px:
+        if not 1e-3 < value < LARGEST:
+            raise InputMalformedError(
+                f"the focal length {value:g} px is impossible", where=place, remedy="correct it"
+            )
+    for value in others:
+        if not abs(value) < LARGEST:
+            raise InputMalformedError(f"the camera parameter {value:g} is impossible", where=place)
 
 
 def to_pinhole(own: Camera, program: str) -> tuple[Pinhole, Conversion]:
@@ -111,7 +140,10 @@ def to_pinhole(own: Camera, program: str) -> tuple[Pinhole, Conversion]:
         When the camera has a skew.
     """
     require_no_skew(own, program)
-    conversion = converted(in_pixels(own), "brown-ideal", "after", _TERMS)
+    flat = in_pixels(own)
+    # A camera without affinity keeps fx = fy.
+    terms = _TERMS if flat.value("B1") else _TERMS[:-1]
+    conversion = converted(flat, "brown-ideal", "after", terms)
     same = conversion.camera
     c = same.value("c")
     return Pinhole(

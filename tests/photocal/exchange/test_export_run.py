@@ -1,0 +1,134 @@
+"""A run folder, exported; the command that does it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.adjustment.adjust import adjust
+from photocal.block.network import assemble
+from photocal.block.run import summary, write_run
+from photocal.cli import app
+from photocal.exchange.colmap import read_colmap
+from photocal.exchange.metashape import read_metashape
+from photocal.exchange.reconstruction import Reconstruction, as_block, read_run
+from photocal.exchange.writers import WRITERS, Choices, writer
+
+TIMING = {"read": 0.0, "solve": 0.0, "covariance": 0.0}
+
+
+def run_of(given: Reconstruction, folder: Path) -> Path:
+    """Adjust with control held, and write the run."""
+    free = as_block(given, "small", 0.5, ())
+    points = replace(
+        free.points, sigma=np.full(free.points.sigma.shape, 0.01), role=np.zeros(40, dtype=np.int64)
+    )
+    block = replace(free, datum="control", points=points)
+    assembly = assemble(block)
+    solution = adjust(assembly.network)
+    folder.mkdir()
+    write_run(folder, block, assembly, solution, summary(block, assembly, solution, TIMING))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory, vision: Reconstruction) -> Path:
+    # Camera names must differ in a block.
+    cameras = tuple(replace(own, id=f"camera {k}") for k, own in enumerate(vision.cameras))
+    return run_of(replace(vision, cameras=cameras), tmp_path_factory.mktemp("run") / "run")
+
+
+@pytest.fixture(scope="module")
+def run_in_mm(tmp_path_factory: pytest.TempPathFactory, photogrammetric: Reconstruction) -> Path:
+    return run_of(photogrammetric, tmp_path_factory.mktemp("run") / "mm")
+
+
+def test_run_folder_gives_what_was_adjusted(run: Path, vision: Reconstruction) -> None:
+    again = read_run(run)
+    assert again.image_names == vision.image_names
+    assert set(again.roles) == {"control"}
+    np.testing.assert_allclose(again.pixels, vision.pixels, atol=1e-9)
+    assert np.sqrt(np.mean((again.poses - vision.poses) ** 2)) < 0.05
+    # Residuals are of the adjusted values; their sum of squares is below that of the true ones.
+    assert np.sum(again.residuals_px**2) < np.sum(vision.residuals_px**2)
+
+
+@pytest.mark.parametrize("form", ["colmap", "colmap-binary", "metashape"])
+def test_residuals_survive_the_export(run: Path, tmp_path: Path, form: str) -> None:
+    given = read_run(run)
+    assert all(made.largest_px == 0 for made in writer(form)(tmp_path, given, Choices()))
+    if form == "metashape":
+        again = read_metashape(tmp_path / "cameras.xml").reconstruction
+    else:
+        again = read_colmap(tmp_path)
+        np.testing.assert_allclose(again.pixels, given.pixels, atol=1e-9)
+        np.testing.assert_allclose(again.xyz, given.xyz, atol=1e-9)
+    np.testing.assert_allclose(again.poses, given.poses, rtol=1e-9, atol=1e-9)
+    for own, other in zip(given.cameras, again.cameras, strict=True):
+        np.testing.assert_allclose(other.values, own.values, rtol=1e-9, atol=1e-15)
+
+
+def test_observations_in_mm_become_pixels(run_in_mm: Path, photogrammetric: Reconstruction) -> None:
+    np.testing.assert_allclose(read_run(run_in_mm).pixels, photogrammetric.pixels, atol=1e-9)
+
+
+@pytest.mark.parametrize("form", sorted(WRITERS))
+def test_every_format_by_command(run: Path, run_in_mm: Path, tmp_path: Path, form: str) -> None:
+    # Two formats hold no affinity, or want mm.
+    folder = run_in_mm if form in ("pix4d", "inpho") else run
+    arguments = ["export", str(folder), "--format", form, "-o", str(tmp_path / "out"), "--json"]
+    arguments += ["--angle-unit", "gon", "--origin", "47.5,8.25,500"]
+    result = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert result.exit_code == 0
+    answer = json.loads(result.stdout)
+    assert answer["files"]
+    assert {str(p.relative_to(tmp_path / "out")) for p in (tmp_path / "out").iterdir()} == set(
+        answer["files"]
+    )
+
+
+def test_text_says_what_the_conversion_costs(run_in_mm: Path, tmp_path: Path) -> None:
+    arguments = ["export", str(run_in_mm), "--format", "colmap", "-o", str(tmp_path / "out")]
+    result = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert "px rms" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("extra", "message"),
+    [
+        (["--format", "dwg"], "format 'dwg' is not known"),
+        (["--format", "patb"], "unit of the angles is not given"),
+        (["--format", "patb", "--angle-unit", "mil"], "angle unit 'mil'"),
+        (["--format", "kml"], "where the local frame lies is not given"),
+        (["--format", "kml", "--origin", "47.5,8"], "has 2 numbers"),
+        (["--format", "kml", "--origin", "147.5,8,0"], "not on the Earth"),
+        (["--format", "inpho"], "is in px"),
+        (["--format", "pix4d"], "affinity"),
+    ],
+)
+def test_wrong_choices(run: Path, tmp_path: Path, extra: list[str], message: str) -> None:
+    out = tmp_path / "out"
+    result = CliRunner().invoke(app, ["export", str(run), "-o", str(out), *extra])
+    assert isinstance(result.exception, ConfigurationError | InputMalformedError)
+    assert message in str(result.exception)
+    assert not out.exists()
+
+
+def test_no_run(tmp_path: Path) -> None:
+    with pytest.raises(InputNotFoundError):
+        read_run(tmp_path / "none")
+    (tmp_path / "result.json").write_text('{"schema": "other/1"}')
+    with pytest.raises(InputMalformedError, match="not the result of an adjustment"):
+        read_run(tmp_path)
+    (tmp_path / "result.json").write_text('{"schema": "photocal.adjustment/1", "x": NaN}')
+    with pytest.raises(InputMalformedError, match="not finite"):
+        read_run(tmp_path)
+    (tmp_path / "result.json").write_text("[" * 100_000)
+    with pytest.raises(InputMalformedError, match="no valid JSON"):
+        read_run(tmp_path)
