@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
+from dataclasses import replace
 
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
@@ -35,5 +37,10 @@ def adjust(network: Network, report: Callable[[Iteration], None] | None = None) 
         When the iteration does not end.
     """
     state = start_state(network)
+    began = time.perf_counter()
     problem = with_datum(prepare(network), state)
-    return complete(problem, minimise(problem, state, report))
+    minimum = minimise(problem, state, report)
+    solved = time.perf_counter()
+    solution = complete(problem, minimum)
+    timing = {"solve": solved - began, "covariance": time.perf_counter() - solved}
+    return replace(solution, timing_s=timing)

@@ -8,6 +8,7 @@ that fit again are taken back, until nothing changes (Baarda 1968; Pope 1976).
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -84,6 +85,7 @@ def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None
     NotConvergedError
         When the iteration or the rejections do not come to an end.
     """
+    began = time.perf_counter()
     whole = prepare(network)
     state = robust_state(with_datum(whole, start_state(network)), start_state(network), report)
     fit = ray_fit(whole, state)
@@ -108,7 +110,8 @@ def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None
         if not wrong.any() and not again.any():
             taking_part = np.zeros(len(accepted), dtype=np.bool_)
             taking_part[rays] = True
-            return Snooping(part, solution, taking_part, points, rounds)
+            timing = {"solve": time.perf_counter() - began}
+            return Snooping(part, replace(solution, timing_s=timing), taking_part, points, rounds)
         accepted = (accepted & ~wrong) | again
     raise NotConvergedError(
         f"data snooping still finds gross errors after {ROUNDS} rounds",

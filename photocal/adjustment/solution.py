@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +83,8 @@ class Solution:
         Of the common values of the mounting; zero for those that are held.
     state : State
         The values as the adjustment holds them.
+    timing_s : dict
+        Seconds by stage.
     """
 
     iterations: tuple[Iteration, ...]
@@ -101,6 +103,7 @@ class Solution:
     redundancy: Floats
     common_covariance: Floats
     state: State
+    timing_s: dict[str, float] = field(default_factory=dict)
 
     @property
     def degrees_of_freedom(self) -> int:

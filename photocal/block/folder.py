@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.adjustment.network import NO_RELATIONS, RELATIONS, Relations
 from photocal.block.model import ROLES, Block, Images, InputFile, ObjectPoints, Observations
+from photocal.block.mounting import make_mounting, read_attitudes, read_positions
 from photocal.block.setup import ObservationKeys, make_camera, read_setup
-from photocal.block.table import Table, read_table
+from photocal.block.table import Table, known_rows, read_table, refuse, refuse_unknown
 from photocal.geometry.camera import Camera
 
 Floats = NDArray[np.float64]
@@ -63,6 +64,9 @@ def read_block(folder: Path) -> Block:
     observations = _read_observations(table, setup.observations, images.names, points.names)
     relations = _read_relations(folder, points.names)
     tables = ["block.toml", "images.csv", "points.csv", table.name, *(_present(folder))]
+    positions = read_positions(folder / "positions.csv", images.names)
+    attitudes = read_attitudes(folder / "attitudes.csv", images.names)
+    strips = int(positions.strip.max()) + 1 if len(positions.strip) else 0
     datum = setup.block.datum
     return Block(
         setup.block.name or folder.resolve().name,
@@ -76,6 +80,9 @@ def read_block(folder: Path) -> Block:
         observations,
         tuple(fingerprint(folder, name) for name in tables),
         relations,
+        positions,
+        attitudes,
+        make_mounting(setup.mounting, strips),
     )
 
 
@@ -90,7 +97,7 @@ def _read_images(path: Path, cameras: tuple[Camera, ...]) -> Images:
     names = table.unique_names("image")
     index, found = table.names("camera")
     known = {camera.id: k for k, camera in enumerate(cameras)}
-    _refuse_unknown(table, index, found, known, "camera", "block.toml")
+    refuse_unknown(table, index, found, known, "camera", "block.toml")
     camera = np.array([known[name] for name in found], dtype=np.int64)[index]
     values = np.column_stack([table.numbers(c) for c in ("omega", "phi", "kappa", "X", "Y", "Z")])
     sigma = np.column_stack([_sigmas(table, c) for c in IMAGE_SIGMAS])
@@ -103,26 +110,26 @@ def _read_points(path: Path) -> ObjectPoints:
     table = read_table(path, POINT_COLUMNS, POINT_SIGMAS)
     names = table.unique_names("point")
     index, found = table.names("role")
-    _refuse_unknown(table, index, found, dict.fromkeys(ROLES, 0), "role", f"({', '.join(ROLES)})")
+    refuse_unknown(table, index, found, dict.fromkeys(ROLES, 0), "role", f"({', '.join(ROLES)})")
     role = np.array([ROLES.index(name) for name in found], dtype=np.int64)[index]
     values = np.column_stack([table.numbers(c, empty=np.nan) for c in ("X", "Y", "Z")])
     sigma = np.column_stack([_sigmas(table, c) for c in POINT_SIGMAS])
     tie = role == ROLES.index("tie")
     surveyed = np.isfinite(sigma)
-    _refuse(
+    refuse(
         table,
         np.asarray(~tie & np.isnan(values).any(axis=1)),
         "a control or check point lacks a coordinate",
         "give X, Y and Z",
     )
-    _refuse(
+    refuse(
         table,
         np.asarray(tie & surveyed.any(axis=1)),
         "a tie point has a sigma",
         "make it control, or leave the sigmas empty",
     )
     control = role == ROLES.index("control")
-    _refuse(
+    refuse(
         table,
         np.asarray(control & ~surveyed.any(axis=1)),
         "a control point has no sigma",
@@ -135,24 +142,24 @@ def _read_observations(
     path: Path, keys: ObservationKeys, images: tuple[str, ...], points: tuple[str, ...]
 ) -> Observations:
     table = read_table(path, OBSERVATION_COLUMNS, ("sx", "sy"))
-    image = _known_rows(table, "image", images, "images.csv")
-    point = _known_rows(table, "point", points, "points.csv")
+    image = known_rows(table, "image", images, "images.csv")
+    point = known_rows(table, "point", points, "points.csv")
     pair = image * len(points) + point
     _, first = np.unique(pair, return_index=True)
     again = np.ones(len(pair), dtype=np.bool_)
     again[first] = False
-    _refuse(table, again, "the point was already observed in this image", "keep one of the observations")
+    refuse(table, again, "the point was already observed in this image", "keep one of the observations")
     common = keys.sigma if isinstance(keys.sigma, tuple) else (keys.sigma, keys.sigma)
     sigma = np.column_stack(
         [table.numbers(c, empty=s or np.nan) for c, s in zip(("sx", "sy"), common, strict=True)]
     )
-    _refuse(
+    refuse(
         table,
         np.asarray(np.isnan(sigma).any(axis=1)),
         "the observation has no sigma",
         "give sx and sy, or sigma in [observations]",
     )
-    _refuse(
+    refuse(
         table,
         np.asarray((sigma <= 0).any(axis=1)),
         "the sigma of an observation is not positive",
@@ -163,8 +170,10 @@ def _read_observations(
 
 
 def _present(folder: Path) -> list[str]:
-    """Tables of observations between points that the folder has."""
-    return [f"{name}s.csv" for name in RELATIONS if (folder / f"{name}s.csv").exists()]
+    """Optional tables that the folder has."""
+    return [
+        f"{name}s.csv" for name in (*RELATIONS, "position", "attitude") if (folder / f"{name}s.csv").exists()
+    ]
 
 
 def _read_relations(folder: Path, points: tuple[str, ...]) -> Relations:
@@ -174,11 +183,11 @@ def _read_relations(folder: Path, points: tuple[str, ...]) -> Relations:
         if not path.exists():
             continue
         table = read_table(path, ("from", "to", "value", "sigma"))
-        first, second = (_known_rows(table, end, points, "points.csv") for end in ("from", "to"))
+        first, second = (known_rows(table, end, points, "points.csv") for end in ("from", "to"))
         value, sigma = table.numbers("value"), table.numbers("sigma")
-        _refuse(table, first == second, "both ends are the same point", "name two points")
-        _refuse(table, sigma <= 0, "sigma is not positive", "give a standard deviation")
-        _refuse(table, (value <= 0) & (name == "distance"), "the distance is not positive", "correct it")
+        refuse(table, first == second, "both ends are the same point", "name two points")
+        refuse(table, sigma <= 0, "sigma is not positive", "give a standard deviation")
+        refuse(table, (value <= 0) & (name == "distance"), "the distance is not positive", "correct it")
         code = np.full(len(value), RELATIONS.index(name))
         scale = np.pi / 180 if name == "azimuth" else 1.0
         parts.append(Relations(code, first, second, value * scale, sigma * scale))
@@ -200,31 +209,5 @@ def _observations_path(folder: Path) -> Path:
 def _sigmas(table: Table, column: str) -> Floats:
     """Standard deviations; an empty cell leaves the value free."""
     sigma = table.numbers(column, empty=np.inf)
-    _refuse(table, sigma < 0, f"{column} is negative", "give a standard deviation")
+    refuse(table, sigma < 0, f"{column} is negative", "give a standard deviation")
     return sigma
-
-
-def _known_rows(table: Table, column: str, known: tuple[str, ...], where: str) -> Integers:
-    index, found = table.names(column)
-    position = {name: k for k, name in enumerate(known)}
-    _refuse_unknown(table, index, found, position, column, where)
-    return np.array([position[name] for name in found], dtype=np.int64)[index]
-
-
-def _refuse_unknown(
-    table: Table, index: Integers, found: tuple[str, ...], known: dict[str, int], what: str, where: str
-) -> None:
-    unknown = np.array([name not in known for name in found], dtype=np.bool_)
-    if unknown.any():
-        row = int(np.flatnonzero(unknown[index])[0])
-        raise InputMalformedError(
-            f"{what} {found[index[row]]!r} is not in {where}",
-            where=table.place(row),
-            remedy="correct the name",
-        )
-
-
-def _refuse(table: Table, bad: NDArray[np.bool_], what: str, remedy: str) -> None:
-    rows = np.flatnonzero(bad)
-    if len(rows):
-        raise InputMalformedError(what, where=table.place(int(rows[0])), remedy=remedy)

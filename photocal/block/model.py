@@ -8,6 +8,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from photocal.adjustment.mounting import (
+    NO_ATTITUDES,
+    NO_MOUNTING,
+    NO_POSITIONS,
+    Attitudes,
+    Mounting,
+    Positions,
+)
 from photocal.adjustment.network import NO_RELATIONS, Relations
 from photocal.geometry.camera import Camera
 
@@ -123,6 +131,8 @@ class Block:
     inputs : tuple of InputFile
     relations : Relations
         Distances and height differences between points, by their index.
+    positions, attitudes, mounting
+        Observations of a GNSS antenna and an inertial unit, and how they are mounted.
     """
 
     name: str
@@ -136,3 +146,6 @@ class Block:
     observations: Observations
     inputs: tuple[InputFile, ...]
     relations: Relations = NO_RELATIONS
+    positions: Positions = NO_POSITIONS
+    attitudes: Attitudes = NO_ATTITUDES
+    mounting: Mounting = NO_MOUNTING

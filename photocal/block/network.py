@@ -97,6 +97,9 @@ def assemble(block: Block) -> Assembly:
         names,
         _relations(block, position),
         _datum_points(block, position),
+        replace(block.positions, values=block.positions.values - origin),
+        block.attitudes,
+        block.mounting,
     )
     return Assembly(network, used, order, origin)
 
@@ -200,6 +203,7 @@ def _require_rays(block: Block, rays_of_point: Integers) -> None:
 def _require_datum(block: Block, rays_of_point: Integers) -> None:
     control = block.points.of_role("control") & (rays_of_point > 0)
     carried = np.sum(np.isfinite(block.points.sigma[control])) + np.sum(np.isfinite(block.images.sigma))
+    carried += block.positions.values.size
     if block.datum == "control" and carried == 0:
         raise IllPosedError(
             "nothing fixes the datum: no control point and no exposure has a sigma",

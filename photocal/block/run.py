@@ -13,6 +13,7 @@ import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
 
+from photocal.adjustment.mounting import BORESIGHT, COMMON, STRIPS
 from photocal.adjustment.solution import Solution, global_test
 from photocal.block.model import ROLES, Block
 from photocal.block.network import Assembly, plane_per_unit
@@ -68,12 +69,16 @@ def summary(
         "groups": [dict(vars(group)) for group in solution.groups],
         "cameras": _cameras(block, solution),
         "images": _image_residuals(block, assembly, solution),
+        "mounting": _mounting(block, solution),
         "checks": _checks(block, assembly, solution),
-        "unobserved": [
-            name for j, name in enumerate(block.points.names) if j not in set(assembly.points.tolist())
-        ],
+        "rejected": _rejected(block, assembly),
+        "unobserved": [block.points.names[j] for j in np.flatnonzero(_unobserved(block))],
         "timing_s": timing_s,
     }
+
+
+def _unobserved(block: Block) -> NDArray[np.bool_]:
+    return np.asarray(np.bincount(block.observations.point, minlength=len(block.points.names)) == 0)
 
 
 def write_run(
@@ -138,6 +143,41 @@ def _cameras(block: Block, solution: Solution) -> dict[str, Any]:
             "correlation": {"names": [PARAMETERS[k] for k in active], "matrix": correlation.tolist()},
         }
     return cameras
+
+
+def _mounting(block: Block, solution: Solution) -> dict[str, Any] | None:
+    """Lever arm (m, body axes), boresight (deg), time offset (s) and the strips' shifts and drifts."""
+    if not len(block.positions.image) and not len(block.attitudes.image):
+        return None
+    strips = (len(solution.state.common) - STRIPS) // 6
+    names = list(COMMON) + [
+        f"{what}_{axis}[{strip}]" for strip in range(strips) for what in ("shift", "drift") for axis in "xyz"
+    ]
+    scale = np.ones(len(names))
+    scale[BORESIGHT] = np.degrees(1.0)
+    values = solution.state.common * scale
+    sigma = np.sqrt(np.diag(solution.common_covariance)) * scale
+    return {
+        name: {
+            "value": float(values[k]),
+            "sigma": float(sigma[k]),
+            "estimated": bool(block.mounting.sigma[k] != 0),
+        }
+        for k, name in enumerate(names)
+    }
+
+
+def _rejected(block: Block, assembly: Assembly) -> list[dict[str, str]]:
+    """Observations that take no part because data snooping found them wrong."""
+    part = np.zeros(len(block.observations.image), dtype=np.bool_)
+    part[assembly.rays] = True
+    return [
+        {
+            "image": block.images.names[block.observations.image[row]],
+            "point": block.points.names[block.observations.point[row]],
+        }
+        for row in np.flatnonzero(~part)
+    ]
 
 
 def _image_residuals(block: Block, assembly: Assembly, solution: Solution) -> dict[str, Any]:
@@ -211,12 +251,13 @@ def _points(block: Block, assembly: Assembly, solution: Solution) -> Any:
 
 def _residuals(block: Block, assembly: Assembly, solution: Solution) -> Any:
     """One row for each observation, in the order of the block's table."""
-    back = np.argsort(assembly.rays)
     observations = block.observations
-    v = observed_residuals(block, assembly, solution)[back]
-    r = solution.redundancy[back]
     sign = np.array([1.0, -1.0 if observations.axes == "pixel" else 1.0])
-    w = (solution.standardised(assembly.network.rays.sigma) * sign)[back]
+    # Observations that take no part have empty cells.
+    v, r, w = np.full((3, len(observations.image), 2), np.nan)
+    v[assembly.rays] = observed_residuals(block, assembly, solution)
+    r[assembly.rays] = solution.redundancy
+    w[assembly.rays] = solution.standardised(assembly.network.rays.sigma) * sign
     images = pa.DictionaryArray.from_arrays(observations.image, list(block.images.names))
     points = pa.DictionaryArray.from_arrays(observations.point, list(block.points.names))
     columns: dict[str, Any] = {

@@ -24,6 +24,11 @@ from photocal.geometry.camera import PARAMETERS, Affinity, AffinityForm, Camera,
 NonNegative = Annotated[FiniteFloat, Field(ge=0)]
 
 
+# A sigma, one for each axis, or "free" for an unknown without prior knowledge.
+Sigma = NonNegative | tuple[NonNegative, NonNegative, NonNegative] | Literal["free"]
+BodyAxis = Literal["forward", "backward", "right", "left", "up", "down"]
+
+
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -64,12 +69,27 @@ class CameraKeys(_Strict):
     affinity_form: AffinityForm = "fraser"
 
 
+class MountingKeys(_Strict):
+    """Section `[mounting]`: where the GNSS antenna and the inertial unit sit beside the camera."""
+
+    lever_arm_m: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = (0.0, 0.0, 0.0)
+    lever_arm_sigma_m: Sigma = 0.0
+    boresight_deg: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = (0.0, 0.0, 0.0)
+    boresight_sigma_deg: Sigma = 0.0
+    time_offset_s: FiniteFloat = 0.0
+    time_offset_sigma_s: Sigma = 0.0
+    strip_shift_sigma_m: Sigma = 0.0
+    strip_drift_sigma_m_s: Sigma = 0.0
+    camera_axes: tuple[BodyAxis, BodyAxis, BodyAxis] = ("right", "forward", "up")
+
+
 class Setup(_Strict):
     """The whole of `block.toml`."""
 
     block: BlockKeys
     observations: ObservationKeys
     camera: list[CameraKeys] = Field(min_length=1)
+    mounting: MountingKeys = MountingKeys()
 
 
 def read_setup(path: Path) -> Setup:

@@ -63,7 +63,7 @@ class Table:
             cells = cells.cast(pa.string())
         cells = pc.utf8_trim_whitespace(cells)
         empty = pc.or_kleene(pc.is_null(cells), pc.equal(cells, ""))
-        self._refuse(np.asarray(empty), f"{column} is empty", "give every row its name")
+        refuse(self, np.asarray(empty), f"{column} is empty", "give every row its name")
         encoded = cells.combine_chunks().dictionary_encode()
         return np.asarray(encoded.indices, dtype=np.int64), tuple(encoded.dictionary.to_pylist())
 
@@ -93,9 +93,9 @@ class Table:
         else:
             blank = np.asarray(pc.is_null(cells))
             values = np.asarray(cells.cast(pa.float64()).fill_null(0.0))
-        self._refuse(~np.isfinite(values) & ~blank, f"{column} is not finite", "give a number")
+        refuse(self, ~np.isfinite(values) & ~blank, f"{column} is not finite", "give a number")
         if empty is None:
-            self._refuse(blank, f"{column} is empty", "give a number")
+            refuse(self, blank, f"{column} is empty", "give a number")
             return np.array(values)
         return np.where(blank, empty, values)
 
@@ -115,11 +115,6 @@ class Table:
                 ) from None
         # Spellings that only one of the two readers takes, such as "+1.5".
         return np.array([float(cell or 0) for cell in cells.to_pylist()])
-
-    def _refuse(self, bad: NDArray[np.bool_], what: str, remedy: str) -> None:
-        rows = np.flatnonzero(bad)
-        if len(rows):
-            raise InputMalformedError(what, where=self.place(int(rows[0])), remedy=remedy)
 
 
 def read_table(path: Path, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> Table:
@@ -241,3 +236,32 @@ def _refuse_cut_end(table: Table) -> None:
             where=table.place(len(table) - 1),
             remedy="end the last line with a line end if it is complete",
         )
+
+
+def known_rows(table: Table, column: str, known: tuple[str, ...], where: str) -> Integers:
+    """Index of each row's name among the known ones; complains of others."""
+    index, found = table.names(column)
+    position = {name: k for k, name in enumerate(known)}
+    refuse_unknown(table, index, found, position, column, where)
+    return np.array([position[name] for name in found], dtype=np.int64)[index]
+
+
+def refuse_unknown(
+    table: Table, index: Integers, found: tuple[str, ...], known: dict[str, int], what: str, where: str
+) -> None:
+    """Complain of the first row whose name is not known."""
+    unknown = np.array([name not in known for name in found], dtype=np.bool_)
+    if unknown.any():
+        row = int(np.flatnonzero(unknown[index])[0])
+        raise InputMalformedError(
+            f"{what} {found[index[row]]!r} is not in {where}",
+            where=table.place(row),
+            remedy="correct the name",
+        )
+
+
+def refuse(table: Table, bad: NDArray[np.bool_], what: str, remedy: str) -> None:
+    """Complain of the first bad row."""
+    rows = np.flatnonzero(bad)
+    if len(rows):
+        raise InputMalformedError(what, where=table.place(int(rows[0])), remedy=remedy)

@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, cast
 
 import typer
 
 from acquire.console import answer
+from drivers.errors import ConfigurationError
 
 
 def adjust(
     block: Annotated[
-        Path, typer.Argument(help="Block folder (block.toml, images.csv, points.csv, observations.csv).")
+        Path,
+        typer.Argument(
+            help="Block folder (block.toml, images.csv, points.csv, observations.csv), or a set-up file of "
+            "another program (DBAT, JAICOV)."
+        ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")],
+    snoop: Annotated[
+        str, typer.Option(help="Search for gross errors: `w` (a priori sigmas) or `tau` (a posteriori).")
+    ] = "",
     as_json: Annotated[bool, typer.Option("--json", help="Print result.json instead of a summary.")] = False,
 ) -> None:
     """Adjust a block: camera, orientations and points with their complete statistics.
@@ -23,8 +35,27 @@ def adjust(
     """
     from photocal.block.process import adjust_block
 
-    result = adjust_block(block, output)
+    if snoop not in ("", "w", "tau"):
+        raise ConfigurationError(f"--snoop {snoop} is not known", remedy="use w or tau")
+    test = cast("Literal['w', 'tau'] | None", snoop or None)
+    with iteration_lines("adjusting") as report:
+        result = adjust_block(block, output, test, report)
     answer(as_json, lambda: result, lambda: _text(result, output))
+
+
+@contextmanager
+def iteration_lines(title: str) -> Iterator[Callable[[Any], None]]:
+    """Show each iteration on standard error when a person watches and it takes more than a second."""
+    began = time.monotonic()
+
+    def line(iteration: Any) -> None:
+        if sys.stderr.isatty() and time.monotonic() - began > 1.0:
+            sys.stderr.write(
+                f"{title}: iteration {iteration.number}, chi-squared {iteration.chi_squared:.6g}, "
+                f"step {iteration.decrement**0.5:.2g} sigma\n"
+            )
+
+    yield line
 
 
 def _text(result: dict[str, Any], output: Path) -> str:
@@ -46,6 +77,8 @@ def _text(result: dict[str, Any], output: Path) -> str:
         for parameter, figures in camera["parameters"].items():
             if figures["estimated"]:
                 lines.append(f"  {parameter:<3}{figures['value']:>15.8g}  +- {figures['sigma']:.3g}")
+    if result["rejected"]:
+        lines.append(f"{len(result['rejected'])} observation(s) rejected as gross errors")
     checks = result["checks"]
     if checks["n"]:
         rmse = ", ".join(f"{axis} {value * 1000:.1f}" for axis, value in checks["rmse_m"].items())

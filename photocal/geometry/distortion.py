@@ -75,7 +75,7 @@ def undistorted(camera: Camera, measured: Floats) -> Floats:
     if camera.affinity == "before":
         xb = _through(affine, xb)
     elif camera.affinity == "after":
-        xb = _through(np.linalg.inv(affine), xb)
+        xb = _through(np.asarray(np.linalg.inv(affine), dtype=np.float64), xb)
     extra = affine - np.eye(2) if camera.affinity == "additive" else np.zeros((2, 2))
     return _solve(lambda p: p + polynomial_distortion(camera, p) + p @ extra.T, xb)
 
@@ -105,7 +105,7 @@ def distorted(camera: Camera, ideal: Floats) -> Floats:
     elif camera.affinity == "after":
         xb = _through(affine, xb)
     else:
-        xb = _through(np.linalg.inv(affine), xb)
+        xb = _through(np.asarray(np.linalg.inv(affine), dtype=np.float64), xb)
     return xb + principal
 
 

@@ -1,0 +1,260 @@
+"""Reliability: which errors the tests would find, and what those they miss would do.
+
+Internal reliability is the smallest error of an observation that the test of its standardised residual
+finds with a stated power (Baarda 1968); external reliability the effect of such an error on the unknowns
+(Foerstner 1979).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special, stats
+
+from photocal.adjustment.datum import correction, with_datum
+from photocal.adjustment.envelope import factorise, selected_inverse, solve
+from photocal.adjustment.kernels import back_substitute, statistics
+from photocal.adjustment.network import Network
+from photocal.adjustment.normal import Normal, Problem, normal_equations, prepare, values_of
+from photocal.adjustment.rank import explain_singular
+from photocal.adjustment.sensitivity import along, point_effects
+from photocal.adjustment.solution import Solution
+from photocal.adjustment.state import State
+from photocal.geometry.camera import PARAMETERS
+
+Floats = NDArray[np.float64]
+
+SIGNIFICANCE, POWER = 0.001, 0.80
+# Below this redundancy number no other observation checks an observation.
+UNCHECKED = 1e-9
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """Reliability of an adjusted network.
+
+    Attributes
+    ----------
+    noncentrality : float
+        delta0: the shift of a standardised residual that is found with the stated power.
+    ray_bias : ndarray, shape (rays, 2)
+        Minimal detectable bias of each image coordinate, in the unit of the image plane; infinite where
+        nothing checks it.
+    ray_external : ndarray, shape (rays, 2)
+        delta_bar: no function of the unknowns moves by more than this many of its standard deviations
+        when a bias of that size stays.
+    ray_on_c : ndarray, shape (rays, 2)
+        Change of the principal distance of the ray's camera by such a bias, in its unit.
+    ray_on_point : ndarray, shape (rays, 2)
+        Length of the displacement of the ray's own point by such a bias, m.
+    control_bias, control_external, control_on_c : ndarray, shape (points, 3)
+        The same for the observed coordinates of points, m; NaN where there is none. `control_on_c` is the
+        largest change of any camera's principal distance.
+    """
+
+    noncentrality: float
+    ray_bias: Floats
+    ray_external: Floats
+    ray_on_c: Floats
+    ray_on_point: Floats
+    control_bias: Floats
+    control_external: Floats
+    control_on_c: Floats
+
+
+def noncentrality(significance: float = SIGNIFICANCE, power: float = POWER, dimensions: int = 1) -> float:
+    """Shift of a standardised residual that its two-sided test finds with a stated power.
+
+    Parameters
+    ----------
+    significance : float
+        alpha0, the probability of rejecting a good observation.
+    power : float
+        beta0, the probability of finding the error.
+    dimensions : int
+        Degrees of freedom of the test; 2 for both coordinates of a ray at once.
+
+    Returns
+    -------
+    float
+        delta0, the root of the non-centrality lambda0 of the chi-squared distribution: 4.13 for 0.1 % and
+        80 % (Baarda 1968).
+    """
+    limit = stats.chi2.isf(significance, dimensions)
+    return float(np.sqrt(special.chndtrinc(limit, dimensions, 1.0 - power)))
+
+
+def minimal_detectable_bias(sigma: Floats, redundancy: Floats, delta0: float) -> Floats:
+    """Smallest error that is found: delta0 sigma / sqrt(r) (Baarda 1968); infinite where r is 0.
+
+    Parameters
+    ----------
+    sigma, redundancy : ndarray
+        Standard deviations and redundancy numbers of uncorrelated observations, of one shape.
+    delta0 : float
+        From `noncentrality`.
+
+    Returns
+    -------
+    ndarray
+        In the unit of `sigma`.
+    """
+    return np.asarray(delta0 * sigma / np.sqrt(_checked(redundancy)))
+
+
+def external_reliability(redundancy: Floats, delta0: float) -> Floats:
+    """Largest effect of an undetected error on any function of the unknowns, in its standard deviations.
+
+    delta_bar = delta0 sqrt((1 - r) / r) (Foerstner 1979, eq. for the sensitivity of uncorrelated
+    observations); infinite where r is 0.
+    """
+    r = _checked(redundancy)
+    return np.asarray(np.where(r > 0, delta0 * np.sqrt(np.maximum(1 - redundancy, 0.0)) / np.sqrt(r), np.inf))
+
+
+def _checked(redundancy: Floats) -> Floats:
+    return np.where(redundancy > UNCHECKED, redundancy, 0.0)
+
+
+def reliability(
+    network: Network, solution: Solution, significance: float = SIGNIFICANCE, power: float = POWER
+) -> Reliability:
+    """Internal and external reliability of all rays and control coordinates.
+
+    Parameters
+    ----------
+    network : Network
+    solution : Solution
+        Of the same network.
+    significance, power : float
+        Of the test of a standardised residual.
+
+    Returns
+    -------
+    Reliability
+    """
+    delta0 = noncentrality(significance, power)
+    factored = _factored(network, solution.state)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bias = minimal_detectable_bias(network.rays.sigma, solution.redundancy, delta0)
+        external = external_reliability(solution.redundancy, delta0)
+        control, control_external = _control_reliability(network, solution, delta0)
+        directions = [_direction_of_c(factored, k) for k in range(len(network.cameras))]
+        on_c = _on_c(factored, directions) * bias
+        effect = _on_own_points(factored) * bias[..., None]
+        control_on_c = np.full(control.shape, 0.0 if directions else np.nan)
+        for _, points in directions:
+            moved = np.einsum("na,nab->nb", points, network.points.weight) * control
+            control_on_c = np.fmax(control_on_c, np.abs(moved))
+    return Reliability(
+        delta0,
+        bias,
+        external,
+        on_c,
+        np.linalg.norm(effect, axis=-1),
+        control,
+        control_external,
+        np.where(np.isnan(control), np.nan, control_on_c),
+    )
+
+
+def _control_reliability(network: Network, solution: Solution, delta0: float) -> tuple[Floats, Floats]:
+    """Minimal detectable bias and delta_bar of observed point coordinates with full weight matrices.
+
+    With P the weights, a bias in coordinate i shifts the test by sqrt((P Qvv P)_ii) of it.
+    """
+    weight = network.points.weight
+    own = np.diagonal(weight, axis1=1, axis2=2)
+    adjusted = np.einsum("nab,nbc,ncd->nad", weight, solution.point_covariance, weight)
+    through = np.diagonal(adjusted, axis1=1, axis2=2)
+    observed = own > 0
+    checked = np.where(own - through > UNCHECKED * own, own - through, 0.0)
+    bias = np.where(observed, delta0 / np.sqrt(checked), np.nan)
+    external = np.where(checked > 0, bias * np.sqrt(np.maximum(through, 0.0)), np.inf)
+    return bias, np.where(observed, external, np.nan)
+
+
+@dataclass(frozen=True)
+class _Factored:
+    """Normal equations at the adjusted state, as matrix and as factor."""
+
+    problem: Problem
+    state: State
+    bare: Normal
+    factor: Normal
+
+
+def _factored(network: Network, state: State) -> _Factored:
+    problem = with_datum(prepare(network), state)
+    normal = normal_equations(problem, state)
+    bare = replace(normal, matrix=normal.matrix.copy())
+    if factorise(problem.layout.envelope, normal.matrix) >= 0:
+        explain_singular(problem, state)
+    return _Factored(problem, state, bare, normal)
+
+
+def _direction_of_c(factored: _Factored, camera: int) -> tuple[Floats, Floats]:
+    """Column of the covariance that belongs to a principal distance: reduced part and points.
+
+    Zero when it is held.
+    """
+    problem, kept = factored.problem, factored.factor.kept
+    active, columns = problem.layout.camera_columns[camera]
+    right, points = np.zeros(problem.layout.size), np.zeros_like(factored.state.points)
+    right[columns[active == PARAMETERS.index("c")]] = 1.0
+    if not right.any():
+        return right, points
+    step = solve(problem.layout.envelope, factored.factor.matrix, right)
+    still = kept._replace(gradient=np.zeros_like(kept.gradient))
+    back_substitute(
+        problem.design, problem.structure, step, still, points, np.zeros(len(problem.design.pieces) - 1)
+    )
+    points[problem.layout.kept_points] = step[problem.layout.point_columns]
+    return step, points
+
+
+def _change_along(factored: _Factored, step: Floats, points: Floats) -> Floats:
+    """Weighted change of all image coordinates along a direction, shape (rays, 2)."""
+    problem = factored.problem
+    change = np.zeros(problem.design.weight.shape)
+    arrays = np.ascontiguousarray(step), np.ascontiguousarray(points)
+    along(problem.design, values_of(problem, factored.state), problem.structure, *arrays, change)
+    return np.asarray(change * problem.design.weight)
+
+
+def _on_c(factored: _Factored, directions: list[tuple[Floats, Floats]]) -> Floats:
+    """Change of the own camera's principal distance per unit of each image coordinate, (rays, 2)."""
+    design = factored.problem.design
+    camera = design.image_camera[design.ray_image]
+    effect = np.zeros(design.weight.shape)
+    for k, direction in enumerate(directions):
+        effect = np.where((camera == k)[:, None], _change_along(factored, *direction), effect)
+    return effect
+
+
+def _on_own_points(factored: _Factored) -> Floats:
+    """Change of a ray's own point per unit of each image coordinate, shape (rays, 2, 3)."""
+    problem, factor, state = factored.problem, factored.factor, factored.state
+    design, structure = problem.design, problem.structure
+    values = values_of(problem, state)
+    inverse = selected_inverse(problem.layout.envelope, factor.matrix)
+    covariance = np.zeros((len(state.points), 3, 3))
+    spare = np.empty((2, *design.weight.shape))
+    statistics(design, values, structure, inverse, factor.kept, covariance, spare[0], spare[1])
+    effect = np.zeros((*design.weight.shape, 3))
+    point_effects(design, values, structure, inverse, factor.kept, covariance, effect)
+    if not len(problem.stiffened):
+        return effect
+    # S-transformation to inner constraints: what all datum points moved on the average is taken back.
+    datum = correction(problem, factor, factored.bare, state)
+    common = np.stack(
+        [
+            _change_along(factored, datum.spread[:, k], datum.point_spread[:, :, k])
+            for k in range(datum.spread.shape[1])
+        ],
+        axis=-1,
+    )
+    own = (datum.point_moves @ datum.inverse)[problem.network.rays.point]
+    return np.asarray(effect - np.einsum("nad,nrd->nra", own, common))

@@ -1,0 +1,139 @@
+"""Antenna positions, attitudes and mounting of a block folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError
+from photocal.adjustment.mounting import (
+    NO_ATTITUDES,
+    NO_POSITIONS,
+    STRIPS,
+    Attitudes,
+    Mounting,
+    Positions,
+)
+from photocal.block.setup import MountingKeys
+from photocal.block.table import Table, known_rows, read_table, refuse
+from photocal.geometry.body import object_to_body
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+POSITION_COLUMNS = ("image", "X", "Y", "Z", "sX", "sY", "sZ")
+POSITION_EXTRAS = ("sXY", "sXZ", "sYZ", "vX", "vY", "vZ", "strip", "time_s")
+ATTITUDE_COLUMNS = ("image", "roll", "pitch", "yaw", "sroll", "spitch", "syaw")
+BODY_AXES = {
+    "forward": (1.0, 0.0, 0.0),
+    "backward": (-1.0, 0.0, 0.0),
+    "right": (0.0, 1.0, 0.0),
+    "left": (0.0, -1.0, 0.0),
+    "down": (0.0, 0.0, 1.0),
+    "up": (0.0, 0.0, -1.0),
+}
+
+
+def read_positions(path: Path, images: tuple[str, ...]) -> Positions:
+    """Read `positions.csv`: antenna positions in the block's frame.
+
+    Parameters
+    ----------
+    path : Path
+        Columns image, X, Y, Z, sX, sY, sZ (m) and optionally the covariances sXY, sXZ, sYZ (m^2), the
+        velocity vX, vY, vZ (m/s), the strip's name and the time in the strip (s).
+    images : tuple of str
+
+    Returns
+    -------
+    Positions
+    """
+    if not path.exists():
+        return NO_POSITIONS
+    table = read_table(path, POSITION_COLUMNS, POSITION_EXTRAS)
+    image = known_rows(table, "image", images, "images.csv")
+    sigma = _sigmas(table, ("sX", "sY", "sZ"))
+    covariance = np.zeros((len(table), 3, 3))
+    covariance[:, range(3), range(3)] = sigma**2
+    for column, a, b in (("sXY", 0, 1), ("sXZ", 0, 2), ("sYZ", 1, 2)):
+        covariance[:, a, b] = covariance[:, b, a] = table.numbers(column, empty=0.0)
+    bad = np.asarray(np.linalg.eigvalsh(covariance)[:, 0] <= 0)
+    refuse(table, bad, "the covariance is not positive definite", "check sXY, sXZ and sYZ (m^2)")
+    velocity = np.column_stack([table.numbers(column, empty=0.0) for column in ("vX", "vY", "vZ")])
+    strip = table.names("strip")[0] if table.has("strip") else np.zeros(len(table), dtype=np.int64)
+    values = np.column_stack([table.numbers(column) for column in "XYZ"])
+    return Positions(image, values, covariance, velocity, strip, table.numbers("time_s", empty=0.0))
+
+
+def read_attitudes(path: Path, images: tuple[str, ...]) -> Attitudes:
+    """Read `attitudes.csv`: roll, pitch, yaw of the body and their standard deviations, degrees.
+
+    Parameters
+    ----------
+    path : Path
+    images : tuple of str
+
+    Returns
+    -------
+    Attitudes
+    """
+    if not path.exists():
+        return NO_ATTITUDES
+    table = read_table(path, ATTITUDE_COLUMNS)
+    image = known_rows(table, "image", images, "images.csv")
+    angles = np.radians(np.column_stack([table.numbers(column) for column in ("roll", "pitch", "yaw")]))
+    sigma = np.radians(_sigmas(table, ("sroll", "spitch", "syaw")))
+    rotation, turn_per_angle = object_to_body(angles)
+    covariance = turn_per_angle @ (sigma[:, :, None] ** 2 * np.swapaxes(turn_per_angle, 1, 2))
+    return Attitudes(image, rotation, covariance)
+
+
+def make_mounting(keys: MountingKeys, strips: int) -> Mounting:
+    """Make the mounting that `[mounting]` describes.
+
+    Parameters
+    ----------
+    keys : MountingKeys
+    strips : int
+        Number of strips.
+
+    Returns
+    -------
+    Mounting
+
+    Raises
+    ------
+    ConfigurationError
+        When the camera axes are not right-handed.
+    """
+    rotation = np.array([BODY_AXES[axis] for axis in keys.camera_axes])
+    if not np.isclose(np.linalg.det(rotation), 1.0):
+        raise ConfigurationError(
+            f"camera_axes {list(keys.camera_axes)} are not a right-handed system",
+            where="block.toml, [mounting]",
+            remedy="give the body directions of x (right), y (up in the image) and z (backwards)",
+        )
+    values, sigma = np.zeros(STRIPS + 6 * strips), np.zeros(STRIPS + 6 * strips)
+    values[:STRIPS] = [*keys.lever_arm_m, *np.radians(keys.boresight_deg), keys.time_offset_s]
+    sigma[:3] = _sigma(keys.lever_arm_sigma_m)
+    sigma[3:6] = np.radians(_sigma(keys.boresight_sigma_deg))
+    sigma[6] = _sigma(keys.time_offset_sigma_s)[0]
+    for strip in range(strips):
+        at = STRIPS + 6 * strip
+        sigma[at : at + 3] = _sigma(keys.strip_shift_sigma_m)
+        sigma[at + 3 : at + 6] = _sigma(keys.strip_drift_sigma_m_s)
+    return Mounting(rotation, values, sigma)
+
+
+def _sigma(given: object) -> Floats:
+    return np.broadcast_to(np.inf if given == "free" else np.asarray(given, dtype=float), 3)
+
+
+def _sigmas(table: Table, columns: tuple[str, ...]) -> Floats:
+    sigma = np.column_stack([table.numbers(column) for column in columns])
+    refuse(
+        table, np.asarray((sigma <= 0).any(axis=1)), "a sigma is not positive", "give a standard deviation"
+    )
+    return sigma
