@@ -216,7 +216,8 @@ def read_micmac(points: Path, measures: Path, orientations: Path) -> Block:
     Returns
     -------
     Block
-        Images without orientation are left out, with their measurements.
+        Images without orientation are left out, with their measurements. Measured points that are no ground
+        points are tie points.
 
     Raises
     ------
@@ -231,8 +232,11 @@ def read_micmac(points: Path, measures: Path, orientations: Path) -> Block:
         raise InputMalformedError("has no orientation of a measured image", where=orientations)
     calibrations = list(dict.fromkeys(own.calibration for own in found.values()))
     cameras = tuple(read_calibration(orientations / name) for name in calibrations)
-    entries = [parts.PointEntry(point.name, "control", point.xyz, point.sigma) for point in ground]
     used = [mark for mark in marks if mark.image in found]
+    entries = [parts.PointEntry(point.name, "control", point.xyz, point.sigma) for point in ground]
+    known = {point.name for point in ground}
+    tie = dict.fromkeys(mark.point for mark in used if mark.point not in known)
+    entries += [parts.PointEntry(name, "tie") for name in tie]
     read = [
         points,
         measures,
@@ -252,7 +256,7 @@ def read_micmac(points: Path, measures: Path, orientations: Path) -> Block:
             np.array([own.pose for own in found.values()]),
         ),
         parts.object_points(entries),
-        parts.observations(used, list(found), [point.name for point in ground], "px", "pixel"),
+        parts.observations(used, list(found), [entry.name for entry in entries], "px", "pixel"),
         tuple(fingerprint(path) for path in read),
     )
 

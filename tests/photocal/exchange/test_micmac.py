@@ -1,0 +1,80 @@
+"""MicMac: its own projections, both generations of its files, and a block that adjusts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.errors import InputMalformedError
+from photocal.adjustment.adjust import adjust
+from photocal.block.network import assemble
+from photocal.exchange.micmac import (
+    read_calibration,
+    read_ground_points,
+    read_measures,
+    read_micmac,
+    read_orientation,
+)
+from photocal.geometry.camera import plane_to_pixel
+from photocal.geometry.distortion import projected
+from photocal.geometry.rotation import matrix_from_angles
+
+pytestmark = pytest.mark.shared
+
+
+@pytest.fixture
+def folder(shared: Path) -> Path:
+    return shared / "data" / "micmac-saisies-gcp"
+
+
+@pytest.mark.parametrize("number", range(4167, 4171))
+def test_its_own_projections(folder: Path, number: int) -> None:
+    """<Verif>: image and ground coordinates that MicMac itself computed with this orientation."""
+    own = read_calibration(folder / "Ori-Ground_mm3d" / "AutoCal_Foc-28000_Cam-PENTAX_K5.xml")
+    orientation = read_orientation(folder / "Ori-Ground_mm3d" / f"Orientation-IMGP{number}.JPG.xml")
+    assert len(orientation.ground_points) == 10
+    q = (orientation.ground_points - orientation.pose[3:]) @ matrix_from_angles(orientation.pose[:3]).T
+    found = plane_to_pixel(own.size_px, own.pitch, projected(own, q))
+    assert np.abs(found - orientation.image_points).max() < 1e-9
+
+
+def test_both_generations_say_the_same(folder: Path) -> None:
+    new = folder / "MMVII-PhgrProj" / "PointsMeasure" / "Saisies_MMVII"
+    old = {point.name: point for point in read_ground_points(folder / "Ground-Pts3D.xml")}
+    for point in read_ground_points(new / "MesGCP-FromV1-Ground-Pts3D.xml"):
+        np.testing.assert_allclose(point.xyz, old[point.name].xyz, atol=1e-14)
+        assert point.sigma == old[point.name].sigma
+    marks = {(mark.image, mark.point): mark for mark in read_measures(folder / "GroundMeasure.xml")}
+    again = [mark for path in sorted(new.glob("MesIm-*.xml")) for mark in read_measures(path)]
+    assert len(again) == len(marks)
+    for mark in again:
+        other = marks[mark.image, mark.point]
+        assert (mark.x, mark.y) == pytest.approx((other.x, other.y), abs=1e-9)
+
+
+def test_block_adjusts(folder: Path) -> None:
+    block = read_micmac(folder / "Ground-Pts3D.xml", folder / "GroundMeasure.xml", folder / "Ori-Ground_mm3d")
+    # The file's uncertainty of 1 is a placeholder: with 1 m the network would hang in the air.
+    assert np.all(block.points.sigma[block.points.of_role("control")] == 1)
+    points = replace(block.points, sigma=np.where(block.points.sigma == 1, 0.01, block.points.sigma))
+    solution = adjust(assemble(replace(block, points=points)).network)
+    # Clicked marks.
+    assert np.sqrt(np.mean(solution.residuals**2)) < 2
+
+
+def test_wrong_convention(folder: Path, tmp_path: Path) -> None:
+    text = (folder / "Ori-Ground_mm3d" / "AutoCal_Foc-28000_Cam-PENTAX_K5.xml").read_text()
+    path = tmp_path / "c.xml"
+    for old, new, message in (
+        ("eConvApero_DistM2C", "eConvApero_DistC2M", "convention eConvApero_DistC2M"),
+        ("ModRad", "ModUnif", "no equivalent"),
+        ("<CDist>856", "<CDist>857", "centre of its own"),
+        ("<SzIm>1728", "<SzIm>172800000", "impossible"),
+        ("<F>2112.", "<F>2112,", "decimal comma"),
+    ):
+        path.write_text(text.replace(old, new))
+        with pytest.raises(InputMalformedError, match=message):
+            read_calibration(path)
