@@ -72,6 +72,56 @@ def along(
 
 
 @compiled
+def cross_covariance(
+    design: Design,
+    structure: Structure,
+    j: int,
+    kept: Eliminated,
+    local: Floats,
+    m: int,
+    mixed: Floats,
+    cross: Floats,
+) -> None:
+    """Covariance -V^-1 W' Q between a point and all that its rays touch, shape (3, m)."""
+    begin, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
+    edge, stays = 6 * n, design.point_column[j]
+    for a in range(3):
+        for c in range(m):
+            mixed[a, c] = 0.0
+            cross[a, c] = local[edge + stays + a, c] if stays >= 0 else 0.0
+        for b in range(3):
+            q = kept.inverse[j, a, b]
+            for r in range(n):
+                for c in range(6):
+                    mixed[a, 6 * r + c] += q * kept.mixed[begin + r, b, c]
+            for c in range(structure.lens):
+                mixed[a, edge + c] += q * kept.mixed_border[j, b, c]
+        if stays < 0:
+            for c in range(m):
+                for b in range(m):
+                    cross[a, b] -= mixed[a, c] * local[c, b]
+
+
+@compiled
+def ray_effect(
+    design: Design, r: int, at: int, first: int, own: Floats, cross: Floats, room: Scratch, effect: Floats
+) -> None:
+    """Effect of ray r, whose derivatives are in the scratch room, on its point."""
+    i = design.ray_image[r]
+    k = design.image_camera[i]
+    for a in range(2):
+        for d in range(3):
+            total = 0.0
+            for b in range(3):
+                total += own[d, b] * room.by_point[a, b]
+            for b in range(6):
+                total += cross[d, first + b] * room.by_pose[a, b]
+            for s in range(design.active_count[k]):
+                total += cross[d, at + s] * room.by_camera[a, design.active[k, s]]
+            effect[r, a, d] = total * design.weight[r, a]
+
+
+@compiled
 def point_effects_piece(
     design: Design,
     values: Values,
@@ -83,48 +133,26 @@ def point_effects_piece(
     effect: Floats,
     room: Scratch,
     mixed: Floats,
-    spread: Floats,
+    cross: Floats,
     local: Floats,
+    own: Floats,
 ) -> None:
     """Effects of one thread's rays, see `point_effects`."""
     for j in range(design.pieces[piece], design.pieces[piece + 1]):
-        begin, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
-        edge, stays = 6 * n, design.point_column[j]
+        begin, end = design.ray_start[j], design.ray_start[j + 1]
         m = gather(design, structure, j, inverse, local)
-        # spread = -Q_pu, see `kernels.statistics`.
+        cross_covariance(design, structure, j, kept, local, m, mixed, cross)
         for a in range(3):
-            for c in range(m):
-                mixed[a, c] = 0.0
-                spread[a, c] = 0.0
             for b in range(3):
-                q = kept.inverse[j, a, b]
-                for r in range(n):
-                    for c in range(6):
-                        mixed[a, 6 * r + c] += q * kept.mixed[begin + r, b, c]
-                for c in range(structure.lens):
-                    mixed[a, edge + c] += q * kept.mixed_border[j, b, c]
-            for c in range(m):
-                for b in range(m):
-                    spread[a, b] += mixed[a, c] * local[c, b]
-            if stays >= 0:
-                for b in range(m):
-                    spread[a, b] = -local[edge + stays + a, b]
-        for r in range(begin, begin + n):
+                own[a, b] = covariance[j, a, b]
+            if design.point_free[j, a] == 0.0:
+                for c in range(m):
+                    cross[a, c] = 0.0
+        for r in range(begin, end):
             i = design.ray_image[r]
-            k = design.image_camera[i]
             ray_rows(design, values, r, i, j, room)
-            at, first = edge + design.active_column[k], 6 * (r - begin)
-            for a in range(2):
-                for d in range(3):
-                    total = 0.0
-                    for b in range(3):
-                        total += covariance[j, d, b] * room.by_point[a, b]
-                    for b in range(6):
-                        total -= spread[d, first + b] * room.by_pose[a, b]
-                    for s in range(design.active_count[k]):
-                        total -= spread[d, at + s] * room.by_camera[a, design.active[k, s]]
-                    # The residual is computed minus measured: the measurement enters with the weight only.
-                    effect[r, a, d] = total * design.weight[r, a] * design.point_free[j, d]
+            at = 6 * (end - begin) + design.active_column[design.image_camera[i]]
+            ray_effect(design, r, at, 6 * (r - begin), own, cross, room, effect)
 
 
 @compiled_parallel
@@ -142,7 +170,7 @@ def point_effects(
     Parameters
     ----------
     design, values, structure, inverse, kept
-        As in `kernels.statistics`.
+        As in `kernels.statistics`. A measurement enters the normal equations by its weight only.
     covariance : ndarray, shape (points, 3, 3)
         Of the points, of the same (minimally constrained) datum.
     effect : ndarray, shape (rays, 2, 3)
@@ -163,4 +191,5 @@ def point_effects(
             np.zeros((3, size)),
             np.zeros((3, size)),
             np.zeros((size, size)),
+            np.zeros((3, 3)),
         )
