@@ -1,0 +1,163 @@
+"""Error ellipses and ellipsoids at a stated probability, and the mean precision of many points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Ellipses:
+    """Error ellipses in the X, Y plane.
+
+    Attributes
+    ----------
+    probability : float
+        That the true position lies inside.
+    semi_axes : ndarray, shape (n, 2)
+        The larger one first, m.
+    azimuth : ndarray, shape (n,)
+        Of the larger axis, from the Y axis towards X, in [0, pi) radians; 0 for a circle.
+    """
+
+    probability: float
+    semi_axes: Floats
+    azimuth: Floats
+
+
+@dataclass(frozen=True)
+class Ellipsoids:
+    """Error ellipsoids.
+
+    Attributes
+    ----------
+    probability : float
+        That the true position lies inside.
+    semi_axes : ndarray, shape (n, 3)
+        From the largest to the smallest, m.
+    directions : ndarray, shape (n, 3, 3)
+        Unit vectors of the axes, one in each row; their Z is not negative.
+    azimuth, elevation : ndarray, shape (n, 3)
+        Of each axis: from the Y axis towards X, in [0, 2 pi), and above the X, Y plane, radians.
+    """
+
+    probability: float
+    semi_axes: Floats
+    directions: Floats
+    azimuth: Floats
+    elevation: Floats
+
+
+@dataclass(frozen=True)
+class MeanPrecision:
+    """Precision of many points in few figures.
+
+    The two means are not the same: the root mean square is never the smaller one.
+
+    Attributes
+    ----------
+    arithmetic_by_axis, root_mean_square_by_axis : ndarray, shape (3,)
+        Of the standard deviations in X, Y and Z, m.
+    arithmetic, root_mean_square : float
+        Of the standard deviations of all coordinates together, m; the latter is sqrt(tr C / 3 n).
+    spread_by_axis : ndarray, shape (3,)
+        Largest less smallest standard deviation: how unlike the points are, m.
+    """
+
+    arithmetic_by_axis: Floats
+    root_mean_square_by_axis: Floats
+    arithmetic: float
+    root_mean_square: float
+    spread_by_axis: Floats
+
+
+def enlargement(probability: float, dimensions: int) -> float:
+    """Semi-axis of the ellipse or ellipsoid of a probability in units of the standard deviation.
+
+    Parameters
+    ----------
+    probability : float
+        In (0, 1).
+    dimensions : int
+        1: interval, 2: ellipse, 3: ellipsoid.
+
+    Returns
+    -------
+    float
+        The root of the quantile of chi-squared: of C = 6.25, 7.81, 11.34 for 90, 95, 99 % in space.
+    """
+    return float(np.sqrt(stats.chi2(dimensions).ppf(probability)))
+
+
+def ellipses(covariance: Floats, probability: float) -> Ellipses:
+    """Error ellipses of positions in the X, Y plane.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (n, m, m)
+        m^2, m at least 2; X and Y are the first two.
+    probability : float
+
+    Returns
+    -------
+    Ellipses
+    """
+    lengths, vectors = _axes(covariance[:, :2, :2])
+    azimuth = np.arctan2(vectors[:, 0, 0], vectors[:, 0, 1]) % np.pi
+    # 1e-9 below pi is 0: the axis has no sign.
+    azimuth = np.where((np.pi - azimuth < 1e-9) | np.isclose(lengths[:, 0], lengths[:, 1]), 0.0, azimuth)
+    return Ellipses(probability, lengths * enlargement(probability, 2), azimuth)
+
+
+def ellipsoids(covariance: Floats, probability: float) -> Ellipsoids:
+    """Error ellipsoids of positions.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (n, 3, 3)
+        m^2.
+    probability : float
+
+    Returns
+    -------
+    Ellipsoids
+    """
+    lengths, vectors = _axes(covariance)
+    vectors = vectors * np.where(vectors[..., 2:] < 0, -1.0, 1.0)
+    azimuth = np.arctan2(vectors[..., 0], vectors[..., 1]) % (2 * np.pi)
+    elevation = np.arctan2(vectors[..., 2], np.hypot(vectors[..., 0], vectors[..., 1]))
+    return Ellipsoids(probability, lengths * enlargement(probability, 3), vectors, azimuth, elevation)
+
+
+def _axes(covariance: Floats) -> tuple[Floats, Floats]:
+    """Standard deviations along the principal axes, largest first, and the axes as rows."""
+    variances, vectors = np.linalg.eigh(covariance)
+    return np.sqrt(np.maximum(variances[:, ::-1], 0.0)), np.swapaxes(vectors, 1, 2)[:, ::-1]
+
+
+def mean_precision(covariance: Floats) -> MeanPrecision:
+    """Mean precision of points, in both definitions in use.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (n, 3, 3)
+        Of at least one point, m^2.
+
+    Returns
+    -------
+    MeanPrecision
+    """
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
+    sigma = np.sqrt(variance)
+    return MeanPrecision(
+        sigma.mean(axis=0),
+        np.sqrt(variance.mean(axis=0)),
+        float(sigma.mean()),
+        float(np.sqrt(variance.mean())),
+        np.ptp(sigma, axis=0),
+    )
