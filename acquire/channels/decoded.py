@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -36,6 +36,23 @@ class Decoded:
     payloads: list[bytes]
     index: NDArray[np.int64]
     publish_ns: NDArray[np.int64]
+
+
+def in_order(parts: Iterable[Decoded]) -> list[Decoded]:
+    """Put the messages of each channel in the order of their frames, so that batches leave no trace."""
+    by_channel: dict[Channel, list[Decoded]] = {}
+    for part in parts:
+        if part.payloads:
+            by_channel.setdefault(part.channel, []).append(part)
+    return [group[0] if len(group) == 1 else _merged(channel, group) for channel, group in by_channel.items()]
+
+
+def _merged(channel: Channel, parts: list[Decoded]) -> Decoded:
+    index = np.concatenate([part.index for part in parts])
+    order = np.argsort(index, kind="stable")
+    payloads = [payload for part in parts for payload in part.payloads]
+    publish = np.concatenate([part.publish_ns for part in parts])
+    return Decoded(channel, [payloads[i] for i in order.tolist()], index[order], publish[order])
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.channels.decoded import Decoded, JsonLayout, Times
+from acquire.channels.decoded import Decoded, JsonLayout, Times, in_order
 from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, STATION
 from acquire.channels.receiver_time import ReceiverClock
 from acquire.log import foxglove
@@ -51,7 +51,7 @@ class ReceiverDecoder:
             *self._clocks(batch, log_ns, publish),
             *self._stations(batch, publish),
         ]
-        return publish, [d for d in decoded if d.payloads]
+        return publish, in_order(decoded)
 
     def _positions(self, batch: Batch, publish: NDArray[np.int64]) -> Iterator[Decoded]:
         found = {name: read(batch) for name, read in _READERS.items()}

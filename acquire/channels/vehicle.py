@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.channels.decoded import Decoded, Made
+from acquire.channels.decoded import Decoded, Made, in_order
 from acquire.channels.vehicle_messages import MAKERS, Sent
 from drivers.frames import Batch, Wire
 from drivers.mavlink.decode import Messages, decode
@@ -64,7 +64,7 @@ class VehicleDecoder:
                 publish[messages.index[known]] = device[known]
             if kind in self._made:
                 decoded.extend(self._decode(kind, messages, log_ns, publish))
-        return publish, decoded
+        return publish, in_order(decoded)
 
     def _boot_offsets(self, batch: Batch) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return from which frame on which UTC of boot holds (-1: unknown)."""

@@ -8,8 +8,8 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 from drivers.errors import InputMalformedError, InputNotFoundError
 from drivers.frames import Framer, Wire
@@ -61,7 +61,7 @@ class Source:
         The file, open.
     """
 
-    def __init__(self, path: Path, raw: BinaryIO) -> None:
+    def __init__(self, path: Path, raw: BufferedReader) -> None:
         self.path = path
         self.packed = raw.read(2) == _GZIP
         raw.seek(0)

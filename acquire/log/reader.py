@@ -106,6 +106,7 @@ class LogReader:
                 f"cannot be read ({reason})", where=self.path, remedy="check name and rights"
             ) from refusal
         with stream:
+            total = self.path.stat().st_size
             magic = stream.read(len(records.MAGIC))
             if magic != records.MAGIC:
                 what = "is no flight log (MCAP)" if magic else "is empty"
@@ -114,10 +115,9 @@ class LogReader:
                 )
             while len(head := stream.read(9)) == 9:
                 opcode, size = struct.unpack("<BQ", head)
-                body = stream.read(size) if size < 1 << 40 else b""
-                if len(body) < size:
+                if size > total - stream.tell():
                     return
-                yield opcode, body
+                yield opcode, stream.read(size)
                 if opcode == records.FOOTER:
                     return
 
@@ -128,7 +128,7 @@ class LogReader:
         packed = cursor.bytes(cursor.number("<Q"))
         try:
             content = _unpack(compression, packed, size)
-        except (RuntimeError, ValueError, EOFError) as damage:
+        except (RuntimeError, ValueError, EOFError, MemoryError) as damage:
             raise InputMalformedError(
                 f"a chunk cannot be unpacked ({damage})", where=self.path, remedy="run acquire recover"
             ) from damage

@@ -170,7 +170,8 @@ def _add(link: LinkSummary, messages: Messages) -> None:
 
 def _sender(source: tuple[int, int], parts: list[NDArray[np.uint8]]) -> dict[str, int]:
     # Each source numbers its frames modulo 256: what the steps skip was sent but did not arrive.
-    steps = np.diff(np.concatenate(parts).astype(np.int64)) % 256
+    numbers = np.concatenate(parts).astype(np.int64)
+    steps = (numbers[1:] - numbers[:-1]) & 0xFF
     lost = int((steps[steps > 0] - 1).sum())
     return {
         "system": source[0],

@@ -1,0 +1,56 @@
+"""Runs of the command line, and logs of the recorded data, imported once."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from acquire.simulate.flight import telemetry_log
+from drivers.mavlink.dialect import ardupilotmega
+
+Acquire = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture(scope="session")
+def acquire() -> Acquire:
+    """Run `acquire` with arguments, as a person does."""
+
+    def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "acquire.cli", *map(str, arguments)]
+        return subprocess.run(command, capture_output=True, text=True, check=False)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def demo_flight() -> bytes:
+    """Bytes of the synthetic flight."""
+    return telemetry_log(ardupilotmega())
+
+
+@pytest.fixture(scope="session")
+def logs(shared: Path, acquire: Acquire, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Flight logs of the recorded data."""
+    data = shared / "data"
+    folder = tmp_path_factory.mktemp("logs")
+    m8p = data / "gnss-ubx-m8p-base-rover"
+    sources: dict[str, list[object]] = {
+        "dronekit": [data / "mavlink-tlog-dronekit/flight.tlog"],
+        "cuav": [data / "mavlink-tlog-cuav-images/flight.tlog"],
+        "m8p": [
+            "--link", f"rover={m8p / 'rover-20181004-1237.ubx.gz'}",
+            "--link", f"base={m8p / 'base-20181004-1236.ubx.gz'}",
+        ],
+        "moving": ["--link", f"rover={m8p / 'rover-20181009-1221.ubx.gz'}"],
+        "f9p": ["--link", f"rover={data / 'gnss-f9p-lossy-ubx-rtcm/20210809-121012-ubx-nmea-data.ubx'}"],
+    }  # fmt: skip
+    made = {}
+    for name, arguments in sources.items():
+        made[name] = folder / f"{name}.mcap"
+        done = acquire("import", *arguments, "-o", made[name])
+        assert done.returncode == 0, done.stderr
+    return made

@@ -1,0 +1,140 @@
+"""What cannot be imported: one line, the exit code of its class, nothing half-written."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import resource
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from acquire.importing.importer import import_recordings
+from acquire.log.reader import LogReader
+from drivers.errors import InputMalformedError
+
+Acquire = Callable[..., subprocess.CompletedProcess[str]]
+
+
+def raw_frames(path: Path) -> list[bytes]:
+    reader = LogReader(path)
+    return [
+        payload
+        for chunk in reader.chunks()
+        for part in chunk
+        if part.channel.topic.endswith("/raw")
+        for payload in part.payloads
+    ]
+
+
+@pytest.mark.parametrize(
+    ("content", "code", "word"),
+    [
+        (b"", 3, "empty"),
+        (b"no recording at all\n" * 50, 4, "no whole MAVLink record"),
+        (gzip.compress(b"\0" * 5000), 4, "no whole MAVLink record"),
+        (b"\x1f\x8b\x08\0\0\0\0\0\0\0garbage and more garbage", 4, "gzip"),
+    ],
+)
+def test_content_that_is_no_recording(
+    content: bytes, code: int, word: str, acquire: Acquire, tmp_path: Path
+) -> None:
+    source = tmp_path / "recording.tlog"
+    source.write_bytes(content)
+    done = acquire("import", source, "-o", tmp_path / "out.mcap")
+    assert done.returncode == code
+    assert done.stderr.count("\n") == 1
+    assert word in done.stderr
+    assert "recording.tlog" in done.stderr
+    assert [p.name for p in tmp_path.iterdir()] == ["recording.tlog"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "word"),
+    [
+        (["{here}", "-o", "{here}/out.mcap"], 3, "folder"),
+        (["{here}/missing.ubx", "-o", "{here}/out.mcap"], 3, "cannot be read"),
+        (["{here}/good.tlog", "-o", "{here}/"], 8, "folder"),
+        (["-o", "{here}/out.mcap"], 5, "no recording"),
+        (["--link", "rover", "-o", "{here}/out.mcap"], 5, "NAME=FILE"),
+        (["--link", "a/b={here}/good.tlog", "-o", "{here}/out.mcap"], 5, "NAME=FILE"),
+        (["{here}/good.tlog", "{here}/good.tlog", "-o", "{here}/out.mcap"], 5, "two recordings"),
+    ],
+)
+def test_arguments_that_cannot_be_meant(
+    arguments: list[str], code: int, word: str, acquire: Acquire, tmp_path: Path, demo_flight: bytes
+) -> None:
+    (tmp_path / "good.tlog").write_bytes(demo_flight)
+    done = acquire("import", *(a.format(here=tmp_path) for a in arguments))
+    assert done.returncode == code, done.stderr
+    assert done.stderr.count("\n") == 1
+    assert word in done.stderr
+    assert [p.name for p in tmp_path.iterdir()] == ["good.tlog"]
+
+
+def test_a_recording_cut_at_any_byte_is_imported_to_its_last_whole_frame(
+    tmp_path: Path, demo_flight: bytes
+) -> None:
+    source, log = tmp_path / "cut.tlog", tmp_path / "cut.mcap"
+    whole, at = [], 0
+    while at < 1500:
+        size = 8 + demo_flight[at + 9] + 12
+        whole.append((at + size, demo_flight[at + 8 : at + size]))
+        at += size
+    for end in range(1, at + 1):
+        source.write_bytes(demo_flight[:end])
+        expected = [frame for last, frame in whole if last <= end]
+        if not expected:
+            with pytest.raises(InputMalformedError):
+                import_recordings([], [source], log, lambda _: None)
+            continue
+        (result,) = import_recordings([], [source], log, lambda _: None)
+        assert raw_frames(log) == expected
+        assert result.cut == end - max(last for last, _ in whole if last <= end)
+        assert result.tally.damage_bytes == result.cut
+
+
+def test_a_cut_recording_says_so(acquire: Acquire, tmp_path: Path, demo_flight: bytes) -> None:
+    source = tmp_path / "cut.tlog"
+    source.write_bytes(demo_flight[:1000])
+    done = acquire("import", source, "-o", tmp_path / "cut.mcap")
+    assert done.returncode == 0
+    assert "ends inside a frame" in done.stdout
+    packed = tmp_path / "cut.tlog.gz"
+    packed.write_bytes(gzip.compress(demo_flight)[:-300])
+    done = acquire("import", packed, "-o", tmp_path / "packed.mcap", "--json")
+    assert done.returncode == 0
+    (link,) = json.loads(done.stdout)["links"]
+    assert link["packing_cut"]
+    assert link["frames"] > 100
+
+
+def test_a_stream_without_a_date_is_refused(acquire: Acquire, tmp_path: Path) -> None:
+    from drivers import nmea
+
+    source = tmp_path / "rover.nmea"
+    source.write_bytes(nmea.encode("GPGGA,120000.00,4730.0,N,00830.0,E,1,08,1.0,400.0,M,47.0,M,,") * 3)
+    done = acquire("import", source, "-o", tmp_path / "out.mcap")
+    assert done.returncode == 4
+    assert "date" in done.stderr
+
+
+def test_an_existing_log_survives_a_failed_import(acquire: Acquire, tmp_path: Path) -> None:
+    log = tmp_path / "flight.mcap"
+    log.write_bytes(b"precious")
+    (tmp_path / "bad.tlog").write_bytes(b"nothing" * 100)
+    assert acquire("import", tmp_path / "bad.tlog", "-o", log).returncode == 4
+    assert log.read_bytes() == b"precious"
+
+
+def test_help_answers_at_once(acquire: Acquire) -> None:
+    # Processor time: the wall clock of a busy machine says little.
+    durations = []
+    for _ in range(3):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        assert acquire("import", "--help").returncode == 0
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        durations.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+    assert min(durations) < 0.25
