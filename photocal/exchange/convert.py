@@ -146,8 +146,8 @@ def converted(
     used = {name for name, value in zip(PARAMETERS[3:], own.values[3:], strict=True) if value}
     plain = not own.values[_B].any()
     same = own.affinity_form == "fraser" and (own.affinity == affinity or plain)
-    if own.model == model and same and used <= set(allowed):
-        return Conversion(replace(own, affinity=affinity, affinity_form="fraser"))
+    if same and used <= set(allowed) and (own.model == model or not used):
+        return Conversion(replace(own, model=model, affinity=affinity, affinity_form="fraser"))
     return _fitted(own, model, affinity, allowed)
 
 

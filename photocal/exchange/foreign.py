@@ -6,9 +6,13 @@ from pathlib import Path
 
 from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.block.model import Block
+from photocal.exchange.jaicov import SUFFIXES
 from photocal.exchange.markup import read_xml
 
-READABLE = "a DBAT set-up (.xml) or a PhotoModeler text export"
+READABLE = (
+    "a DBAT set-up (.xml), a PhotoModeler text export, a JAICOV file (.ior, .eor, .obc, .phc), "
+    "or a PhotoScan project (.psz)"
+)
 
 
 def read_foreign_block(path: Path) -> Block:
@@ -34,6 +38,14 @@ def read_foreign_block(path: Path) -> Block:
         raise InputNotFoundError("does not exist", where=path, remedy="check the path")
     if path.suffix.lower() == ".xml":
         return _from_xml(path)
+    if path.suffix.lower() in SUFFIXES:
+        from photocal.exchange.jaicov import read_jaicov
+
+        return read_jaicov(path)
+    if path.suffix.lower() == ".psz":
+        from photocal.exchange.photoscan import read_photoscan
+
+        return read_photoscan(path)
     if path.suffix.lower() == ".txt":
         from photocal.exchange.photomodeler import control_beside, looks_like_export, read_photomodeler
 

@@ -39,8 +39,30 @@ def read_xml(path: Path) -> Element:
             where=path,
             remedy="is it the right file?",
         )
+    return parse_xml(path.read_bytes(), path)
+
+
+def parse_xml(content: bytes, path: object) -> Element:
+    """Parse XML that is already in memory.
+
+    Parameters
+    ----------
+    content : bytes
+    path : object
+        Where it is from, for messages.
+
+    Returns
+    -------
+    Element
+        The root.
+
+    Raises
+    ------
+    InputMalformedError
+        When it is no XML, or declares entities.
+    """
     try:
-        return fromstring(path.read_bytes(), forbid_dtd=False)
+        return fromstring(content, forbid_dtd=False)
     except DefusedXmlException as refusal:
         raise InputMalformedError(
             "declares XML entities or external references, which are not read",

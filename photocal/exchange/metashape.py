@@ -85,7 +85,11 @@ def read_metashape(path: Path) -> Chunk:
     InputNotFoundError, InputMalformedError
         Also when the file has several chunks.
     """
-    root = read_xml(path)
+    return chunk_of(read_xml(path), path)
+
+
+def chunk_of(root: Element, path: Path) -> Chunk:
+    """Take the chunk out of a document; parameters and result as of `read_metashape`."""
     chunks = list(root.iter("chunk"))
     if root.tag != "document" or len(chunks) != 1:
         raise InputMalformedError(
@@ -107,7 +111,7 @@ def read_metashape(path: Path) -> Chunk:
         )
     order = {key: k for k, key in enumerate(sensors)}
     matrices = np.array([_numbers(child(shot, "transform", path), path, 16) for shot in shots])
-    to_world = _chunk_transform(chunk, path)
+    to_world = chunk_transform(chunk, path)
     poses = _poses(matrices.reshape(-1, 4, 4), to_world)
     markers = _markers(chunk, path)
     position = {key: k for k, key in enumerate(markers)}
@@ -252,7 +256,8 @@ def _camera(sensor: Element, path: Path) -> Camera:
     return camera(name, "brown-ideal", "px", (width, height), (1.0, 1.0), ours, affinity="after")
 
 
-def _chunk_transform(chunk: Element, path: Path) -> Floats:
+def chunk_transform(chunk: Element, path: Path) -> Floats:
+    """Matrix from chunk to world coordinates, shape (4, 4)."""
     matrix = np.eye(4)
     given = chunk.find("transform")
     if given is None:
@@ -284,12 +289,21 @@ def _markers(chunk: Element, path: Path) -> dict[str, Marker]:
         xyz = sigma = nan
         if given is not None and given.get("x"):
             xyz = _triple(given, ("x", "y", "z"), path)
-            if given.get("sx"):
-                sigma = _triple(given, ("sx", "sy", "sz"), path)
+            sigma = _accuracy(given, path)
         enabled = given is not None and given.get("enabled", "true") in ("true", "1")
         name = element.get("label") or element.get("id") or ""
         markers[element.get("id", "")] = Marker(name, xyz, sigma, enabled)
     return markers
+
+
+def _accuracy(given: Element, path: Path) -> tuple[float, float, float]:
+    """Standard deviations: one for all, one for X and Y, or one each; NaN when not given."""
+    found = []
+    for axis in "xyz":
+        keys = ["s" + axis, "sxyz"] + (["sxy"] if axis != "z" else [])
+        text = next((given.get(key) for key in keys if given.get(key)), None)
+        found.append(float("nan") if text is None else number(text, path, "marker accuracy"))
+    return found[0], found[1], found[2]
 
 
 def _triple(element: Element, keys: tuple[str, str, str], path: Path) -> tuple[float, float, float]:

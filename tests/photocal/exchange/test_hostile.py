@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import struct
 import time
+import zipfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -257,3 +260,84 @@ def test_cut_export(shared: Path, tmp_path: Path, cut: float) -> None:
     path.write_bytes(content[: int(len(content) * cut)])
     with pytest.raises(InputMalformedError):
         read_export(path)
+
+
+def small_archive(folder: Path, members: dict[str, bytes]) -> Path:
+    """A PhotoScan project of one image, one marker and one tie point."""
+    chunk = (
+        '<sensors><sensor id="0" label="s"><calibration type="frame"><resolution width="100" height="80"/>'
+        "<f>90</f></calibration></sensor></sensors>"
+        '<cameras><camera id="0" sensor_id="0" label="a.jpg"><transform>1 0 0 0 0 -1 0 0 0 0 -1 9 0 0 0 1'
+        "</transform></camera></cameras>"
+        '<markers><marker id="1" label="M"><reference x="1" y="2" z="0" sxyz="0.01"/></marker></markers>'
+        '<frames><frame><markers><marker marker_id="1"><location camera_id="0" x="60.5" y="20.5"/></marker>'
+        '</markers><point_cloud><points path="p.ply"/><projections camera_id="0" path="q.ply"/></point_cloud>'
+        '</frame></frames><settings><property name="accuracy_tiepoints" value="1"/>'
+        '<property name="accuracy_projections" value="0.1"/></settings>'
+    )
+    content = {
+        "doc.xml": f"<document><chunks><chunk>{chunk}</chunk></chunks></document>".encode(),
+        "p.ply": ply("float x,float y,float z,uint id", 1) + struct.pack("<fffI", 0.5, 0.25, 0, 7),
+        "q.ply": ply("float x,float y,float size,int id", 1) + struct.pack("<fffi", 55.5, 37.5, 3, 7),
+    }
+    path = folder / "small.psz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in (content | members).items():
+            if data:
+                archive.writestr(name, data)
+    return path
+
+
+def ply(properties: str, count: int) -> bytes:
+    rows = "".join(f"property {row}\n" for row in properties.split(","))
+    return f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n{rows}end_header\n".encode()
+
+
+def test_small_archive_is_read(tmp_path: Path) -> None:
+    block = read_foreign_block(small_archive(tmp_path, {}))
+    assert block.points.names == ("M", "tie7")
+    assert block.points.sigma[0].tolist() == [0.01, 0.01, 0.01]
+    assert block.observations.values.tolist() == [[60, 20], [55, 37]]
+    assert block.observations.sigma[:, 0].tolist() == [0.1, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("members", "message"),
+    [
+        ({"doc.xml": b""}, "has no 'doc.xml'"),
+        ({"doc.xml": EXTERNAL.encode()}, "entities"),
+        ({"q.ply": b""}, "has no 'q.ply'"),
+        ({"q.ply": b"ply\nformat ascii 1.0\nend_header\n"}, "no binary PLY"),
+        ({"q.ply": ply("float x,float y,int id", 10**12)}, "more rows than it has"),
+        ({"q.ply": ply("float x,float y", 0)}, "has not the columns"),
+        ({"q.ply": ply("list uchar int x,float y,int id", 0)}, "has not the columns"),
+        ({"q.ply": ply("float x,float y,int id", 1) + struct.pack("<ffi", float("nan"), 1, 7)}, "not finite"),
+    ],
+)
+def test_bad_archive(tmp_path: Path, members: dict[str, bytes], message: str) -> None:
+    with pytest.raises(InputMalformedError, match=message):
+        read_foreign_block(small_archive(tmp_path, members))
+
+
+def test_archive_that_unpacks_to_gigabytes(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.psz"
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("doc.xml", "w", force_zip64=True) as member,
+    ):
+        for _ in range(300):
+            member.write(bytes(1 << 20))
+    assert path.stat().st_size < 1 << 20
+    with pytest.raises(InputMalformedError, match="larger than 256 MiB"):
+        read_foreign_block(path)
+
+
+@given(st.integers(0, 10**6), st.binary(min_size=1, max_size=20))
+@settings(max_examples=60, deadline=None)
+def test_damaged_archive(tmp_path_factory: pytest.TempPathFactory, at: int, noise: bytes) -> None:
+    path = small_archive(tmp_path_factory.mktemp("archive"), {})
+    content = path.read_bytes()
+    at %= len(content)
+    path.write_bytes(content[:at] + noise + content[at + len(noise) :])
+    with suppress(PhotocalError):
+        read_foreign_block(path)

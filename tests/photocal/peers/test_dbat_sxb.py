@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from photocal.block.model import Block
-from photocal.exchange.dbat import read_dbat
+from photocal.exchange.foreign import read_foreign_block
 from photocal.exchange.photomodeler import block_from_export, read_control, read_export, read_positions
 
 pytestmark = pytest.mark.shared
@@ -47,7 +47,7 @@ def same_as_printed(block: Block, report: Any, adjusted: Any, origin: Any = (0, 
 
 
 def test_set_up_with_check_points(folder: Path, dbat_report: Any, adjusted: Any) -> None:
-    block = read_dbat(folder / "script" / "sxb.xml")
+    block = read_foreign_block(folder / "script" / "sxb.xml")
     assert block.points.of_role("check").sum() == 2
     assert block.points.of_role("control").sum() == 14
     report = dbat_report(folder / "script" / "report.txt")
@@ -65,6 +65,14 @@ def test_positions_as_observations(
     block = block_from_export(export, control, positions=positions)
     report = dbat_report(folder / "dbatreports" / f"sxb-{prior}-dbatreport.txt")
     assert report.redundancy == redundancy
+    same_as_printed(block, report, adjusted)
+
+
+def test_photoscan_project(folder: Path, dbat_report: Any, adjusted: Any) -> None:
+    """The larger set of tie points, straight from the PhotoScan project."""
+    block = read_foreign_block(folder / "psprojects" / "sxb.psz")
+    report = dbat_report(folder / "dbatreports" / "sxb-dbatreport.txt")
+    assert report.observations == 8180
     same_as_printed(block, report, adjusted)
 
 

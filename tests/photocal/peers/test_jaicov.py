@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from photocal.exchange.foreign import read_foreign_block
 from photocal.exchange.jaicov import read_jaicov
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.distortion import projected
@@ -35,7 +36,7 @@ def listing(example: Path) -> str:
 
 @pytest.fixture(scope="module")
 def found(example: Path, adjusted: Any) -> Any:
-    block = read_jaicov(example)
+    block = read_foreign_block(example)
     return block, *adjusted(block)
 
 

@@ -1,0 +1,198 @@
+"""PhotoScan projects of one file (.psz): cameras, markers and tie points into a block.
+
+A zip archive with doc.xml (see `metashape`, whose conventions hold) and PLY tables: projections of each image
+(x, y in px from the upper-left corner of the upper-left pixel, track) and points (chunk coordinates, track).
+Standard deviations come from the project's settings: `accuracy_projections` for markers, `accuracy_tiepoints`
+for tie points (px), `accuracy_markers` for markers without their own (m). Nothing is unpacked to disk.
+"""
+
+from __future__ import annotations
+
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputMalformedError
+from photocal.block.model import Block
+from photocal.exchange import parts
+from photocal.exchange.markup import MAX_XML_BYTES, child, parse_xml
+from photocal.exchange.metashape import Chunk, Marker, chunk_of, chunk_transform
+from photocal.exchange.source import fingerprint, number, require_readable
+
+Floats = NDArray[np.float64]
+
+_TYPES = {
+    "char": "i1",
+    "uchar": "u1",
+    "short": "<i2",
+    "ushort": "<u2",
+    "int": "<i4",
+    "uint": "<u4",
+    "float": "<f4",
+    "double": "<f8",
+}
+_MAX_MEMBER = 1 << 30
+# What a damaged, encrypted or exotic archive makes the reader raise.
+_ARCHIVE_FAILURES = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    NotImplementedError,
+    RuntimeError,
+    EOFError,
+    OSError,
+)
+
+
+def read_photoscan(path: Path) -> Block:
+    """Read a project with one chunk.
+
+    Parameters
+    ----------
+    path : Path
+        .psz.
+
+    Returns
+    -------
+    Block
+        Enabled markers are control, others check points; tie points are named by their track.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+    """
+    require_readable(path)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return _block(archive, path)
+    except _ARCHIVE_FAILURES as failure:
+        raise InputMalformedError(
+            f"is no readable archive ({failure})", where=path, remedy="was it written completely?"
+        ) from failure
+
+
+def _block(archive: zipfile.ZipFile, path: Path) -> Block:
+    root = parse_xml(_member(archive, "doc.xml", path, MAX_XML_BYTES), path)
+    chunk = chunk_of(root, path)
+    element = child(root, "chunks/chunk", path)
+    settings = {
+        key.get("name", ""): number(key.get("value", ""), path, key.get("name", ""))
+        for key in element.iterfind("settings/property")
+        if key.get("name", "").startswith("accuracy_")
+    }
+    given = chunk.reconstruction
+    image = {name: k for k, name in enumerate(given.image_names)}
+    entries = [_marker(marker, settings, path) for marker in chunk.markers]
+    sigma = _setting(settings, "accuracy_projections", path)
+    marks = [
+        parts.Mark(given.image_names[i], given.point_names[j], x, y, (sigma, sigma), path)
+        for i, j, (x, y) in zip(given.image, given.point, given.pixels.tolist(), strict=True)
+    ]
+    ties, tie_marks = _tie_points(
+        archive, element, chunk, _setting(settings, "accuracy_tiepoints", path), path
+    )
+    taken = {entry.name for entry in entries}
+    parts.require_unique([*taken, *(entry.name for entry in ties)], "point", path)
+    names = [entry.name for entry in (*entries, *ties)]
+    return Block(
+        path.stem,
+        chunk.crs or "local",
+        "",
+        "control",
+        (),
+        given.cameras,
+        parts.images(list(image), given.image_camera.tolist(), given.poses),
+        parts.object_points([*entries, *ties]),
+        parts.observations([*marks, *tie_marks], list(image), names, "px", "pixel"),
+        (fingerprint(path),),
+    )
+
+
+def _marker(marker: Marker, settings: dict[str, float], path: Path) -> parts.PointEntry:
+    if np.isnan(marker.xyz).any():
+        return parts.PointEntry(marker.name, "tie")
+    if not marker.enabled:
+        return parts.PointEntry(marker.name, "check", marker.xyz)
+    own = np.array(marker.sigma)
+    common = _setting(settings, "accuracy_markers", path) if np.isnan(own).any() else 0.0
+    return parts.PointEntry(marker.name, "control", marker.xyz, np.where(np.isnan(own), common, own))
+
+
+def _setting(settings: dict[str, float], key: str, path: Path) -> float:
+    if not settings.get(key, 0.0) > 0:
+        raise InputMalformedError(
+            f"has no positive setting {key}", where=path, remedy="set it and save again"
+        )
+    return settings[key]
+
+
+def _tie_points(
+    archive: zipfile.ZipFile, element: Element, chunk: Chunk, sigma: float, path: Path
+) -> tuple[list[parts.PointEntry], list[parts.Mark]]:
+    cloud = element.find("frames/frame/point_cloud")
+    if cloud is None:
+        return [], []
+    points = _ply(archive, child(cloud, "points", path).get("path", ""), ("x", "y", "z", "id"), path)
+    to_world = chunk_transform(element, path)
+    xyz = np.column_stack([points[axis] for axis in "xyz"]).astype(float)
+    xyz = xyz @ to_world[:3, :3].T + to_world[:3, 3]
+    # Markers have numbers for names too.
+    names = {int(key): f"tie{key}" for key in points["id"]}
+    entries = [
+        parts.PointEntry(names[int(key)], "tie", row) for key, row in zip(points["id"], xyz, strict=True)
+    ]
+    labels = {shot.get("id", ""): shot.get("label", "") for shot in element.iterfind("cameras/camera")}
+    oriented = set(chunk.reconstruction.image_names)
+    marks = []
+    for projections in cloud.iterfind("projections"):
+        image = labels.get(projections.get("camera_id", ""), "")
+        rows = _ply(archive, projections.get("path", ""), ("x", "y", "id"), path)
+        if image in oriented:
+            marks += [
+                parts.Mark(image, names[key], x - 0.5, y - 0.5, (sigma, sigma), path)
+                for x, y, key in zip(rows["x"].tolist(), rows["y"].tolist(), rows["id"].tolist(), strict=True)
+                if key in names
+            ]
+    return entries, marks
+
+
+def _member(archive: zipfile.ZipFile, name: str, path: Path, most: int) -> bytes:
+    """Content of a member, never more than `most` bytes whatever its header says."""
+    try:
+        with archive.open(name) as member:
+            content = member.read(most + 1)
+    except KeyError as failure:
+        raise InputMalformedError(f"has no {name!r}", where=path, remedy="is it a project?") from failure
+    if len(content) > most:
+        raise InputMalformedError(f"its {name!r} is larger than {most >> 20} MiB", where=path)
+    return content
+
+
+def _ply(archive: zipfile.ZipFile, name: str, wanted: tuple[str, ...], path: Path) -> NDArray[Any]:
+    """Vertices of a binary PLY table."""
+    content = _member(archive, name, path, _MAX_MEMBER)
+    head, found, body = content.partition(b"end_header\n")
+    lines = head.decode("ascii", errors="replace").split("\n")
+    if not found or lines[0] != "ply" or "format binary_little_endian 1.0" not in lines:
+        raise InputMalformedError(f"its {name!r} is no binary PLY table", where=path)
+    words = [line.split() for line in lines]
+    count = [row[2] for row in words if row[:2] == ["element", "vertex"] and len(row) == 3]
+    fields = [(row[2], _TYPES.get(row[1], "")) for row in words if row[:1] == ["property"] and len(row) == 3]
+    known = all(kind for _, kind in fields) and len(dict(fields)) == len(fields)
+    if len(count) != 1 or not count[0].isdecimal() or not known or not set(wanted) <= set(dict(fields)):
+        raise InputMalformedError(f"its {name!r} has not the columns {', '.join(wanted)}", where=path)
+    layout = np.dtype(fields)
+    if int(count[0]) * layout.itemsize > len(body):
+        raise InputMalformedError(
+            f"its {name!r} claims more rows than it has", where=path, remedy="is it cut?"
+        )
+    rows = np.frombuffer(body, layout, int(count[0]))
+    if not all(np.isfinite(rows[column]).all() for column in wanted):
+        raise InputMalformedError(f"its {name!r} has a number that is not finite", where=path)
+    return rows
