@@ -1,0 +1,98 @@
+"""`make demo`: a camera calibrated from published observations, and a small flight log imported."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from acquire.console import application, run
+from drivers.errors import InputNotFoundError
+
+CONFIGS = Path(__file__).resolve().parents[1] / "configs" / "demo"
+
+app = application("Calibrate the demonstration camera and import the demonstration flight.")
+
+
+@app.command()
+def demo(
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
+        "demo-output"
+    ),
+    configs: Annotated[Path, typer.Option(help="Folder with the demonstration data.")] = CONFIGS,
+) -> None:
+    """Calibrate a Kodak DCS460, write its certificate, import a synthetic flight."""
+    began = time.monotonic()
+    for part in ("dcs460", "flight"):
+        if not (configs / part).is_dir():
+            raise InputNotFoundError(
+                "the demonstration data are missing",
+                where=configs / part,
+                remedy="run the demonstration in a copy of the project",
+            )
+    typer.echo("Calibration of a Kodak DCS460 from its published observations\n")
+    calibrate(configs / "dcs460", output)
+    typer.echo("\nFlight log. The flight is SYNTHETIC, made by the project's own encoder\n")
+    typer.echo("\n".join(f"  {line}" for line in fly(configs / "flight" / "flight.tlog", output)))
+    typer.echo(f"\nThe certificate: {output / 'certificate' / 'certificate.html'}, the same as .pdf")
+    typer.echo(f"The flight log, for Foxglove or Lichtblick: {output / 'flight.mcap'}")
+    typer.echo(f"Done in {time.monotonic() - began:.1f} s.")
+
+
+def calibrate(block: Path, output: Path) -> None:
+    """Adjust a block and write its certificate, which prints what it says.
+
+    Parameters
+    ----------
+    block : Path
+        Block folder.
+    output : Path
+        Receives the folders `run` and `certificate`.
+    """
+    from photocal.block.process import adjust_block
+    from photocal.commands.certificate import certificate
+
+    adjust_block(block, output / "run")
+    certificate(output / "run", output / "certificate", block=block)
+
+
+def fly(recording: Path, output: Path) -> tuple[str, ...]:
+    """Import a recording as flight log and say in three lines what it holds.
+
+    Parameters
+    ----------
+    recording : Path
+        Telemetry log.
+    output : Path
+        Receives `flight.mcap`.
+
+    Returns
+    -------
+    tuple of str
+        Frames and damage; quality of the fixes; exposures and clock.
+    """
+    from acquire.importing.importer import import_recordings
+    from acquire.log.summary import summarise
+    from drivers.mavlink.dialect import ardupilotmega
+
+    import_recordings([], [recording], output / "flight.mcap", lambda _: None)
+    figures = summarise(output / "flight.mcap", ardupilotmega()).as_json()
+    return tuple(_lines(figures))
+
+
+def _lines(figures: dict[str, Any]) -> list[str]:
+    link = figures["links"][0]
+    frames = {kind["type"]: kind["frames"] for kind in link["types"]}
+    fixes = [f"{name} {count}" for counts in figures["fixes"].values() for name, count in counts.items()]
+    amount = f"{link['frames']} frames in {link['duration_s']:.1f} s"
+    return [
+        f"{link['link']}: {amount}, {link['damage_bytes']} bytes belong to no valid frame",
+        f"position fixes: {', '.join(fixes)}",
+        f"exposures: {frames.get('CAMERA_FEEDBACK', 0)}; clock: {link['clock']['verdict']}",
+    ]
+
+
+if __name__ == "__main__":
+    run(app)
