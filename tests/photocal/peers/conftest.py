@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -30,6 +31,11 @@ class Printed:
         mantissa, _, exponent = self.text.lower().partition("e")
         return 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
 
+    @property
+    def third_digit(self) -> float:
+        """Unit of the third significant digit: standard deviations are printed so, without final zeros."""
+        return 10.0 ** (math.floor(math.log10(self.value)) - 2) if self.value else 1e-12
+
 
 @dataclass
 class DbatReport:
@@ -45,6 +51,9 @@ class DbatReport:
     cameras: dict[str, tuple[Printed, Printed | None]] = field(default_factory=dict)
     correlations: dict[tuple[str, str], Printed] = field(default_factory=dict)
     photos: dict[str, dict[str, tuple[Printed, Printed]]] = field(default_factory=dict)
+    # X, Y, Z, their standard deviations, and the number of rays, after the adjustment.
+    control: dict[str, list[Printed]] = field(default_factory=dict)
+    checks: dict[str, list[Printed]] = field(default_factory=dict)
 
 
 _CAMERA_KEYS = {
@@ -60,6 +69,12 @@ def _find(pattern: str, text: str) -> str:
     found = re.search(pattern, text)
     assert found, pattern
     return found.group(1).strip()
+
+
+def _points(text: str, title: str) -> dict[str, list[Printed]]:
+    table = text.partition(title)[2].partition("Posterior\n")[2].partition("Diff (")[0]
+    rows = ([cell.strip() for cell in line.split(",")] for line in table.splitlines()[1:])
+    return {cells[0]: [Printed(cell) for cell in cells[1:8]] for cells in rows if len(cells) >= 8}
 
 
 def read_dbat_report(path: Path) -> DbatReport:
@@ -96,6 +111,8 @@ def read_dbat_report(path: Path) -> DbatReport:
         elif words.startswith("Correlations over") and photo is None:
             for other, percent in re.findall(r"(\w+):(-?[\d.]+)%", words.partition("%")[2]):
                 report.correlations[key, other] = Printed(percent)
+    report.control.update(_points(text, "Ctrl measurements"))
+    report.checks.update(_points(text, "Check measurements"))
     return report
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,9 @@ def folder(shared: Path) -> Path:
     return shared / "data" / "dbat-sxb"
 
 
-def same_as_printed(block: Block, report: Any, adjusted: Any, origin: Any = (0, 0, 0)) -> None:
+def same_as_printed(
+    block: Block, report: Any, adjusted: Any, origin: Any = (0, 0, 0), label: Callable[[str], str] = str
+) -> None:
     assembly, solution = adjusted(block)
     assert solution.degrees_of_freedom == report.redundancy
     assert solution.observations == report.observations
@@ -43,7 +46,20 @@ def same_as_printed(block: Block, report: Any, adjusted: Any, origin: Any = (0, 
         for value, sd, key in zip(pose, deviation, KEYS, strict=True):
             printed, printed_sd = report.photos[name][key]
             assert abs(value - printed.value) <= 2 * printed.unit + short * sd, (name, key)
-            assert abs(sd - printed_sd.value) <= 2 * printed_sd.unit, (name, key)
+            assert abs(sd - printed_sd.value) <= 2 * printed_sd.third_digit, (name, key)
+    position = {block.points.names[j]: k for k, j in enumerate(assembly.points)}
+    count = np.bincount(assembly.network.rays.point)
+    assert len(report.control) == block.points.of_role("control").sum()
+    assert len(report.checks) == block.points.of_role("check").sum()
+    for name, printed_point in (report.control | report.checks).items():
+        k = position[label(name)]
+        xyz = solution.points[k] + assembly.origin - np.asarray(origin)
+        sigma = np.sqrt(np.diag(solution.point_covariance[k])) * sigma0
+        assert count[k] == printed_point[6].value
+        for value, cell in zip(xyz, printed_point[:3], strict=True):
+            assert abs(value - cell.value) <= 2 * cell.unit, name
+        for value, cell in zip(sigma, printed_point[3:6], strict=True):
+            assert abs(value - cell.value) <= 2 * cell.third_digit, name
 
 
 def test_set_up_with_check_points(folder: Path, dbat_report: Any, adjusted: Any) -> None:
@@ -73,7 +89,9 @@ def test_photoscan_project(folder: Path, dbat_report: Any, adjusted: Any) -> Non
     block = read_foreign_block(folder / "psprojects" / "sxb.psz")
     report = dbat_report(folder / "dbatreports" / "sxb-dbatreport.txt")
     assert report.observations == 8180
-    same_as_printed(block, report, adjusted)
+    # DBAT numbers the markers from 1 in the order of the project.
+    markers = [name for name in block.points.names if not name.startswith("tie")]
+    same_as_printed(block, report, adjusted, label=lambda number: markers[int(number) - 1])
 
 
 @pytest.mark.parametrize(
