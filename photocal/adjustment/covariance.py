@@ -12,7 +12,7 @@ from photocal.adjustment.envelope import factorise, selected_inverse
 from photocal.adjustment.equations import Equations
 from photocal.adjustment.kernels import Structure, element_address, statistics
 from photocal.adjustment.normal import Problem, other_equations, values_of
-from photocal.adjustment.rank import explain_singular
+from photocal.adjustment.rank import explain_singular, require_determined
 from photocal.adjustment.solution import Group, Solution
 from photocal.adjustment.solver import Minimum
 from photocal.adjustment.state import turn_basis
@@ -65,6 +65,7 @@ def complete(problem: Problem, minimum: Minimum) -> Solution:
         groups.append(_equation_group(name, equations, structure, inverse))
     observations = sum(group.observations for group in groups)
     eliminated = problem.design.point_column < 0
+    camera_covariance = _camera_covariance(problem, inverse)
     own = blocks(problem.layout.image_columns, structure, inverse)
     if len(problem.stiffened):
         transform = correction(problem, normal, bare, state)
@@ -72,6 +73,7 @@ def complete(problem: Problem, minimum: Minimum) -> Solution:
         own = transform.applied(own, transform.moves[columns], transform.spread[columns])
         point_covariance = transform.applied(point_covariance, transform.point_moves, transform.point_spread)
     unknowns = int(np.sum(~problem.held) + np.sum(~network.points.held[eliminated]))
+    require_determined(problem, state, point_covariance, camera_covariance)
     angles = angles_from_matrix(state.rotation)
     return Solution(
         minimum.iterations,
@@ -81,7 +83,7 @@ def complete(problem: Problem, minimum: Minimum) -> Solution:
         len(problem.stiffened),
         tuple(group for group in groups if group.observations),
         state.cameras,
-        _camera_covariance(problem, inverse),
+        camera_covariance,
         np.hstack([angles, state.centre]),
         _exposure_covariance(problem, minimum, own, angles),
         state.points,
@@ -191,4 +193,6 @@ def _exposure_covariance(problem: Problem, minimum: Minimum, own: Floats, angles
     jacobian = np.broadcast_to(np.eye(6), own.shape).copy()
     basis = turn_basis(problem.network, minimum.state)
     jacobian[:, :3, :3] = np.linalg.solve(turn_per_angle(angles), basis)
-    return np.asarray(jacobian @ own @ np.swapaxes(jacobian, 1, 2))
+    covariance = jacobian @ own @ np.swapaxes(jacobian, 1, 2)
+    # Rounding leaves traces where the transformation crosses a held angle.
+    return np.asarray(covariance * free[:, :, None] * free[:, None, :])

@@ -113,7 +113,7 @@ def factorise(structure: Envelope, values: Floats) -> int:
         width = int(structure.width[j])
         if width == 0:
             continue
-        start = structure.start(j)
+        start = structure.start(j) if j < len(structure.last) else structure.band
         # The transposed view of a C panel is what Fortran takes; its upper factor is our lower one.
         diagonal = panel[:width].T
         _, info = lapack.dpotrf(diagonal, lower=0, overwrite_a=1, clean=0)

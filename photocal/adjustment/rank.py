@@ -16,6 +16,12 @@ Floats = NDArray[np.float64]
 
 # A scaled eigenvalue below this means that rounding, not an observation, holds the unknowns.
 NULL = 1e-10
+# A point's own block has about the square of the angle between its rays as scaled determinant.
+PARALLEL = 1e-10
+# Where the iteration does not end, weak intersections are the first suspects.
+NEARLY_PARALLEL = 1e-4
+# A standard deviation of this share of the value itself: the linearisation no longer means anything.
+LOST_POINT, LOST_CAMERA = 0.5, 0.1
 POSE_NAMES = ("omega", "phi", "kappa", "X", "Y", "Z")
 DATUM_NAMES = (
     "position in X",
@@ -35,7 +41,7 @@ def weakest_pivot(factor_diagonal: Floats, diagonal: Floats) -> float:
     return float(np.nanmin(share, initial=1.0))
 
 
-def explain_singular(problem: Problem, state: State) -> None:
+def explain_singular(problem: Problem, state: State, parallel: float = PARALLEL) -> None:
     """Raise what the observations leave undetermined; return when they determine everything.
 
     Parameters
@@ -43,6 +49,8 @@ def explain_singular(problem: Problem, state: State) -> None:
     problem : Problem
     state : State
         Where the normal equations are looked at.
+    parallel : float
+        Scaled determinant of a point's own block below which its rays count as parallel.
 
     Raises
     ------
@@ -51,10 +59,11 @@ def explain_singular(problem: Problem, state: State) -> None:
     """
     normal = normal_equations(problem, state)
     names = problem.network.point_names
-    if len(normal.singular):
-        some = ", ".join(names[j] for j in normal.singular[:5])
+    alone = _parallel(problem, normal, parallel)
+    if len(alone):
+        some = ", ".join(names[j] for j in alone[:5])
         raise IllPosedError(
-            f"the rays of {len(normal.singular)} object point(s) do not intersect ({some})",
+            f"the rays of {len(alone)} object point(s) do not intersect ({some})",
             remedy="give these points rays from different places, or take them out",
         )
     matrix = dense(problem.layout.envelope, normal.matrix)
@@ -75,6 +84,56 @@ def explain_singular(problem: Problem, state: State) -> None:
         f"the network is singular (rank defect {null.shape[1]}): " + "; ".join(parts),
         remedy="add control points, weighted positions or prior sigmas, or hold what cannot be determined",
     )
+
+
+def require_determined(
+    problem: Problem, state: State, point_covariance: Floats, camera_covariance: Floats
+) -> None:
+    """Refuse a solution whose points or principal distances are not determined in any useful sense.
+
+    Parameters
+    ----------
+    problem : Problem
+    state : State
+    point_covariance : ndarray, shape (points, 3, 3)
+    camera_covariance : ndarray, shape (cameras, 13, 13)
+
+    Raises
+    ------
+    IllPosedError
+        Naming the points or cameras.
+    """
+    design = problem.design
+    first = state.centre[design.ray_image[np.minimum(design.ray_start[:-1], len(design.ray_image) - 1)]]
+    distance = np.linalg.norm(state.points - first, axis=1)
+    spread = np.sqrt(np.trace(point_covariance, axis1=1, axis2=2))
+    lost = np.flatnonzero(~(spread < LOST_POINT * distance))
+    if len(lost):
+        some = ", ".join(problem.network.point_names[j] for j in lost[:5])
+        raise IllPosedError(
+            f"{len(lost)} object point(s) are uncertain by more than half of their distance ({some}): "
+            "their rays do not intersect",
+            remedy="give these points rays from different places, or take them out",
+        )
+    for camera, values, covariance in zip(
+        problem.network.cameras, state.cameras, camera_covariance, strict=True
+    ):
+        share = np.sqrt(covariance[0, 0]) / values[0]
+        if not share < LOST_CAMERA:
+            raise IllPosedError(
+                f"c of camera {camera.id} is not determined: its standard deviation is {share:.0%} of it",
+                remedy="hold c, or add heights, positions, relief or convergent images",
+            )
+
+
+def _parallel(problem: Problem, normal: Normal, limit: float) -> NDArray[np.int64]:
+    """Points whose rays come from one place: their own block is nearly singular."""
+    eliminated = problem.design.point_column < 0
+    eliminated[normal.singular] = False
+    own = np.linalg.inv(normal.kept.inverse[eliminated])
+    share = np.linalg.det(own) / np.prod(np.diagonal(own, axis1=1, axis2=2), axis=1)
+    weak = np.flatnonzero(eliminated)[share < limit]
+    return np.union1d(normal.singular, weak)
 
 
 def _datum_defects(problem: Problem, normal: Normal, state: State) -> list[str]:

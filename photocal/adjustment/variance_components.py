@@ -1,0 +1,263 @@
+"""Variance components: how large the standard deviations of each group of observations really are.
+
+Every group's variance is scaled by its v'Pv over its redundancy and the network adjusted again, until
+nothing changes (Foerstner 1979; at the end the estimate is that of Helmert 1924).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import IllPosedError, NotConvergedError
+from photocal.adjustment.adjust import adjust
+from photocal.adjustment.covariance import complete
+from photocal.adjustment.datum import with_datum
+from photocal.adjustment.network import RELATIONS, Network
+from photocal.adjustment.normal import prepare
+from photocal.adjustment.solution import Solution
+from photocal.adjustment.solver import Iteration, minimise
+from photocal.adjustment.state import State, start_state
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# A variance is settled when a round changes it by less than this share of itself.
+SETTLED = 1e-3
+ROUNDS = 60
+# With less redundancy a group says nothing about its own variance.
+FEWEST = 1.0
+# A variance that shrinks below this share of the given one is running to zero.
+VANISHED = 1e-6
+
+
+@dataclass(frozen=True)
+class RayGroups:
+    """Division of the rays into groups of one standard deviation each.
+
+    Attributes
+    ----------
+    names : tuple of str
+    group : ndarray of int, shape (rays,)
+    """
+
+    names: tuple[str, ...]
+    group: Integers
+
+
+@dataclass(frozen=True)
+class Component:
+    """What was found for one group of observations.
+
+    Attributes
+    ----------
+    name : str
+    observations : int
+    redundancy : float
+    factor : float
+        By which the given standard deviations are to be multiplied.
+    sigma : float
+        Standard deviation of `factor`; infinite where the group was left as it was given.
+    """
+
+    name: str
+    observations: int
+    redundancy: float
+    factor: float
+    sigma: float
+
+    @property
+    def estimated(self) -> bool:
+        """Whether the factor was estimated."""
+        return bool(np.isfinite(self.sigma))
+
+
+@dataclass(frozen=True)
+class VarianceComponents:
+    """Estimated variance components and the adjustment with them.
+
+    Attributes
+    ----------
+    components : tuple of Component
+    network : Network
+        With the standard deviations that were found.
+    solution : Solution
+        Its adjustment.
+    rounds : int
+    """
+
+    components: tuple[Component, ...]
+    network: Network
+    solution: Solution
+    rounds: int
+
+
+@dataclass(frozen=True)
+class _Fit:
+    observations: int
+    chi_squared: float
+    redundancy: float
+
+
+def rays_together(network: Network) -> RayGroups:
+    """All rays as one group, `image`."""
+    return RayGroups(("image",), np.zeros(len(network.rays.image), dtype=np.int64))
+
+
+def rays_by_camera(network: Network) -> RayGroups:
+    """One group of rays for each camera, named after it."""
+    names = tuple(f"image {camera.id}" for camera in network.cameras)
+    return RayGroups(names, network.exposures.camera[network.rays.image])
+
+
+def rays_by_image_set(network: Network, names: tuple[str, ...], image_set: Integers) -> RayGroups:
+    """One group of rays for each set of images.
+
+    Parameters
+    ----------
+    network : Network
+    names : tuple of str
+        Of the sets.
+    image_set : ndarray of int, shape (images,)
+        The set of each image.
+
+    Returns
+    -------
+    RayGroups
+    """
+    return RayGroups(tuple(f"image {name}" for name in names), image_set[network.rays.image])
+
+
+def estimate_components(
+    network: Network,
+    rays: RayGroups | None = None,
+    hold: Collection[str] = (),
+    report: Callable[[Iteration], None] | None = None,
+) -> VarianceComponents:
+    """Estimate the variance of each group of observations.
+
+    Parameters
+    ----------
+    network : Network
+        Its standard deviations are the first guess.
+    rays : RayGroups, optional
+        How the rays are divided; all together when left out. The other groups are those of
+        `Solution.groups`: control, camera, exposure, distance and so on.
+    hold : collection of str
+        Groups whose standard deviations are known. Groups with less than one redundant observation are
+        held too.
+    report : callable, optional
+        Called after each iteration of each adjustment.
+
+    Returns
+    -------
+    VarianceComponents
+
+    Raises
+    ------
+    IllPosedError
+        When the network is singular, or a variance runs to zero.
+    NotConvergedError
+        When the variances do not settle.
+    """
+    rays = rays or rays_together(network)
+    factors: dict[str, float] = {}
+    state: State | None = None
+    for rounds in range(1, ROUNDS + 1):
+        scaled = with_factors(network, rays, factors)
+        solution = _adjusted(scaled, state, report)
+        state = solution.state
+        fits = _fits(scaled, rays, solution)
+        free = {n: f for n, f in fits.items() if n not in hold and f.redundancy > FEWEST}
+        change = {name: fit.chi_squared / fit.redundancy for name, fit in free.items()}
+        if all(abs(share - 1) < SETTLED for share in change.values()):
+            found = adjust(scaled, report)
+            return VarianceComponents(_components(fits, free, factors), scaled, found, rounds)
+        for name, share in change.items():
+            factors[name] = factors.get(name, 1.0) * float(np.sqrt(share))
+            if factors[name] ** 2 < VANISHED:
+                raise IllPosedError(
+                    f"the variance of group {name} runs to zero",
+                    where=f"group {name}",
+                    remedy="hold its standard deviation: its residuals do not show it",
+                )
+    raise NotConvergedError(
+        f"the variance components have not settled after {ROUNDS} rounds",
+        remedy="hold the groups with the least redundancy, or look for gross errors first",
+    )
+
+
+def _adjusted(network: Network, state: State | None, report: Callable[[Iteration], None] | None) -> Solution:
+    start = start_state(network)
+    problem = with_datum(prepare(network), start)
+    return complete(problem, minimise(problem, state or start, report))
+
+
+def _fits(network: Network, rays: RayGroups, solution: Solution) -> dict[str, _Fit]:
+    """What each group adds to v'Pv, and its redundancy."""
+    count = len(rays.names)
+    squares = np.sum((solution.residuals / network.rays.sigma) ** 2, axis=1)
+    chi_squared = np.bincount(rays.group, squares, count)
+    redundancy = np.bincount(rays.group, solution.redundancy.sum(axis=1), count)
+    coordinates = 2 * np.bincount(rays.group, minlength=count)
+    fits = {
+        name: _Fit(int(n), float(c), float(r))
+        for name, n, c, r in zip(rays.names, coordinates, chi_squared, redundancy, strict=True)
+    }
+    for group in solution.groups:
+        if group.name != "image":
+            fits[group.name] = _Fit(group.observations, group.chi_squared, group.redundancy)
+    return fits
+
+
+def _components(
+    fits: dict[str, _Fit], free: dict[str, _Fit], factors: dict[str, float]
+) -> tuple[Component, ...]:
+    """The components with the standard deviation of a variance: sigma^2 sqrt(2 / r) (Foerstner 1979).
+
+    It leaves out what the groups share, which is little when each has redundancy of its own.
+    """
+    result = []
+    for name, fit in fits.items():
+        factor = factors.get(name, 1.0)
+        sigma = factor / np.sqrt(2 * fit.redundancy) if name in free else np.inf
+        result.append(Component(name, fit.observations, fit.redundancy, factor, float(sigma)))
+    return tuple(result)
+
+
+def with_factors(network: Network, rays: RayGroups, factors: dict[str, float]) -> Network:
+    """Multiply the standard deviations of groups of observations.
+
+    Parameters
+    ----------
+    network : Network
+    rays : RayGroups
+    factors : dict
+        By the names of the groups; 1 for those not named.
+
+    Returns
+    -------
+    Network
+    """
+
+    def of(name: str) -> float:
+        return factors.get(name, 1.0)
+
+    by_ray = np.array([of(name) for name in rays.names])[rays.group]
+    by_relation = np.array([of(kind) for kind in RELATIONS])[network.relations.kind]
+    positions, attitudes, mounting = network.positions, network.attitudes, network.mounting
+    # 0 holds and infinity frees a value: both stay what they are.
+    return replace(
+        network,
+        rays=replace(network.rays, sigma=network.rays.sigma * by_ray[:, None]),
+        points=replace(network.points, weight=network.points.weight / of("control") ** 2),
+        cameras=tuple(replace(c, prior_sigma=c.prior_sigma * of("camera")) for c in network.cameras),
+        exposures=replace(network.exposures, sigma=network.exposures.sigma * of("exposure")),
+        relations=replace(network.relations, sigma=network.relations.sigma * by_relation),
+        positions=replace(positions, covariance=positions.covariance * of("position") ** 2),
+        attitudes=replace(attitudes, covariance=attitudes.covariance * of("attitude") ** 2),
+        mounting=replace(mounting, sigma=mounting.sigma * of("mounting")),
+    )
