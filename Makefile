@@ -36,7 +36,7 @@ test: $(READY)
 check: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
+	$(BIN)/mypy --explicit-package-bases
 
 bench: $(READY)
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-only
