@@ -14,7 +14,10 @@ if TYPE_CHECKING:
     from photocal.exchange.geographic import Origin
     from photocal.exchange.orientation_tables import Angle
 
-FORMATS = "colmap, colmap-binary, opencv, opensfm, metashape, pix4d, patb, inpho, geojson, kml"
+FORMATS = (
+    "colmap, colmap-binary, opencv, opensfm, metashape, metashape-csv, jaicov, pix4d, patb, inpho, "
+    "geojson, kml"
+)
 
 
 def export(

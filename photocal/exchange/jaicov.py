@@ -11,6 +11,7 @@ parameters of the camera were estimated is not in the files: all but A3, C1 and 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +22,8 @@ from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.adjustment.network import RELATIONS, Relations
 from photocal.block.model import Block
 from photocal.exchange import parts
+from photocal.exchange.convert import Conversion, converted
+from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import (
     Line,
     fingerprint,
@@ -30,7 +33,7 @@ from photocal.exchange.source import (
     read_lines,
     require_readable,
 )
-from photocal.geometry.camera import Camera, camera
+from photocal.geometry.camera import Camera, camera, pixel_to_plane
 
 Floats = NDArray[np.float64]
 
@@ -104,6 +107,82 @@ def read_jaicov(path: Path, sigma_mm: float | None = None, *, switched_off: bool
         tuple(fingerprint(file) for file in read),
         _distances(scale, points, bars),
     )
+
+
+def write_jaicov(stem: Path, given: Reconstruction) -> Conversion:
+    """Write .ior, .eor, .obc and .phc files.
+
+    Parameters
+    ----------
+    stem : Path
+        Path of the files without suffix.
+    given : Reconstruction
+        With one camera in mm; image and point names must be whole numbers in this format, others are
+        counted from 1.
+
+    Returns
+    -------
+    Conversion
+        What the change of model cost.
+
+    Raises
+    ------
+    InputMalformedError
+        For several cameras, or a camera in px.
+    """
+    if len(given.cameras) != 1 or given.cameras[0].unit != "mm":
+        raise InputMalformedError(
+            "only blocks with one camera, in mm, can be written as JAICOV files",
+            remedy="give the pixel pitch",
+        )
+    conversion = converted(
+        given.cameras[0], "brown-ideal", "additive", ("K1", "K2", "K3", "P1", "P2", "B1", "B2")
+    )
+    own = conversion.camera
+    images, points = (_whole_names(names) for names in (given.image_names, given.point_names))
+    size = np.array(own.size_px) * own.pitch
+    v = own.value
+    ior: list[list[str | float]] = [
+        ["1", "-999", -v("c"), v("x0"), v("y0"), v("K1"), v("K2"), own.reference_radius],
+        [v("K3")],
+        [v("P1"), v("P2")],
+        [v("B1"), v("B2")],
+        [*size.tolist(), *(str(side) for side in own.size_px)],
+    ]
+    _write(stem.with_suffix(".ior"), ior)
+    eor = [
+        [name, "1", *(pose[3:] / MM).tolist(), *pose[:3].tolist(), "0", "0", "3"]
+        for name, pose in zip(images, given.poses, strict=True)
+    ]
+    _write(stem.with_suffix(".eor"), eor)
+    rays = np.bincount(given.point, minlength=len(points))
+    sigma = given.xyz_sigma / MM if len(given.xyz_sigma) else np.zeros(given.xyz.shape)
+    obc = [
+        [name, *(xyz / MM).tolist(), *s.tolist(), str(count), "1", "1", "0"]
+        for name, xyz, s, count in zip(points, given.xyz, sigma, rays, strict=True)
+    ]
+    _write(stem.with_suffix(".obc"), obc)
+    plane = pixel_to_plane(own.size_px, own.pitch, given.pixels)
+    residuals = np.zeros(plane.shape)
+    if len(given.residuals_px):
+        residuals = given.residuals_px * own.pitch * [1.0, -1.0]
+    phc = [
+        [images[i], points[j], *xy.tolist(), 0.0, 0.0, *r.tolist(), "1", "1", "1"]
+        for i, j, xy, r in zip(given.image, given.point, plane, residuals, strict=True)
+    ]
+    _write(stem.with_suffix(".phc"), phc)
+    return conversion
+
+
+def _whole_names(names: tuple[str, ...]) -> list[str]:
+    if all(name.isdecimal() and str(int(name)) == name for name in names):
+        return list(names)
+    return [str(k) for k in range(1, len(names) + 1)]
+
+
+def _write(path: Path, rows: Sequence[Sequence[str | float]]) -> None:
+    lines = (" ".join(cell if isinstance(cell, str) else repr(float(cell)) for cell in row) for row in rows)
+    path.write_text("\n".join(lines) + "\n", encoding="ascii", newline="\n")
 
 
 def read_scale_bars(path: Path) -> tuple[ScaleBar, ...]:

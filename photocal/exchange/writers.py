@@ -6,6 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from drivers.errors import ConfigurationError
 from photocal.exchange.convert import Conversion
 from photocal.exchange.geographic import Origin
@@ -29,6 +32,7 @@ class Choices:
     origin: Origin | None = None
 
 
+Floats = NDArray[np.float64]
 Writer = Callable[[Path, Reconstruction, Choices], tuple[Conversion, ...]]
 
 
@@ -97,6 +101,28 @@ def _inpho(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion,
     return ()
 
 
+def _jaicov(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    from photocal.exchange.jaicov import write_jaicov
+
+    return (write_jaicov(folder / "block", given),)
+
+
+def _references(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    from photocal.exchange.reference_table import Reference, write_references
+
+    def rows(names: tuple[str, ...], places: Floats, sigmas: Floats) -> list[Reference]:
+        return [
+            Reference(name, (x, y, z), (sx, sy, sz))
+            for name, (x, y, z), (sx, sy, sz) in zip(names, places.tolist(), sigmas.tolist(), strict=True)
+        ]
+
+    write_references(
+        folder / "cameras.csv", "", rows(given.image_names, given.poses[:, 3:], given.pose_sigma[:, 3:])
+    )
+    write_references(folder / "markers.csv", "", rows(given.point_names, given.xyz, given.xyz_sigma))
+    return ()
+
+
 def _geojson(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
     from photocal.exchange.geographic import topocentric, write_geojson
 
@@ -117,6 +143,8 @@ WRITERS: dict[str, Writer] = {
     "opencv": _opencv,
     "opensfm": _opensfm,
     "metashape": _metashape,
+    "metashape-csv": _references,
+    "jaicov": _jaicov,
     "pix4d": _pix4d,
     "patb": _patb,
     "inpho": _inpho,

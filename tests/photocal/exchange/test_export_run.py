@@ -81,7 +81,7 @@ def test_observations_in_mm_become_pixels(run_in_mm: Path, photogrammetric: Reco
 @pytest.mark.parametrize("form", sorted(WRITERS))
 def test_every_format_by_command(run: Path, run_in_mm: Path, tmp_path: Path, form: str) -> None:
     # Two formats hold no affinity, or want mm.
-    folder = run_in_mm if form in ("pix4d", "inpho") else run
+    folder = run_in_mm if form in ("pix4d", "inpho", "jaicov") else run
     arguments = ["export", str(folder), "--format", form, "-o", str(tmp_path / "out"), "--json"]
     arguments += ["--angle-unit", "gon", "--origin", "47.5,8.25,500"]
     result = CliRunner().invoke(app, arguments, catch_exceptions=False)

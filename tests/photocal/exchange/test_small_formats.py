@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import InputMalformedError, PhotocalError
+from drivers.errors import ConfigurationError, InputMalformedError, PhotocalError
 from photocal.exchange.geographic import Origin, footprints, topocentric, write_geojson, write_kml
 from photocal.exchange.ground_points import (
     GroundMark,
@@ -23,6 +23,7 @@ from photocal.exchange.ground_points import (
     write_gcp_list,
     write_geo,
 )
+from photocal.exchange.jaicov import read_jaicov, write_jaicov
 from photocal.exchange.opensfm import read_cameras, read_reconstruction, write_opensfm
 from photocal.exchange.orientation_tables import (
     read_angles,
@@ -35,7 +36,8 @@ from photocal.exchange.orientation_tables import (
 from photocal.exchange.pinhole import to_vision
 from photocal.exchange.pix4d import read_pix4d, write_pix4d
 from photocal.exchange.reconstruction import Reconstruction
-from photocal.geometry.camera import plane_to_pixel
+from photocal.exchange.reference_table import Reference, read_references, write_references
+from photocal.geometry.camera import camera, pixel_to_plane, plane_to_pixel
 from photocal.geometry.distortion import projected
 
 # OpenSfM
@@ -209,6 +211,101 @@ def test_pix4d_wants_the_right_image_size(tmp_path: Path, photogrammetric: Recon
         read_pix4d(tmp_path / "a.cam", (4000, 4000))
 
 
+# JAICOV
+
+
+def test_jaicov_round_trip(tmp_path: Path, vision: Reconstruction) -> None:
+    from dataclasses import replace
+
+    values = {"c": 28.7, "x0": 0.017, "y0": 0.057, "K1": -1.1e-4, "K2": 1.5e-7, "P1": 5.8e-6, "P2": -8.6e-6}
+    own = camera(
+        "1",
+        "brown-ideal",
+        "mm",
+        (4608, 3456),
+        (0.004, 0.004),
+        values | {"B1": -7e-5, "B2": -3e-5},
+        affinity="additive",
+    )
+    single = replace(vision, cameras=(own,), image_camera=np.zeros(6, dtype=np.int64))
+    assert write_jaicov(tmp_path / "block", single).largest_px == 0
+    block = read_jaicov(tmp_path / "block.ior", sigma_mm=0.0005)
+    np.testing.assert_allclose(block.cameras[0].values, own.values, rtol=1e-9, atol=1e-18)
+    np.testing.assert_allclose(block.images.values, vision.poses, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(block.points.values, vision.xyz, rtol=1e-9, atol=1e-9)
+    plane = pixel_to_plane(own.size_px, own.pitch, vision.pixels)
+    np.testing.assert_allclose(block.observations.values, plane, rtol=1e-9, atol=1e-12)
+    with pytest.raises(ConfigurationError, match="a priori"):
+        read_jaicov(tmp_path / "block.ior")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "old", "new", "message"),
+    [
+        (".ior", "-28.7", "28.7", "not negative"),
+        (".ior", "4608", "46080000", "impossible"),
+        (".eor", " 1 ", " 2 ", "not in the .ior"),
+        (".eor", "\n2 ", "\n1 ", "listed twice"),
+        (".obc", "100 ", "100 x", "not a number|values where"),
+        (".phc", " 1 1 1\n", " 1 1\n", "10 values where"),
+    ],
+)
+def test_bad_jaicov(
+    tmp_path: Path, vision: Reconstruction, suffix: str, old: str, new: str, message: str
+) -> None:
+    from dataclasses import replace
+
+    own = camera("1", "brown-ideal", "mm", (4608, 3456), (0.004, 0.004), {"c": 28.7})
+    single = replace(vision, cameras=(own,), image_camera=np.zeros(6, dtype=np.int64))
+    write_jaicov(tmp_path / "block", single)
+    path = tmp_path / f"block{suffix}"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(InputMalformedError, match=message):
+        read_jaicov(tmp_path / "block.phc", sigma_mm=0.001)
+
+
+# Metashape's reference tables
+
+
+def test_reference_round_trip(tmp_path: Path) -> None:
+    nan = math.nan
+    rows = (
+        Reference('a, "quoted".jpg', (999660.44, 112368.17, 1916.55), (0.05, 0.05, 0.1)),
+        Reference("b", (1.0, 2.0, 3.0), (nan, nan, nan)),
+    )
+    write_references(tmp_path / "r.csv", 'LOCAL_CS["m"]', rows)
+    crs, again = read_references(tmp_path / "r.csv")
+    assert crs == 'LOCAL_CS["m"]'
+    assert repr(again) == repr(rows)
+
+
+@pytest.mark.shared
+def test_recorded_references(shared: Path) -> None:
+    _, rows = read_references(shared / "data" / "dbat-sxb" / "ref" / "fake-camera-positions.txt")
+    assert [row.label for row in rows] == ["8811.jpg", "8936.jpg", "8937.jpg", "8938.jpg"]
+    assert rows[0].xyz == (999660.44, 112368.17, 1916.55)
+    assert rows[0].accuracy == (0.05, 0.05, 0.05)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a,1,2,3\n", "no header"),
+        ("#Label,X,Y\na,1,2\n", "no column Z"),
+        ("#Label,X,Y,Z\na,1,2\n", "3 cells where the header has 4"),
+        ("#Label,X,Y,Z\na,1,2,inf\n", "not finite"),
+        ("#Label,X,Y,Z\na,1,2,3\na,1,2,3\n", "listed twice"),
+        ('#Label,X,Y,Z\n"a,1,2,3\n', "no row of a table|cells where"),
+    ],
+)
+def test_bad_references(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "r.csv").write_text(text)
+    with pytest.raises(InputMalformedError, match=message):
+        read_references(tmp_path / "r.csv")
+
+
 # Tables of orientations
 
 
@@ -337,6 +434,7 @@ def test_noise_never_tracebacks(tmp_path_factory: pytest.TempPathFactory, noise:
         read_reconstruction,
         read_inpho,
         read_matrices,
+        read_references,
         lambda file: read_angles(file, "deg"),
         lambda file: read_pix4d(file, (100, 100)),
     ):
