@@ -87,11 +87,15 @@ def progress(title: str, total: float | None) -> Iterator[Callable[[float], None
     callable
         Takes the amount of work done since the last call.
     """
+    if not sys.stderr.isatty():
+        # Nobody looks: the import of the bar would cost more than many a piece of work.
+        yield lambda _: None
+        return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(title, total=total)
         yield lambda amount: bar.advance(task, amount)

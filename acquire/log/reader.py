@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -39,6 +39,16 @@ class Messages:
     sequence: NDArray[np.int64]
 
 
+@dataclass(frozen=True)
+class Attachment:
+    """An attached file: its kind, content, and the times of its attaching and making (UTC ns)."""
+
+    media_type: str
+    data: bytes
+    log_ns: int
+    create_ns: int
+
+
 @dataclass
 class LogReader:
     """Reads one flight log; tables and definitions fill while `chunks` is iterated.
@@ -57,13 +67,20 @@ class LogReader:
 
     path: Path
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    attachments: dict[str, bytes] = field(default_factory=dict)
+    attachments: dict[str, Attachment] = field(default_factory=dict)
     complete: bool = False
     _schemas: dict[int, Schema] = field(default_factory=dict)
     _channels: dict[int, Channel] = field(default_factory=dict)
 
-    def chunks(self) -> Iterator[list[Messages]]:
+    def chunks(
+        self, damaged: Callable[[InputMalformedError], None] | None = None
+    ) -> Iterator[list[Messages]]:
         """Yield the messages of each whole chunk, channel by channel.
+
+        Parameters
+        ----------
+        damaged : callable, optional
+            Is told of each damaged record, which is then passed over; without it the first one is an error.
 
         Raises
         ------
@@ -72,28 +89,41 @@ class LogReader:
         InputMalformedError
             When it is no MCAP file or a chunk in it is damaged.
         """
-        try:
-            yield from self._walk()
-        except (struct.error, UnicodeDecodeError, LookupError, ValueError) as damage:
-            raise InputMalformedError(
-                f"a record cannot be read ({damage})", where=self.path, remedy="run acquire recover"
-            ) from damage
-
-    def _walk(self) -> Iterator[list[Messages]]:
         for opcode, body in self._records():
-            if opcode == records.CHUNK:
-                yield self._chunk(body)
-            elif opcode == records.METADATA:
-                cursor = _Cursor(body)
-                name = cursor.text()
-                self.metadata[name] = cursor.table()
-            elif opcode == records.ATTACHMENT:
-                cursor = _Cursor(body, 16)
-                name = cursor.text()
-                cursor.text()
-                self.attachments[name] = cursor.bytes(cursor.number("<Q"))
-            elif opcode == records.FOOTER:
-                self.complete = True
+            try:
+                found = self._take(opcode, body)
+            except InputMalformedError as refusal:
+                if damaged is None:
+                    raise
+                damaged(refusal)
+                continue
+            except (struct.error, UnicodeDecodeError, LookupError, ValueError) as damage:
+                unreadable = InputMalformedError(
+                    f"a record cannot be read ({damage})", where=self.path, remedy="run acquire recover"
+                )
+                if damaged is None:
+                    raise unreadable from damage
+                damaged(unreadable)
+                continue
+            if found is not None:
+                yield found
+
+    def _take(self, opcode: int, body: bytes) -> list[Messages] | None:
+        if opcode == records.CHUNK:
+            return self._chunk(body)
+        if opcode == records.METADATA:
+            cursor = _Cursor(body)
+            name = cursor.text()
+            self.metadata[name] = cursor.table()
+        elif opcode == records.ATTACHMENT:
+            cursor = _Cursor(body)
+            times = cursor.number("<Q"), cursor.number("<Q")
+            name, media_type = cursor.text(), cursor.text()
+            data = cursor.bytes(cursor.number("<Q"))
+            self.attachments[name] = Attachment(media_type, data, *times)
+        elif opcode == records.FOOTER:
+            self.complete = True
+        return None
 
     def _records(self) -> Iterator[tuple[int, bytes]]:
         if self.path.is_dir():

@@ -119,7 +119,7 @@ def test_our_reader_gives_back_what_was_written(messages: list[tuple[int, bytes,
     ]
     assert reader.complete
     assert reader.metadata == {"site": {"name": "field", "empty": ""}}
-    assert reader.attachments == {"rig.toml": b"lever = 1\n"}
+    assert {name: a.data for name, a in reader.attachments.items()} == {"rig.toml": b"lever = 1\n"}
 
 
 def test_a_log_that_ends_anywhere_gives_its_whole_chunks(tmp_path: Path) -> None:
