@@ -50,7 +50,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 # Kernels own no memory: with reference counting left out they run three times as fast. What they fill is
 # made by their callers.
-_LEAN: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract"}, "_nrt": False}
+_COMMON: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
+_LEAN: dict[str, Any] = {**_COMMON, "fastmath": {"contract"}, "_nrt": False}
 
 
 def compiled(function: Function) -> Function:
@@ -65,9 +66,9 @@ def inlined(function: Function) -> Function:
 
 def allocating(function: Function) -> Function:
     """Compile a function that makes arrays."""
-    return cast("Function", numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    return cast("Function", numba.njit(**_COMMON)(function))
 
 
 def compiled_parallel(function: Function) -> Function:
     """Compile a function that may make arrays and whose `numba.prange` loops run on all threads."""
-    return cast("Function", numba.njit(cache=True, nogil=True, error_model="numpy", parallel=True)(function))
+    return cast("Function", numba.njit(**_COMMON, parallel=True)(function))

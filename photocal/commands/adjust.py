@@ -61,11 +61,11 @@ def iteration_lines(title: str) -> Iterator[Callable[[Any], None]]:
 def _text(result: dict[str, Any], output: Path) -> str:
     """What a person wants to know first."""
     test = result["global_test"]
-    lines = [
-        f"{result['block']['name']}: converged after {result['iterations']} iterations, "
+    counts = (
         f"{result['observations']} observations, {result['unknowns']} unknowns, "
-        f"{result['degrees_of_freedom']} degrees of freedom",
-    ]
+        f"{result['degrees_of_freedom']} degrees of freedom"
+    )
+    lines = [f"{result['block']['name']}: converged after {result['iterations']} iterations, {counts}"]
     if test:
         verdict = "accepted" if test["accepted"] else "REJECTED"
         lines.append(
