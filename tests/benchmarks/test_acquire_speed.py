@@ -1,0 +1,60 @@
+"""Import of a telemetry log against pymavlink's mavlogdump, RXM-RAWX against pyubx2."""
+
+from __future__ import annotations
+
+import gzip
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pyubx2 import UBXReader
+
+from drivers.frames import Wire
+from drivers.framing import StreamFramer
+from drivers.ubx.decode import RXM_RAWX, decode_rawx
+
+pytestmark = [pytest.mark.shared, pytest.mark.benchmark(group="acquire")]
+
+
+def test_import_against_mavlogdump(shared: Path, tmp_path: Path, benchmark: Any) -> None:
+    """Both as a person runs them, whole processes; the best of five each."""
+    flight = shared / "data/mavlink-tlog-dronekit/flight.tlog"
+    log = tmp_path / "flight.mcap"
+    ours = [sys.executable, "-m", "acquire.cli", "import", str(flight), "-o", str(log)]
+    dump = [sys.executable, str(Path(sys.executable).parent / "mavlogdump.py"), str(flight)]
+
+    def run(command: list[str]) -> float:
+        start = time.perf_counter()
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        return time.perf_counter() - start
+
+    theirs = min(run(dump) for _ in range(5))
+    benchmark.pedantic(lambda: run(ours), rounds=5)
+    best = benchmark.stats.stats.min
+    benchmark.extra_info.update(mavlogdump_s=theirs, times_as_fast=theirs / best)
+    sys.stderr.write(f"\nimport {best:.3f} s, mavlogdump {theirs:.3f} s: {theirs / best:.1f} times as fast\n")
+    assert theirs / best > 2
+
+
+def test_raw_observations_against_pyubx2(shared: Path, benchmark: Any) -> None:
+    """Bytes of RXM-RAWX frames to arrays, framing and checksums included."""
+    path = shared / "data/gnss-ubx-m8p-base-rover/rover-20181009-1221.ubx.gz"
+    everything = StreamFramer((Wire.UBX,)).feed(gzip.decompress(path.read_bytes()))
+    frames = [everything.frame(i).data for i in everything.where(Wire.UBX, RXM_RAWX).tolist()]
+    stream = b"".join(frames)
+
+    def decode() -> int:
+        return len(decode_rawx(StreamFramer((Wire.UBX,)).feed(stream)).epochs)
+
+    assert benchmark(decode) == len(frames)
+    start = time.perf_counter()
+    for frame in frames[:300]:
+        UBXReader.parse(frame)
+    theirs = 300 / (time.perf_counter() - start)
+    rate = len(frames) / benchmark.stats.stats.min
+    benchmark.extra_info.update(messages_per_s=rate, pyubx2_per_s=theirs)
+    sys.stderr.write(f"\nRXM-RAWX {rate:,.0f}/s, pyubx2 {theirs:,.0f}/s\n")
+    assert rate > 100_000
