@@ -1,0 +1,1 @@
+"""From images to the observations of a block: targets, tie points and marks."""

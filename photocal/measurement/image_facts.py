@@ -1,0 +1,209 @@
+"""What an image says of itself: camera, size, time, position and attitude, from EXIF and XMP."""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from photocal.measurement.image_file import opened
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+Triple = tuple[float, float, float]
+
+_EXIF_IFD, _GPS_IFD = 0x8769, 0x8825
+_NOT_GIVEN: Triple = (math.nan, math.nan, math.nan)
+# A value as attribute (name="value") or as element (<name>value</name>) of the XMP packet.
+_XMP = re.compile(r"(?<=[\s<])([A-Za-z][\w.-]*):(\w+)(?:=\"([^\"<>]{0,200})\"|>([^<>]{0,200})</)")
+
+
+@dataclass(frozen=True)
+class ImageFacts:
+    """What an image file says of itself.
+
+    Attributes
+    ----------
+    name : str
+        File name.
+    size_px : tuple of int
+        Width and height of the stored pixel grid.
+    orientation : int
+        EXIF orientation, 1 when not given: how a viewer turns the picture. The stored grid is used as is.
+    make, model, serial : str
+        Of the camera; empty when not given.
+    focal_mm, focal_35mm : float
+        Focal length, and its equivalent for a frame of 36 mm by 24 mm; NaN when not given.
+    taken : str
+        Time of the camera's own clock, without zone ("2016-06-23T16:31:59"); empty when not given.
+    gps_utc : str
+        UTC of the position, ISO 8601; empty when not given.
+    latitude_deg, longitude_deg : float
+        WGS 84; NaN when not given.
+    altitude_m : float
+        As written; EXIF calls it "above sea level", drones write anything. NaN when not given.
+    relative_altitude_m : float
+        Above the take-off point (XMP); NaN when not given.
+    gimbal_deg, vehicle_deg : tuple of float
+        Roll, pitch, yaw of the camera and of the vehicle (XMP); pitch -90 looks down. NaN when not given.
+    position_sigma_m : tuple of float
+        East, north, up, where the receiver wrote them (DJI RTK); NaN when not given.
+    """
+
+    name: str
+    size_px: tuple[int, int]
+    orientation: int = 1
+    make: str = ""
+    model: str = ""
+    serial: str = ""
+    focal_mm: float = math.nan
+    focal_35mm: float = math.nan
+    taken: str = ""
+    gps_utc: str = ""
+    latitude_deg: float = math.nan
+    longitude_deg: float = math.nan
+    altitude_m: float = math.nan
+    relative_altitude_m: float = math.nan
+    gimbal_deg: Triple = _NOT_GIVEN
+    vehicle_deg: Triple = _NOT_GIVEN
+    position_sigma_m: Triple = _NOT_GIVEN
+
+    @property
+    def has_position(self) -> bool:
+        """Whether latitude, longitude and a height are known."""
+        return math.isfinite(self.latitude_deg + self.longitude_deg + self.altitude_m)
+
+
+def read_facts(path: Path) -> ImageFacts:
+    """Read what an image says of itself, without decoding its pixels.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    ImageFacts
+        Damaged or missing tags are "not given", never guessed.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        When the file is no readable image.
+    """
+    with opened(path) as image:
+        main, exif, gps = _tags(image)
+        xmp = _xmp(image)
+        size = image.size
+    orientation = _number(main.get(0x0112))
+    return ImageFacts(
+        path.name,
+        size,
+        int(orientation) if orientation in range(1, 9) else 1,
+        _text(main.get(0x010F)),
+        _text(main.get(0x0110)),
+        _text(exif.get(0xA431)) or _text(main.get(0xC62F)) or xmp.get("SerialNumber", ""),
+        _positive(exif.get(0x920A)),
+        _positive(exif.get(0xA405)),
+        _taken(_text(exif.get(0x9003)) or _text(main.get(0x0132)), _text(exif.get(0x9291))),
+        _gps_time(gps),
+        _angle(gps.get(2), _text(gps.get(1)), "S", 90.0),
+        _angle(gps.get(4), _text(gps.get(3)), "W", 180.0),
+        _altitude(gps, xmp),
+        _number(xmp.get("RelativeAltitude")),
+        _triple(xmp, "GimbalRollDegree", "GimbalPitchDegree", "GimbalYawDegree"),
+        _triple(xmp, "FlightRollDegree", "FlightPitchDegree", "FlightYawDegree"),
+        _triple(xmp, "RtkStdLon", "RtkStdLat", "RtkStdHgt"),
+    )
+
+
+def _tags(image: Image) -> tuple[Mapping[int, Any], Mapping[int, Any], Mapping[int, Any]]:
+    """Give the main, EXIF and GPS directories; empty where they are damaged."""
+    none: dict[int, Any] = {}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            exif = image.getexif()
+            return dict(exif), dict(exif.get_ifd(_EXIF_IFD)), dict(exif.get_ifd(_GPS_IFD))
+    except (SyntaxError, ValueError, KeyError, TypeError, OSError, struct.error, IndexError, OverflowError):
+        return none, none, none
+
+
+def _xmp(image: Image) -> dict[str, str]:
+    packet = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
+    text = packet.decode("utf-8", "replace") if isinstance(packet, bytes) else str(packet)
+    return {name: (a or b).strip() for _, name, a, b in _XMP.findall(text)}
+
+
+def _text(value: object) -> str:
+    if isinstance(value, bytes):
+        value = value.decode("ascii", "replace")
+    if not isinstance(value, str):
+        return ""
+    # Text tags are cut at the first zero; what follows is left over memory.
+    return "".join(c for c in value.split("\0")[0] if c.isprintable()).strip()
+
+
+def _number(value: Any) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
+        return math.nan
+    return number if math.isfinite(number) else math.nan
+
+
+def _positive(value: Any) -> float:
+    number = _number(value)
+    return number if number > 0 else math.nan
+
+
+def _triple(xmp: Mapping[str, str], first: str, second: str, third: str) -> Triple:
+    values = (_number(xmp.get(first)), _number(xmp.get(second)), _number(xmp.get(third)))
+    return values if all(map(math.isfinite, values)) else _NOT_GIVEN
+
+
+def _angle(value: Any, hemisphere: str, negative: str, limit: float) -> float:
+    try:
+        degrees, minutes, seconds = (_number(part) for part in value)
+    except (TypeError, ValueError):
+        return math.nan
+    # Without its hemisphere the sign is unknown, and so is the angle.
+    if not hemisphere:
+        return math.nan
+    angle = degrees + minutes / 60 + seconds / 3600
+    return (-angle if hemisphere.upper() == negative else angle) if 0 <= angle <= limit else math.nan
+
+
+def _altitude(gps: Mapping[int, Any], xmp: Mapping[str, str]) -> float:
+    written = _number(xmp.get("AbsoluteAltitude"))
+    if math.isfinite(written):
+        return written
+    altitude = _number(gps.get(6))
+    reference = gps.get(5, 0)
+    below = reference in (1, b"\x01", 3, b"\x03")
+    return -altitude if below else altitude
+
+
+def _taken(stamp: str, fraction: str) -> str:
+    found = re.match(r"(\d{4})[:-](\d\d)[:-](\d\d)[ T](\d\d:\d\d:\d\d)", stamp)
+    if not found or found.group(1) == "0000":
+        return ""
+    year, month, day, clock = found.groups()
+    return f"{year}-{month}-{day}T{clock}" + (f".{fraction}" if fraction.isdigit() else "")
+
+
+def _gps_time(gps: Mapping[int, Any]) -> str:
+    date = re.match(r"(\d{4})[:-](\d\d)[:-](\d\d)", _text(gps.get(29)))
+    try:
+        hour, minute, second = (_number(part) for part in gps.get(7, ()))
+    except (TypeError, ValueError):
+        return ""
+    if not date or not math.isfinite(hour + minute + second):
+        return ""
+    return f"{'-'.join(date.groups())}T{int(hour):02}:{int(minute):02}:{second:06.3f}Z"

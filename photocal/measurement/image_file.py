@@ -1,0 +1,174 @@
+"""Reading images: the stored pixel grid as grey values, or a refusal that names the file.
+
+The pixel grid is the stored one. An EXIF orientation other than 1 tells viewers to turn the picture; the
+pixels here are never turned, so that column and row always belong to the sensor: the centre of the
+upper-left stored pixel is (0, 0), whatever a viewer shows.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputMalformedError, InputNotFoundError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+Grey = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]
+
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".jp2", ".pgm")
+# The largest aerial cameras have 500 million pixels; more is not an image but an attack on the memory.
+LARGEST_PX = 1_000_000_000
+SMALLEST_SIDE_PX = 16
+
+
+def list_images(folder: Path) -> tuple[Path, ...]:
+    """List the image files of a folder, by their names.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    tuple of Path
+        Sorted; hidden files are left out.
+
+    Raises
+    ------
+    InputNotFoundError
+        When the folder does not exist or has no image.
+    """
+    if not folder.is_dir():
+        raise InputNotFoundError("is not a folder", where=folder, remedy="name the folder with the images")
+    found = sorted(
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in SUFFIXES and path.is_file() and not path.name.startswith(".")
+    )
+    if not found:
+        raise InputNotFoundError("has no image", where=folder, remedy=f"it takes {', '.join(SUFFIXES)}")
+    return tuple(found)
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Image]:
+    """Open an image; whatever is wrong with the file becomes one line that names it.
+
+    Parameters
+    ----------
+    path : Path
+
+    Yields
+    ------
+    PIL.Image.Image
+        Header read, pixels not yet.
+
+    Raises
+    ------
+    InputNotFoundError
+        When there is no such file or it is empty.
+    InputMalformedError
+        When it is not an image, cut, or too large to be one.
+    """
+    from PIL import Image
+
+    if not path.is_file():
+        raise InputNotFoundError("does not exist", where=path, remedy="check the name of the image")
+    if path.stat().st_size == 0:
+        raise InputNotFoundError("is empty (0 bytes)", where=path, remedy="copy the image again")
+    limit = Image.MAX_IMAGE_PIXELS
+    try:
+        # Our own limit below replaces the library's, which large aerial images exceed.
+        Image.MAX_IMAGE_PIXELS = None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(path) as image:
+                _require_sensible(path, image.size)
+                yield image
+    except (OSError, SyntaxError, ValueError, EOFError, IndexError, MemoryError, OverflowError) as failure:
+        reason = "is not an image" if type(failure).__name__ == "UnidentifiedImageError" else "cannot be read"
+        detail = "" if reason == "is not an image" else f" ({failure})"
+        raise InputMalformedError(
+            f"{reason}{detail}", where=path, remedy="copy the image again or take it out"
+        ) from failure
+    finally:
+        Image.MAX_IMAGE_PIXELS = limit
+
+
+def read_grey(path: Path) -> Grey:
+    """Read the grey values of an image, on its stored pixel grid.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    ndarray, shape (height, width)
+        uint8, or uint16 or float32 for files with more than 8 bits a pixel. Colours are weighted as in
+        ITU-R BT.601 (0.299, 0.587, 0.114).
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        As `opened`; a truncated image is refused, never filled up.
+    """
+    with opened(path) as image:
+        # JPEG holds the luminance; decoding it alone saves the colours' time and memory.
+        if image.format == "JPEG" and image.mode in ("RGB", "YCbCr"):
+            image.draft("L", None)
+        if image.mode in ("I;16", "I;16B", "I;16L", "I;16N"):
+            return np.asarray(image).astype(np.uint16)
+        if image.mode == "I":
+            return _sixteen_bits(np.asarray(image))
+        if image.mode == "F":
+            return np.asarray(image, dtype=np.float32)
+        return np.asarray(image.convert("L"), dtype=np.uint8)
+
+
+def as_eight_bit(grey: Grey) -> NDArray[np.uint8]:
+    """Reduce grey values to 8 bits for detectors that know no more.
+
+    Parameters
+    ----------
+    grey : ndarray, shape (height, width)
+
+    Returns
+    -------
+    ndarray of uint8
+        Unchanged when it has 8 bits; otherwise stretched between its 0.1 and 99.9 percent quantiles.
+    """
+    if grey.dtype == np.uint8:
+        return np.asarray(grey, dtype=np.uint8)
+    low, high = np.nanquantile(grey[::4, ::4], [0.001, 0.999])
+    span = max(float(high - low), 1e-12)
+    scaled = (np.nan_to_num(grey.astype(np.float32), nan=float(low)) - low) * (255.0 / span)
+    return np.asarray(np.clip(scaled, 0, 255), dtype=np.uint8)
+
+
+def _sixteen_bits(values: NDArray[Any]) -> Grey:
+    if values.size and values.min() >= 0 and values.max() < 65536:
+        return values.astype(np.uint16)
+    return values.astype(np.float32)
+
+
+def _require_sensible(path: Path, size: tuple[int, int]) -> None:
+    width, height = size
+    if width * height > LARGEST_PX:
+        raise InputMalformedError(
+            f"claims {width} x {height} pixels", where=path, remedy="is the header damaged?"
+        )
+    if min(size) < SMALLEST_SIDE_PX:
+        raise InputMalformedError(
+            f"has only {width} x {height} pixels",
+            where=path,
+            remedy=f"at least {SMALLEST_SIDE_PX} are needed",
+        )
