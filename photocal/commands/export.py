@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 FORMATS = (
     "colmap, colmap-binary, opencv, opensfm, metashape, metashape-csv, jaicov, pix4d, patb, inpho, "
-    "geojson, kml"
+    "geojson, kml, geopackage"
 )
 
 
@@ -28,7 +29,10 @@ def export(
         str, typer.Option("--angle-unit", help="Unit of omega, phi, kappa for patb: deg or gon.")
     ] = "",
     origin: Annotated[
-        str, typer.Option("--origin", help="LATITUDE,LONGITUDE,HEIGHT of the local frame (geojson, kml).")
+        str,
+        typer.Option(
+            "--origin", help="LATITUDE,LONGITUDE,HEIGHT of the local frame (geojson, kml, geopackage)."
+        ),
     ] = "",
     as_json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
 ) -> None:
@@ -40,7 +44,8 @@ def export(
     from photocal.exchange.reconstruction import read_run
     from photocal.exchange.writers import Choices, writer
 
-    choices = Choices(_angle_unit(angle_unit), _origin(origin))
+    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.000Z")
+    choices = Choices(_angle_unit(angle_unit), _origin(origin), now)
     write = writer(form)
     given = read_run(run)
     with output_folder(output) as aside:

@@ -47,7 +47,8 @@ def read_foreign_block(path: Path) -> Block:
 
         return read_photoscan(path)
     if path.suffix.lower() == ".txt":
-        from photocal.exchange.photomodeler import control_beside, looks_like_export, read_photomodeler
+        from photocal.exchange.photomodeler import control_beside, read_photomodeler
+        from photocal.exchange.photomodeler_export import looks_like_export
 
         if looks_like_export(path):
             control = control_beside(path)

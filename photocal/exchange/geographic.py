@@ -94,11 +94,11 @@ def write_geojson(path: Path, given: Reconstruction, to_geographic: ToGeographic
     to_geographic : callable
         From `topocentric`.
     """
-    features = [
+    found = [
         {"type": "Feature", "geometry": geometry, "properties": properties}
-        for geometry, properties in _features(given, to_geographic)
+        for geometry, properties in features(given, to_geographic)
     ]
-    content = {"type": "FeatureCollection", "features": features}
+    content = {"type": "FeatureCollection", "features": found}
     path.write_text(json.dumps(content, allow_nan=False), encoding="utf-8", newline="\n")
 
 
@@ -107,7 +107,7 @@ def write_kml(path: Path, given: Reconstruction, to_geographic: ToGeographic) ->
     root = Element("kml", xmlns="http://www.opengis.net/kml/2.2")
     document = SubElement(root, "Document")
     folders: dict[str, Element] = {}
-    for geometry, properties in _features(given, to_geographic):
+    for geometry, properties in features(given, to_geographic):
         kind = properties["kind"]
         if kind not in folders:
             folders[kind] = SubElement(document, "Folder")
@@ -151,9 +151,24 @@ def footprints(given: Reconstruction, height_m: float) -> Floats:
     return corners
 
 
-def _features(
+def features(
     given: Reconstruction, to_geographic: ToGeographic
 ) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """Give exposures, footprints on the median height of the points, and points.
+
+    Parameters
+    ----------
+    given : Reconstruction
+    to_geographic : callable
+        Turns local coordinates into those to be written.
+
+    Yields
+    ------
+    geometry : dict
+        As in GeoJSON: points with height, polygons without.
+    properties : dict
+        kind (exposure, footprint, or the role of a point), name, and figures with their unit in the name.
+    """
     exposures = to_geographic(given.poses[:, 3:])
     for k, name in enumerate(given.image_names):
         angles = dict(

@@ -26,10 +26,13 @@ class Choices:
         For tables of angles.
     origin : Origin or None
         Of a local frame, for geographic formats.
+    changed_utc : str
+        Time that a file may note as that of its making.
     """
 
     angle_unit: Angle | None = None
     origin: Origin | None = None
+    changed_utc: str = "1970-01-01T00:00:00.000Z"
 
 
 Floats = NDArray[np.float64]
@@ -130,6 +133,15 @@ def _geojson(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Con
     return ()
 
 
+def _geopackage(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
+    from photocal.exchange.geographic import topocentric
+    from photocal.exchange.geopackage import write_geopackage
+
+    turn = None if choices.origin is None else topocentric(choices.origin)
+    write_geopackage(folder / "block.gpkg", given, turn, choices.changed_utc)
+    return ()
+
+
 def _kml(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
     from photocal.exchange.geographic import topocentric, write_kml
 
@@ -150,6 +162,7 @@ WRITERS: dict[str, Writer] = {
     "inpho": _inpho,
     "geojson": _geojson,
     "kml": _kml,
+    "geopackage": _geopackage,
 }
 
 

@@ -108,7 +108,7 @@ def test_photogrammetric_camera_is_fitted() -> None:
 @pytest.mark.shared
 def test_photoscan_project(shared: Path, tmp_path: Path) -> None:
     """SXB's own project: the older form, with the marks that PhotoModeler's export has too."""
-    from photocal.exchange.photomodeler import read_export
+    from photocal.exchange.photomodeler_export import read_export
 
     folder = shared / "data" / "dbat-sxb"
     with zipfile.ZipFile(folder / "psprojects" / "sxb.psz") as project:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import sqlite3
+import struct
+from contextlib import closing
 from pathlib import Path
 from typing import Literal
 from xml.etree.ElementTree import parse
@@ -15,6 +18,7 @@ from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError, InputMalformedError, PhotocalError
 from photocal.exchange.geographic import Origin, footprints, topocentric, write_geojson, write_kml
+from photocal.exchange.geopackage import write_geopackage
 from photocal.exchange.ground_points import (
     GroundMark,
     ImagePosition,
@@ -420,6 +424,37 @@ def test_geojson_and_kml(tmp_path: Path, vision: Reconstruction) -> None:
             assert 440 < height < 600
     root = parse(tmp_path / "b.kml").getroot()  # noqa: S314
     assert len(root.findall(".//{http://www.opengis.net/kml/2.2}Placemark")) == len(content["features"])
+
+
+@pytest.mark.parametrize("origin", [None, Origin(47.3, 8.6, 450.0)])
+def test_geopackage(tmp_path: Path, vision: Reconstruction, origin: Origin | None) -> None:
+    """Read with plain SQLite by the standard's layout (OGC 12-128r15, clause 2.1.3)."""
+    path = tmp_path / "b.gpkg"
+    write_geopackage(
+        path, vision, None if origin is None else topocentric(origin), "2026-01-31T12:00:00.000Z"
+    )
+    with closing(sqlite3.connect(path)) as database:
+        assert database.execute("PRAGMA application_id").fetchone()[0] == 0x47504B47
+        assert database.execute("PRAGMA foreign_key_check").fetchall() == []
+        system = -1 if origin is None else 4326
+        tables = dict(database.execute("SELECT table_name, srs_id FROM gpkg_geometry_columns"))
+        assert tables == dict.fromkeys(("exposures", "footprints", "points"), system)
+        rows = database.execute("SELECT geom, name, kappa_deg FROM exposures ORDER BY fid").fetchall()
+        assert [name for _, name, _ in rows] == list(vision.image_names)
+        for k, (geometry, _, kappa) in enumerate(rows):
+            magic, version, flags, number, order, kind, x, y, z = struct.unpack("<2sBBiBI3d", geometry)
+            assert (magic, version, flags, number, order, kind) == (b"GP", 0, 1, system, 1, 1001)
+            assert kappa == pytest.approx(np.degrees(vision.poses[k, 2]))
+            if origin is None:
+                np.testing.assert_allclose([x, y, z], vision.poses[k, 3:], rtol=1e-12)
+            else:
+                assert (round(x, 1), round(y, 1)) == (8.6, 47.3)
+        residuals = database.execute(
+            "SELECT column_px, row_px, vx_px, vy_px FROM image_residuals ORDER BY fid"
+        )
+        expected = np.hstack([vision.pixels, vision.residuals_px])
+        np.testing.assert_allclose(residuals.fetchall(), expected, rtol=1e-12)
+        assert database.execute("SELECT count(*) FROM points WHERE kind = 'control'").fetchone() == (1,)
 
 
 @given(st.binary(max_size=300))

@@ -13,7 +13,9 @@ import pytest
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.solution import Solution
 from photocal.block.model import Block
-from photocal.block.network import Assembly, assemble
+from photocal.block.network import assemble
+from photocal.block.run import summary, write_run
+from photocal.exchange.reconstruction import Reconstruction, read_run
 
 
 @dataclass
@@ -123,11 +125,17 @@ def dbat_report() -> Callable[[Path], DbatReport]:
 
 
 @pytest.fixture(scope="session")
-def adjusted() -> Callable[[Block], tuple[Assembly, Solution]]:
-    """Adjusts a block."""
+def adjusted(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Callable[[Block], tuple[Reconstruction, Solution]]:
+    """Adjusts a block; gives what the run folder says, and the solution."""
 
-    def run(block: Block) -> tuple[Assembly, Solution]:
+    def run(block: Block) -> tuple[Reconstruction, Solution]:
         assembly = assemble(block)
-        return assembly, adjust(assembly.network)
+        solution = adjust(assembly.network)
+        folder = tmp_path_factory.mktemp("run")
+        timing = {"read": 0.0, "solve": 0.0, "covariance": 0.0}
+        write_run(folder, block, assembly, solution, summary(block, assembly, solution, timing))
+        return read_run(folder), solution
 
     return run

@@ -15,7 +15,8 @@ from drivers.errors import IllPosedError, InputMalformedError
 from photocal.block.network import assemble
 from photocal.exchange.dbat import read_dbat
 from photocal.exchange.dbat_camera import NAMES, to_dbat
-from photocal.exchange.photomodeler import block_from_export, read_control, read_export
+from photocal.exchange.photomodeler import block_from_export, read_control
+from photocal.exchange.photomodeler_export import read_export
 
 pytestmark = pytest.mark.shared
 
@@ -74,13 +75,13 @@ def test_lens_models(folder: Path, lens_model: int, tmp_path: Path, dbat_report:
 def test_orientations_of_the_script(folder: Path, dbat_report: Any, adjusted: Any) -> None:
     report = dbat_report(folder / "script" / "result" / "report.txt")
     block = read_dbat(folder / "script" / "camcaldemo.xml")
-    assembly, solution = adjusted(block)
+    found, solution = adjusted(block)
     sigma0 = math.sqrt(solution.variance_factor)
     short = report.tolerance * report.last_error / sigma0
     for k, name in enumerate(block.images.names):
-        pose = solution.exposures[k] + np.concatenate([np.zeros(3), assembly.origin])
+        pose = found.poses[k].copy()
         pose[:3] = np.degrees(pose[:3])
-        sigma = np.sqrt(np.diag(solution.exposure_covariance[k])) * sigma0
+        sigma = found.pose_sigma[k] * sigma0
         sigma[:3] = np.degrees(sigma[:3])
         for value, sd, key in zip(pose, sigma, ("Omega", "Phi", "Kappa", "Xc", "Yc", "Zc"), strict=True):
             printed, deviation = report.photos[name][key]

@@ -12,7 +12,8 @@ import pytest
 
 from photocal.block.model import Block
 from photocal.exchange.foreign import read_foreign_block
-from photocal.exchange.photomodeler import block_from_export, read_control, read_export, read_positions
+from photocal.exchange.photomodeler import block_from_export, read_control, read_positions
+from photocal.exchange.photomodeler_export import read_export
 
 pytestmark = pytest.mark.shared
 
@@ -27,7 +28,7 @@ def folder(shared: Path) -> Path:
 def same_as_printed(
     block: Block, report: Any, adjusted: Any, origin: Any = (0, 0, 0), label: Callable[[str], str] = str
 ) -> None:
-    assembly, solution = adjusted(block)
+    found, solution = adjusted(block)
     assert solution.degrees_of_freedom == report.redundancy
     assert solution.observations == report.observations
     assert solution.unknowns == report.unknowns
@@ -38,23 +39,23 @@ def same_as_printed(
     assert abs(sigma0 - report.sigma0.value) <= 2 * report.sigma0.unit
     assert set(report.photos) == set(block.images.names)
     for k, name in enumerate(block.images.names):
-        pose = solution.exposures[k] + np.concatenate([np.zeros(3), assembly.origin - np.asarray(origin)])
+        pose = found.poses[k] - np.concatenate([np.zeros(3), np.asarray(origin)])
         pose[:3] = np.degrees(pose[:3])
         # DBAT's standard deviations are a posteriori.
-        deviation = np.sqrt(np.diag(solution.exposure_covariance[k])) * sigma0
+        deviation = found.pose_sigma[k] * sigma0
         deviation[:3] = np.degrees(deviation[:3])
         for value, sd, key in zip(pose, deviation, KEYS, strict=True):
             printed, printed_sd = report.photos[name][key]
             assert abs(value - printed.value) <= 2 * printed.unit + short * sd, (name, key)
             assert abs(sd - printed_sd.value) <= 2 * printed_sd.third_digit, (name, key)
-    position = {block.points.names[j]: k for k, j in enumerate(assembly.points)}
-    count = np.bincount(assembly.network.rays.point)
+    position = {name: k for k, name in enumerate(found.point_names)}
+    count = np.bincount(found.point)
     assert len(report.control) == block.points.of_role("control").sum()
     assert len(report.checks) == block.points.of_role("check").sum()
     for name, printed_point in (report.control | report.checks).items():
         k = position[label(name)]
-        xyz = solution.points[k] + assembly.origin - np.asarray(origin)
-        sigma = np.sqrt(np.diag(solution.point_covariance[k])) * sigma0
+        xyz = found.xyz[k] - np.asarray(origin)
+        sigma = found.xyz_sigma[k] * sigma0
         assert count[k] == printed_point[6].value
         for value, cell in zip(xyz, printed_point[:3], strict=True):
             assert abs(value - cell.value) <= 2 * cell.unit, name
