@@ -1,0 +1,120 @@
+"""Replay of the raw frames of a link, in their order and at their pace."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from acquire.log.link import DAMAGE_ENCODING
+from acquire.log.reader import LogReader, Messages
+from acquire.transports.sinks import Sink
+from drivers.errors import ConfigurationError, InputMalformedError
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """What was sent: number and bytes of frames, time that the recording had taken."""
+
+    frames: int
+    size: int
+    recorded_s: float
+
+
+def links_of(path: Path) -> list[str]:
+    """Return the names of the links with raw frames in a log."""
+    names: set[str] = set()
+    for chunk in LogReader(path).chunks():
+        names |= {part.channel.topic.split("/")[1] for part in chunk if _is_raw(part)}
+    return sorted(names)
+
+
+def choose_link(path: Path, link: str | None) -> str:
+    """Return the link to be replayed.
+
+    Raises
+    ------
+    ConfigurationError
+        When it does not exist, or none was named and there are several.
+    InputMalformedError
+        When the log has no raw frames.
+    """
+    names = links_of(path)
+    if not names:
+        raise InputMalformedError("holds no raw frames", where=path, remedy="name a flight log")
+    if link is None and len(names) > 1:
+        raise ConfigurationError(
+            f"has several links: {', '.join(names)}", where=path, remedy="name one with --link"
+        )
+    if link is not None and link not in names:
+        raise ConfigurationError(
+            f"has no link {link!r}, it has {', '.join(names)}", where=path, remedy="name one of them"
+        )
+    return link or names[0]
+
+
+def replay(
+    path: Path,
+    link: str,
+    sink: Sink,
+    speed: float,
+    clock: Callable[[], float],
+    sleep: Callable[[float], None],
+) -> Replayed:
+    """Send the raw frames of a link in the order in which they were received.
+
+    Parameters
+    ----------
+    path : Path
+        The flight log.
+    link : str
+        The link.
+    sink : Sink
+        Where the frames go.
+    speed : float
+        1 for the pace of the recording, N for N times as fast, 0 as fast as the frames are taken.
+    clock, sleep : callable
+        Seconds of a steady clock, and waiting for seconds.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        When the log cannot be read.
+    DeviceError
+        When the reader goes away.
+    """
+    frames = size = 0
+    first_ns = last_ns = None
+    start = clock()
+    for time_ns, frame in _frames(path, link):
+        first_ns = time_ns if first_ns is None else first_ns
+        last_ns = time_ns
+        if speed > 0:
+            ahead = (time_ns - first_ns) / 1e9 / speed - (clock() - start)
+            if ahead > 0:
+                sleep(ahead)
+        sink.send(frame)
+        frames += 1
+        size += len(frame)
+    recorded = 0.0 if first_ns is None or last_ns is None else (last_ns - first_ns) / 1e9
+    return Replayed(frames, size, recorded)
+
+
+def _frames(path: Path, link: str) -> Iterator[tuple[int, bytes]]:
+    for chunk in LogReader(path).chunks():
+        parts = [p for p in chunk if _is_raw(p) and p.channel.topic == f"/{link}/raw"]
+        if not parts:
+            continue
+        # Protocols that share a link lie on channels of their own; the numbers give the order of the stream.
+        order = np.argsort(np.concatenate([p.sequence for p in parts]), kind="stable")
+        payloads = [payload for p in parts for payload in p.payloads]
+        times = np.concatenate([p.log_ns for p in parts])
+        for row in order.tolist():
+            yield int(times[row]), payloads[row]
+
+
+def _is_raw(part: Messages) -> bool:
+    channel = part.channel
+    return channel.schema is None and channel.encoding != DAMAGE_ENCODING and channel.topic.endswith("/raw")

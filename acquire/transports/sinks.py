@@ -1,0 +1,200 @@
+"""Where a stream can be sent: UDP datagrams, a TCP reader that connects, a pseudo terminal."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Protocol
+from urllib.parse import urlsplit
+
+from drivers.errors import ConfigurationError, DeviceError
+
+# A reader that takes nothing for so long is given up.
+PATIENCE_S = 60.0
+
+
+class Sink(Protocol):
+    """Takes the frames of a stream in order."""
+
+    def send(self, frame: bytes) -> None:
+        """Send one frame; waits for a slow reader where the transport can wait."""
+        ...
+
+
+class UdpSink:
+    """Each frame is one datagram.
+
+    Parameters
+    ----------
+    port : socket
+        A connected datagram socket.
+    """
+
+    def __init__(self, port: socket.socket) -> None:
+        self._port = port
+
+    def send(self, frame: bytes) -> None:
+        """Send one frame; that nobody listens (yet) is no failure."""
+        with contextlib.suppress(ConnectionRefusedError):
+            self._port.send(frame)
+
+
+class TcpSink:
+    """A stream to the one reader that has connected.
+
+    Parameters
+    ----------
+    port : socket
+        The connection.
+    """
+
+    def __init__(self, port: socket.socket) -> None:
+        self._port = port
+
+    def send(self, frame: bytes) -> None:
+        """Send one frame."""
+        try:
+            self._port.sendall(frame)
+        except OSError as failure:
+            raise DeviceError(
+                f"the reader has gone ({failure.strerror or failure})", remedy="start reader and replay again"
+            ) from failure
+
+
+class PtySink:
+    """A pseudo terminal that a program opens like a serial port.
+
+    Parameters
+    ----------
+    descriptor : int
+        Our end of it.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+
+    def send(self, frame: bytes) -> None:
+        """Send one frame."""
+        view = memoryview(frame)
+        while view:
+            view = view[os.write(self._descriptor, view) :]
+
+
+class MemorySink:
+    """Keeps the frames: the twin for tests."""
+
+    def __init__(self) -> None:
+        self.frames: list[bytes] = []
+
+    def send(self, frame: bytes) -> None:
+        """Keep one frame."""
+        self.frames.append(frame)
+
+
+@contextmanager
+def open_sink(url: str) -> Iterator[tuple[Sink, str]]:
+    """Open where a stream is to be sent.
+
+    Parameters
+    ----------
+    url : str
+        ``udp://HOST:PORT`` sends datagrams there. ``tcp://HOST:PORT`` listens at this address for one
+        reader; the port may be 0 for any free one. ``pty`` makes a pseudo terminal.
+
+    Yields
+    ------
+    Sink
+        Where to send.
+    str
+        What a reader has to open, known before the reader has come: printed by `announce`.
+
+    Raises
+    ------
+    ConfigurationError
+        When the address cannot be meant.
+    DeviceError
+        When it cannot be opened, or no reader comes.
+    """
+    if url == "pty":
+        with _pty() as opened:
+            yield opened
+        return
+    host, port = _address(url)
+    try:
+        if url.startswith("udp://"):
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as datagrams:
+                datagrams.connect((host, port))
+                yield UdpSink(datagrams), url
+        else:
+            with socket.create_server((host, port)) as server:
+                server.settimeout(PATIENCE_S)
+                yield _WaitingTcpSink(server), "tcp://{}:{}".format(*server.getsockname()[:2])
+    except OSError as failure:
+        raise DeviceError(
+            f"cannot be opened ({failure.strerror or failure})", where=url, remedy="choose another address"
+        ) from failure
+
+
+class _WaitingTcpSink:
+    """Waits for its reader with the first frame."""
+
+    def __init__(self, server: socket.socket) -> None:
+        self._server = server
+        self._sink: TcpSink | None = None
+
+    def send(self, frame: bytes) -> None:
+        if self._sink is None:
+            try:
+                connection, _ = self._server.accept()
+            except TimeoutError as failure:
+                raise DeviceError(
+                    f"no reader has connected within {PATIENCE_S:.0f} s", remedy="start the reader"
+                ) from failure
+            self._sink = TcpSink(connection)
+        self._sink.send(frame)
+
+
+@contextmanager
+def _pty() -> Iterator[tuple[Sink, str]]:
+    import tty
+
+    ours, theirs = os.openpty()
+    try:
+        tty.setraw(theirs)
+        yield PtySink(ours), os.ttyname(theirs)
+        _drain(theirs)
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+def _drain(theirs: int) -> None:
+    """Wait until the reader has taken everything: closing a terminal throws away what it holds."""
+    import fcntl
+    import termios
+    import time
+
+    until = time.monotonic() + PATIENCE_S
+    while time.monotonic() < until:
+        waiting = int.from_bytes(fcntl.ioctl(theirs, termios.FIONREAD, bytes(4)), sys.byteorder)
+        if not waiting:
+            return
+        time.sleep(0.01)
+
+
+def _address(url: str) -> tuple[str, int]:
+    try:
+        parts = urlsplit(url)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host, port = None, None
+        parts = urlsplit("")
+    if parts.scheme not in ("udp", "tcp") or host is None or port is None:
+        raise ConfigurationError(
+            "is no address to send to", where=url, remedy="give udp://HOST:PORT, tcp://HOST:PORT or pty"
+        )
+    return host, port
