@@ -1,0 +1,1 @@
+"""Time, trajectory and exposures: the exterior orientation that the flight measured."""

@@ -1,0 +1,177 @@
+"""Instants of four clocks that cannot be mixed: GPS time, UTC, time since boot and the host's clock.
+
+Inside the package every time is GPS time in integer nanoseconds. A conversion is always written out; the
+arithmetic of two different scales is an error of type, for the type checker and at run time.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from drivers import gnsstime
+from drivers.errors import InputMalformedError
+from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS, WEEK_S
+
+WEEK_NS = WEEK_S * SECOND_NS
+EXPIRES = gnsstime.EXPIRES
+"""Day until which the table of leap seconds is announced (IERS Bulletin C)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Instants:
+    """Instants on one scale.
+
+    Parameters
+    ----------
+    ns : int64 (n,)
+        Nanoseconds since the scale's own origin.
+    """
+
+    ns: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        given = np.asarray(self.ns)
+        if given.dtype.kind not in "iu":
+            raise TypeError(f"{type(self).__name__} takes whole nanoseconds, not {given.dtype}")
+        object.__setattr__(self, "ns", np.atleast_1d(given.astype(np.int64)))
+
+    def __len__(self) -> int:
+        return len(self.ns)
+
+    def __getitem__(self, rows: Any) -> Self:
+        return type(self)(self.ns[rows])
+
+    def __sub__(self, other: Self) -> NDArray[np.int64]:
+        """Return how long after `other` these instants are, nanoseconds."""
+        self._same_scale(other)
+        return self.ns - other.ns
+
+    def shifted(self, duration_ns: ArrayLike) -> Self:
+        """Return the instants later by whole nanoseconds."""
+        duration = np.asarray(duration_ns)
+        if duration.dtype.kind not in "iu":
+            raise TypeError(f"a shift takes whole nanoseconds, not {duration.dtype}")
+        return type(self)(self.ns + duration.astype(np.int64))
+
+    def before(self, other: Self) -> NDArray[np.bool_]:
+        """Tell which instants come before `other`."""
+        self._same_scale(other)
+        return self.ns < other.ns
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            raise TypeError(f"{type(self).__name__} and {type(other).__name__} cannot be compared")
+        return np.array_equal(self.ns, other.ns)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def _same_scale(self, other: object) -> None:
+        if type(other) is not type(self):
+            raise TypeError(
+                f"{type(self).__name__} and {type(other).__name__} are different clocks: convert first"
+            )
+
+
+class HostTime(Instants):
+    """Times of receipt by the clock of the recording computer, nanoseconds since 1970."""
+
+
+class BootTime(Instants):
+    """Time of an autopilot since it started, nanoseconds."""
+
+
+class GpsTime(Instants):
+    """GPS time, nanoseconds since 1980-01-06 without leap seconds."""
+
+    @classmethod
+    def from_week(cls, week: ArrayLike, seconds: ArrayLike) -> GpsTime:
+        """Return GPS time of week numbers (not modulo 1024) and seconds of the week.
+
+        Raises
+        ------
+        InputMalformedError
+            When a week is 0 or the seconds do not lie within a week: the receiver had no time yet.
+        """
+        weeks, tow = np.asarray(week), np.asarray(seconds, np.float64)
+        bad = (weeks <= 0) | ~((tow >= 0) & (tow <= WEEK_S))
+        if np.any(bad):
+            raise InputMalformedError(
+                "GPS week 0 or a time of week outside the week",
+                remedy="leave out what the receiver said before it knew the time",
+            )
+        return cls(gnsstime.week_to_ns(weeks, tow))
+
+    def week_and_seconds(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return GPS week and seconds of the week (float64: 0.1 ns at the end of a week)."""
+        return self.ns // WEEK_NS, (self.ns % WEEK_NS) / 1e9
+
+    def to_utc(self, leap_s: int | None = None) -> UtcTime:
+        """Convert to UTC.
+
+        Parameters
+        ----------
+        leap_s : int, optional
+            GPS time minus UTC as a receiver told it; needed for times after `EXPIRES`.
+
+        Raises
+        ------
+        InputMalformedError
+            When a time lies after the end of the table and `leap_s` is not given.
+        """
+        if leap_s is not None:
+            return UtcTime(self.ns + GPS_EPOCH_NS - leap_s * SECOND_NS)
+        utc = UtcTime(gnsstime.gps_to_utc_ns(self.ns))
+        _refuse_expired(utc)
+        return utc
+
+    def iso(self) -> list[str]:
+        """Return calendar dates in GPS time, to the millisecond, for messages."""
+        return [_calendar(ns + GPS_EPOCH_NS) for ns in self.ns.tolist()]
+
+
+class UtcTime(Instants):
+    """UTC, nanoseconds since 1970 without leap seconds, as POSIX counts."""
+
+    def to_gps(self, leap_s: int | None = None) -> GpsTime:
+        """Convert to GPS time, the inverse of `GpsTime.to_utc`; a leap second itself counts as the next."""
+        if leap_s is not None:
+            return GpsTime(self.ns - GPS_EPOCH_NS + leap_s * SECOND_NS)
+        _refuse_expired(self)
+        civil = self.ns - GPS_EPOCH_NS
+        before, after = (civil + _offset_ns(civil + late) for late in (0, 60 * SECOND_NS))
+        # The larger offset holds from the step on, that is where it leads back to the same UTC.
+        gps = np.where(gnsstime.gps_to_utc_ns(after) == self.ns, after, before)
+        return GpsTime(gps)
+
+    def iso(self) -> list[str]:
+        """Return calendar dates, UTC, to the millisecond, for messages."""
+        return [_calendar(ns) for ns in self.ns.tolist()]
+
+
+def leap_seconds(time: GpsTime) -> NDArray[np.int64]:
+    """Return GPS time minus UTC in seconds by the table."""
+    return (time.ns + GPS_EPOCH_NS - time.to_utc().ns) // SECOND_NS
+
+
+def _offset_ns(gps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    return gps_ns + GPS_EPOCH_NS - gnsstime.gps_to_utc_ns(gps_ns)
+
+
+def _refuse_expired(time: UtcTime) -> None:
+    last = int(dt.datetime.combine(EXPIRES, dt.time(), dt.UTC).timestamp()) * SECOND_NS
+    if len(time) and int(time.ns.max()) >= last:
+        raise InputMalformedError(
+            f"the table of leap seconds ends on {EXPIRES}, a time in the data is later",
+            remedy="give the leap seconds that the receiver reports, or a newer version of the table",
+        )
+
+
+def _calendar(unix_ns: int) -> str:
+    seconds, rest = divmod(unix_ns, SECOND_NS)
+    stamp = dt.datetime(1970, 1, 1, tzinfo=dt.UTC) + dt.timedelta(seconds=seconds)
+    return f"{stamp:%Y-%m-%d %H:%M:%S}.{rest // 1_000_000:03d}"
