@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from acquire.console import application, run
-from photocal.commands import adjust, analyse, certificate, check, compare, export, plan, verify
+from photocal.commands import adjust, analyse, certificate, check, compare, export, plan, verify, volume
 
 app = application("From flight log, images and control points to a calibrated camera and its certificate.")
 app.command()(adjust.adjust)
@@ -14,6 +14,7 @@ app.command()(compare.compare)
 app.command()(check.check)
 app.command()(plan.plan)
 app.command()(export.export)
+app.command()(volume.volume)
 
 
 def main() -> None:

@@ -1,0 +1,1 @@
+"""Products and their measures: orthophotos, terrain models, fitted surfaces and volumes."""

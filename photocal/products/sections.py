@@ -1,0 +1,261 @@
+"""Sections of a tank: points measured on rings, the circle of each ring, and what the rings enclose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError, PhotocalError
+from photocal.block.table import Table, read_table, refuse
+from photocal.products.surfaces import Circle, Cylinder, fit_circle, fit_cylinder
+from photocal.products.volume import Volume, volume_between_sections
+
+Floats = NDArray[np.float64]
+Vertical = Literal["X", "Y", "Z"]
+
+# The two horizontal axes, such that they and the vertical one are right-handed.
+HORIZONTAL: dict[str, tuple[int, int, int]] = {"X": (1, 2, 0), "Y": (2, 0, 1), "Z": (0, 1, 2)}
+SIGMAS = ("sX", "sY", "sZ")
+CORRELATIONS = ("rXY", "rXZ", "rYZ")
+
+
+@dataclass(frozen=True)
+class RingPoints:
+    """Points on the shell of a tank.
+
+    Attributes
+    ----------
+    section, point : tuple of str
+        Names; points of the same section form a ring.
+    values : ndarray, shape (n, 3)
+        Two horizontal coordinates and the height, m.
+    covariance : ndarray, shape (n, 3, 3)
+        m2, in the same order.
+    axes : tuple of str
+        Names of the three coordinates.
+    """
+
+    section: tuple[str, ...]
+    point: tuple[str, ...]
+    values: Floats
+    covariance: Floats
+    axes: tuple[str, str, str]
+
+
+@dataclass(frozen=True)
+class Section:
+    """One ring.
+
+    Attributes
+    ----------
+    name : str
+    points : tuple of str
+    circle : Circle
+    height : float
+        Mean height of its points, m.
+    covariance : ndarray, shape (2, 2)
+        Of radius and height, m2.
+    """
+
+    name: str
+    points: tuple[str, ...]
+    circle: Circle
+    height: float
+    covariance: Floats
+
+
+@dataclass(frozen=True)
+class Tank:
+    """A tank as measured.
+
+    Attributes
+    ----------
+    sections : tuple of Section
+        From below.
+    cylinder : Cylinder or None
+        Through all points: its axis shows the tilt; None where the points fix none.
+    tilt, tilt_sigma : float
+        Of that axis against the vertical, radians; NaN without cylinder.
+    radius, radius_sigma : float
+        Mean of the sections, m.
+    between : Volume or None
+        From the lowest to the highest section; None for a single one.
+    """
+
+    sections: tuple[Section, ...]
+    cylinder: Cylinder | None
+    tilt: float
+    tilt_sigma: float
+    radius: float
+    radius_sigma: float
+    between: Volume | None
+
+
+def read_ring_points(path: Path, vertical: Vertical, sigma_m: float | None) -> RingPoints:
+    """Read the table of the points of all sections.
+
+    Parameters
+    ----------
+    path : Path
+        Columns section, point, X, Y, Z (m), optional sX, sY, sZ (m), rXY, rXZ, rYZ (correlations).
+    vertical : {"X", "Y", "Z"}
+        Axis that points up.
+    sigma_m : float or None
+        Standard deviation of all coordinates of a table without sX, sY, sZ.
+
+    Returns
+    -------
+    RingPoints
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        When it is no such table.
+    ConfigurationError
+        When no standard deviation is given, or twice.
+    """
+    table = read_table(path, ("section", "point", "X", "Y", "Z"), SIGMAS + CORRELATIONS)
+    own = [name for name in SIGMAS if table.has(name)]
+    if own and sigma_m is not None:
+        raise ConfigurationError(
+            f"{path} has {', '.join(own)} and --sigma is given", remedy="give one of them"
+        )
+    if own and len(own) < 3:
+        raise InputMalformedError(f"has {', '.join(own)} only", where=path, remedy="give sX, sY and sZ")
+    if not own and sigma_m is None:
+        raise ConfigurationError(
+            f"{path} has no standard deviations", remedy="add sX, sY, sZ, or give --sigma in metres"
+        )
+    if sigma_m is not None and not (np.isfinite(sigma_m) and sigma_m > 0):
+        raise ConfigurationError(f"--sigma is {sigma_m:g}", remedy="give a positive length in metres")
+    values = np.column_stack([table.numbers(name) for name in ("X", "Y", "Z")])
+    sigma = (
+        np.column_stack([table.numbers(name) for name in SIGMAS])
+        if own
+        else np.full(values.shape, sigma_m, dtype=float)
+    )
+    refuse(table, np.asarray((sigma <= 0).any(axis=1)), "a standard deviation is not positive", "correct it")
+    xy, xz, yz = (_correlation(table, name) for name in CORRELATIONS)
+    covariance = _covariances(sigma, xy, xz, yz)
+    refuse(
+        table,
+        np.asarray(np.linalg.eigvalsh(covariance)[:, 0] <= 0),
+        "the correlations are impossible",
+        "correct rXY, rXZ, rYZ",
+    )
+    section, names = table.names("section")
+    point, points = table.names("point")
+    pair = section * len(points) + point
+    _, first = np.unique(pair, return_index=True)
+    again = np.ones(len(pair), dtype=np.bool_)
+    again[first] = False
+    refuse(table, again, "the point stands twice in its section", "keep one of the rows")
+    order = list(HORIZONTAL[vertical])
+    axes = tuple("XYZ"[k] for k in order)
+    return RingPoints(
+        tuple(names[k] for k in section),
+        tuple(points[k] for k in point),
+        values[:, order],
+        covariance[:, order][:, :, order],
+        (axes[0], axes[1], axes[2]),
+    )
+
+
+def _correlation(table: Table, name: str) -> Floats:
+    return table.numbers(name, empty=0.0) if table.has(name) else np.zeros(len(table))
+
+
+def _covariances(sigma: Floats, xy: Floats, xz: Floats, yz: Floats) -> Floats:
+    one = np.ones(len(sigma))
+    correlation = np.moveaxis(np.array([[one, xy, xz], [xy, one, yz], [xz, yz, one]]), -1, 0)
+    return np.asarray(correlation * sigma[:, :, None] * sigma[:, None, :])
+
+
+def measure_tank(points: RingPoints, wall_thickness: float = 0.0) -> Tank:
+    """Fit the circle of each section and add up what lies between them.
+
+    Parameters
+    ----------
+    points : RingPoints
+        On the outside of the shell.
+    wall_thickness : float
+        Taken from every radius before a volume is computed, m; 0 where the points lie inside.
+
+    Returns
+    -------
+    Tank
+        Radii and circles are those of the points; mean radius and volumes those of the inside.
+
+    Raises
+    ------
+    IllPosedError
+        When a section does not determine its circle, or two sections have one height.
+    ConfigurationError
+        For an impossible wall.
+    """
+    names = list(dict.fromkeys(points.section))
+    rings = tuple(sorted((_section(points, name) for name in names), key=lambda ring: ring.height))
+    radius = np.array([ring.circle.radius for ring in rings]) - wall_thickness
+    if not 0 <= wall_thickness < radius.min() + wall_thickness:
+        raise ConfigurationError(
+            f"the wall is {wall_thickness:g} m thick", remedy="give metres, less than the radius"
+        )
+    height = np.array([ring.height for ring in rings])
+    covariance = np.array([ring.covariance for ring in rings])
+    if (np.diff(height) <= 0).any():
+        raise IllPosedError("two sections have the same mean height", remedy="is the vertical axis right?")
+    cylinder = _cylinder(points)
+    tilt, tilt_sigma = _tilt(cylinder) if cylinder else (np.nan, np.nan)
+    return Tank(
+        rings,
+        cylinder,
+        tilt,
+        tilt_sigma,
+        float(radius.mean()),
+        float(np.sqrt(covariance[:, 0, 0].sum()) / len(rings)),
+        volume_between_sections(radius, height, covariance) if len(rings) > 1 else None,
+    )
+
+
+def _section(points: RingPoints, name: str) -> Section:
+    rows = np.array([section == name for section in points.section])
+    values, covariance = points.values[rows], points.covariance[rows]
+    try:
+        circle = fit_circle(values[:, :2], covariance[:, :2, :2])
+    except PhotocalError as failure:
+        raise type(failure)(failure.what, where=f"section {name}", remedy=failure.remedy) from failure
+    count = len(values)
+    # Radius and mean height are both linear in the corrections of the points.
+    together = np.einsum("ni,ni->", circle.adjusted.influence[2], covariance[:, :2, 2]) / count
+    of_height = covariance[:, 2, 2].sum() / count**2
+    members = tuple(point for point, row in zip(points.point, rows, strict=True) if row)
+    return Section(
+        name,
+        members,
+        circle,
+        float(values[:, 2].mean()),
+        np.array([[circle.covariance[2, 2], together], [together, of_height]]),
+    )
+
+
+def _cylinder(points: RingPoints) -> Cylinder | None:
+    try:
+        found = fit_cylinder(points.values, points.covariance)
+    except PhotocalError:
+        # A single ring, or rings close together, fix no axis: the circles are still good.
+        return None
+    return replace(found, axis=found.axis * np.sign(found.axis[2] or 1.0))
+
+
+def _tilt(cylinder: Cylinder) -> tuple[float, float]:
+    sideways = cylinder.axis[:2]
+    length = float(np.linalg.norm(sideways))
+    covariance = cylinder.axis_covariance[:2, :2]
+    # Upright within rounding there is no direction of the tilt: the mean of all of them then.
+    toward = sideways / length if length > 1e-12 else None
+    variance = np.trace(covariance) / 2 if toward is None else toward @ covariance @ toward
+    return float(np.arctan2(length, cylinder.axis[2])), float(np.sqrt(variance))

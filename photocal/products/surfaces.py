@@ -1,0 +1,294 @@
+"""Circles, planes and cylinders through measured points, with the covariance of the points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import IllPosedError
+from photocal.products.gauss_helmert import Adjusted, fit
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Circle:
+    """A circle in a plane.
+
+    Attributes
+    ----------
+    center : ndarray, shape (2,)
+        m.
+    radius : float
+        m.
+    covariance : ndarray, shape (3, 3)
+        Of centre and radius, m2, a priori.
+    radial : ndarray, shape (n,)
+        Distance of each measured point from the circle, outwards positive, m.
+    direction : ndarray, shape (n,)
+        Of each measured point from the centre, from the first axis towards the second, radians.
+    adjusted : Adjusted
+    """
+
+    center: Floats
+    radius: float
+    covariance: Floats
+    radial: Floats
+    direction: Floats
+    adjusted: Adjusted
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A plane: normal . X = distance.
+
+    Attributes
+    ----------
+    normal : ndarray, shape (3,)
+        Unit vector; the largest of its components is positive.
+    distance : float
+        From the origin, m.
+    normal_covariance : ndarray, shape (3, 3)
+        Of the normal, a priori; singular along it.
+    position_sigma : float
+        Standard deviation of the plane along its normal at the centroid of the points, m.
+    offsets : ndarray, shape (n,)
+        Distance of each measured point from the plane, along the normal, m.
+    adjusted : Adjusted
+    """
+
+    normal: Floats
+    distance: float
+    normal_covariance: Floats
+    position_sigma: float
+    offsets: Floats
+    adjusted: Adjusted
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A circular cylinder without ends.
+
+    Attributes
+    ----------
+    point : ndarray, shape (3,)
+        Point of the axis beside the centroid of the measured points, m.
+    axis : ndarray, shape (3,)
+        Unit vector; the largest of its components is positive.
+    radius : float
+        m.
+    point_covariance, axis_covariance : ndarray, shape (3, 3)
+        A priori; singular along the axis.
+    radius_sigma : float
+        m, a priori.
+    radial : ndarray, shape (n,)
+        Distance of each measured point from the cylinder, outwards positive, m.
+    adjusted : Adjusted
+    """
+
+    point: Floats
+    axis: Floats
+    radius: float
+    point_covariance: Floats
+    axis_covariance: Floats
+    radius_sigma: float
+    radial: Floats
+    adjusted: Adjusted
+
+
+def fit_circle(points: Floats, covariance: Floats) -> Circle:
+    """Fit a circle.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 2)
+        m.
+    covariance : ndarray, shape (n, 2, 2)
+        m2.
+
+    Returns
+    -------
+    Circle
+
+    Raises
+    ------
+    IllPosedError
+        For fewer than three points, or points on a line.
+    """
+    middle = _centroid(points, 3, "circle")
+    local = points - middle
+    found = fit(local, covariance, _algebraic_circle(local), _circle_condition, np.add, "circle")
+    center, radius = found.state[:2], float(found.state[2])
+    away = local - center
+    radial = np.linalg.norm(away, axis=1) - radius
+    turn = np.arctan2(away[:, 1], away[:, 0])
+    return Circle(center + middle, radius, found.covariance, radial, turn, found)
+
+
+def fit_plane(points: Floats, covariance: Floats) -> Plane:
+    """Fit a plane.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        m.
+    covariance : ndarray, shape (n, 3, 3)
+        m2.
+
+    Returns
+    -------
+    Plane
+
+    Raises
+    ------
+    IllPosedError
+        For fewer than three points, or points on a line.
+    """
+    middle = _centroid(points, 3, "plane")
+    local = points - middle
+    start = np.append(np.linalg.svd(local, full_matrices=True)[2][2], 0.0)
+    found = fit(local, covariance, start, _plane_condition, _plane_moved, "plane")
+    normal, distance = _upward(found.state[:3]), float(found.state[3])
+    if normal @ found.state[:3] < 0:
+        distance = -distance
+    basis = _across(found.state[:3])
+    return Plane(
+        normal,
+        distance + float(normal @ middle),
+        basis.T @ found.covariance[:2, :2] @ basis,
+        float(np.sqrt(found.covariance[2, 2])),
+        local @ normal - distance,
+        found,
+    )
+
+
+def fit_cylinder(points: Floats, covariance: Floats) -> Cylinder:
+    """Fit a circular cylinder.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        m.
+    covariance : ndarray, shape (n, 3, 3)
+        m2.
+
+    Returns
+    -------
+    Cylinder
+
+    Raises
+    ------
+    IllPosedError
+        For fewer than five points, or points that fix no axis.
+    """
+    middle = _centroid(points, 5, "cylinder")
+    local = points - middle
+    start = _cylinder_start(local)
+    found = fit(local, covariance, start, _cylinder_condition, _cylinder_moved, "cylinder")
+    point, axis, radius = found.state[:3], found.state[3:6], float(found.state[6])
+    basis = _across(axis)
+    covariances = found.covariance
+    return Cylinder(
+        point - (point @ axis) * axis + middle,
+        _upward(axis),
+        radius,
+        basis.T @ covariances[:2, :2] @ basis,
+        basis.T @ covariances[2:4, 2:4] @ basis,
+        float(np.sqrt(covariances[4, 4])),
+        _radii(local, point, axis)[0] - radius,
+        found,
+    )
+
+
+def _centroid(points: Floats, least: int, what: str) -> Floats:
+    if len(points) < least:
+        raise IllPosedError(
+            f"{len(points)} points do not determine a {what}", remedy=f"give at least {least}"
+        )
+    return np.asarray(points.mean(axis=0))
+
+
+def _algebraic_circle(points: Floats) -> Floats:
+    """Start values: the circle of Kasa (1976), linear in its coefficients."""
+    design = np.column_stack([2 * points, np.ones(len(points))])
+    (x, y, c), _, rank, _ = np.linalg.lstsq(design, (points**2).sum(axis=1), rcond=1e-10)
+    if rank < 3:
+        raise IllPosedError("the points of the circle lie on a line", remedy="spread them over the circle")
+    return np.array([x, y, np.sqrt(c + x * x + y * y)])
+
+
+def _circle_condition(state: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
+    away = points - state[:2]
+    distance = np.linalg.norm(away, axis=1)
+    outward = away / distance[:, None]
+    return distance - state[2], np.column_stack([-outward, -np.ones(len(points))]), outward
+
+
+def _across(direction: Floats) -> Floats:
+    """Two unit vectors, shape (2, 3), at right angles to a direction and to each other."""
+    helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
+    first = np.cross(direction, helper)
+    first /= np.linalg.norm(first)
+    return np.array([first, np.cross(direction, first)])
+
+
+def _upward(direction: Floats) -> Floats:
+    return np.asarray(direction * np.sign(direction[int(np.argmax(np.abs(direction)))]))
+
+
+def _tilted(direction: Floats, step: Floats) -> Floats:
+    tilted = direction + step @ _across(direction)
+    return np.asarray(tilted / np.linalg.norm(tilted))
+
+
+def _plane_condition(state: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
+    normal = state[:3]
+    by_parameter = np.column_stack([points @ _across(normal).T, -np.ones(len(points))])
+    return points @ normal - state[3], by_parameter, np.tile(normal, (len(points), 1))
+
+
+def _plane_moved(state: Floats, step: Floats) -> Floats:
+    return np.append(_tilted(state[:3], step[:2]), state[3] + step[2])
+
+
+def _radii(points: Floats, point: Floats, axis: Floats) -> tuple[Floats, Floats, Floats]:
+    """Distance from an axis, unit vector away from it, and distance along it."""
+    away = points - point
+    along = away @ axis
+    away = away - along[:, None] * axis
+    distance = np.linalg.norm(away, axis=1)
+    return distance, away / distance[:, None], along
+
+
+def _cylinder_condition(state: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
+    distance, outward, along = _radii(points, state[:3], state[3:6])
+    sideways = outward @ _across(state[3:6]).T
+    by_parameter = np.column_stack([-sideways, -along[:, None] * sideways, -np.ones(len(points))])
+    return distance - state[6], by_parameter, outward
+
+
+def _cylinder_moved(state: Floats, step: Floats) -> Floats:
+    point = state[:3] + step[:2] @ _across(state[3:6])
+    axis = _tilted(state[3:6], step[2:4])
+    # The axis' foot beside the centroid keeps position and direction apart.
+    return np.concatenate([point - (point @ axis) * axis, axis, [state[6] + step[4]]])
+
+
+def _cylinder_start(points: Floats) -> Floats:
+    """Of the three principal directions, the one along which the points look most like a circle."""
+    best, least = None, np.inf
+    for axis in np.linalg.svd(points, full_matrices=True)[2]:
+        basis = _across(axis)
+        flat = points @ basis.T
+        try:
+            circle = _algebraic_circle(flat)
+        except IllPosedError:
+            continue
+        miss = float(np.ptp(np.linalg.norm(flat - circle[:2], axis=1)) / circle[2])
+        if miss < least:
+            best, least = np.concatenate([circle[:2] @ basis, axis, circle[2:]]), miss
+    if best is None:
+        raise IllPosedError("the points fix no cylinder", remedy="spread them over its surface")
+    return best

@@ -1,0 +1,104 @@
+"""Volume of round tanks with its standard deviation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Volume:
+    """A volume and what its uncertainty is made of.
+
+    Attributes
+    ----------
+    value : float
+        m3.
+    radius_variance, height_variance : float
+        Shares of the variance that come from the radii and from the heights, m6; they add up to the
+        variance where radii and heights are uncorrelated.
+    variance : float
+        m6.
+    """
+
+    value: float
+    radius_variance: float
+    height_variance: float
+    variance: float
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation, m3."""
+        return float(np.sqrt(self.variance))
+
+    @property
+    def percent(self) -> float:
+        """Standard deviation in per cent of the volume."""
+        return 100 * self.sigma / self.value
+
+
+def cylinder_volume(radius: float, radius_sigma: float, height: float, height_sigma: float) -> Volume:
+    """Volume of an upright cylinder from its mean radius and its height.
+
+    Parameters
+    ----------
+    radius, radius_sigma, height, height_sigma : float
+        m; radius and height uncorrelated.
+
+    Returns
+    -------
+    Volume
+        V = pi R2 H with var V = (2 pi R H)2 var R + (pi R2)2 var H: eq. 61 to 64 of the study of an oil
+        tank (see the nomenclature).
+
+    Raises
+    ------
+    ConfigurationError
+        For a radius or height that is not positive, or a sigma that is negative.
+    """
+    for name, value in (("radius", radius), ("height", height)):
+        if not (np.isfinite(value) and value > 0):
+            raise ConfigurationError(f"the {name} is {value:g} m", remedy="give a positive length in metres")
+    for name, value in (("radius", radius_sigma), ("height", height_sigma)):
+        if not (np.isfinite(value) and value >= 0):
+            raise ConfigurationError(
+                f"the standard deviation of the {name} is {value:g} m", remedy="give metres, not negative"
+            )
+    by_radius = (2 * np.pi * radius * height * radius_sigma) ** 2
+    by_height = (np.pi * radius**2 * height_sigma) ** 2
+    return Volume(np.pi * radius**2 * height, by_radius, by_height, by_radius + by_height)
+
+
+def volume_between_sections(radius: Floats, height: Floats, covariance: Floats) -> Volume:
+    """Volume from the lowest to the highest section by the end areas.
+
+    Parameters
+    ----------
+    radius, height : ndarray, shape (m,)
+        Of the sections from below, m.
+    covariance : ndarray, shape (m, 2, 2)
+        Of radius and height of each section, m2; sections are uncorrelated.
+
+    Returns
+    -------
+    Volume
+        Sum of (S_i + S_i+1)/2 (h_i+1 - h_i) with S = pi R2.
+    """
+    area, step = np.pi * radius**2, np.diff(height)
+    around = np.concatenate([[0.0], step, [0.0]])
+    by_radius = np.pi * radius * (around[:-1] + around[1:])
+    means = (area[:-1] + area[1:]) / 2
+    by_height = np.concatenate([[0.0], means]) - np.concatenate([means, [0.0]])
+    gradient = np.column_stack([by_radius, by_height])
+    return Volume(
+        float(means @ step),
+        float(by_radius**2 @ covariance[:, 0, 0]),
+        float(by_height**2 @ covariance[:, 1, 1]),
+        float(np.einsum("mi,mij,mj->", gradient, covariance, gradient)),
+    )
