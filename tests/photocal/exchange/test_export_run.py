@@ -15,6 +15,7 @@ from photocal.adjustment.adjust import adjust
 from photocal.block.network import assemble
 from photocal.block.run import summary, write_run
 from photocal.cli import app
+from photocal.commands.export import FORMATS
 from photocal.exchange.colmap import read_colmap
 from photocal.exchange.metashape import read_metashape
 from photocal.exchange.reconstruction import Reconstruction, as_block, read_run
@@ -91,6 +92,10 @@ def test_every_format_by_command(run: Path, run_in_mm: Path, tmp_path: Path, for
     assert {str(p.relative_to(tmp_path / "out")) for p in (tmp_path / "out").iterdir()} == set(
         answer["files"]
     )
+
+
+def test_help_names_every_format() -> None:
+    assert FORMATS.split(", ") == list(WRITERS)
 
 
 def test_text_says_what_the_conversion_costs(run_in_mm: Path, tmp_path: Path) -> None:
