@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from acquire.commands import import_, info, recover, replay, simulate
+from acquire.commands import import_, info, record, recover, replay, simulate
 from acquire.console import application, run
 
 app = application("Record, import, replay and inspect flights; the flight log is an MCAP file.")
 app.command("import")(import_.import_)
 app.command()(info.info)
+app.command()(record.record)
 app.command()(recover.recover)
 app.command()(replay.replay)
 app.command()(simulate.simulate)

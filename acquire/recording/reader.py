@@ -1,0 +1,69 @@
+"""The reading of one link: bytes with their times of receipt, again and again after the port was lost."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from queue import SimpleQueue
+
+from acquire.transports.sources import LinkLostError, Source
+
+_POLL_S = 0.05
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 5.0
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """Bytes of a link and when they were received (UTC ns), or what happened to it instead."""
+
+    link: str
+    time_ns: int
+    data: bytes
+    event: str = ""
+
+
+def read_link(
+    link: str,
+    source: Source,
+    arrivals: SimpleQueue[Arrival],
+    stop: threading.Event,
+    clock_ns: Callable[[], int],
+) -> None:
+    """Read a link until told to stop; to be run in a thread of its own.
+
+    Parameters
+    ----------
+    link : str
+        Its name.
+    source : Source
+        Where it comes from.
+    arrivals : queue
+        Where the bytes go.
+    stop : Event
+        Ends the reading.
+    clock_ns : callable
+        The clock of the host, UTC nanoseconds since 1970.
+    """
+    pause = _FIRST_PAUSE_S
+    told = ""
+    while not stop.is_set():
+        try:
+            source.open()
+            if told:
+                arrivals.put(Arrival(link, clock_ns(), b"", "is back"))
+            told = ""
+            while not stop.is_set():
+                data = source.read(_POLL_S)
+                if data:
+                    arrivals.put(Arrival(link, clock_ns(), data))
+                    pause = _FIRST_PAUSE_S
+        except LinkLostError as loss:
+            source.close()
+            # Told once, not with every attempt.
+            if not told:
+                told = f"is lost: {loss}"
+                arrivals.put(Arrival(link, clock_ns(), b"", told))
+            stop.wait(pause)
+            pause = min(2 * pause, _LONGEST_PAUSE_S)
+    source.close()

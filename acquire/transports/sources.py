@@ -1,0 +1,281 @@
+"""Where a stream comes from: serial ports, TCP, UDP, files. Each opens anew after it was lost."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+from typing import Any, Protocol
+from urllib.parse import urlsplit
+
+from drivers.errors import ConfigurationError
+
+PIECE_BYTES = 65536
+_SERIAL = ("serial", "socket", "loop", "rfc2217")
+
+
+class LinkLostError(Exception):
+    """The port, connection or file of a source has ended or gone away."""
+
+
+class Source(Protocol):
+    """Bytes of one link as they arrive."""
+
+    def open(self) -> None:
+        """Open the port; raises `LinkLostError` when that is not possible now."""
+        ...
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what has arrived, nothing after `timeout_s`; raises `LinkLostError` when all is over."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the device; raises `LinkLostError` when that is not possible."""
+        ...
+
+    def close(self) -> None:
+        """Close the port."""
+        ...
+
+
+class UdpSource:
+    """Datagrams that arrive at a local address; answers go to whoever sent last.
+
+    A sender that changes its port is followed.
+
+    Parameters
+    ----------
+    host, port : str, int
+        The local address.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        self._address = host, port
+        self._port: socket.socket | None = None
+        self._sender: Any = None
+
+    def open(self) -> None:
+        """Bind the local address."""
+        port = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            # Room for a second of a fast link while the disk is busy.
+            port.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+            port.bind(self._address)
+        except OSError as failure:
+            port.close()
+            raise LinkLostError(str(failure)) from failure
+        self._port = port
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return one datagram."""
+        port = self._opened()
+        port.settimeout(timeout_s)
+        try:
+            data, self._sender = port.recvfrom(PIECE_BYTES)
+        except TimeoutError:
+            return b""
+        except OSError as failure:
+            raise LinkLostError(str(failure)) from failure
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send one datagram to the last sender; before there is one nothing is sent."""
+        if self._sender is not None:
+            try:
+                self._opened().sendto(data, self._sender)
+            except OSError as failure:
+                raise LinkLostError(str(failure)) from failure
+
+    def close(self) -> None:
+        """Close the port."""
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+    def _opened(self) -> socket.socket:
+        if self._port is None:
+            raise LinkLostError("not open")
+        return self._port
+
+    @property
+    def local_port(self) -> int:
+        """The port that is bound, also where any free one was asked for."""
+        return int(self._opened().getsockname()[1])
+
+
+class TcpSource:
+    """A stream from a server that we connect to.
+
+    Parameters
+    ----------
+    host, port : str, int
+        The server.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        self._address = host, port
+        self._port: socket.socket | None = None
+
+    def open(self) -> None:
+        """Connect."""
+        try:
+            self._port = socket.create_connection(self._address, timeout=5)
+        except OSError as failure:
+            raise LinkLostError(str(failure)) from failure
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what has arrived."""
+        if self._port is None:
+            raise LinkLostError("not open")
+        self._port.settimeout(timeout_s)
+        try:
+            data = self._port.recv(PIECE_BYTES)
+        except TimeoutError:
+            return b""
+        except OSError as failure:
+            raise LinkLostError(str(failure)) from failure
+        if not data:
+            raise LinkLostError("the server has closed the connection")
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the server."""
+        if self._port is None:
+            raise LinkLostError("not open")
+        try:
+            self._port.sendall(data)
+        except OSError as failure:
+            raise LinkLostError(str(failure)) from failure
+
+    def close(self) -> None:
+        """Close the connection."""
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+
+class SerialSource:
+    """A serial port, or what pyserial makes look like one.
+
+    Parameters
+    ----------
+    url : str
+        Device path, or a URL of pyserial (``socket://``, ``loop://``, ``rfc2217://``).
+    baud : int
+        Speed of the line.
+    """
+
+    def __init__(self, url: str, baud: int) -> None:
+        self._url = url
+        self._baud = baud
+        self._port: Any = None
+
+    def open(self) -> None:
+        """Open the port for us alone."""
+        import serial
+
+        try:
+            self._port = serial.serial_for_url(self._url, baudrate=self._baud, timeout=0.1)
+        except (OSError, ValueError) as failure:
+            raise LinkLostError(str(failure)) from failure
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what has arrived."""
+        if self._port is None:
+            raise LinkLostError("not open")
+        try:
+            self._port.timeout = timeout_s
+            first = self._port.read(1)
+            return bytes(first + self._port.read(self._port.in_waiting)) if first else b""
+        except (OSError, TypeError) as failure:
+            raise LinkLostError(str(failure)) from failure
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the device."""
+        if self._port is None:
+            raise LinkLostError("not open")
+        try:
+            self._port.write(data)
+        except OSError as failure:
+            raise LinkLostError(str(failure)) from failure
+
+    def close(self) -> None:
+        """Close the port."""
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+
+class FileSource:
+    """The bytes of a file, once; then the link is silent.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._stream: Any = None
+
+    def open(self) -> None:
+        """Open the file, the first time only."""
+        try:
+            self._stream = self._stream or self._path.open("rb")
+        except OSError as failure:
+            raise LinkLostError(str(failure)) from failure
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return the next bytes."""
+        import time
+
+        data = bytes(self._stream.read(PIECE_BYTES))
+        if not data:
+            time.sleep(timeout_s)
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Take nothing: a file does not listen."""
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._stream is not None:
+            self._stream.close()
+
+
+def source_of(url: str, baud: int) -> Source:
+    """Return the source of a URL.
+
+    Parameters
+    ----------
+    url : str
+        ``udp://HOST:PORT`` (local address), ``tcp://HOST:PORT``, ``serial:DEVICE``, ``socket://``,
+        ``loop://``, ``rfc2217://`` or ``file:PATH``.
+    baud : int
+        Speed of serial lines.
+
+    Raises
+    ------
+    ConfigurationError
+        When the URL cannot be meant.
+    """
+    scheme, _, rest = url.partition(":")
+    if scheme == "serial" and rest:
+        return SerialSource(rest, baud)
+    if scheme in _SERIAL and rest:
+        return SerialSource(url, baud)
+    if scheme == "file" and rest:
+        return FileSource(Path(rest))
+    if scheme in ("udp", "tcp"):
+        try:
+            parts = urlsplit(url)
+            host, port = parts.hostname, parts.port
+        except ValueError:
+            host = port = None
+        if host is not None and port is not None:
+            return UdpSource(host, port) if scheme == "udp" else TcpSource(host, port)
+    raise ConfigurationError(
+        "is no address of a link",
+        where=url,
+        remedy="give udp://HOST:PORT, tcp://HOST:PORT, serial:DEVICE or file:PATH",
+    )
