@@ -102,7 +102,10 @@ class ClockModel:
 
 
 def fit_clock(
-    device_ns: NDArray[np.int64], reference_ns: NDArray[np.int64], resolution_s: float = 1e-3
+    device_ns: NDArray[np.int64],
+    reference_ns: NDArray[np.int64],
+    resolution_s: float = 1e-3,
+    least_jump_s: float = 0.05,
 ) -> ClockModel:
     """Fit offset and rate between two clocks from simultaneous readings.
 
@@ -111,7 +114,9 @@ def fit_clock(
     device_ns, reference_ns : int64 (n,)
         Readings of both clocks, in the order in which they were taken.
     resolution_s : float, optional
-        Steps of the coarser clock; smaller jumps are not looked for.
+        Steps of the coarser clock.
+    least_jump_s : float, optional
+        Smaller jumps stay in the scatter: autopilots pull their clock by some 20 ms every few seconds.
 
     Returns
     -------
@@ -134,7 +139,7 @@ def fit_clock(
     found: list[tuple[int, int]] = []
     while pieces:
         start, stop = pieces.pop(0)
-        cut = _jump(device_ns[start:stop], reference_ns[start:stop], resolution_s)
+        cut = _jump(device_ns[start:stop], reference_ns[start:stop], least_jump_s)
         if cut is None:
             found.append((start, stop))
         else:
@@ -160,7 +165,7 @@ def _slope(x: Floats, y: Floats) -> float:
     return float(np.median(rise[good] / run[good]))
 
 
-def _jump(device: NDArray[np.int64], reference: NDArray[np.int64], resolution_s: float) -> int | None:
+def _jump(device: NDArray[np.int64], reference: NDArray[np.int64], least_s: float) -> int | None:
     """Return where the residuals step, None when they do not."""
     n = len(device)
     if n < 2 * _LEAST_READINGS:
@@ -178,7 +183,7 @@ def _jump(device: NDArray[np.int64], reference: NDArray[np.int64], resolution_s:
         trend = _trend(residual, i, width)
         step[i] = np.median(after) - np.median(before) - trend
     noise = 1.4826 * float(np.median(np.abs(np.diff(residual) - np.median(np.diff(residual)))))
-    limit = max(_JUMP_SIGMAS * noise, 4 * resolution_s)
+    limit = max(_JUMP_SIGMAS * noise, least_s)
     worst = int(np.argmax(np.abs(step)))
     if abs(step[worst]) <= limit:
         return None
