@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from drivers.checksums import crc24q
 from drivers.frames import Batch, Wire
+from drivers.gnsstime import DAY_NS, SECOND_NS
 from drivers.window import NOTHING, Examination, Window, need
 
 STARTS = pattern(rb"\xd3(?:[\x00-\x03]|\Z)")
@@ -81,6 +82,47 @@ def decode_stations(batch: Batch) -> Stations:
         np.array(ecef, float).reshape(-1, 3),
         np.array(height, float),
     )
+
+
+def decode_dates(batch: Batch) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Decode the date and time of the system parameter messages (1013).
+
+    Returns
+    -------
+    index : int64 (n,)
+        Position of each message in the batch.
+    utc_ns : int64 (n,)
+        UTC, nanoseconds since 1970, to the second.
+    """
+    index = batch.where(Wire.RTCM3, 1013)
+    index = index[batch.length[index] >= 6 + 8]
+    times = []
+    for i in index.tolist():
+        start = int(batch.start[i]) + 3
+        bits = int.from_bytes(batch.data[start : start + 21].ljust(21, b"\0"), "big")
+        # DF051, DF052: modified Julian day (40 587 is 1970-01-01) and second of the day.
+        times.append((_unsigned(bits, 24, 16) - 40_587) * DAY_NS + _unsigned(bits, 40, 17) * SECOND_NS)
+    return index, np.array(times, np.int64)
+
+
+def decode_epochs(batch: Batch) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Decode the GPS time of week of observations (1001 to 1004, 1071 to 1077, 1091 to 1097).
+
+    Returns
+    -------
+    index : int64 (n,)
+        Position of each message in the batch.
+    time_of_week_ns : int64 (n,)
+        GPS time of week; Galileo's system time counts the same.
+    """
+    kinds = [*range(1001, 1005), *range(1071, 1078), *range(1091, 1098)]
+    chosen = (batch.wire == Wire.RTCM3) & np.isin(batch.kind, kinds) & (batch.length >= 6 + 8)
+    index = np.flatnonzero(chosen)
+    octets = np.frombuffer(batch.data, np.uint8).astype(np.int64)
+    at = batch.start[index] + 6
+    # DF004, DF248: 30 bits of milliseconds after message number and station.
+    milliseconds = (octets[at] << 24 | octets[at + 1] << 16 | octets[at + 2] << 8 | octets[at + 3]) >> 2
+    return index, milliseconds * 1_000_000
 
 
 def _unsigned(bits: int, at: int, width: int) -> int:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers import nmea
+from drivers import nmea, rtcm3
 from drivers.frames import Batch
 from drivers.gnsstime import DAY_NS, GPS_EPOCH_NS, SECOND_NS, WEEK_S, gps_to_utc_ns, utc_date_ns, week_to_ns
 from drivers.ubx import decode as ubx
@@ -22,15 +22,26 @@ _LEAP_NS = 600 * SECOND_NS
 class ReceiverClock:
     """Gives each frame the receiver's time: that of the last message that told it.
 
-    The whole time comes from RXM-RAWX, NAV-TIMEGPS, NAV-PVT, NAV-TIMEUTC, RMC and ZDA. Messages that tell
-    only the time of week or of day are completed with the week or day of the last whole one.
+    The whole time comes from RXM-RAWX, NAV-TIMEGPS, NAV-PVT, NAV-TIMEUTC, RMC, ZDA and RTCM 1013. Messages
+    that tell only the time of week or of day are completed with the week or day of the last whole one.
+
+    Parameters
+    ----------
+    near_ns : int, optional
+        UTC within half a day of the first message, nanoseconds since 1970, where it is known beforehand.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, near_ns: int = -1) -> None:
         self._last_ns = -1
+        self._near_ns = near_ns
         self._suspect_ns = -1
         self._leap_s = -1
         self.sources: set[str] = set()
+
+    def restart(self, near_ns: int) -> None:
+        """Begin anew with a stream whose time is known nearly, see the class."""
+        self._last_ns = self._suspect_ns = self._leap_s = -1
+        self._near_ns = near_ns
 
     def feed(self, batch: Batch) -> NDArray[np.int64]:
         """Return the receiver's UTC for each frame, nanoseconds since 1970; -1 before it was told."""
@@ -63,6 +74,7 @@ class ReceiverClock:
             utc = utc_date_ns(f["year"], f["month"], f["day"]) + seconds * SECOND_NS + f["nano"]
             parts[name] = (civil.index[sure], utc[sure])
         parts["RMC/ZDA"] = nmea.decode_times(batch)
+        parts["RTCM 1013"] = rtcm3.decode_dates(batch)
         self.sources |= {name for name, (index, _) in parts.items() if len(index)}
         return (
             np.concatenate([index for index, _ in parts.values()]),
@@ -103,17 +115,20 @@ class ReceiverClock:
         self, batch: Batch, index: NDArray[np.int64], time_ns: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Add the times of messages without week or day, completed with the whole time before them."""
-        whole = np.concatenate([[self._last_ns], time_ns])
+        before = self._last_ns if self._last_ns >= 0 else self._near_ns
+        whole = np.concatenate([[before], time_ns])
         more_index, more_time = [index], [time_ns]
+        weekless = [rtcm3.decode_epochs(batch)]
         for kind in _WEEKLESS:
             found = ubx.decode(batch, kind)
-            near = whole[np.searchsorted(index, found.index, side="right")]
+            weekless.append((found.index, found.fields["iTOW"].astype(np.int64) * 1_000_000))
+        for found_index, of_week in weekless:
+            near = whole[np.searchsorted(index, found_index, side="right")]
             usable = near >= 0
-            of_week = found.fields["iTOW"][usable].astype(np.int64) * 1_000_000
             # The epoch of the GPS weeks in UTC, by the leap seconds at that time.
             offset = self._week_offset(near[usable])
-            more_index.append(found.index[usable])
-            more_time.append(_nearest(near[usable], of_week + offset, _WEEK_NS))
+            more_index.append(found_index[usable])
+            more_time.append(_nearest(near[usable], of_week[usable] + offset, _WEEK_NS))
         gga = nmea.decode_gga(batch)
         near = whole[np.searchsorted(index, gga.index, side="right")]
         usable = (near >= 0) & (gga.time_of_day_ns >= 0)

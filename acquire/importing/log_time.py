@@ -44,22 +44,32 @@ def derived(
     waiting: list[Batch] = []
     last = -1
     for batch in batches:
-        device = clock.feed(batch)
-        told = device[device >= 0]
-        if last < 0 and not len(told):
-            waiting.append(batch)
+        if last >= 0:
+            times = _steady(clock.feed(batch), last)
+            last = int(times[-1]) if len(times) else last
+            yield batch, times
             continue
-        if last < 0:
-            last = int(told[0])
-            for earlier in waiting:
-                yield earlier, np.full(len(earlier), last)
-            waiting.clear()
-        times = np.maximum.accumulate(np.concatenate([[last], device]))[1:]
-        last = int(times[-1]) if len(times) else last
-        yield batch, times
+        waiting.append(batch)
+        device = clock.feed(batch)
+        if not (device >= 0).any():
+            continue
+        # The date is known now: what came before it can be read again, with the date at hand.
+        clock.restart(int(device[device >= 0][0]))
+        devices = [clock.feed(earlier) for earlier in waiting]
+        told = np.concatenate(devices)
+        last = int(told[told >= 0][0])
+        for earlier, device in zip(waiting, devices, strict=True):
+            times = _steady(device, last)
+            last = int(times[-1]) if len(times) else last
+            yield earlier, times
+        waiting.clear()
     if waiting:
         raise InputMalformedError(
-            "no message tells the date (RXM-RAWX, NAV-PVT, NAV-TIMEGPS, NAV-TIMEUTC, RMC or ZDA)",
+            "no message tells the date (RXM-RAWX, NAV-PVT, NAV-TIMEGPS, NAV-TIMEUTC, RMC, ZDA or 1013)",
             where=where,
             remedy="record one of these messages too",
         )
+
+
+def _steady(device: NDArray[np.int64], last: int) -> NDArray[np.int64]:
+    return np.asarray(np.maximum.accumulate(np.concatenate([[last], device]))[1:], np.int64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import gzip
 import hashlib
 import importlib
@@ -169,6 +170,21 @@ def test_info_of_the_receivers(logs: dict[str, Path], acquire: Acquire) -> None:
     counts = {"RXM-RAWX": 132, "RXM-SFRBX": 1937, "NAV-HPPOSLLH": 633, "GGA": 606}
     assert {name: types[name] for name in counts} == counts
     assert f9p["fixes"]["rover"] == {"rtk_fixed": 544, "rtk_float": 62}
+
+
+def test_corrections_have_the_time_of_their_description(
+    shared: Path, acquire: Acquire, tmp_path: Path
+) -> None:
+    source = shared / "data/gnss-f9p-lossy-ubx-rtcm/20210809-111055-rtcm3-base-corrections.rtcm3"
+    log = tmp_path / "base.mcap"
+    done = acquire("import", "--link", f"base={source}", "-o", log)
+    assert done.returncode == 0, done.stderr
+    times = [m.log_time for topic, _, _, m in messages(log) if topic == "/base/raw"]
+    # 15:11:34 to 15:26:00 GPS time on 2021-08-09, 18 s ahead of UTC.
+    first = dt.datetime(2021, 8, 9, 15, 11, 34, tzinfo=dt.UTC).timestamp() - 18
+    last = dt.datetime(2021, 8, 9, 15, 26, 0, tzinfo=dt.UTC).timestamp() - 18
+    assert (min(times) / 1e9, max(times) / 1e9) == (first, last)
+    assert len(times) == 4 * 867 + 5 * 87
 
 
 def test_the_base_station_is_where_it_says(logs: dict[str, Path]) -> None:
