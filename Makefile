@@ -30,8 +30,9 @@ demo: demo-dcs460
 demo-dcs460: $(READY)
 	$(BIN)/python -m photocal.demo
 
+# The tests' matrices are small: threads of the linear algebra would only wait for each other.
 test: $(READY)
-	$(BIN)/python -m pytest
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 
 check: $(READY)
 	$(BIN)/ruff check .

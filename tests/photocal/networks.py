@@ -6,8 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
+from photocal.adjustment.mounting import NADIR, Attitudes, Mounting, Positions
+from photocal.adjustment.network import Exposures, Network, Points, Rays, Relations, point_weights
 from photocal.geometry.camera import PARAMETERS, Affinity, AffinityForm, Camera, Model, camera
 from photocal.geometry.distortion import projected
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
@@ -174,3 +176,72 @@ def _started(own: Camera, rng: np.random.Generator | None) -> Camera:
     if rng is not None:
         values[weighted] += (rng.normal(0.0, 1.0, len(PARAMETERS)) * own.prior_sigma)[weighted]
     return own.with_values(values)
+
+
+def related(
+    network: Network, scene: Scene, rng: np.random.Generator | None, kinds: list[int], sigma: Floats
+) -> Network:
+    """Add relations of the given kinds (distance, height difference, azimuth) between points 0-1, 1-2, ..."""
+    first = np.arange(len(kinds)) % (len(scene.points) - 1)
+    d = scene.points[first + 1] - scene.points[first]
+    by_kind = np.array([np.linalg.norm(d, axis=1), d[:, 2], np.arctan2(d[:, 0], d[:, 1])])
+    values = by_kind[kinds, np.arange(len(kinds))]
+    if rng is not None:
+        values = values + rng.normal(0.0, sigma)
+    return replace(
+        network, relations=Relations(np.array(kinds, dtype=np.int64), first, first + 1, values, sigma)
+    )
+
+
+def navigated(
+    network: Network,
+    scene: Scene,
+    rng: np.random.Generator,
+    mounting: Floats,
+    mounting_sigma: Floats,
+    *,
+    strips: int = 1,
+    attitudes: bool = True,
+) -> Network:
+    """Add antenna positions with correlated errors, velocities and attitudes.
+
+    Parameters
+    ----------
+    network, scene : Network, Scene
+    rng : Generator
+    mounting : ndarray, shape (7 + 6 strips,)
+        True lever arm, boresight, time offset, shift and drift of each strip.
+    mounting_sigma : ndarray of the same shape
+        0 holds the true value, infinity leaves it free and starts at 0.
+    strips : int
+        Images take turns.
+    attitudes : bool
+        Whether there are attitudes too.
+    """
+    count = len(scene.exposures)
+    image = np.arange(count)
+    strip, time = image % strips, np.linspace(-3.0, 3.0, count)
+    velocity = rng.uniform(-15, 15, (count, 3))
+    camera_of_body = Rotation.from_rotvec(mounting[3:6]).as_matrix() @ NADIR
+    matrix = matrix_from_angles(scene.exposures[:, :3])
+    at = 7 + 6 * strip[:, None] + np.arange(3)
+    place = scene.exposures[:, 3:] + np.swapaxes(matrix, 1, 2) @ camera_of_body @ mounting[:3]
+    place = place - velocity * mounting[6] + mounting[at] + mounting[at + 3] * time[:, None]
+    root = np.array([[0.02, 0, 0], [0.005, 0.015, 0], [-0.01, 0.005, 0.03]])
+    place = place + rng.normal(size=(count, 3)) @ root.T
+    covariance = np.broadcast_to(root @ root.T, (count, 3, 3)).copy()
+    turn_sigma = np.array([0.0008, 0.0005, 0.0015])
+    turn = rng.normal(size=(count, 3)) * turn_sigma
+    body = Rotation.from_rotvec(-turn).as_matrix() @ camera_of_body.T @ matrix
+    seen = image if attitudes else image[:0]
+    start = np.where(np.isfinite(mounting_sigma), mounting, 0.0)
+    weighted = np.isfinite(mounting_sigma) & (mounting_sigma > 0)
+    start[weighted] += (rng.normal(size=len(mounting)) * mounting_sigma)[weighted]
+    return replace(
+        network,
+        positions=Positions(image, place, covariance, velocity, strip, time),
+        attitudes=Attitudes(
+            seen, body[seen], np.broadcast_to(np.diag(turn_sigma**2), (len(seen), 3, 3)).copy()
+        ),
+        mounting=Mounting(NADIR, start, mounting_sigma),
+    )

@@ -83,6 +83,29 @@ def residual(own: Camera, values: Numbers, measured: Numbers, q: Numbers) -> tup
     return ix - x, iy - y
 
 
+def exponential(turn: Numbers) -> Numbers:
+    """Rotation matrix of a rotation vector, by its series; the turns of mountings are small."""
+    x, y, z = turn
+    skew = np.array([[0 * x, -z, y], [z, 0 * x, -x], [-y, x, 0 * x]])
+    result = term = np.eye(3).astype(skew.dtype)
+    for n in range(1, 25):
+        term = term @ skew / n
+        result = result + term
+    return np.asarray(result)
+
+
+def logarithm(matrix: Numbers) -> Numbers:
+    """Rotation vector of a rotation by less than 90 degrees."""
+    sine = (
+        np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]) / 2
+    )
+    square = sine @ sine
+    if abs(square) < 1e-12:
+        return np.asarray(sine * (1 + square / 6))
+    length = np.sqrt(square)
+    return np.asarray(sine * np.arcsin(length) / length)
+
+
 @dataclass(frozen=True)
 class Result:
     """Values, covariance by the names of the unknowns, redundancy numbers in the order of the rays."""
@@ -90,6 +113,7 @@ class Result:
     cameras: Floats
     exposures: Floats
     points: Floats
+    common: Floats
     covariance: Floats
     column: dict[tuple[str, int, int], int]
     residuals: Floats
@@ -117,15 +141,22 @@ def _columns(network: Network) -> dict[tuple[str, int, int], int]:
     names += [("exposure", i, n) for i in range(len(sigma)) for n in range(6) if sigma[i, n] != 0]
     held = network.points.held
     names += [("point", j, n) for j in range(len(held)) for n in range(3) if not held[j, n]]
+    if len(network.positions.image) or len(network.attitudes.image):
+        names += [("common", 0, int(n)) for n in np.flatnonzero(network.mounting.sigma)]
     return {name: at for at, name in enumerate(names)}
 
 
-def _values(network: Network, column: dict[tuple[str, int, int], int], x: Numbers) -> dict[str, Numbers]:
-    values = {
-        "camera": np.array([own.values for own in network.cameras]).astype(x.dtype),
-        "exposure": network.exposures.values.astype(x.dtype),
-        "point": network.points.values.astype(x.dtype),
+def _start(network: Network) -> dict[str, Floats]:
+    return {
+        "camera": np.array([own.values for own in network.cameras]),
+        "exposure": network.exposures.values,
+        "point": network.points.values,
+        "common": network.mounting.values[None],
     }
+
+
+def _values(network: Network, column: dict[tuple[str, int, int], int], x: Numbers) -> dict[str, Numbers]:
+    values: dict[str, Numbers] = {kind: v.astype(x.dtype) for kind, v in _start(network).items()}
     for (kind, index, n), at in column.items():
         values[kind][index, n] = x[at]
     return values
@@ -153,26 +184,66 @@ def _residuals(network: Network, values: dict[str, Numbers]) -> Numbers:
     sigma = network.exposures.sigma
     for i, n in zip(*np.nonzero(np.isfinite(sigma) & (sigma > 0)), strict=True):
         out.append((values["exposure"][i, n] - network.exposures.values[i, n]) / sigma[i, n])
-    return np.array(out)
+    return np.array(out + _relations(network, values) + _navigation(network, values, matrices))
 
 
-def adjust_densely(network: Network, iterations: int = 30) -> Result:
-    """Gauss-Newton on the whole system; derivatives by complex steps, exact to the last digit."""
+def _relations(network: Network, values: dict[str, Numbers]) -> list[Any]:
+    out = []
+    r = network.relations
+    for kind, a, b, value, sigma in zip(r.kind, r.first, r.second, r.values, r.sigma, strict=True):
+        d = values["point"][b] - values["point"][a]
+        # The arc tangent of two complex numbers, by the angle that is left from the observed direction.
+        left = (d[0] * np.cos(value) - d[1] * np.sin(value)) / (d[0] * np.sin(value) + d[1] * np.cos(value))
+        out.append((np.sqrt(d @ d) - value, d[2] - value, np.arctan(left))[kind] / sigma)
+    return out
+
+
+def _navigation(network: Network, values: dict[str, Numbers], matrices: Numbers) -> list[Any]:
+    """Antenna X0 + M'Bl - v dt + s + d t; attitude M = exp([r]x) B R with r in camera axes."""
+    out: list[Any] = []
+    common = values["common"][0]
+    camera_of_body = exponential(common[3:6]) @ network.mounting.rotation
+    p = network.positions
+    for i, place, q, velocity, strip, time in zip(
+        p.image, p.values, p.covariance, p.velocity, p.strip, p.time, strict=True
+    ):
+        own = common[7 + 6 * strip : 13 + 6 * strip]
+        antenna = values["exposure"][i, 3:] + matrices[i].T @ camera_of_body @ common[:3]
+        antenna = antenna - velocity * common[6] + own[:3] + own[3:] * time
+        out += list(np.linalg.cholesky(np.linalg.inv(q)).T @ (antenna - place))
+    a = network.attitudes
+    for i, body, q in zip(a.image, a.rotation, a.covariance, strict=True):
+        turn = camera_of_body.T @ logarithm(matrices[i] @ (camera_of_body @ body).T)
+        out += list(np.linalg.cholesky(np.linalg.inv(q)).T @ turn)
+    if len(p.image) or len(a.image):
+        m = network.mounting
+        for n in np.flatnonzero(np.isfinite(m.sigma) & (m.sigma > 0)):
+            out.append((common[n] - m.values[n]) / m.sigma[n])
+    return out
+
+
+def adjust_densely(network: Network, iterations: int = 40, defect: int = 0) -> Result:
+    """Gauss-Newton on the whole system; derivatives by complex steps, exact to the last digit.
+
+    With a datum defect the datum points move least from their start values: the null vectors of the design,
+    restricted to their coordinates, are constraints of a bordered system.
+    """
     column = _columns(network)
-    start = {
-        "camera": np.array([own.values for own in network.cameras]),
-        "exposure": network.exposures.values,
-        "point": network.points.values,
-    }
-    x = np.array([start[kind][index, n] for kind, index, n in column])
+    start = _start(network)
+    begin = x = np.array([start[kind][index, n] for kind, index, n in column])
     step = np.full(len(x), np.inf)
     for _ in range(iterations):
         v = _residuals(network, _values(network, column, x))
         design = _jacobian(network, column, x)
-        inverse = np.asarray(np.linalg.inv(design.T @ design), dtype=np.float64)
+        border = _constraints(network, column, design, defect)
+        normal = np.block([[design.T @ design, border], [border.T, np.zeros((defect, defect))]])
+        scale = np.sqrt(np.maximum(np.abs(normal).max(axis=0), 1e-300))
+        whole = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+        inverse = np.asarray(whole[: len(x), : len(x)], dtype=np.float64)
         if np.abs(step / np.sqrt(np.diag(inverse))).max() < 1e-8:
             break
-        step = -inverse @ (design.T @ v)
+        right = np.concatenate([design.T @ v, border.T @ (x - begin)])
+        step = -(whole @ right)[: len(x)]
         x = x + step
     else:
         raise AssertionError("the comparison adjustment does not converge")
@@ -183,6 +254,7 @@ def adjust_densely(network: Network, iterations: int = 30) -> Result:
         values["camera"],
         values["exposure"],
         values["point"],
+        values["common"][0],
         inverse,
         column,
         np.asarray(v[:rays].reshape(-1, 2) * network.rays.sigma, dtype=float),
@@ -191,6 +263,20 @@ def adjust_densely(network: Network, iterations: int = 30) -> Result:
         len(v),
         float(redundancy.sum()),
     )
+
+
+def _constraints(
+    network: Network, column: dict[tuple[str, int, int], int], design: Floats, defect: int
+) -> Floats:
+    """Null vectors of the design at the coordinates of the datum points, shape (unknowns, defect)."""
+    length = np.linalg.norm(design, axis=0)
+    _, singular, rows = np.linalg.svd(design / length)
+    assert (singular < 1e-9 * singular[0]).sum() == defect
+    null = rows[len(rows) - defect :].T / length[:, None]
+    chosen = network.datum_points
+    points = set(range(len(network.points.values)) if chosen is None or not len(chosen) else chosen.tolist())
+    datum = np.array([kind == "point" and index in points for kind, index, _ in column])
+    return np.asarray(np.where(datum[:, None], null, 0.0) / max(np.abs(null).max(initial=0.0), 1e-300))
 
 
 def _jacobian(network: Network, column: dict[tuple[str, int, int], int], x: Floats) -> Floats:

@@ -24,11 +24,13 @@ ALL = ("c", "x0", "y0", "K1", "K2", "P1", "P2", "B1", "B2")
 INF = np.inf
 
 
-def same(network: Network, tolerance: float = 1e-5) -> None:
+def same(network: Network, tolerance: float = 1e-5, defect: int = 0) -> None:
     """Compare everything that both know, in units of the standard deviations."""
-    ours, plain = adjust(network), oracle.adjust_densely(network)
+    ours, plain = adjust(network), oracle.adjust_densely(network, defect=defect)
     assert ours.observations == plain.observations
     assert ours.unknowns == len(plain.covariance)
+    assert ours.datum_defect == defect
+    assert ours.degrees_of_freedom == ours.observations - ours.unknowns + defect
     assert ours.chi_squared == pytest.approx(plain.chi_squared, rel=1e-8)
     assert sum(group.redundancy for group in ours.groups) == pytest.approx(ours.degrees_of_freedom, abs=1e-6)
     assert sum(group.chi_squared for group in ours.groups) == pytest.approx(ours.chi_squared)
@@ -38,6 +40,7 @@ def same(network: Network, tolerance: float = 1e-5) -> None:
         ("camera", ours.cameras, plain.cameras, ours.camera_covariance),
         ("exposure", ours.exposures, plain.exposures, ours.exposure_covariance),
         ("point", ours.points, plain.points, ours.point_covariance),
+        ("common", ours.state.common[None], plain.common[None], ours.common_covariance[None]),
     ):
         for index in range(len(values)):
             expected = plain.block(kind, index, values.shape[1])
@@ -59,7 +62,7 @@ def same(network: Network, tolerance: float = 1e-5) -> None:
 def test_every_camera_model(model: Model, affinity: Affinity, form: AffinityForm) -> None:
     # Over a free exposure the forms with a rotation inside are as well determined as the others.
     own = networks.lens(model=model, affinity=affinity, affinity_form=form, estimate=ALL)
-    same(networks.observe(networks.convergent((own,), images=5, points=14), np.random.default_rng(3)))
+    same(networks.observe(networks.convergent((own,), images=4, points=11), np.random.default_rng(3)))
 
 
 def test_all_parameters_with_priors() -> None:
@@ -127,3 +130,49 @@ def test_observations_with_their_own_sigmas() -> None:
     network = networks.observe(networks.convergent(images=4, points=14), np.random.default_rng(10))
     sigma = np.random.default_rng(1).uniform(0.001, 0.01, network.rays.sigma.shape)
     same(replace(network, rays=replace(network.rays, sigma=sigma)))
+
+
+def test_distances_height_differences_and_azimuths() -> None:
+    scene, rng = networks.convergent(images=5, points=14), np.random.default_rng(11)
+    sigma = np.array([0.001, 0.001, 0.0005, 0.002, 0.001, 0.0003, 0.001])
+    network = networks.observe(scene, rng, point_sigma=0.01, missing=0.1)
+    same(networks.related(network, scene, rng, [0, 1, 2, 0, 1, 2, 0], sigma))
+
+
+def test_relations_with_held_points() -> None:
+    scene, rng = networks.convergent(images=5, points=14), np.random.default_rng(12)
+    sigma = np.full((14, 3), INF)
+    sigma[:4], sigma[0], sigma[1, 2] = 0.01, 0.0, 0.0
+    network = networks.observe(scene, rng, point_sigma=sigma)
+    same(networks.related(network, scene, rng, [0, 1, 2, 0, 1, 2], np.full(6, 0.001)))
+
+
+LEVER = [0.3, -0.1, -0.4]
+BORESIGHT = [0.01, -0.02, 0.015]
+
+
+def mounting(strips: int) -> list[float]:
+    return [*LEVER, *BORESIGHT, 0.02] + [0.1, -0.2, 0.15, 0.01, -0.02, 0.005] * strips
+
+
+def test_antenna_positions_and_attitudes_with_a_known_mounting() -> None:
+    scene, rng = networks.convergent(images=6, points=14), np.random.default_rng(15)
+    network = networks.observe(scene, rng, point_sigma=INF)
+    true = np.array([*LEVER, *BORESIGHT, 0.02, *[0.0] * 6])
+    same(networks.navigated(network, scene, rng, true, np.zeros(13)))
+
+
+def test_shift_and_drift_of_strips() -> None:
+    scene, rng = networks.convergent(images=8, points=16), np.random.default_rng(17)
+    network = networks.observe(scene, rng, point_sigma=0.01)
+    sigma = np.array([0.0] * 7 + [INF, INF, 0.2, 0.05, INF, 0.05, 0.3, INF, INF, INF, 0.1, 0.0])
+    network = networks.navigated(network, scene, rng, np.array(mounting(2)), sigma, strips=2)
+    same(network)
+
+
+def test_positions_without_attitudes_beside_weighted_exposures() -> None:
+    scene, rng = networks.convergent(images=6, points=16), np.random.default_rng(18)
+    network = networks.observe(scene, rng, point_sigma=INF, exposure_sigma=np.array([0.01] * 3 + [INF] * 3))
+    sigma = np.array([0.02] * 3 + [0.0] * 3 + [0.01] + [0.0] * 6)
+    true = np.array([*LEVER, 0, 0, 0, 0.01, *[0.0] * 6])
+    same(networks.navigated(network, scene, rng, true, sigma, attitudes=False))

@@ -22,7 +22,7 @@ def positions(structure: Envelope) -> NDArray[np.bool_]:
 def systems(draw: st.DrawFn) -> tuple[Envelope, Floats, Floats]:
     """A structure, its values and the same matrix in full; positive definite."""
     block = draw(st.sampled_from([1, 3, 6]))
-    count = draw(st.integers(0, 50))
+    count = draw(st.integers(0, 30))
     border = draw(st.integers(0 if count else 1, 15))
     steps = draw(st.lists(st.integers(1, max(count, 1)), min_size=count, max_size=count))
     reach = block * np.minimum(np.arange(count) + np.array(steps, dtype=np.int64), count)
@@ -53,7 +53,7 @@ def packed(structure: Envelope, full: Floats) -> Floats:
     return values
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(systems())
 def test_packing_and_solution(system: tuple[Envelope, Floats, Floats]) -> None:
     structure, values, full = system
@@ -65,7 +65,7 @@ def test_packing_and_solution(system: tuple[Envelope, Floats, Floats]) -> None:
     assert solve(structure, values, right[:, 0]) == pytest.approx(expected[:, 0], rel=1e-9, abs=1e-11)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(systems())
 def test_selected_inverse(system: tuple[Envelope, Floats, Floats]) -> None:
     structure, values, full = system
@@ -75,7 +75,7 @@ def test_selected_inverse(system: tuple[Envelope, Floats, Floats]) -> None:
     assert inverse[kept] == pytest.approx(np.linalg.inv(full)[kept], rel=1e-9, abs=1e-12)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(systems(), st.data())
 def test_an_indefinite_matrix_is_noticed(
     system: tuple[Envelope, Floats, Floats], data: st.DataObject
@@ -83,8 +83,7 @@ def test_an_indefinite_matrix_is_noticed(
     structure, _, full = system
     bad = data.draw(st.integers(0, structure.size - 1))
     full[bad, bad] = -1.0
-    column = factorise(structure, packed(structure, full))
-    assert column == bad if bad < structure.band else column >= 0
+    assert factorise(structure, packed(structure, full)) == bad
 
 
 @pytest.mark.parametrize("count", [1, 23, 24, 25, 48, 100])
