@@ -1,0 +1,72 @@
+"""`photocal measure`: from images to the observations of a block."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from acquire.console import answer, progress
+from drivers.errors import ConfigurationError
+
+# A principal distance that is known no better than this is worth a warning.
+WEAK = 0.005
+
+
+def measure(
+    output: Annotated[Path, typer.Option("-o", "--output", help="Block folder to write.")],
+    images: Annotated[Path, typer.Option(help="Folder with the images.")],
+    board: Annotated[
+        str, typer.Option(help="Calibration board: squares in a row and in a column, such as 10x7.")
+    ] = "",
+    square_m: Annotated[
+        float, typer.Option(help="Side of a square of the board, m; without it the unit is one square.")
+    ] = 1.0,
+    charuco: Annotated[
+        str, typer.Option(help="Marker dictionary of a ChArUco board, such as 4x4_50 or apriltag_36h11.")
+    ] = "",
+    as_json: Annotated[bool, typer.Option("--json", help="Print measurement.json.")] = False,
+) -> None:
+    """Measure images: a calibration board, as a block folder for `photocal adjust`.
+
+    Example: `photocal measure --images photos --board 10x7 -o block`
+    """
+    if not board:
+        raise ConfigurationError("nothing to measure was named", remedy="give --board COLUMNSxROWS")
+    record = _board(images, board, square_m, charuco, output)
+    answer(as_json, lambda: record, lambda: _board_text(record, output))
+
+
+def _board(images: Path, board: str, square_m: float, charuco: str, output: Path) -> dict[str, Any]:
+    from acquire.outputs import output_folder
+    from photocal.measurement.block_files import write_block
+    from photocal.measurement.board_block import measure_board
+    from photocal.measurement.boards import parse_board
+    from photocal.measurement.image_file import list_images
+
+    wanted = parse_board(board, square_m, charuco)
+    paths = list_images(images)
+    with progress("measuring the board", len(paths)) as done:
+        measured = measure_board(paths, wanted, images.resolve().name, done)
+    with output_folder(output) as aside:
+        write_block(aside, measured.block, measured.record)
+    return measured.record
+
+
+def _board_text(record: dict[str, Any], output: Path) -> str:
+    found = record["images"]
+    corners = sum(image["corners"] for image in found)
+    unit = "" if record["board"]["square_m"] != 1.0 else " (lengths in squares: no --square-m was given)"
+    lines = [
+        f"{len(found)} images show the board, {corners} corners{unit}",
+        f"common part of a corner's sigma: {record['common_sigma_px']:.3f} px",
+        *(
+            f"the views determine the principal distance to {100 * ratio:.2g} % only: take more, tilted ones"
+            for ratio in record["principal_distance_sigma_ratio"]
+            if ratio > WEAK
+        ),
+        *(f"left out: {entry['image']}: {entry['reason']}" for entry in record["left_out"]),
+        f"block folder: {output}; next: photocal adjust {output} -o RUN",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,121 @@
+"""Writing a block folder: what the adjustment reads, in plain tables."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from photocal.block.model import ROLES, Block
+from photocal.geometry.camera import PARAMETERS, Camera
+
+
+def write_block(folder: Path, block: Block, record: dict[str, Any]) -> None:
+    """Write a block with observations in px of the stored pixel grid.
+
+    Parameters
+    ----------
+    folder : Path
+        Exists.
+    block : Block
+        Without relations, antenna positions and attitudes, which measurements of images do not make.
+    record : dict
+        How it was measured; becomes `measurement.json`.
+    """
+    (folder / "block.toml").write_text(_setup(block), encoding="utf-8", newline="\n")
+    images, points, seen = block.images, block.points, block.observations
+    _write(
+        folder / "images.csv",
+        ("image", "camera", "X", "Y", "Z", "omega", "phi", "kappa", "sX", "sY", "sZ", "so", "sp", "sk"),
+        (
+            [
+                name,
+                block.cameras[camera].id,
+                *(_cell(v, 6) for v in value[3:]),
+                *(_cell(v, 8) for v in np.degrees(value[:3])),
+                *(_cell(v, 6) for v in sigma[3:]),
+                *(_cell(v, 8) for v in np.degrees(sigma[:3])),
+            ]
+            for name, camera, value, sigma in zip(
+                images.names, images.camera, images.values, images.sigma, strict=True
+            )
+        ),
+    )
+    _write(
+        folder / "points.csv",
+        ("point", "X", "Y", "Z", "sX", "sY", "sZ", "role"),
+        (
+            [name, *(_cell(v, 6) for v in value), *(_cell(v, 6) for v in sigma), ROLES[role]]
+            for name, value, sigma, role in zip(
+                points.names, points.values, points.sigma, points.role, strict=True
+            )
+        ),
+    )
+    _write(
+        folder / "observations.csv",
+        ("image", "point", "x", "y", "sx", "sy"),
+        (
+            [
+                images.names[image],
+                points.names[point],
+                *(_cell(v, 4) for v in value),
+                *(_cell(v, 4) for v in s),
+            ]
+            for image, point, value, s in zip(seen.image, seen.point, seen.values, seen.sigma, strict=True)
+        ),
+    )
+    (folder / "measurement.json").write_text(
+        json.dumps(record, indent=2, allow_nan=False) + "\n", encoding="utf-8", newline="\n"
+    )
+
+
+def _setup(block: Block) -> str:
+    lines = [
+        "# Written by photocal measure; measurement.json says how.",
+        "[block]",
+        f"name = {json.dumps(block.name)}",
+        f"frame = {json.dumps(block.frame)}",
+        f"height = {json.dumps(block.height)}",
+        f"datum = {json.dumps(block.datum)}",
+        "",
+        "[observations]",
+        'unit = "px"',
+        'axes = "pixel"',
+    ]
+    for own in block.cameras:
+        lines += ["", "[[camera]]", *_camera(own)]
+    return "\n".join(lines) + "\n"
+
+
+def _camera(own: Camera) -> Iterable[str]:
+    used = {n: v for n, v in zip(PARAMETERS, own.values, strict=True) if v or n == "c"}
+    estimate = [name for name, on in zip(PARAMETERS, own.estimated, strict=True) if on]
+    prior = {n: s for n, s in zip(PARAMETERS, own.prior_sigma, strict=True) if math.isfinite(s)}
+    yield f"id = {json.dumps(own.id)}"
+    yield f'model = "{own.model}"'
+    yield f'unit = "{own.unit}"'
+    yield f"size_px = [{own.size_px[0]}, {own.size_px[1]}]"
+    if own.unit == "mm":
+        yield f"pitch_mm = [{own.pitch[0]!r}, {own.pitch[1]!r}]"
+    yield f"affinity = {json.dumps(own.affinity)}"
+    yield f"estimate = {json.dumps(estimate)}"
+    yield "parameters = { " + ", ".join(f"{n} = {float(v)!r}" for n, v in used.items()) + " }"
+    if prior:
+        yield "prior_sigma = { " + ", ".join(f"{n} = {float(s)!r}" for n, s in prior.items()) + " }"
+
+
+def _cell(value: float, digits: int) -> str:
+    """Write a number; one that is not known, or a free sigma, stays empty."""
+    return f"{value:.{digits}f}" if math.isfinite(value) else ""
+
+
+def _write(path: Path, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(columns)
+        table.writerows(rows)

@@ -1,0 +1,98 @@
+"""Cameras to start from: one for each kind of image, the principal distance from the EXIF."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.geometry.camera import Camera, camera
+from photocal.measurement.image_facts import ImageFacts
+
+# A "35 mm equivalent" is stated for a frame 36 mm wide (makers take the width: CIPA DCG-001 takes the
+# diagonal, which agrees for frames of 3 : 2).
+FRAME_WIDTH_MM = 36.0
+# Where nothing is known: a field of view of 60 degrees along the longer side.
+UNKNOWN_WIDTHS = 1 / (2 * math.tan(math.radians(30)))
+
+
+def group_cameras(facts: Sequence[ImageFacts]) -> tuple[tuple[str, ...], NDArray[np.int64]]:
+    """Tell which images were taken by the same camera with the same lens.
+
+    Parameters
+    ----------
+    facts : sequence of ImageFacts
+
+    Returns
+    -------
+    names : tuple of str
+        A name for each camera.
+    camera : ndarray of int, shape (n,)
+        Camera of each image: same maker, model, serial number, focal length and size.
+    """
+    keys: dict[tuple[object, ...], int] = {}
+    names: list[str] = []
+    members = np.zeros(len(facts), dtype=np.int64)
+    for k, image in enumerate(facts):
+        focal = -1.0 if math.isnan(image.focal_mm) else image.focal_mm
+        key = (image.make, image.model, image.serial, focal, image.size_px)
+        if key not in keys:
+            keys[key] = len(keys)
+            plain = re.sub(r"[^A-Za-z0-9]+", "-", image.model or image.make or "camera").strip("-").lower()
+            name = plain or "camera"
+            names.append(name if name not in names else f"{name}-{len(names) + 1}")
+        members[k] = keys[key]
+    return tuple(names), members
+
+
+def principal_distance_px(facts: ImageFacts) -> tuple[float, str]:
+    """Principal distance to start from.
+
+    Parameters
+    ----------
+    facts : ImageFacts
+
+    Returns
+    -------
+    c : float
+        px.
+    source : str
+        Where it comes from.
+    """
+    longer = max(facts.size_px)
+    if math.isfinite(facts.focal_35mm) and 5 <= facts.focal_35mm <= 2000:
+        return longer * facts.focal_35mm / FRAME_WIDTH_MM, "EXIF focal length, 35 mm equivalent"
+    return longer * UNKNOWN_WIDTHS, "assumed (60 degrees along the longer side)"
+
+
+def start_camera(name: str, facts: ImageFacts, c: float, estimate: tuple[str, ...]) -> Camera:
+    """Make a camera in px that is estimated on the job.
+
+    Parameters
+    ----------
+    name : str
+    facts : ImageFacts
+        Of one of its images.
+    c : float
+        Principal distance, px.
+    estimate : tuple of str
+        Parameters to estimate.
+
+    Returns
+    -------
+    Camera
+        `brown-ideal`; B1 stands for pixels that are not square.
+    """
+    return camera(
+        name,
+        "brown-ideal",
+        "px",
+        facts.size_px,
+        (1.0, 1.0),
+        {"c": c},
+        estimate=estimate,
+        affinity="after",
+    )
