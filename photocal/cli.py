@@ -3,9 +3,21 @@
 from __future__ import annotations
 
 from acquire.console import application, run
-from photocal.commands import adjust, analyse, certificate, check, compare, export, plan, verify, volume
+from photocal.commands import (
+    adjust,
+    analyse,
+    certificate,
+    check,
+    compare,
+    export,
+    measure,
+    plan,
+    verify,
+    volume,
+)
 
 app = application("From flight log, images and control points to a calibrated camera and its certificate.")
+app.command()(measure.measure)
 app.command()(adjust.adjust)
 app.command()(certificate.certificate)
 app.command()(verify.verify)
