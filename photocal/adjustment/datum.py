@@ -161,9 +161,9 @@ def inner_state(problem: Problem, normal: Normal, state: State, start: State) ->
     State
     """
     chosen = _datum_points(problem.network)
+    open_ones = _open_ones(problem, normal, similarity_moves(problem, state)[0])
     for _ in range(50):
-        moves, points = similarity_moves(problem, state)
-        open_ones = _open_ones(problem, normal, moves)
+        _, points = similarity_moves(problem, state)
         own = (points @ open_ones)[chosen].reshape(-1, open_ones.shape[1])
         away = (start.points - state.points)[chosen].ravel()
         change = open_ones @ np.linalg.lstsq(own, away, rcond=None)[0]

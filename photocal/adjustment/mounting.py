@@ -181,11 +181,12 @@ def attitude_equations(
     to_body = matrix.T
     inverse_left = np.linalg.inv(_left_jacobian(residual))
     inverse_right = np.linalg.inv(_left_jacobian(-residual))
+    # The boresight turns the axes in which the residual is given, too: hence the cross product.
     parts = [
         (image_columns[image, :3], to_body @ inverse_left @ basis[image]),
         (
             np.tile(common_columns[BORESIGHT], (n, 1)),
-            -to_body @ inverse_right @ _left_jacobian(values[BORESIGHT]),
+            to_body @ (_skew(residual) - inverse_right) @ _left_jacobian(values[BORESIGHT]),
         ),
     ]
     return _whitened(parts, residual @ matrix, attitudes.covariance)

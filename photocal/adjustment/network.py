@@ -141,6 +141,15 @@ class Network:
     mounting: Mounting = NO_MOUNTING
 
 
+def covariance_matrices(sigma: Floats, cross: Floats) -> Floats:
+    """Covariance matrices, shape (n, 3, 3), from sigmas of X, Y, Z and covariances XY, XZ, YZ."""
+    matrix = np.zeros((len(sigma), 3, 3))
+    matrix[:, [0, 1, 2], [0, 1, 2]] = sigma**2
+    for k, (a, b) in enumerate(((0, 1), (0, 2), (1, 2))):
+        matrix[:, a, b] = matrix[:, b, a] = cross[:, k]
+    return matrix
+
+
 def point_weights(sigma: Floats) -> tuple[NDArray[np.bool_], Floats]:
     """Held coordinates and weight matrices from the standard deviations of coordinates.
 

@@ -23,8 +23,10 @@ from photocal.adjustment.state import State, moved_exposures
 
 Floats = NDArray[np.float64]
 
-# The squared length of the last step in units of the standard deviations (Newton decrement).
-CONVERGED = 1e-6
+# Squared distance to the minimum, in units of the standard deviations, that is left after the last step.
+CONVERGED = 1e-12
+# A step this short that no longer lowers the sum of squares shows that rounding is reached.
+ROUNDING = 1e-6
 ITERATIONS = 50
 # Below this share of a diagonal element that remains after elimination, rounding decides.
 SINGULAR_PIVOT = 1e-11
@@ -95,19 +97,22 @@ def minimise(problem: Problem, state: State, report: Callable[[Iteration], None]
     normal = normal_equations(problem, state)
     while len(steps) < ITERATIONS:
         step = reduced_step(problem, normal, damping)
-        if step is None and damping == 0.0 and decrement < CONVERGED:
+        if step is None and damping == 0.0 and decrement < ROUNDING:
             explain_singular(problem, state)
         if step is not None:
             moved, step_decrement = moved_by(problem, state, normal, step)
-            calmer = damping / 10 if damping > 1e-6 and step_decrement >= CONVERGED else 0.0
+            calmer = damping / 10 if damping > 1e-6 and step_decrement >= ROUNDING else 0.0
             trial = normal_equations(problem, moved, calmer, normal.kept)
-            # At the minimum rounding may raise the sum of squares in its last digits.
-            if trial.chi_squared <= normal.chi_squared or step_decrement < CONVERGED:
+            lower = trial.chi_squared < normal.chi_squared
+            if lower or step_decrement < ROUNDING:
+                # Steps shrink at a steady rate: the next one tells how far the minimum still is.
+                shrinking = min(1.0, step_decrement / decrement) if steps else 1.0
+                left = step_decrement * shrinking
                 state, normal, decrement = moved, trial, step_decrement
                 steps.append(Iteration(len(steps) + 1, normal.chi_squared, decrement, damping))
                 if report:
                     report(steps[-1])
-                if decrement < CONVERGED and damping == 0.0:
+                if damping == 0.0 and (left < CONVERGED or not lower):
                     return _released(problem, Minimum(state, normal, tuple(steps)), start)
                 damping = calmer
                 continue

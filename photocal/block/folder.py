@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
-from photocal.adjustment.network import NO_RELATIONS, RELATIONS, Relations
+from photocal.adjustment.network import NO_RELATIONS, RELATIONS, Relations, covariance_matrices
 from photocal.block.model import ROLES, Block, Images, InputFile, ObjectPoints, Observations
 from photocal.block.mounting import make_mounting, read_attitudes, read_positions
 from photocal.block.setup import ObservationKeys, make_camera, read_setup
@@ -23,6 +23,7 @@ IMAGE_COLUMNS = ("image", "camera", "X", "Y", "Z", "omega", "phi", "kappa")
 IMAGE_SIGMAS = ("so", "sp", "sk", "sX", "sY", "sZ")
 POINT_COLUMNS = ("point", "X", "Y", "Z", "role")
 POINT_SIGMAS = ("sX", "sY", "sZ")
+POINT_CROSS = ("sXY", "sXZ", "sYZ")
 OBSERVATION_COLUMNS = ("image", "point", "x", "y")
 # Observations between points stand in tables of their plural: distances.csv (m), height_differences.csv (m),
 # azimuths.csv (degrees, from the Y axis towards X).
@@ -107,7 +108,7 @@ def _read_images(path: Path, cameras: tuple[Camera, ...]) -> Images:
 
 
 def _read_points(path: Path) -> ObjectPoints:
-    table = read_table(path, POINT_COLUMNS, POINT_SIGMAS)
+    table = read_table(path, POINT_COLUMNS, POINT_SIGMAS + POINT_CROSS)
     names = table.unique_names("point")
     index, found = table.names("role")
     refuse_unknown(table, index, found, dict.fromkeys(ROLES, 0), "role", f"({', '.join(ROLES)})")
@@ -135,7 +136,20 @@ def _read_points(path: Path) -> ObjectPoints:
         "a control point has no sigma",
         "give sX, sY or sZ (0 holds a coordinate)",
     )
-    return ObjectPoints(names, values, sigma, role)
+    return ObjectPoints(names, values, sigma, role, _cross(table, sigma))
+
+
+def _cross(table: Table, sigma: Floats) -> Floats:
+    """Covariances between the coordinates of a point, where all three have a sigma."""
+    cross = np.column_stack([table.numbers(column, empty=0.0) for column in POINT_CROSS])
+    linked = np.asarray(cross.any(axis=1))
+    whole = np.asarray((np.isfinite(sigma) & (sigma > 0)).all(axis=1))
+    remedy = "give sX, sY and sZ with covariances that fit them (m^2)"
+    refuse(table, linked & ~whole, "a covariance stands beside a missing sigma", remedy)
+    matrix = covariance_matrices(np.where(whole[:, None], sigma, 1.0), cross * whole[:, None])
+    bad = np.linalg.eigvalsh(matrix)[:, 0] <= 0
+    refuse(table, np.asarray(bad), "the covariance is not positive definite", remedy)
+    return cross
 
 
 def _read_observations(

@@ -76,12 +76,15 @@ class ObjectPoints:
         Of the surveyed coordinates; 0 holds a coordinate, infinity leaves it free.
     role : ndarray of int, shape (n,)
         Index into `ROLES`.
+    cross : ndarray, shape (n, 3), optional
+        Covariances XY, XZ, YZ of the surveyed coordinates, m^2; zero when they are not given.
     """
 
     names: tuple[str, ...]
     values: Floats
     sigma: Floats
     role: Integers
+    cross: Floats | None = None
 
     def of_role(self, role: Role) -> NDArray[np.bool_]:
         """Which points play a role, shape (n,)."""

@@ -16,6 +16,7 @@ from photocal.adjustment.mounting import (
     Mounting,
     Positions,
 )
+from photocal.adjustment.network import covariance_matrices
 from photocal.block.setup import MountingKeys
 from photocal.block.table import Table, known_rows, read_table, refuse
 from photocal.geometry.body import object_to_body
@@ -55,10 +56,8 @@ def read_positions(path: Path, images: tuple[str, ...]) -> Positions:
     table = read_table(path, POSITION_COLUMNS, POSITION_EXTRAS)
     image = known_rows(table, "image", images, "images.csv")
     sigma = _sigmas(table, ("sX", "sY", "sZ"))
-    covariance = np.zeros((len(table), 3, 3))
-    covariance[:, range(3), range(3)] = sigma**2
-    for column, a, b in (("sXY", 0, 1), ("sXZ", 0, 2), ("sYZ", 1, 2)):
-        covariance[:, a, b] = covariance[:, b, a] = table.numbers(column, empty=0.0)
+    cross = np.column_stack([table.numbers(column, empty=0.0) for column in ("sXY", "sXZ", "sYZ")])
+    covariance = covariance_matrices(sigma, cross)
     bad = np.asarray(np.linalg.eigvalsh(covariance)[:, 0] <= 0)
     refuse(table, bad, "the covariance is not positive definite", "check sXY, sXZ and sYZ (m^2)")
     velocity = np.column_stack([table.numbers(column, empty=0.0) for column in ("vX", "vY", "vZ")])

@@ -9,11 +9,21 @@ from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError
 from photocal.adjustment.intersection import intersect
-from photocal.adjustment.network import Exposures, Network, Points, Rays, Relations, point_weights
+from photocal.adjustment.mounting import Positions
+from photocal.adjustment.network import (
+    Exposures,
+    Network,
+    Points,
+    Rays,
+    Relations,
+    covariance_matrices,
+    point_weights,
+)
 from photocal.block.model import Block
 from photocal.geometry.camera import pixel_to_plane
 from photocal.geometry.distortion import undistorted
-from photocal.geometry.rotation import matrix_from_angles
+from photocal.geometry.frames import Frame, ShiftedFrame, nearest_rotation, reference_frame
+from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -30,14 +40,14 @@ class Assembly:
         The block's points that are in the network: those with rays.
     rays : ndarray of int, shape (n,)
         The block's observation of each ray.
-    origin : ndarray, shape (3,)
-        What was subtracted from all coordinates to keep their digits, m.
+    frame : Frame
+        From the block's coordinates to those of the network.
     """
 
     network: Network
     points: Integers
     rays: Integers
-    origin: Floats
+    frame: Frame
 
 
 def assemble(block: Block) -> Assembly:
@@ -60,12 +70,6 @@ def assemble(block: Block) -> Assembly:
     IllPosedError
         When nothing fixes the datum or an image.
     """
-    if block.frame != "local":
-        raise ConfigurationError(
-            f"frame {block.frame!r} cannot be adjusted in",
-            where="block.toml",
-            remedy='give local Cartesian coordinates in metres and frame = "local"',
-        )
     rays_of_point = np.bincount(block.observations.point, minlength=len(block.points.names))
     _require_rays(block, rays_of_point)
     _require_datum(block, rays_of_point)
@@ -73,11 +77,8 @@ def assemble(block: Block) -> Assembly:
     position = np.full(len(rays_of_point), -1)
     position[used] = np.arange(len(used))
     order = np.argsort(position[block.observations.point], kind="stable")
-    places = np.vstack([block.images.values[:, 3:], block.points.values])
-    origin = np.asarray(np.round(np.nanmean(places, axis=0)), dtype=np.float64)
-    exposures = Exposures(
-        block.images.camera, block.images.values - np.concatenate([np.zeros(3), origin]), block.images.sigma
-    )
+    frame = block_frame(block)
+    exposures = Exposures(block.images.camera, _local_exposures(block, frame), block.images.sigma)
     plane, sigma = observed_plane(block)
     rays = Rays(
         block.observations.image[order], position[block.observations.point[order]], plane[order], sigma[order]
@@ -86,7 +87,12 @@ def assemble(block: Block) -> Assembly:
     control = block.points.of_role("control")[used] & (block.datum == "control")
     prior = np.where(control[:, None], block.points.sigma[used], np.inf)
     held, weight = point_weights(prior)
-    values = _with_start_values(block, exposures, rays, block.points.values[used] - origin, used)
+    if block.points.cross is not None:
+        linked = control & block.points.cross[used].any(axis=1)
+        matrices = covariance_matrices(prior[linked], block.points.cross[used][linked])
+        weight[linked] = np.linalg.inv(matrices)
+    weight = _local_weights(frame, block.points.values[used], weight)
+    values = _with_start_values(block, exposures, rays, frame.to_local(block.points.values[used]), used)
     names = tuple(block.points.names[j] for j in used)
     network = Network(
         block.cameras,
@@ -97,11 +103,57 @@ def assemble(block: Block) -> Assembly:
         names,
         _relations(block, position),
         _datum_points(block, position),
-        replace(block.positions, values=block.positions.values - origin),
+        _local_positions(block.positions, frame),
         block.attitudes,
         block.mounting,
     )
-    return Assembly(network, used, order, origin)
+    return Assembly(network, used, order, frame)
+
+
+def block_frame(block: Block) -> Frame:
+    """Frame of a block, with the middle of its images and points as local origin.
+
+    Raises
+    ------
+    ConfigurationError
+        For an unknown system or heights of a kind that does not fit it.
+    """
+    places = np.vstack([block.images.values[:, 3:], block.points.values])
+    if block.frame == "local":
+        return ShiftedFrame(np.asarray(np.round(np.nanmean(places, axis=0)), dtype=np.float64))
+    return reference_frame(block.frame, block.height, np.asarray(np.nanmean(places, axis=0)))
+
+
+def _local_exposures(block: Block, frame: Frame) -> Floats:
+    """Exterior orientation in the local frame: the angles refer to the given axes at each image."""
+    values = block.images.values.copy()
+    turn = nearest_rotation(frame.derivative(values[:, 3:]))
+    matrix = matrix_from_angles(values[:, :3]) @ np.swapaxes(turn, 1, 2)
+    # A Cartesian frame keeps the very angles that were given.
+    if not np.array_equal(turn, np.broadcast_to(np.eye(3), turn.shape)):
+        values[:, :3] = angles_from_matrix(matrix)
+    values[:, 3:] = frame.to_local(values[:, 3:])
+    return values
+
+
+def _local_weights(frame: Frame, places: Floats, weight: Floats) -> Floats:
+    """Weight matrices of given coordinates as those of local coordinates."""
+    weighted = weight.any(axis=(1, 2))
+    local = weight.copy()
+    if weighted.any():
+        back = np.linalg.inv(frame.derivative(places[weighted]))
+        local[weighted] = np.swapaxes(back, 1, 2) @ weight[weighted] @ back
+    return local
+
+
+def _local_positions(positions: Positions, frame: Frame) -> Positions:
+    if not len(positions.image):
+        return positions
+    turn = frame.derivative(positions.values)
+    covariance = turn @ positions.covariance @ np.swapaxes(turn, 1, 2)
+    velocity = np.einsum("nab,nb->na", turn, positions.velocity)
+    local = frame.to_local(positions.values)
+    return replace(positions, values=local, covariance=covariance, velocity=velocity)
 
 
 def observed_plane(block: Block) -> tuple[Floats, Floats]:
@@ -194,7 +246,7 @@ def _require_rays(block: Block, rays_of_point: Integers) -> None:
     for image in np.flatnonzero(weak < free):
         name = block.images.names[image]
         raise IllPosedError(
-            f"image {name} has {weak[image] // 2} observation(s) for {free[image]} unknown(s)",
+            f"it has {weak[image] // 2} observation(s) for {free[image]} unknown(s)",
             where=f"image {name}",
             remedy="measure more points in it, give its exterior orientation a sigma, or take it out",
         )

@@ -18,6 +18,8 @@ from photocal.adjustment.solution import Solution, global_test
 from photocal.block.model import ROLES, Block
 from photocal.block.network import Assembly, plane_per_unit
 from photocal.geometry.camera import PARAMETERS
+from photocal.geometry.frames import nearest_rotation
+from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
 
 Floats = NDArray[np.float64]
 
@@ -197,8 +199,9 @@ def _checks(block: Block, assembly: Assembly, solution: Solution) -> dict[str, A
     """Differences adjusted minus surveyed at the check points."""
     check = block.points.of_role("check")[assembly.points]
     index = assembly.points[check]
-    d = solution.points[check] + assembly.origin - block.points.values[index]
-    sigma = np.sqrt(np.diagonal(solution.point_covariance[check], axis1=1, axis2=2))
+    values, covariance = given_points(assembly, solution)
+    d = values[check] - block.points.values[index]
+    sigma = np.sqrt(np.diagonal(covariance[check], axis1=1, axis2=2))
     rmse = np.sqrt(np.mean(d**2, axis=0)).tolist() if len(d) else [None] * 3
     points = [
         dict(
@@ -216,9 +219,36 @@ def observed_residuals(block: Block, assembly: Assembly, solution: Solution) -> 
     return np.asarray(solution.residuals / plane_per_unit(block)[camera] * sign)
 
 
+def given_points(assembly: Assembly, solution: Solution) -> tuple[Floats, Floats]:
+    """Adjusted points in the block's coordinates, shape (n, 3), and their covariance, (n, 3, 3)."""
+    values = assembly.frame.to_given(solution.points)
+    back = np.linalg.inv(assembly.frame.derivative(values))
+    return values, np.asarray(back @ solution.point_covariance @ np.swapaxes(back, 1, 2))
+
+
+def given_exposures(assembly: Assembly, solution: Solution) -> tuple[Floats, Floats]:
+    """Adjusted exterior orientation in the block's coordinates, shape (n, 6), and covariance, (n, 6, 6).
+
+    The angles refer to the axes of the given coordinates at each image.
+    """
+    values = solution.exposures.copy()
+    values[:, 3:] = assembly.frame.to_given(values[:, 3:])
+    derivative = assembly.frame.derivative(values[:, 3:])
+    turn = nearest_rotation(derivative)
+    jacobian = np.broadcast_to(np.eye(6), solution.exposure_covariance.shape).copy()
+    if not np.array_equal(turn, np.broadcast_to(np.eye(3), turn.shape)):
+        matrix = solution.state.rotation @ turn
+        values[:, :3] = angles_from_matrix(matrix)
+        local = turn_per_angle(solution.exposures[:, :3])
+        jacobian[:, :3, :3] = np.linalg.solve(turn_per_angle(values[:, :3]), local)
+        jacobian[:, 3:, 3:] = np.linalg.inv(derivative)
+    covariance = jacobian @ solution.exposure_covariance @ np.swapaxes(jacobian, 1, 2)
+    return values, np.asarray(covariance)
+
+
 def _images(block: Block, assembly: Assembly, solution: Solution) -> Any:
-    values = solution.exposures + np.concatenate([np.zeros(3), assembly.origin])
-    sigma = np.sqrt(np.diagonal(solution.exposure_covariance, axis1=1, axis2=2))
+    values, covariance = given_exposures(assembly, solution)
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     columns: dict[str, Any] = {
         "image": list(block.images.names),
         "camera": [block.cameras[k].id for k in block.images.camera],
@@ -235,8 +265,8 @@ def _images(block: Block, assembly: Assembly, solution: Solution) -> Any:
 
 
 def _points(block: Block, assembly: Assembly, solution: Solution) -> Any:
-    values = solution.points + assembly.origin
-    sigma = np.sqrt(np.diagonal(solution.point_covariance, axis1=1, axis2=2))
+    values, covariance = given_points(assembly, solution)
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     columns: dict[str, Any] = {
         "point": [block.points.names[j] for j in assembly.points],
         "role": [ROLES[r] for r in block.points.role[assembly.points]],
@@ -278,8 +308,9 @@ def _covariances(block: Block, assembly: Assembly, solution: Solution) -> Any:
     scale = np.array([*np.degrees(np.ones(3)), 1.0, 1.0, 1.0])
     pose, xyz = ["omega", "phi", "kappa", "X", "Y", "Z"], ["X", "Y", "Z"]
     points = [block.points.names[j] for j in assembly.points]
-    rows = [("image", block.images.names, pose, solution.exposure_covariance * np.outer(scale, scale))]
-    rows.append(("point", tuple(points), xyz, solution.point_covariance))
+    of_images = given_exposures(assembly, solution)[1] * np.outer(scale, scale)
+    rows = [("image", block.images.names, pose, of_images)]
+    rows.append(("point", tuple(points), xyz, given_points(assembly, solution)[1]))
     for camera, covariance in zip(block.cameras, solution.camera_covariance, strict=True):
         active = np.flatnonzero(camera.estimated)
         own = covariance[np.ix_(active, active)][None]

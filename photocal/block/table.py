@@ -140,6 +140,8 @@ def read_table(path: Path, required: tuple[str, ...], optional: tuple[str, ...] 
     require_file(path)
     table = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
     found = list(table.columns.column_names)
+    if not len(table):
+        raise InputMalformedError("has no rows", where=path, remedy="was it written completely?")
     for name in required:
         if name not in found:
             raise InputMalformedError(
@@ -222,17 +224,20 @@ def _cut(path: Path, message: str) -> InputMalformedError:
 def _refuse_cut_end(table: Table) -> None:
     """Refuse a table that seems cut inside its last cell.
 
-    Without a final line end the last number may have lost digits. That is taken for granted when it is
-    shorter than every other number of its column.
+    Without a final line end the last number may have lost digits. That is taken for granted when it has
+    fewer decimals than every other number of its column, or ends where no number ends.
     """
     with table.path.open("rb") as text:
         text.seek(-1, 2)
-        if text.read(1) in b"\r\n" or len(table) < 3:
+        if text.read(1) in b"\r\n":
             return
-    lengths = np.asarray(pc.utf8_length(table.columns.columns[-1]))
-    if lengths[-1] < lengths[:-1].min():
+    cells = [str(cell).strip() for cell in table.columns.columns[-1].to_pylist()]
+    if not cells or not re.fullmatch(r"[-+0-9.eE]+", cells[-1]):
+        return
+    decimals = [len(cell.partition(".")[2]) for cell in cells if cell]
+    if cells[-1][-1] in ".eE+-" or (len(decimals) > 1 and decimals[-1] < min(decimals[:-1])):
         raise InputMalformedError(
-            "seems cut inside its last cell (no line end, fewer digits than in all other rows)",
+            "seems cut inside its last cell (no line end, fewer decimals than in all other rows)",
             where=table.place(len(table) - 1),
             remedy="end the last line with a line end if it is complete",
         )

@@ -62,4 +62,4 @@ def _checks(source: Block, assembly: Any) -> Any:
     from photocal.analysis.hidden.left_out import Checks
 
     check = np.flatnonzero(source.points.of_role("check")[assembly.points])
-    return Checks(check, source.points.values[assembly.points[check]] - assembly.origin)
+    return Checks(check, assembly.frame.to_local(source.points.values[assembly.points[check]]))

@@ -127,13 +127,13 @@ BAD: dict[str, tuple[Spoiler, int, tuple[str, ...]]] = {
     "folder for a table": (make_folder("points.csv"), NOT_FOUND, ("points.csv", "folder")),
     "only a header": (
         write("observations.csv", b"image,point,x,y\n"),
-        ILL_POSED,
-        ("image a", "0 observation"),
+        MALFORMED,
+        ("observations.csv", "no rows"),
     ),
     "images: only a header": (
         write("images.csv", b"image,camera,X,Y,Z,omega,phi,kappa\n"),
         MALFORMED,
-        ("not in images.csv",),
+        ("images.csv", "no rows"),
     ),
     "unknown image": (
         edit("observations.csv", "\nc,p6", "\nz,p6"),

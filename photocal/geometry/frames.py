@@ -1,0 +1,228 @@
+"""Object frames: what the surveyor's coordinates are, and the Cartesian frame that is adjusted in.
+
+Map projections bend straight rays; a block in a coordinate reference system is taken through geocentric
+to topocentric coordinates at its middle, adjusted there, and taken back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError, InputMalformedError
+
+Floats = NDArray[np.float64]
+
+
+class Frame(Protocol):
+    """Coordinates as given, and the local right-handed Cartesian frame in metres."""
+
+    def to_local(self, given: Floats) -> Floats:
+        """Given coordinates, shape (n, 3), in the local frame; NaN stays NaN."""
+
+    def to_given(self, local: Floats) -> Floats:
+        """Local coordinates, shape (n, 3), as they are given."""
+
+    def derivative(self, given: Floats) -> Floats:
+        """Derivative of the local with respect to the given coordinates, shape (n, 3, 3)."""
+
+
+@dataclass(frozen=True)
+class ShiftedFrame:
+    """A frame that is Cartesian already; large coordinates are shifted to keep their digits.
+
+    Attributes
+    ----------
+    origin : ndarray, shape (3,)
+        Given coordinates of the local origin, m.
+    """
+
+    origin: Floats
+
+    def to_local(self, given: Floats) -> Floats:
+        """See `Frame`."""
+        return np.asarray(given - self.origin)
+
+    def to_given(self, local: Floats) -> Floats:
+        """See `Frame`."""
+        return np.asarray(local + self.origin)
+
+    def derivative(self, given: Floats) -> Floats:
+        """See `Frame`."""
+        return np.broadcast_to(np.eye(3), (len(given), 3, 3))
+
+
+@dataclass(frozen=True)
+class ReferenceFrame:
+    """A coordinate reference system, adjusted in topocentric coordinates (east, north, up).
+
+    Attributes
+    ----------
+    crs : str
+        Name, for example `EPSG:31982`, or a compound `EPSG:25832+7837` for orthometric heights.
+    origin : ndarray, shape (3,)
+        Given coordinates of the local origin.
+    """
+
+    crs: str
+    origin: Floats
+
+    @cached_property
+    def _to_geodetic(self) -> Any:
+        from pyproj import Transformer
+
+        system = parsed(self.crs)
+        geodetic = system.geodetic_crs.to_3d()
+        source = system if len(system.axis_info) == 3 else system.to_3d()
+        return Transformer.from_crs(source, geodetic, always_xy=True, allow_ballpark=False, only_best=True)
+
+    @cached_property
+    def _to_geocentric(self) -> Any:
+        from pyproj import Transformer
+
+        ellipsoid = parsed(self.crs).ellipsoid
+        return Transformer.from_pipeline(
+            f"+proj=cart +a={ellipsoid.semi_major_metre!r} +b={ellipsoid.semi_minor_metre!r}"
+        )
+
+    @cached_property
+    def _axes(self) -> tuple[Floats, Floats]:
+        """Geocentric origin and rotation from geocentric to east, north, up."""
+        longitude, latitude, _ = self._geodetic(self.origin[None])[0]
+        (sl, cl), (sb, cb) = (
+            (np.sin(np.radians(angle)), np.cos(np.radians(angle))) for angle in (longitude, latitude)
+        )
+        rotation = np.array([[-sl, cl, 0.0], [-sb * cl, -sb * sl, cb], [cb * cl, cb * sl, sb]])
+        return self._geocentric(self.origin[None])[0], rotation
+
+    def _geodetic(self, given: Floats) -> Floats:
+        from pyproj.exceptions import ProjError
+
+        try:
+            result = np.column_stack(self._to_geodetic.transform(*given.T, errcheck=True))
+        except ProjError as failure:
+            raise InputMalformedError(
+                f"coordinates cannot be transformed from {self.crs} ({failure})",
+                where="block",
+                remedy="check the zone, the order of the coordinates and that the geoid grid is installed",
+            ) from failure
+        return result
+
+    def _geocentric(self, given: Floats) -> Floats:
+        longitude, latitude, height = self._geodetic(given).T
+        return np.column_stack(
+            self._to_geocentric.transform(np.radians(longitude), np.radians(latitude), height, radians=True)
+        )
+
+    def to_local(self, given: Floats) -> Floats:
+        """See `Frame`."""
+        origin, rotation = self._axes
+        local = np.full(given.shape, np.nan)
+        known = np.isfinite(given).all(axis=1)
+        if known.any():
+            local[known] = (self._geocentric(given[known]) - origin) @ rotation.T
+        return local
+
+    def to_given(self, local: Floats) -> Floats:
+        """See `Frame`."""
+        origin, rotation = self._axes
+        x, y, z = (local @ rotation + origin).T
+        longitude, latitude, height = self._to_geocentric.transform(
+            x, y, z, direction="INVERSE", radians=True
+        )
+        back = self._to_geodetic.transform(
+            np.degrees(longitude), np.degrees(latitude), height, direction="INVERSE"
+        )
+        return np.column_stack(back)
+
+    def derivative(self, given: Floats) -> Floats:
+        """See `Frame`."""
+        geographic = parsed(self.crs).is_geographic
+        steps = np.array([1e-5, 1e-5, 1.0]) if geographic else np.ones(3)
+        columns = [
+            (self.to_local(given + step * axis) - self.to_local(given - step * axis)) / (2 * step)
+            for step, axis in zip(steps, np.eye(3), strict=True)
+        ]
+        return np.stack(columns, axis=2)
+
+
+def parsed(name: str) -> Any:
+    """Read the name of a coordinate reference system.
+
+    Raises
+    ------
+    ConfigurationError
+        For an unknown name, or units other than metres.
+    """
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        system = CRS.from_user_input(name)
+    except CRSError as failure:
+        raise ConfigurationError(
+            f"frame {name!r} is no coordinate reference system",
+            where="block.toml",
+            remedy='use "local" or a name such as "EPSG:31982"',
+        ) from failure
+    units = {axis.unit_name for axis in system.axis_info}
+    if not units <= {"metre", "degree"}:
+        raise ConfigurationError(
+            f"frame {name} is in {', '.join(sorted(units))}",
+            where="block.toml",
+            remedy="transform the coordinates to a system in metres",
+        )
+    return system
+
+
+def reference_frame(name: str, height: str, origin: Floats) -> ReferenceFrame:
+    """Make the frame of a block in a coordinate reference system.
+
+    Parameters
+    ----------
+    name : str
+    height : {"ellipsoidal", "orthometric", ...}
+        Kind of the heights.
+    origin : ndarray, shape (3,)
+        Middle of the block.
+
+    Returns
+    -------
+    ReferenceFrame
+
+    Raises
+    ------
+    ConfigurationError
+        When the kind of the heights is not said or does not fit the system.
+    """
+    system = parsed(name)
+    if height == "orthometric" and not system.is_compound:
+        raise ConfigurationError(
+            f"heights are orthometric, but frame {name} says nothing of a geoid",
+            where="block.toml",
+            remedy='name a compound system, for example "EPSG:31982+5773"',
+        )
+    if height == "ellipsoidal" and system.is_compound:
+        raise ConfigurationError(
+            f"heights are ellipsoidal, but frame {name} has a vertical system",
+            where="block.toml",
+            remedy="name the horizontal system alone",
+        )
+    if height not in ("orthometric", "ellipsoidal"):
+        raise ConfigurationError(
+            f"the kind of the heights in frame {name} is not said",
+            where="block.toml",
+            remedy='add height = "ellipsoidal" or height = "orthometric"',
+        )
+    return ReferenceFrame(name, origin)
+
+
+def nearest_rotation(matrix: Floats) -> Floats:
+    """Nearest rotation to each matrix, shape (n, 3, 3): the orthogonal factor of its normalised columns."""
+    unit = matrix / np.linalg.norm(matrix, axis=1, keepdims=True)
+    left, _, right = np.linalg.svd(unit)
+    return np.asarray(left @ right)

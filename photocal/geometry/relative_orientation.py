@@ -1,0 +1,99 @@
+"""Relative orientation of a pair of images from their common points alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+FEWEST = 5
+# Share of the points that have to lie in front of both images.
+IN_FRONT = 0.8
+FLIP = np.diag([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True)
+class RelativeOrientation:
+    """Pose of the second image in the camera axes of the first; the base has length 1.
+
+    Attributes
+    ----------
+    rotation : ndarray, shape (3, 3)
+        From the first image's camera axes to the second's.
+    base : ndarray, shape (3,)
+        Projection centre of the second image.
+    points : ndarray, shape (n, 3)
+        Intersections of the rays, in the first image's camera axes.
+    angle : float
+        Median angle between the two rays of a point, radians.
+    """
+
+    rotation: Floats
+    base: Floats
+    points: Floats
+    angle: float
+
+
+def relative_orientations(first: Floats, second: Floats) -> list[RelativeOrientation]:
+    """Possible relative orientations of two images.
+
+    The essential matrix comes from five points at a time (Nister 2004), the one of least median residual
+    is kept. Points near a plane allow a second pose; those of their homography (Malis and Vargas 2007) are
+    returned too, and a third image or control has to choose.
+
+    Parameters
+    ----------
+    first, second : ndarray, shape (n, 2)
+        Undistorted image coordinates over the principal distance (x right, y up) of the common points.
+
+    Returns
+    -------
+    list of RelativeOrientation
+        Those that see the points in front of both images; empty when there is none.
+    """
+    if len(first) < FEWEST:
+        return []
+    import cv2
+
+    a, b = (np.ascontiguousarray(rays * [1.0, -1.0]) for rays in (first, second))
+    found: list[tuple[Any, Any]] = []
+    essential, _ = cv2.findEssentialMat(a, b, np.eye(3), method=cv2.LMEDS, prob=0.9999)
+    if essential is not None:
+        # Five points alone give several matrices, one below the other.
+        for matrix in essential.reshape(-1, 3, 3):
+            one, other, shift = cv2.decomposeEssentialMat(matrix)
+            found += [(turn, sign * shift) for turn in (one, other) for sign in (1, -1)]
+    homography, _ = cv2.findHomography(a, b, cv2.LMEDS)
+    if homography is not None:
+        _, turns, shifts, _ = cv2.decomposeHomographyMat(homography, np.eye(3))
+        found += [(turn, sign * shift) for turn, shift in zip(turns, shifts, strict=True) for sign in (1, -1)]
+    candidates = [_candidate(turn, np.ravel(shift), first, second) for turn, shift in found]
+    return [candidate for candidate in candidates if candidate is not None]
+
+
+def _candidate(turn: Floats, shift: Floats, first: Floats, second: Floats) -> RelativeOrientation | None:
+    """Relative orientation from OpenCV's rotation and translation; None when points lie behind an image."""
+    length = float(np.linalg.norm(shift))
+    if not length > 1e-9:
+        return None
+    rotation = FLIP @ turn @ FLIP
+    base = -FLIP @ turn.T @ (shift / length)
+    one = np.column_stack([first, -np.ones(len(first))])
+    other = np.column_stack([second, -np.ones(len(second))]) @ rotation
+    # Lengths s, t along both rays that bring s one and base + t other closest to each other.
+    aa, bb, ab = (np.sum(x * y, axis=1) for x, y in ((one, one), (other, other), (one, other)))
+    determinant = aa * bb - ab**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s = (bb * (one @ base) - ab * (other @ base)) / determinant
+        t = (ab * (one @ base) - aa * (other @ base)) / determinant
+    front = (s > 0) & (t > 0)
+    if front.mean() < IN_FRONT:
+        return None
+    points = (s[:, None] * one + base + t[:, None] * other) / 2
+    points[~front] = np.nan
+    angle = np.arccos(np.clip(ab[front] / np.sqrt(aa * bb)[front], -1.0, 1.0))
+    return RelativeOrientation(rotation, base, points, float(np.median(angle)))

@@ -1,0 +1,161 @@
+"""Resection: the pose of one image from points with known coordinates, without start values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+# Three points leave up to four poses.
+FEWEST = 4
+# Points whose second extent is a smaller share of their first lie in a line that the image can turn about.
+LINE = 0.01
+# A fit may hold gross errors when a residual is larger than this many times the median, or than this many
+# principal distances.
+UNEVEN, LARGE = 6.0, 5e-3
+SAMPLES = 100
+# Camera axes here are x right, y up, z backwards; in OpenCV x right, y down, z forward.
+FLIP = np.diag([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True)
+class Resection:
+    """Pose of an image.
+
+    Attributes
+    ----------
+    rotation : ndarray, shape (3, 3)
+        Object to camera axes.
+    centre : ndarray, shape (3,)
+        Projection centre, m.
+    residual : ndarray, shape (n,)
+        Length of each point's residual, in units of the principal distance; infinite behind the camera.
+    """
+
+    rotation: Floats
+    centre: Floats
+    residual: Floats
+
+
+def resection(xyz: Floats, rays: Floats) -> Resection | None:
+    """Pose of one image from known points, some of which may be wrong.
+
+    All points together give a pose by SQPnP (Terzakis and Lourakis 2020), improved after Levenberg and
+    Marquardt. Where single points fit much worse than the others, the pose of least median residual among
+    those of samples of four points (P3P: Ke and Roumeliotis 2017) decides which to leave out.
+
+    Parameters
+    ----------
+    xyz : ndarray, shape (n, 3)
+        Points, m.
+    rays : ndarray, shape (n, 2)
+        Undistorted image coordinates over the principal distance, x right, y up.
+
+    Returns
+    -------
+    Resection or None
+        None when the points do not give a pose: fewer than four, in a line, or behind the camera.
+    """
+    if len(xyz) < FEWEST:
+        return None
+    middle = xyz.mean(axis=0)
+    extent = np.linalg.svd(xyz - middle, compute_uv=False)
+    if not extent[1] > LINE * extent[0]:
+        return None
+    size = float(np.abs(xyz - middle).max())
+    world = (xyz - middle) / size
+    best = _direct(world, rays)
+    if len(xyz) > FEWEST + 1 and (best is None or _uneven(best.residual)):
+        robust = _least_median(world, rays)
+        if robust is not None and (
+            best is None or np.median(robust.residual) < 0.5 * np.median(best.residual)
+        ):
+            best = robust
+    if best is None or not np.isfinite(np.median(best.residual)):
+        return None
+    return Resection(best.rotation, best.centre * size + middle, best.residual)
+
+
+def ray_residuals(rotation: Floats, centre: Floats, xyz: Floats, rays: Floats) -> Floats:
+    """Length of the residual of each ray, in units of the principal distance; infinite behind the camera.
+
+    Parameters
+    ----------
+    rotation : ndarray, shape (..., 3, 3)
+    centre : ndarray, shape (..., 3)
+    xyz : ndarray, shape (..., 3)
+    rays : ndarray, shape (..., 2)
+        Leading shapes are broadcast.
+
+    Returns
+    -------
+    ndarray, shape (...)
+    """
+    q = np.einsum("...ij,...j->...i", rotation, xyz - centre)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        miss = np.linalg.norm(-q[..., :2] / q[..., 2:] - rays, axis=-1)
+    return np.where(q[..., 2] < 0, miss, np.inf)
+
+
+def _uneven(residual: Floats) -> bool:
+    return bool(residual.max() > min(UNEVEN * np.median(residual), LARGE))
+
+
+def _direct(world: Floats, rays: Floats) -> Resection | None:
+    import cv2
+
+    found = _with_residuals(_poses(world, rays, cv2.SOLVEPNP_SQPNP, refine=True), world, rays)
+    return min(found, key=lambda pose: float(np.mean(pose.residual)), default=None)
+
+
+def _least_median(world: Floats, rays: Floats) -> Resection | None:
+    """Pose of least median residual, improved with the points that fit it."""
+    import cv2
+
+    # The samples are the same every time: no result may depend on chance.
+    rng = np.random.default_rng(len(world))
+    samples = [rng.choice(len(world), FEWEST, replace=False) for _ in range(SAMPLES)]
+    poses = [pose for some in samples for pose in _poses(world[some], rays[some], cv2.SOLVEPNP_AP3P)]
+    if not poses:
+        return None
+    rotation, centre = np.array([p[0] for p in poses]), np.array([p[1] for p in poses])
+    residual = ray_residuals(rotation[:, None], centre[:, None], world, rays)
+    k = int(np.argmin(np.median(residual, axis=1)))
+    best = Resection(rotation[k], centre[k], residual[k])
+    if not np.isfinite(np.median(best.residual)):
+        return None
+    good = best.residual <= UNEVEN / 2 * np.median(best.residual)
+    if good.sum() < FEWEST:
+        return best
+    improved = _poses(world[good], rays[good], cv2.SOLVEPNP_SQPNP, refine=True)
+    return min(
+        [best, *_with_residuals(improved, world, rays)], key=lambda pose: float(np.median(pose.residual))
+    )
+
+
+def _with_residuals(poses: Iterable[tuple[Floats, Floats]], xyz: Floats, rays: Floats) -> list[Resection]:
+    return [Resection(m, centre, ray_residuals(m, centre, xyz, rays)) for m, centre in poses]
+
+
+def _poses(
+    xyz: Floats, rays: Floats, method: int, *, refine: bool = False
+) -> Iterator[tuple[Floats, Floats]]:
+    """Rotations and projection centres that one solver finds."""
+    import cv2
+
+    flipped = np.ascontiguousarray(rays * [1.0, -1.0])
+    xyz = np.ascontiguousarray(xyz)
+    try:
+        _, turns, shifts, _ = cv2.solvePnPGeneric(xyz, flipped, np.eye(3), None, flags=method)
+    except cv2.error:
+        return
+    for turn, shift in zip(turns, shifts, strict=True):
+        if refine:
+            turn, shift = cv2.solvePnPRefineLM(xyz, flipped, np.eye(3), None, turn, shift)
+        matrix = np.asarray(cv2.Rodrigues(turn)[0], dtype=float)
+        if np.isfinite(matrix).all() and np.isfinite(shift).all():
+            yield FLIP @ matrix, -matrix.T @ np.ravel(shift)
