@@ -12,6 +12,7 @@ from photocal.commands import (
     export,
     measure,
     plan,
+    ppk,
     verify,
     volume,
 )
@@ -25,6 +26,7 @@ app.command()(analyse.analyse)
 app.command()(compare.compare)
 app.command()(check.check)
 app.command()(plan.plan)
+app.command()(ppk.ppk)
 app.command()(export.export)
 app.command()(volume.volume)
 

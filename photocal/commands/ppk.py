@@ -1,0 +1,70 @@
+"""`photocal ppk`: the rover's trajectory from raw observations of rover and base."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from acquire.console import answer
+
+
+def ppk(
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Folder for trajectory.csv, summary and plot.")
+    ],
+    flight: Annotated[Path | None, typer.Argument(help="Flight log with raw frames of both.")] = None,
+    rover: Annotated[Path | None, typer.Option(help="RINEX observations of the rover.")] = None,
+    base: Annotated[Path | None, typer.Option(help="RINEX observations of the base.")] = None,
+    nav: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="RINEX navigation file; may be repeated. `base`: those that the base's link recorded."
+        ),
+    ] = None,
+    base_position: Annotated[
+        str | None, typer.Option(help="LAT,LON,H of the base: degrees, ellipsoidal height in metres.")
+    ] = None,
+    rover_link: Annotated[str, typer.Option(help="Link of the rover in the flight log.")] = "rover",
+    base_link: Annotated[str, typer.Option(help="Link of the base in the flight log.")] = "base",
+    rover_antenna_height: Annotated[
+        float, typer.Option(help="Antenna reference point above the rover's mark, metres.")
+    ] = 0.0,
+    base_antenna_height: Annotated[
+        float, typer.Option(help="Antenna reference point above the base's mark, metres.")
+    ] = 0.0,
+    elevation: Annotated[float, typer.Option(help="Least elevation of satellites, degrees.")] = 15.0,
+    static: Annotated[bool, typer.Option("--static", help="The rover stood still: one position.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+) -> None:
+    """Compute the trajectory of a rover from raw observations of rover and base.
+
+    Fixes are validated (ratio, both directions, Doppler velocity, code) and doubtful ones become float;
+    float sigmas are rescaled to what both directions show. The columns sen, seu, snu are the roots of the
+    covariances with their signs, in metres.
+
+    Example: `photocal ppk FLIGHT.mcap -o ppk`
+    """
+    import json
+    import tempfile
+
+    from acquire.outputs import output_folder
+    from photocal.navigation.engine import Rtklib
+    from photocal.navigation.ppk import options_for, process
+    from photocal.navigation.ppk_inputs import Sources, gather_inputs
+    from photocal.navigation.ppk_report import plot_ppk, ppk_figures, ppk_text
+    from photocal.navigation.trajectory import write_trajectory
+
+    engine = Rtklib()
+    sources = Sources(flight, rover, base, tuple(nav or ()), base_position, rover_link, base_link)
+    with tempfile.TemporaryDirectory() as scratch:
+        inputs, remarks = gather_inputs(sources, engine, Path(scratch))
+        options = options_for(inputs.rover, inputs.base, rover_antenna_height, base_antenna_height, elevation)
+        result = process(inputs, options, "static" if static else "kinematic", engine, Path(scratch))
+    figures = ppk_figures(result, remarks)
+    with output_folder(output) as folder:
+        write_trajectory(folder / "trajectory.csv", result.trajectory)
+        (folder / "ppk.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+        plot_ppk(result, folder / "ppk.png")
+    answer(as_json, lambda: figures, lambda: ppk_text(figures))

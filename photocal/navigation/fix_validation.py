@@ -1,0 +1,242 @@
+"""Fixed must mean fixed: doubtful fixes become float, and float sigmas become honest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.navigation.engine_output import FIXED, FLOAT, SINGLE, EngineSolution
+from photocal.navigation.time import GpsTime
+from photocal.navigation.trajectory import enu_offsets
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+# A claim of two runs to the same fix holds when they agree as well as two fixes do.
+_SAME_FIX_M = np.array([0.05, 0.05, 0.10])
+_SHORT_RUN = 5
+_RUN_GAP_NS = 3_000_000_000
+_CODE_SIGMAS = 5.0
+_JUMP_SIGMAS = 5.0
+_WINDOW_NS = 30_000_000_000
+# Phase multipath of a rover antenna, per component, that the engine's fixed sigmas leave out (Georgiadou and
+# Kleusberg 1988: up to a quarter of the wavelength; 5 mm horizontally is common for patch antennas).
+_FIXED_FLOOR_M = np.array([0.004, 0.004, 0.008])
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The combined solution with its final status, and why epochs lost their fix.
+
+    Parameters
+    ----------
+    solution : EngineSolution
+        Same positions; quality and covariance as judged.
+    demoted : dict of str to bool (n,)
+        By reason.
+    float_factor : float64 (3,)
+        Factor on the engine's float sigmas (east, north, up).
+    separation_m : float64 (n, 3)
+        Forward minus backward; NaN where one of them has no position.
+    velocity_sigma_m_s : float
+        Robust standard deviation of the Doppler velocity, one component.
+    """
+
+    solution: EngineSolution
+    demoted: dict[str, Flags]
+    float_factor: Floats
+    separation_m: Floats
+    velocity_sigma_m_s: float
+
+
+def judge(
+    combined: EngineSolution,
+    forward: EngineSolution,
+    backward: EngineSolution,
+    code: EngineSolution,
+    ratio: float,
+) -> Judgement:
+    """Validate the fixes of a combined solution and rescale the sigmas of the rest.
+
+    Parameters
+    ----------
+    combined, forward, backward : EngineSolution
+        Runs with the base.
+    code : EngineSolution
+        Code positions and Doppler velocities of the rover alone.
+    ratio : float
+        Least ratio of a fix.
+
+    Returns
+    -------
+    Judgement
+        A fix stays when its ratio is reached, both directions agree where both are fixed, the displacement
+        to neighbouring fixes agrees with the Doppler velocity, the position agrees with the code's, and the
+        fix is not one of a few lonely ones that no other direction confirms.
+    """
+    origin = np.array([combined.lat_deg[0], combined.lon_deg[0], combined.height_m[0]])
+    here = _enu(combined, origin)
+    fore, back = forward.at(combined.time), backward.at(combined.time)
+    separation = _difference(forward, fore, backward, back, origin)
+    fixed = combined.quality == FIXED
+    both = (_quality(forward, fore) == FIXED) & (_quality(backward, back) == FIXED)
+    velocity, sigma = _velocity(combined.time, here, fixed, code)
+    disagree = both & (np.abs(separation) > _SAME_FIX_M).any(axis=1)
+    demoted = {
+        "ratio below the threshold": fixed & (combined.ratio < ratio),
+        "forward and backward fixes differ": fixed & disagree,
+        "jump against the Doppler velocity": fixed & _jumps(combined.time, here, fixed, velocity, sigma),
+        "off the code position": fixed & _off_code(here, combined, code, origin),
+    }
+    left = fixed & ~np.any(list(demoted.values()), axis=0)
+    demoted["few fixes in a row, not confirmed"] = left & _lonely(combined.time, left) & ~both
+    left &= ~demoted["few fixes in a row, not confirmed"]
+    quality = np.where(fixed & ~left, FLOAT, combined.quality)
+    factor = _float_factor(forward, fore, backward, back, separation)
+    covariance = _covariance(combined, quality, factor, separation)
+    return Judgement(combined.with_quality(quality, covariance), demoted, factor, separation, sigma)
+
+
+def _enu(solution: EngineSolution, origin: Floats) -> Floats:
+    return enu_offsets(solution.lat_deg, solution.lon_deg, solution.height_m, origin)
+
+
+def _quality(solution: EngineSolution, row: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.where(row >= 0, solution.quality[row], 0)
+
+
+def _difference(
+    forward: EngineSolution,
+    fore: NDArray[np.int64],
+    backward: EngineSolution,
+    back: NDArray[np.int64],
+    origin: Floats,
+) -> Floats:
+    difference = _enu(forward, origin)[fore] - _enu(backward, origin)[back]
+    return np.where(((fore >= 0) & (back >= 0))[:, None], difference, np.nan)
+
+
+def _velocity(time: GpsTime, here: Floats, fixed: Flags, code: EngineSolution) -> tuple[Floats, float]:
+    """Return the Doppler velocity at the epochs (n, 3) and its scatter against the fixed positions."""
+    row = code.at(time)
+    velocity = np.where((row >= 0)[:, None], code.velocity_m_s[row], np.nan)
+    step, seconds, pair = _steps(time, here, fixed, velocity)
+    error = (step / seconds[:, None])[pair]
+    if len(error) < 2 * _SHORT_RUN:
+        return velocity, 0.1
+    return velocity, max(float(1.4826 * np.median(np.abs(error)) * np.sqrt(2.0)), 0.02)
+
+
+def _steps(time: GpsTime, here: Floats, fixed: Flags, velocity: Floats) -> tuple[Floats, Floats, Flags]:
+    """Return displacement less mean velocity times time between neighbours, the time, and what counts."""
+    seconds = np.diff(time.ns) / 1e9
+    mean = (velocity[1:] + velocity[:-1]) / 2
+    step = np.diff(here, axis=0) - mean * seconds[:, None]
+    pair = fixed[1:] & fixed[:-1] & (seconds <= _RUN_GAP_NS / 1e9) & np.isfinite(step).all(axis=1)
+    return step, seconds, pair
+
+
+def _jumps(time: GpsTime, here: Floats, fixed: Flags, velocity: Floats, sigma: float) -> Flags:
+    """Tell which fixes stand off the path that their neighbours and the velocities give.
+
+    Of the two sides of a jump the shorter run of fixes is the doubtful one.
+    """
+    step, seconds, pair = _steps(time, here, fixed, velocity)
+    # The mean of two velocities, and a manoeuvre of 1 m/s^2 within the step.
+    limit = _JUMP_SIGMAS * (sigma * seconds / np.sqrt(2) + 0.02) + seconds**2 / 8
+    broken = pair & (np.abs(step) > limit[:, None] * np.array([1.0, 1.0, 2.0])).any(axis=1)
+    flagged = np.zeros(len(time), bool)
+    runs = _runs(time, fixed, broken)
+    for at in np.flatnonzero(broken).tolist():
+        left = next(r for r in runs if r[0] <= at < r[1])
+        right = next(r for r in runs if r[0] <= at + 1 < r[1])
+        worse = min(left, right, key=lambda r: r[1] - r[0])
+        flagged[worse[0] : worse[1]] = True
+    return flagged
+
+
+def _runs(time: GpsTime, fixed: Flags, broken: Flags | None = None) -> list[tuple[int, int]]:
+    """Return begin and end of the runs of fixes without a gap (or a break)."""
+    runs = []
+    start = -1
+    for i in range(len(fixed)):
+        apart = i > 0 and (
+            time.ns[i] - time.ns[i - 1] > _RUN_GAP_NS or (broken is not None and broken[i - 1])
+        )
+        if start >= 0 and (not fixed[i] or apart):
+            runs.append((start, i))
+            start = -1
+        if fixed[i] and start < 0:
+            start = i
+    return runs + ([(start, len(fixed))] if start >= 0 else [])
+
+
+def _lonely(time: GpsTime, fixed: Flags) -> Flags:
+    flagged = np.zeros(len(fixed), bool)
+    for start, stop in _runs(time, fixed):
+        if stop - start < _SHORT_RUN:
+            flagged[start:stop] = True
+    return flagged
+
+
+def _off_code(here: Floats, combined: EngineSolution, code: EngineSolution, origin: Floats) -> Flags:
+    row = code.at(combined.time)
+    difference = here - _enu(code, origin)[row]
+    known = row >= 0
+    if known.sum() < _SHORT_RUN:
+        return np.zeros(len(here), bool)
+    # Code positions share the atmosphere's error: the median of the flight is taken out before the test.
+    difference = difference - np.median(difference[known], axis=0)
+    return np.asarray(known & (np.abs(difference) > _CODE_SIGMAS * code.sigma_m[row]).any(axis=1))
+
+
+def _float_factor(
+    forward: EngineSolution,
+    fore: NDArray[np.int64],
+    backward: EngineSolution,
+    back: NDArray[np.int64],
+    separation: Floats,
+) -> Floats:
+    """Return how much too small the float sigmas are, from the separation of the two directions."""
+    pair = (fore >= 0) & (back >= 0)
+    floating = (_quality(forward, fore) == FLOAT) | (_quality(backward, back) == FLOAT)
+    rows = pair & floating
+    if rows.sum() < _SHORT_RUN:
+        # Without a second direction: the middle of what was found on recorded flights (11 to 26 times).
+        return np.full(3, 18.0)
+    claimed = np.hypot(forward.sigma_m[fore[rows]], backward.sigma_m[back[rows]])
+    return np.asarray(np.maximum(np.sqrt(np.mean((separation[rows] / claimed) ** 2, axis=0)), 1.0))
+
+
+def _covariance(
+    combined: EngineSolution, quality: NDArray[np.int64], factor: Floats, separation: Floats
+) -> Floats:
+    """Return honest covariances: scaled where float, with a floor for multipath where fixed."""
+    scale = np.ones((len(combined), 3))
+    sigma = combined.sigma_m
+    floating = quality == FLOAT
+    local = _local_rms(combined.time, separation, floating) / np.sqrt(2)
+    # A float epoch is as uncertain as its directions are apart near it; where only one is there, as uncertain
+    # as the whole flight shows. The engine's own sigmas of combined epochs count the same errors twice.
+    wanted = np.where(np.isfinite(local), np.maximum(local, sigma), sigma * factor)
+    scale[floating] = (wanted / sigma)[floating]
+    fixed = quality == FIXED
+    scale[fixed] = (np.hypot(sigma, _FIXED_FLOOR_M) / sigma)[fixed]
+    scale[quality == SINGLE] = 1.0
+    return np.asarray(combined.covariance_m2 * scale[:, :, None] * scale[:, None, :])
+
+
+def _local_rms(time: GpsTime, separation: Floats, floating: Flags) -> Floats:
+    known = np.isfinite(separation).all(axis=1) & floating
+    squares = np.where(known[:, None], separation**2, 0.0)
+    sums = np.vstack([np.zeros(3), np.cumsum(squares, axis=0)])
+    count = np.concatenate([[0], np.cumsum(known)])
+    low = np.searchsorted(time.ns, time.ns - _WINDOW_NS)
+    high = np.searchsorted(time.ns, time.ns + _WINDOW_NS, side="right")
+    number = (count[high] - count[low])[:, None]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rms = np.sqrt((sums[high] - sums[low]) / number)
+    own = np.where(known[:, None], np.abs(separation), 0.0)
+    return np.asarray(np.where(number > 0, np.maximum(rms, own), np.nan))

@@ -1,0 +1,274 @@
+"""Post-processed kinematic positioning: from base and rover to a judged trajectory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError, IllPosedError
+from photocal.navigation.engine import Engine, Mode, ProcessingOptions
+from photocal.navigation.engine_output import EngineSolution
+from photocal.navigation.fix_validation import Judgement, judge
+from photocal.navigation.rinex import ObservationFile, count_ephemerides
+from photocal.navigation.time import GpsTime
+from photocal.navigation.trajectory import Trajectory, geocentric
+
+_STATUS = {1: "fixed", 2: "float"}
+_LEAST_EPOCHS = 10
+_BASE_LIMIT_M = 10.0
+# The engine uses base observations up to 30 s old.
+_BASE_AGE_NS = 30_000_000_000
+_SYSTEMS = "GREJC"
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a PPK run starts from.
+
+    Parameters
+    ----------
+    rover, base : ObservationFile
+        Observations.
+    navigation : list of Path
+        RINEX navigation files.
+    base_m : ndarray, shape (3,)
+        Earth-centred position of the base's antenna reference point (or mark, with an antenna height).
+    base_source : str
+        Where the position stands.
+    """
+
+    rover: ObservationFile
+    base: ObservationFile
+    navigation: list[Path]
+    base_m: NDArray[np.float64]
+    base_source: str
+
+
+@dataclass(frozen=True)
+class PpkResult:
+    """A judged trajectory with all that its summary tells.
+
+    Parameters
+    ----------
+    inputs : Inputs
+        Where it came from.
+    options : ProcessingOptions
+        How it was computed.
+    mode : str
+        ``kinematic`` or ``static``.
+    engine : str
+        Name of the engine.
+    combined : EngineSolution
+        The engine's own positions, quality and sigmas.
+    judgement : Judgement or None
+        Of a kinematic run.
+    trajectory : Trajectory
+        The result.
+    base_off_code_m : float
+        Distance of the base's position from its own code solution.
+    base_gaps_s : list of (GpsTime, float)
+        Begin and length of the gaps of the base within the rover's time, longest first.
+    """
+
+    inputs: Inputs
+    options: ProcessingOptions
+    mode: Mode
+    engine: str
+    combined: EngineSolution
+    judgement: Judgement | None
+    trajectory: Trajectory
+    base_off_code_m: float
+    base_gaps_s: list[tuple[GpsTime, float]]
+
+
+def options_for(
+    rover: ObservationFile,
+    base: ObservationFile,
+    rover_antenna_m: float = 0.0,
+    base_antenna_m: float = 0.0,
+    elevation_deg: float = 15.0,
+) -> ProcessingOptions:
+    """Choose systems and frequencies that both receivers observed.
+
+    Raises
+    ------
+    IllPosedError
+        When they share no satellite system.
+    """
+    shared = "".join(letter for letter in _SYSTEMS if letter in rover.systems & base.systems)
+    if not shared:
+        raise IllPosedError(
+            f"rover ({'+'.join(sorted(rover.systems))}) and base ({'+'.join(sorted(base.systems))}) observed "
+            "no common satellite system"
+        )
+    two = "2" in rover.bands & base.bands
+    return ProcessingOptions(
+        shared, two, elevation_deg, rover_antenna_m=rover_antenna_m, base_antenna_m=base_antenna_m
+    )
+
+
+def process(
+    inputs: Inputs, options: ProcessingOptions, mode: Mode, engine: Engine, folder: Path
+) -> PpkResult:
+    """Compute and judge the trajectory.
+
+    Parameters
+    ----------
+    inputs : Inputs
+        Observations, ephemerides and the base's position.
+    options : ProcessingOptions
+        From `options_for`.
+    mode : str
+        ``kinematic`` or ``static``.
+    engine : Engine
+        What computes positions.
+    folder : Path
+        Where the engine may leave its files.
+
+    Returns
+    -------
+    PpkResult
+        The trajectory and what is needed to judge it.
+
+    Raises
+    ------
+    IllPosedError
+        Without overlap, with too few epochs, without ephemerides, or with a wrong position of the base.
+    """
+    refuse_apart(inputs.rover, inputs.base)
+    if not any(count_ephemerides(path) for path in inputs.navigation):
+        raise IllPosedError(
+            "no ephemerides: no position can be computed",
+            where=", ".join(path.name for path in inputs.navigation) or inputs.rover.path.name,
+            remedy="record RXM-SFRBX or give a RINEX navigation file with --nav",
+        )
+    off_m = _base_off_code(inputs, options, engine, folder)
+    files = [inputs.rover.path, inputs.base.path, *inputs.navigation]
+    combined = _differential(engine.solve(mode, "combined", files, options, inputs.base_m, folder), inputs)
+    gaps = _base_gaps(inputs)
+    if mode == "static":
+        found = combined.rows(np.array([len(combined) - 1]))
+        trajectory = _trajectory(found, 0.0)
+        return PpkResult(inputs, options, mode, engine.name, found, None, trajectory, off_m, gaps)
+    forward = engine.solve(mode, "forward", files, options, inputs.base_m, folder)
+    backward = engine.solve(mode, "backward", files, options, inputs.base_m, folder)
+    rover_alone = [inputs.rover.path, *inputs.navigation]
+    code = engine.solve("single", "forward", rover_alone, options, None, folder)
+    judgement = judge(combined, _rising(forward), _rising(backward), code, options.ratio)
+    row = code.at(combined.time)
+    velocity = np.where((row >= 0)[:, None], code.velocity_m_s[row], np.nan)
+    trajectory = _trajectory(judgement.solution, judgement.velocity_sigma_m_s, velocity)
+    return PpkResult(inputs, options, mode, engine.name, combined, judgement, trajectory, off_m, gaps)
+
+
+def refuse_apart(rover: ObservationFile, base: ObservationFile) -> None:
+    """Refuse observations that do not overlap or hardly so.
+
+    Raises
+    ------
+    IllPosedError
+        The message says when each starts and ends.
+    """
+    first, last = int(base.time.ns[0]) - _BASE_AGE_NS, int(base.time.ns[-1]) + _BASE_AGE_NS
+    common = int(((rover.time.ns >= first) & (rover.time.ns <= last)).sum())
+    spans = "; ".join(
+        f"{name} {file.time[[0]].iso()[0]} to {file.time[[-1]].iso()[0]}"
+        for name, file in (("rover", rover), ("base", base))
+    )
+    if common == 0:
+        raise IllPosedError(
+            f"base and rover do not overlap in time: {spans} (GPS time)",
+            remedy="take the base's recording of the flight",
+        )
+    if common < _LEAST_EPOCHS:
+        raise IllPosedError(
+            f"only {common} epochs of the rover have a base, at least {_LEAST_EPOCHS} are needed: {spans} "
+            "(GPS time)",
+            remedy="take the base's recording of the whole flight",
+        )
+
+
+def parse_position(text: str) -> NDArray[np.float64]:
+    """Return earth-centred coordinates of ``LAT,LON,H`` (degrees, ellipsoidal height in metres).
+
+    Raises
+    ------
+    ConfigurationError
+        When it is not three numbers within their bounds.
+    """
+    try:
+        lat, lon, height = (float(part) for part in text.split(","))
+    except ValueError:
+        lat = lon = height = np.nan
+    if not (abs(lat) <= 90 and abs(lon) <= 360 and abs(height) < 20_000):
+        raise ConfigurationError(
+            f"{text!r} is no position",
+            where="--base-position",
+            remedy="give LAT,LON,H: degrees and the ellipsoidal height in metres",
+        )
+    return np.asarray(geocentric(np.array([lat]), np.array([lon]), np.array([height]))[0])
+
+
+def _base_off_code(inputs: Inputs, options: ProcessingOptions, engine: Engine, folder: Path) -> float:
+    """Return how far the base's position is from its own code solution; refuse a wrong one."""
+    alone = [inputs.base.path, *inputs.navigation]
+    code = engine.solve("single", "forward", alone, options, None, folder)
+    middle = np.median(geocentric(code.lat_deg, code.lon_deg, code.height_m), axis=0)
+    off = float(np.linalg.norm(middle - inputs.base_m))
+    if off > _BASE_LIMIT_M:
+        raise IllPosedError(
+            f"the base's position ({inputs.base_source}) is {off:.1f} m from its own code solution, more "
+            f"than {_BASE_LIMIT_M:g} m",
+            where=inputs.base.path.name,
+            remedy="check coordinates, reference system and kind of height of the base",
+        )
+    return off
+
+
+def _differential(solution: EngineSolution, inputs: Inputs) -> EngineSolution:
+    """Return what was computed with the base, in the order of time."""
+    chosen = solution.rows(solution.quality <= 5)
+    if not (chosen.quality <= 2).any():
+        raise IllPosedError(
+            "the engine found no position with the base",
+            where=inputs.rover.path.name,
+            remedy="check that both observed the same satellites and signals",
+        )
+    return _rising(chosen)
+
+
+def _rising(solution: EngineSolution) -> EngineSolution:
+    _, first = np.unique(solution.time.ns, return_index=True)
+    return solution.rows(first)
+
+
+def _base_gaps(inputs: Inputs) -> list[tuple[GpsTime, float]]:
+    time = inputs.base.time.ns
+    inside = time[
+        (time >= inputs.rover.time.ns[0] - _BASE_AGE_NS) & (time <= inputs.rover.time.ns[-1] + _BASE_AGE_NS)
+    ]
+    steps = np.diff(inside) / 1e9
+    # Every epoch that the rover has and the base lacks is a gap, unless the base is slower on purpose.
+    usual = max(inputs.rover.interval_s, float(np.min(steps, initial=np.inf)))
+    long = np.flatnonzero(steps > 1.5 * usual)
+    order = long[np.argsort(-steps[long], kind="stable")]
+    return [(GpsTime(inside[[i]]), float(steps[i])) for i in order.tolist()]
+
+
+def _trajectory(
+    solution: EngineSolution, velocity_sigma: float, velocity: NDArray[np.float64] | None = None
+) -> Trajectory:
+    status = np.array([_STATUS.get(q, "single") for q in solution.quality.tolist()], "U6")
+    return Trajectory(
+        solution.time,
+        solution.lat_deg,
+        solution.lon_deg,
+        solution.height_m,
+        status,
+        solution.covariance_m2,
+        np.full((len(solution), 3), np.nan) if velocity is None else velocity,
+        velocity_sigma,
+    )

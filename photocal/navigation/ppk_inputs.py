@@ -1,0 +1,150 @@
+"""Where base, rover, ephemerides and the base's position come from: a flight log, RINEX files or both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError, IllPosedError
+from photocal.navigation.engine import Engine, RinexFiles
+from photocal.navigation.ppk import Inputs, parse_position
+from photocal.navigation.receiver_recording import (
+    ReceiverRecording,
+    pick,
+    read_receivers,
+    refuse_unusable,
+)
+from photocal.navigation.rinex import count_ephemerides, read_observation_file
+from photocal.navigation.time import GpsTime, UtcTime
+
+NAV_OF_BASE = "base"
+
+
+@dataclass(frozen=True)
+class Sources:
+    """What a person named.
+
+    Parameters
+    ----------
+    flight : Path or None
+        Flight log.
+    rover, base : Path or None
+        RINEX observation files; they go before the links of the log.
+    navigation : tuple of str
+        RINEX navigation files, or ``base`` for the base's own ephemerides.
+    base_position : str or None
+        ``LAT,LON,H``; goes before what the log says.
+    rover_link, base_link : str
+        Links of the log.
+    """
+
+    flight: Path | None
+    rover: Path | None
+    base: Path | None
+    navigation: tuple[str, ...]
+    base_position: str | None
+    rover_link: str = "rover"
+    base_link: str = "base"
+
+
+def gather_inputs(sources: Sources, engine: Engine, folder: Path) -> tuple[Inputs, list[str]]:
+    """Return the inputs of a run, and remarks on what was left out of the log.
+
+    Raises
+    ------
+    ConfigurationError
+        When something that is needed was not named.
+    IllPosedError
+        When a recording has nothing to compute from.
+    """
+    receivers = read_receivers(sources.flight) if sources.flight is not None else {}
+    remarks: list[str] = []
+    near = None
+    navigation: list[Path] = []
+    rover_path = sources.rover
+    if rover_path is None:
+        flight = _needed(sources.flight, "rover")
+        recording = pick(receivers, sources.rover_link, "rover", flight)
+        refuse_unusable(recording, "rover", flight)
+        _refuse_without_ephemerides(recording, sources, flight)
+        made = _convert(recording, engine, folder / "rover", None)
+        rover_path = made.observations
+        navigation.append(made.navigation)
+        remarks += _remarks(recording, "rover")
+    rover = read_observation_file(rover_path)
+    near = rover.time[[0]]
+    base_path, base_recording = sources.base, None
+    if base_path is None:
+        flight = _needed(sources.flight, "base")
+        base_recording = pick(receivers, sources.base_link, "base", flight)
+        refuse_unusable(base_recording, "base", flight)
+        made = _convert(base_recording, engine, folder / "base", near)
+        base_path = made.observations
+        navigation.append(made.navigation)
+        remarks += _remarks(base_recording, "base")
+    base = read_observation_file(base_path)
+    for name in sources.navigation:
+        if name != NAV_OF_BASE:
+            if not count_ephemerides(Path(name)):
+                raise IllPosedError("has no ephemerides", where=name, remedy="give a RINEX navigation file")
+            navigation.append(Path(name))
+    position, source = _base_position(sources, base_recording)
+    files = [path for path in navigation if path.exists()]
+    return Inputs(rover, base, files, position, source), remarks
+
+
+def _needed(flight: Path | None, role: str) -> Path:
+    if flight is None:
+        raise ConfigurationError(
+            f"the {role} is not named", remedy=f"give a flight log, or RINEX with --{role} and --nav"
+        )
+    return flight
+
+
+def _refuse_without_ephemerides(recording: ReceiverRecording, sources: Sources, flight: Path) -> None:
+    if not recording.ephemeris_frames and not sources.navigation:
+        raise IllPosedError(
+            "the rover recorded no ephemerides (RXM-SFRBX)",
+            where=f"{flight}, link {recording.link}",
+            remedy="give --nav FILE, or --nav base to use those that the base recorded",
+        )
+
+
+def _convert(recording: ReceiverRecording, engine: Engine, stem: Path, near: GpsTime | None) -> RinexFiles:
+    # A base that sends both repeats the same observations; the raw ones are finer.
+    form = "ubx" if recording.epochs else "rtcm3"
+    frames = recording.ubx if form == "ubx" else recording.rtcm
+    if near is None:
+        near = UtcTime(np.array([recording.first_log_ns])).to_gps()
+    made = engine.convert(b"".join(frames), "ubx" if form == "ubx" else "rtcm3", stem, near)
+    if not made.observations.exists():
+        raise IllPosedError(
+            "the observations could not be converted to RINEX",
+            where=f"link {recording.link}",
+            remedy="check that the receiver sent RXM-RAWX or RTCM MSM of known signals",
+        )
+    return made
+
+
+def _remarks(recording: ReceiverRecording, role: str) -> list[str]:
+    remarks = []
+    if recording.empty_epochs:
+        remarks.append(f"{role}: {recording.empty_epochs} epochs without signals left out")
+    if recording.untimed_epochs:
+        remarks.append(f"{role}: {recording.untimed_epochs} epochs of week 0 left out")
+    return remarks
+
+
+def _base_position(sources: Sources, recording: ReceiverRecording | None) -> tuple[NDArray[np.float64], str]:
+    if sources.base_position is not None:
+        return parse_position(sources.base_position), "--base-position"
+    found = None if recording is None else recording.position_m()
+    if found is None:
+        raise ConfigurationError(
+            "the base's position is not known: neither RTCM 1005/1006 nor a survey-in tells it",
+            remedy="give --base-position LAT,LON,H (ellipsoidal height)",
+        )
+    return found

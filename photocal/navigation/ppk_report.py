@@ -1,0 +1,165 @@
+"""What a person judges a PPK run by: figures, sentences and a plot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.navigation.ppk import PpkResult
+from photocal.navigation.trajectory import enu_offsets, geodetic
+
+_LISTED_GAPS = 10
+
+
+def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
+    """Return the figures of a run, ready for JSON."""
+    rover, base = result.inputs.rover.time, result.inputs.base.time
+    trajectory = result.trajectory
+    first, last = max(rover.ns[0], base.ns[0]), min(rover.ns[-1], base.ns[-1])
+    lat, lon, height = (float(v[0]) for v in geodetic(result.inputs.base_m[None]))
+    counts = {name: int((trajectory.status == name).sum()) for name in ("fixed", "float", "single")}
+    figures: dict[str, Any] = {
+        "schema": "photocal.ppk/1",
+        "engine": result.engine,
+        "mode": result.mode,
+        "options": {
+            "systems": result.options.systems,
+            "frequencies": "L1+L2" if result.options.two_frequencies else "L1",
+            "elevation_deg": result.options.elevation_deg,
+            "least_ratio": result.options.ratio,
+            "rover_antenna_m": result.options.rover_antenna_m,
+            "base_antenna_m": result.options.base_antenna_m,
+        },
+        "rover": _span(result.inputs.rover),
+        "base": {
+            **_span(result.inputs.base),
+            "lat_deg": lat,
+            "lon_deg": lon,
+            "height_m": height,
+            "position_from": result.inputs.base_source,
+            "off_code_solution_m": result.base_off_code_m,
+            "gaps": len(result.base_gaps_s),
+            "longest_gaps": [
+                {"from_gps": t.iso()[0], "seconds": s} for t, s in result.base_gaps_s[:_LISTED_GAPS]
+            ],
+        },
+        "overlap_s": float(last - first) / 1e9,
+        "epochs": len(trajectory),
+        **counts,
+        "rover_epochs_without_position": len(rover) - len(trajectory) if result.mode != "static" else 0,
+        "fixed_percent": 100.0 * counts["fixed"] / len(trajectory),
+        "remarks": remarks,
+    }
+    if result.judgement is not None:
+        figures["validation"] = _validation(result)
+    if result.mode == "static":
+        figures["position"] = {
+            "lat_deg": float(trajectory.lat_deg[0]),
+            "lon_deg": float(trajectory.lon_deg[0]),
+            "height_m": float(trajectory.height_m[0]),
+        }
+    return figures
+
+
+def _span(file: Any) -> dict[str, Any]:
+    return {
+        "epochs": len(file.time),
+        "from_gps": file.time[[0]].iso()[0],
+        "to_gps": file.time[[-1]].iso()[0],
+        "interval_s": file.interval_s,
+    }
+
+
+def _validation(result: PpkResult) -> dict[str, Any]:
+    judgement = result.judgement
+    if judgement is None:
+        return {}
+    fixed = judgement.solution.quality == 1
+    apart = judgement.separation_m
+    known = np.isfinite(apart).all(axis=1)
+    return {
+        "fixed_by_the_engine": int((result.combined.quality == 1).sum()),
+        "demoted": {reason: int(rows.sum()) for reason, rows in judgement.demoted.items()},
+        "median_ratio_of_fixes": _median(result.combined.ratio[fixed]),
+        "float_sigma_factor_enu": [float(v) for v in judgement.float_factor],
+        "doppler_velocity_sigma_m_s": judgement.velocity_sigma_m_s,
+        "forward_minus_backward_rms_enu_m": {
+            "fixed": _rms(apart[known & fixed & (np.abs(apart) < 0.2).all(axis=1)]),
+            "others": _rms(apart[known & ~fixed]),
+        },
+    }
+
+
+def _median(values: NDArray[np.float64]) -> float | None:
+    return float(np.median(values)) if len(values) else None
+
+
+def _rms(values: NDArray[np.float64]) -> list[float] | None:
+    return [float(v) for v in np.sqrt(np.mean(values**2, axis=0))] if len(values) else None
+
+
+def ppk_text(figures: dict[str, Any]) -> str:
+    """Return the summary in words."""
+    rover, base, options = figures["rover"], figures["base"], figures["options"]
+    method = f"{options['systems']} {options['frequencies']}, mask {options['elevation_deg']:g} deg"
+    place = f"{base['lat_deg']:.9f} {base['lon_deg']:.9f} {base['height_m']:.4f} m ellipsoidal"
+    counts = f"{figures['fixed']} fixed ({figures['fixed_percent']:.1f} %), {figures['float']} float"
+    missing = figures["rover_epochs_without_position"]
+    lines = [
+        f"{figures['mode']} solution by {figures['engine']}, {method}",
+        f"rover {rover['from_gps']} to {rover['to_gps']} GPS time, {rover['epochs']} epochs",
+        f"base  {base['from_gps']} to {base['to_gps']} GPS time, {base['epochs']} epochs",
+        f"overlap {figures['overlap_s']:.0f} s, {base['gaps']} gaps of the base",
+        f"base position from {base['position_from']}: {place}",
+        f"  {base['off_code_solution_m']:.1f} m from its code solution",
+        f"{figures['epochs']} epochs: {counts}, {figures['single']} single",
+        f"{missing} rover epochs without a position",
+    ]
+    lines += [f"  gap of {g['seconds']:.0f} s from {g['from_gps']}" for g in base["longest_gaps"][:3]]
+    validation = figures.get("validation")
+    if validation:
+        lines.append(f"fixed by the engine {validation['fixed_by_the_engine']}, of these made float:")
+        lines += [f"  {count} {reason}" for reason, count in validation["demoted"].items() if count]
+        factors = ", ".join(f"{v:.0f}" for v in validation["float_sigma_factor_enu"])
+        lines.append(f"the engine's float sigmas are too small by {factors} (E, N, U)")
+    position = figures.get("position")
+    if position:
+        lines.append(
+            f"position {position['lat_deg']:.9f} {position['lon_deg']:.9f} {position['height_m']:.4f} m"
+        )
+    return "\n".join([*lines, *figures["remarks"]])
+
+
+def plot_ppk(result: PpkResult, path: Path) -> None:
+    """Draw track, height, separation of the directions and ratio."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib.figure import Figure
+
+    t = result.trajectory
+    origin = np.array([np.median(t.lat_deg), np.median(t.lon_deg), np.median(t.height_m)])
+    east, north, _ = enu_offsets(t.lat_deg, t.lon_deg, t.height_m, origin).T
+    minutes = (t.time.ns - t.time.ns[0]) / 60e9
+    figure = Figure(figsize=(11, 8), layout="constrained")
+    track, height, apart, ratio = figure.subplots(2, 2).ravel()
+    for name, colour in (("single", "tab:red"), ("float", "tab:orange"), ("fixed", "tab:green")):
+        rows = t.status == name
+        track.plot(east[rows], north[rows], ".", ms=3, color=colour, label=f"{name} {int(rows.sum())}")
+        height.plot(minutes[rows], t.height_m[rows], ".", ms=3, color=colour)
+    track.set(xlabel="east / m", ylabel="north / m", title="Track", aspect="equal")
+    track.legend()
+    height.set(xlabel="time / min", ylabel="ellipsoidal height / m", title="Height")
+    if result.judgement is not None:
+        for column, letter in enumerate("ENU"):
+            distance = np.abs(result.judgement.separation_m[:, column])
+            apart.semilogy(minutes, np.maximum(distance, 1e-4), ".", ms=2, label=letter)
+        apart.legend()
+    apart.set(xlabel="time / min", ylabel="|forward - backward| / m", title="Separation of the directions")
+    ratio.plot(minutes, result.combined.ratio, ".", ms=2)
+    ratio.axhline(result.options.ratio, color="k", lw=0.8)
+    ratio.set(xlabel="time / min", ylabel="ratio", title="Ratio test")
+    figure.savefig(path, dpi=120)

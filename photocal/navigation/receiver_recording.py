@@ -1,0 +1,192 @@
+"""What a GNSS receiver left in a flight log: observations and ephemerides, in intact frames only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.log.reader import LogReader
+from drivers.errors import ConfigurationError, IllPosedError
+from drivers.frames import Batch, Wire
+from drivers.identify import batch_of_payloads
+from drivers.mavlink.dialect import Dialect
+from drivers.rtcm3 import decode_stations
+from drivers.ubx import decode as ubx
+
+_MSM_FIRST, _MSM_LAST = 1071, 1137
+_NO_DIALECT = Dialect({}, np.full(1, -1, np.int16), {})
+
+
+@dataclass
+class ReceiverRecording:
+    """Frames of one link of a flight log that bear on its position.
+
+    Parameters
+    ----------
+    link : str
+        Name of the link.
+    ubx, rtcm : list of bytes
+        RXM-RAWX with a time and at least one signal, and RXM-SFRBX; all RTCM 3 frames.
+    epochs, empty_epochs, untimed_epochs : int
+        RXM-RAWX used, without signals, and of week 0.
+    ephemeris_frames : int
+        RXM-SFRBX and RTCM ephemerides.
+    announced_m : list of ndarray, shape (3,)
+        Earth-centred positions in RTCM 1005/1006.
+    surveyed_m : ndarray, shape (3,), or None
+        Mean of a survey-in that is valid.
+    first_log_ns : int
+        Time of receipt of the first frame (UTC ns).
+    time_marks : list of ndarray
+        RXM-TIM-TM2 fields in the order of the file.
+    """
+
+    link: str
+    ubx: list[bytes] = field(default_factory=list)
+    rtcm: list[bytes] = field(default_factory=list)
+    epochs: int = 0
+    empty_epochs: int = 0
+    untimed_epochs: int = 0
+    ephemeris_frames: int = 0
+    observation_frames: int = 0
+    announced_m: list[NDArray[np.float64]] = field(default_factory=list)
+    surveyed_m: NDArray[np.float64] | None = None
+    first_log_ns: int = 0
+    time_marks: list[NDArray[Any]] = field(default_factory=list)
+
+    def add(self, wire: Wire, payloads: list[bytes]) -> None:
+        """Take the frames of one chunk of the log."""
+        batch = batch_of_payloads(wire, payloads, _NO_DIALECT)
+        if wire == Wire.UBX:
+            self._add_ubx(batch, payloads)
+        elif wire == Wire.RTCM3:
+            self.rtcm.extend(payloads)
+            self.announced_m.extend(decode_stations(batch).ecef_m)
+            self.ephemeris_frames += int(np.isin(batch.kind, (1019, 1020, 1042, 1044, 1045, 1046)).sum())
+            observing = (batch.kind >= _MSM_FIRST) & (batch.kind <= _MSM_LAST)
+            self.observation_frames += int((observing | np.isin(batch.kind, (1002, 1004, 1010, 1012))).sum())
+
+    def _add_ubx(self, batch: Batch, payloads: list[bytes]) -> None:
+        raw = ubx.decode_rawx(batch).epochs
+        empty = raw.fields["numMeas"] == 0
+        untimed = ~empty & ((raw.fields["week"] == 0) | ~np.isfinite(raw.fields["rcvTow"]))
+        good = raw.index[~empty & ~untimed]
+        self.epochs += len(good)
+        self.empty_epochs += int(empty.sum())
+        self.untimed_epochs += int(untimed.sum())
+        subframes = ubx.decode(batch, ubx.RXM_SFRBX).index
+        self.ephemeris_frames += len(subframes)
+        wanted = np.sort(np.concatenate([good, subframes]))
+        self.ubx.extend(payloads[i] for i in wanted.tolist())
+        survey = ubx.decode(batch, ubx.NAV_SVIN).fields
+        survey = survey[(survey["valid"] != 0) & (survey["obs"] > 0)]
+        if len(survey):
+            last = survey[-1]
+            mean = [float(last[f"mean{a}"]) * 1e-2 + float(last[f"mean{a}HP"]) * 1e-4 for a in "XYZ"]
+            self.surveyed_m = np.array(mean)
+        marks = ubx.decode(batch, ubx.TIM_TM2).fields
+        if len(marks):
+            self.time_marks.append(marks)
+
+    def marks(self) -> NDArray[Any]:
+        """Return all TIM-TM2 fields in the order of the file."""
+        return np.concatenate(self.time_marks) if self.time_marks else np.empty(0, ubx.LAYOUTS[ubx.TIM_TM2])
+
+    def position_m(self) -> tuple[NDArray[np.float64], str] | None:
+        """Return the station's position (earth-centred) and where it stands; None when nowhere.
+
+        Raises
+        ------
+        IllPosedError
+            When the announced position changes: the station was set up anew within the recording.
+        """
+        if self.announced_m:
+            all_m = np.stack(self.announced_m)
+            spread = float(np.linalg.norm(all_m - all_m[0], axis=1).max())
+            if spread > 1e-3:
+                raise IllPosedError(
+                    f"the station's position in RTCM 1005/1006 changes by {spread:.3f} m",
+                    where=f"link {self.link}",
+                    remedy="give --base-position",
+                )
+            return all_m[0], "RTCM 1005/1006"
+        return None if self.surveyed_m is None else (self.surveyed_m, "survey-in")
+
+
+def read_receivers(path: Path) -> dict[str, ReceiverRecording]:
+    """Read the raw frames of every receiver in a flight log.
+
+    Parameters
+    ----------
+    path : Path
+        The flight log (MCAP).
+
+    Returns
+    -------
+    dict of str to ReceiverRecording
+        By link.
+    """
+    found: dict[str, ReceiverRecording] = {}
+    wires = {Wire.UBX.encoding: Wire.UBX, Wire.RTCM3.encoding: Wire.RTCM3}
+    for chunk in LogReader(path).chunks():
+        for messages in chunk:
+            topic, encoding = messages.channel.topic, messages.channel.encoding
+            if encoding in wires and topic.endswith("/raw"):
+                link = topic.split("/")[1]
+                recording = found.setdefault(link, ReceiverRecording(link))
+                recording.first_log_ns = recording.first_log_ns or int(messages.log_ns[0])
+                recording.add(wires[encoding], messages.payloads)
+    return found
+
+
+def pick(receivers: dict[str, ReceiverRecording], link: str, role: str, where: Path) -> ReceiverRecording:
+    """Return the recording of a link.
+
+    Raises
+    ------
+    ConfigurationError
+        When the log has no such link; the message names those that it has.
+    """
+    if link in receivers:
+        return receivers[link]
+    names = ", ".join(sorted(receivers)) or "none"
+    raise ConfigurationError(
+        f"has no GNSS link {link!r} for the {role}; links with raw frames: {names}",
+        where=where,
+        remedy=f"name one with --{role}-link or give RINEX files",
+    )
+
+
+def refuse_unusable(recording: ReceiverRecording, role: str, where: object) -> None:
+    """Refuse a recording that no position can be computed from.
+
+    Raises
+    ------
+    IllPosedError
+        Without observations, with empty epochs only, or with epochs of week 0 only.
+    """
+    if recording.epochs or recording.observation_frames:
+        return
+    place = f"{where}, link {recording.link}"
+    if recording.untimed_epochs:
+        raise IllPosedError(
+            f"all {recording.untimed_epochs} RXM-RAWX epochs of the {role} have GPS week 0: the receiver "
+            "never knew the time",
+            where=place,
+            remedy="record until the receiver has a fix",
+        )
+    if recording.empty_epochs:
+        raise IllPosedError(
+            f"all {recording.empty_epochs} RXM-RAWX epochs of the {role} are empty",
+            where=place,
+            remedy="check antenna and sky view",
+        )
+    raise IllPosedError(
+        f"the {role} has no raw observations (RXM-RAWX or RTCM MSM)",
+        where=place,
+        remedy="let the receiver send RXM-RAWX and RXM-SFRBX",
+    )

@@ -1,0 +1,126 @@
+"""What PPK refuses, and that it says why in one line."""
+
+from __future__ import annotations
+
+import gzip
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from drivers.frames import Frame, Wire
+from drivers.ubx.wire import encode
+from tests.photocal.conftest import Answer
+from tests.photocal.navigation.conftest import ImportLog, Run, frames_of, needs_engine
+
+pytestmark = pytest.mark.shared
+Photocal = Callable[..., Answer]
+RAWX, SFRBX = 0x0215, 0x0213
+
+
+@pytest.fixture(scope="session")
+def rover_frames(m8p: Path) -> list[Frame]:
+    needs_engine()
+    data = gzip.decompress((m8p / "rover-20181004-1237.ubx.gz").read_bytes())
+    return [f for f in frames_of(data) if f.wire == Wire.UBX and f.kind in (RAWX, SFRBX)]
+
+
+@pytest.fixture(scope="session")
+def base_file(m8p: Path) -> Path:
+    return m8p / "base-20181004-1236.ubx.gz"
+
+
+def refused(photocal: Photocal, log: Path, tmp_path: Path, *options: str) -> str:
+    answer = photocal("ppk", log, "-o", tmp_path / "out", *options)
+    assert answer.code in (4, 5, 6)
+    assert answer.err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+    return answer.err
+
+
+def changed(frames: list[Frame], change: Callable[[bytes], bytes]) -> bytes:
+    """Frames with the payload of each RXM-RAWX changed."""
+    return b"".join(encode(RAWX, change(f.data[6:-2])) if f.kind == RAWX else f.data for f in frames)
+
+
+def test_no_overlap(photocal: Photocal, shared: Path, import_log: ImportLog, tmp_path: Path) -> None:
+    needs_engine()
+    data = shared / "data/gnss-f9p-lossy-ubx-rtcm"
+    log = import_log(
+        "f9p",
+        {
+            "rover": data / "20210809-121012-ubx-nmea-data.ubx",
+            "base": data / "20210809-111055-rtcm3-base-corrections.rtcm3",
+        },
+    )
+    said = refused(photocal, log, tmp_path)
+    assert "do not overlap" in said
+    assert "base 2021-08-09 15:11:34" in said
+    assert "rover 2021-08-09 16:1" in said
+
+
+def test_empty_epochs(
+    photocal: Photocal, rover_frames: list[Frame], base_file: Path, import_log: ImportLog, tmp_path: Path
+) -> None:
+    empty = changed(rover_frames, lambda p: p[:11] + b"\0" + p[12:16])
+    said = refused(photocal, import_log("empty", {"rover": empty, "base": base_file}), tmp_path)
+    assert "1205 RXM-RAWX epochs of the rover are empty" in said
+
+
+def test_week_zero(
+    photocal: Photocal, rover_frames: list[Frame], base_file: Path, import_log: ImportLog, tmp_path: Path
+) -> None:
+    untimed = changed(rover_frames, lambda p: p[:8] + struct.pack("<H", 0) + p[10:])
+    # The date of the log comes from another message, as when a receiver is restarted in the air.
+    untimed = encode(0x0120, struct.pack("<IihbBI", 390_000_000, 0, 2021, 18, 7, 50)) + untimed
+    said = refused(photocal, import_log("week0", {"rover": untimed, "base": base_file}), tmp_path)
+    assert "week 0" in said
+
+
+def test_no_ephemerides(
+    photocal: Photocal, rover_frames: list[Frame], base_file: Path, import_log: ImportLog, tmp_path: Path
+) -> None:
+    log = import_log("noeph", {"rover": [f for f in rover_frames if f.kind == RAWX], "base": base_file})
+    assert "no ephemerides" in refused(photocal, log, tmp_path)
+    # With those that the base recorded it can be computed, when that is asked for.
+    answer = photocal("ppk", log, "-o", tmp_path / "with", "--nav", "base", "--json")
+    assert answer.code == 0, answer.err
+
+
+def test_too_few_epochs(
+    photocal: Photocal, rover_frames: list[Frame], base_file: Path, import_log: ImportLog, tmp_path: Path
+) -> None:
+    epochs = [f for f in rover_frames if f.kind == RAWX][:5]
+    few = [*epochs, *(f for f in rover_frames if f.kind == SFRBX)]
+    said = refused(photocal, import_log("few", {"rover": few, "base": base_file}), tmp_path)
+    assert "only 5 epochs" in said
+
+
+def test_wrong_base_position(photocal: Photocal, static_run: Run, tmp_path: Path) -> None:
+    base = static_run.figures["base"]
+    wrong = f"{base['lat_deg'] + 0.0002},{base['lon_deg']},{base['height_m']}"
+    said = refused(photocal, static_run.log, tmp_path, "--base-position", wrong)
+    assert "m from its own code solution" in said
+
+
+def test_orthometric_height_of_the_base(photocal: Photocal, static_run: Run, tmp_path: Path) -> None:
+    # The geoid is 57 m above the ellipsoid in Galway.
+    base = static_run.figures["base"]
+    wrong = f"{base['lat_deg']},{base['lon_deg']},{base['height_m'] - 57}"
+    said = refused(photocal, static_run.log, tmp_path, "--base-position", wrong)
+    assert "kind of height" in said
+
+
+def test_unknown_link(photocal: Photocal, static_run: Run, tmp_path: Path) -> None:
+    said = refused(photocal, static_run.log, tmp_path, "--rover-link", "drone")
+    assert "base, rover" in said
+
+
+def test_missing_engine(
+    photocal: Photocal, static_run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    answer = photocal("ppk", static_run.log, "-o", tmp_path / "out")
+    assert answer.code == 9
+    assert "install RTKLIB" in answer.err
