@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-FEWEST = 5
+# Five points make a matrix; more have to choose among several.
+FEWEST = 8
 # Share of the points that have to lie in front of both images.
 IN_FRONT = 0.8
 FLIP = np.diag([1.0, -1.0, -1.0])

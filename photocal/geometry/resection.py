@@ -69,13 +69,11 @@ def resection(xyz: Floats, rays: Floats) -> Resection | None:
     size = float(np.abs(xyz - middle).max())
     world = (xyz - middle) / size
     best = _direct(world, rays)
-    if len(xyz) > FEWEST + 1 and (best is None or _uneven(best.residual)):
+    if best is None or _uneven(best.residual):
         robust = _least_median(world, rays)
-        if robust is not None and (
-            best is None or np.median(robust.residual) < 0.5 * np.median(best.residual)
-        ):
+        if robust is not None and (best is None or _misfit(robust.residual) < 0.5 * _misfit(best.residual)):
             best = robust
-    if best is None or not np.isfinite(np.median(best.residual)):
+    if best is None or not np.isfinite(_misfit(best.residual)):
         return None
     return Resection(best.rotation, best.centre * size + middle, best.residual)
 
@@ -105,6 +103,12 @@ def _uneven(residual: Floats) -> bool:
     return bool(residual.max() > min(UNEVEN * np.median(residual), LARGE))
 
 
+def _misfit(residual: Floats) -> Floats:
+    """Median residual over the last axis; the mean of few, of which three fit any pose made from them."""
+    few = residual.shape[-1] < 2 * FEWEST
+    return np.asarray(residual.mean(axis=-1) if few else np.median(residual, axis=-1))
+
+
 def _direct(world: Floats, rays: Floats) -> Resection | None:
     import cv2
 
@@ -124,16 +128,16 @@ def _least_median(world: Floats, rays: Floats) -> Resection | None:
         return None
     rotation, centre = np.array([p[0] for p in poses]), np.array([p[1] for p in poses])
     residual = ray_residuals(rotation[:, None], centre[:, None], world, rays)
-    k = int(np.argmin(np.median(residual, axis=1)))
+    k = int(np.argmin(_misfit(residual)))
     best = Resection(rotation[k], centre[k], residual[k])
-    if not np.isfinite(np.median(best.residual)):
+    if not np.isfinite(_misfit(best.residual)):
         return None
-    good = best.residual <= UNEVEN / 2 * np.median(best.residual)
+    good = best.residual <= UNEVEN / 2 * _misfit(best.residual)
     if good.sum() < FEWEST:
         return best
     improved = _poses(world[good], rays[good], cv2.SOLVEPNP_SQPNP, refine=True)
     return min(
-        [best, *_with_residuals(improved, world, rays)], key=lambda pose: float(np.median(pose.residual))
+        [best, *_with_residuals(improved, world, rays)], key=lambda pose: float(_misfit(pose.residual))
     )
 
 

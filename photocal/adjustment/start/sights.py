@@ -1,0 +1,84 @@
+"""What start values are made from: the rays as directions, and who saw what."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from photocal.adjustment.network import Rays
+from photocal.geometry.camera import Camera
+from photocal.geometry.distortion import undistorted
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Sights:
+    """Rays of a block.
+
+    Attributes
+    ----------
+    cameras : tuple of Camera
+        With values as good as they are known.
+    camera_of : ndarray of int, shape (images,)
+    points : int
+        Number of object points.
+    rays : Rays
+        Sorted by point.
+    slopes : ndarray, shape (rays, 2)
+        Undistorted image coordinates over the principal distance.
+    """
+
+    cameras: tuple[Camera, ...]
+    camera_of: Integers
+    points: int
+    rays: Rays
+    slopes: Floats
+
+    @property
+    def images(self) -> int:
+        """Number of images."""
+        return len(self.camera_of)
+
+    def of_image(self, image: int) -> Integers:
+        """Rays of an image."""
+        return np.flatnonzero(self.rays.image == image)
+
+    def common(self, first: int, second: int) -> tuple[Integers, Integers]:
+        """Rays of two images to their common points, in the same order."""
+        a, b = self.of_image(first), self.of_image(second)
+        _, ia, ib = np.intersect1d(self.rays.point[a], self.rays.point[b], return_indices=True)
+        return a[ia], b[ib]
+
+    def together(self) -> csr_array:
+        """How many points each pair of images has in common, shape (images, images)."""
+        ones = np.ones(len(self.rays.image), dtype=np.int64)
+        seen = csr_array((ones, (self.rays.image, self.rays.point)), shape=(self.images, self.points))
+        return csr_array(seen @ seen.T)
+
+
+def sights(cameras: tuple[Camera, ...], camera_of: Integers, points: int, rays: Rays) -> Sights:
+    """Undistort the rays of a block.
+
+    Parameters
+    ----------
+    cameras : tuple of Camera
+    camera_of : ndarray of int, shape (images,)
+    points : int
+    rays : Rays
+        Sorted by point.
+
+    Returns
+    -------
+    Sights
+    """
+    camera = camera_of[rays.image]
+    slopes = np.empty(rays.plane.shape)
+    for k, own in enumerate(cameras):
+        mine = camera == k
+        slopes[mine] = undistorted(own, rays.plane[mine]) / own.value("c")
+    return Sights(cameras, camera_of, points, rays, slopes)

@@ -1,0 +1,178 @@
+"""Start values of a block without exterior orientation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.adjustment.network import NO_RELATIONS, RELATIONS, Rays, Relations
+from photocal.adjustment.start.model import Model, adjusted, empty_model, grown, intersected
+from photocal.adjustment.start.pairs import first_model
+from photocal.adjustment.start.sights import Sights, sights
+from photocal.geometry.camera import Camera
+from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
+from photocal.geometry.similarity import Similarity, similarity
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+DISTANCE = RELATIONS.index("distance")
+
+
+@dataclass(frozen=True)
+class StartValues:
+    """Start values.
+
+    Attributes
+    ----------
+    exposures : ndarray, shape (images, 6)
+        omega, phi, kappa in radians, X, Y, Z in m; NaN for images that were not reached.
+    points : ndarray, shape (points, 3)
+        m; NaN for points whose rays do not meet well enough.
+    lost : ndarray of int
+        Images that were not reached.
+    """
+
+    exposures: Floats
+    points: Floats
+    lost: Integers
+
+
+def start_values(
+    cameras: tuple[Camera, ...],
+    camera_of: Integers,
+    exposures: Floats,
+    points: Floats,
+    rays: Rays,
+    relations: Relations = NO_RELATIONS,
+    *,
+    free: bool = False,
+) -> StartValues:
+    """Find the exterior orientation of images that have none, and the points that have no coordinates.
+
+    Images that see enough known points are resected, points that oriented images see are intersected, and
+    so on. Where that does not reach all images, models are built from relative orientations alone and
+    brought to the known points and projection centres by a similarity. On the way the models are adjusted,
+    gross errors weighed down.
+
+    Parameters
+    ----------
+    cameras : tuple of Camera
+        With rough values: a principal distance good to some percent.
+    camera_of : ndarray of int, shape (images,)
+    exposures : ndarray, shape (images, 6)
+        NaN where unknown. Complete ones are kept as they are; of others a known X, Y, Z serves as control.
+    points : ndarray, shape (points, 3)
+        Coordinates of control points, NaN for all others.
+    rays : Rays
+        Sorted by point.
+    relations : Relations
+        Their distances give a free network its scale.
+    free : bool
+        Whether a network without control is wanted in a system of its own: that of the largest model.
+
+    Returns
+    -------
+    StartValues
+    """
+    seen = sights(cameras, camera_of, len(points), rays)
+    model = _known_poses(empty_model(len(camera_of), points), exposures)
+    complete = model.oriented
+    if complete.any() or _resectable(model, seen):
+        model = grown(model, seen)
+    while not model.oriented.all():
+        more = _separate_model(model, seen, exposures, relations, free=free and not model.oriented.any())
+        if more is None:
+            break
+        model = _joined(model, more, seen)
+    result = exposures.copy()
+    new = model.oriented & ~complete
+    result[new] = np.hstack([angles_from_matrix(model.rotation[new]), model.centre[new]])
+    result[~model.oriented] = np.nan
+    return StartValues(result, model.points, np.flatnonzero(~model.oriented))
+
+
+def _known_poses(model: Model, exposures: Floats) -> Model:
+    known = np.isfinite(exposures).all(axis=1)
+    rotation, centre = model.rotation.copy(), model.centre.copy()
+    rotation[known], centre[known] = matrix_from_angles(exposures[known, :3]), exposures[known, 3:]
+    return replace(model, rotation=rotation, centre=centre)
+
+
+def _resectable(model: Model, seen: Sights) -> bool:
+    """Whether two images, or the only one, see five known points or more."""
+    count = np.bincount(seen.rays.image[model.placed[seen.rays.point]], minlength=seen.images)
+    return bool((count >= 5).sum() >= min(2, seen.images))
+
+
+def _separate_model(
+    model: Model, seen: Sights, exposures: Floats, relations: Relations, *, free: bool
+) -> Model | None:
+    """Model of images that are not oriented yet, in the object system; None when there is none."""
+    remaining = ~model.oriented
+    while remaining.any():
+        own = first_model(seen, remaining)
+        if own is None:
+            return None
+        own = grown(own, seen)
+        move = _to_object(model, own, exposures)
+        if move is None and free:
+            move = _scaled(own, relations)
+        if move is not None:
+            return replace(
+                own,
+                rotation=move.applied_to_rotations(own.rotation),
+                centre=move.applied(own.centre),
+                points=move.applied(own.points),
+            )
+        # Nothing ties this model to the object system: the next is made of the other images.
+        remaining &= ~own.oriented
+    return None
+
+
+def _to_object(model: Model, own: Model, exposures: Floats) -> Similarity | None:
+    """Similarity from a model's system to the object system, over common points and projection centres."""
+    both = own.placed & model.placed
+    centres = own.oriented & (model.oriented | np.isfinite(exposures[:, 3:]).all(axis=1))
+    places = np.where(model.oriented[:, None], model.centre, exposures[:, 3:])
+    source = np.vstack([own.points[both], own.centre[centres]])
+    target = np.vstack([model.points[both], places[centres]])
+    return _without_strays(source, target)
+
+
+def _without_strays(source: Floats, target: Floats) -> Similarity | None:
+    """Similarity; places that miss by far more than the others are left out."""
+    found = similarity(source, target)
+    for _ in range(5):
+        if found is None or len(source) < 5:
+            break
+        miss = np.linalg.norm(found.applied(source) - target, axis=1)
+        good = miss <= max(5 * float(np.median(miss)), 1e-9 * float(np.ptp(target)))
+        if good.all():
+            break
+        source, target = source[good], target[good]
+        found = similarity(source, target) or found
+    return found
+
+
+def _scaled(own: Model, relations: Relations) -> Similarity:
+    """Scale of a free model from distances; 1, with the first base as unit, when there are none."""
+    mine = (relations.kind == DISTANCE) & own.placed[relations.first] & own.placed[relations.second]
+    length = np.linalg.norm(own.points[relations.first[mine]] - own.points[relations.second[mine]], axis=1)
+    scale = float(np.median(relations.values[mine] / length)) if mine.any() else 1.0
+    return Similarity(scale, np.eye(3), np.zeros(3))
+
+
+def _joined(model: Model, more: Model, seen: Sights) -> Model:
+    """One model of two in the same system, adjusted and grown on."""
+    new = more.oriented & ~model.oriented
+    together = replace(
+        model,
+        rotation=np.where(new[:, None, None], more.rotation, model.rotation),
+        centre=np.where(new[:, None], more.centre, model.centre),
+    )
+    together = intersected(together, seen)
+    return grown(adjusted(together, seen), seen)
