@@ -176,3 +176,25 @@ def test_positions_without_attitudes_beside_weighted_exposures() -> None:
     sigma = np.array([0.02] * 3 + [0.0] * 3 + [0.01] + [0.0] * 6)
     true = np.array([*LEVER, 0, 0, 0, 0.01, *[0.0] * 6])
     same(networks.navigated(network, scene, rng, true, sigma, attitudes=False))
+
+
+@pytest.mark.parametrize("datum", [[], [0, 3, 5, 8, 11]], ids=["all points", "some points"])
+def test_free_network(datum: list[int]) -> None:
+    scene = networks.convergent(images=5, points=14)
+    network = networks.observe(scene, np.random.default_rng(13), point_sigma=INF)
+    same(replace(network, datum_points=np.array(datum, dtype=np.int64)), defect=7)
+
+
+def test_free_network_with_a_scale() -> None:
+    scene, rng = networks.convergent(images=5, points=14), np.random.default_rng(14)
+    network = networks.observe(scene, rng, point_sigma=INF)
+    network = networks.related(network, scene, rng, [0, 0, 0], np.full(3, 0.001))
+    same(replace(network, datum_points=np.array([], dtype=np.int64)), defect=6)
+
+
+def test_lever_arm_boresight_and_time_offset_estimated() -> None:
+    scene, rng = networks.convergent(images=8, points=16), np.random.default_rng(16)
+    network = networks.observe(scene, rng, point_sigma=0.01)
+    sigma = np.array([INF, INF, 0.05, INF, 0.02, INF, INF, *[0.0] * 6])
+    true = np.array([*LEVER, *BORESIGHT, 0.02, *[0.0] * 6])
+    same(networks.navigated(network, scene, rng, true, sigma))

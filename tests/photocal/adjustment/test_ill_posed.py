@@ -64,6 +64,22 @@ def test_flat_vertical_block_does_not_give_the_principal_distance() -> None:
     assert "Z" in said.partition("separate")[2]
 
 
+def test_all_images_from_one_place() -> None:
+    scene = networks.convergent()
+    exposures = scene.exposures.copy()
+    exposures[:, 3:] = [0.0, 0.0, 9.0]
+    for image in range(6):
+        exposures[image, :3] = networks.looking(
+            exposures[image, 3:], np.array([0.1 * image, 0.0, 0.0]), image
+        )
+    sigma = np.full((20, 3), INF)
+    sigma[:6] = 0.003
+    said = complaint(
+        replace(scene, exposures=exposures), np.random.default_rng(4), point_sigma=sigma, disturb=0.0
+    )
+    assert "intersect" in said or "separate" in said
+
+
 def test_mirrored_start_values_end_at_the_truth_or_in_words() -> None:
     scene = networks.convergent()
     given = networks.observe(scene, np.random.default_rng(5))

@@ -95,6 +95,22 @@ def test_standardised_residuals_have_unit_variance(truth: Scene, trials: list[So
     assert np.nanmean(np.abs(w) < 1.959964) == pytest.approx(0.95, abs=0.01)
 
 
+def test_intervals_of_the_mounting() -> None:
+    """Lever arm, boresight and time offset, all free."""
+    own = networks.lens(model="brown-ideal", estimate=("c", "x0", "y0"))
+    scene = networks.convergent((own,), images=9, points=14)
+    true = np.array([0.3, -0.1, -0.4, 0.01, -0.02, 0.015, 0.02, *[0.0] * 6])
+    sigma = np.array([np.inf] * 7 + [0.0] * 6)
+    errors, sigmas = [], []
+    for k in range(RUNS):
+        rng = np.random.default_rng(5000 + k)
+        solution = adjust(networks.navigated(networks.observe(scene, rng), scene, rng, true, sigma))
+        errors.append(solution.state.common - true)
+        sigmas.append(np.sqrt(np.diag(solution.common_covariance)))
+    assert (np.array(sigmas)[:, :7] > 0).all()
+    assert 0.93 <= covered(np.array(errors), np.array(sigmas)) <= 0.97
+
+
 def test_global_test_of_a_published_study() -> None:
     # DCS460: 887.6 with 842 degrees of freedom, 95 % interval 763.5 to 924.3, upper tail 0.13.
     test = global_test(887.6, 842)

@@ -93,6 +93,31 @@ def test_columns_in_any_order(block: Path) -> None:
     assert same(read_block(block), before)
 
 
+@pytest.mark.parametrize("name", ["images.csv", "points.csv", "observations.csv"])
+def test_a_table_cut_at_any_byte(block: Path, name: str) -> None:
+    """Refused in one line, or read as exactly the rows that are whole.
+
+    A cut at the end of a row leaves a shorter table, which nothing in the file gives away; a number that has
+    lost digits must never be taken for the number. (A single row without line end has no other row to compare
+    its last number with: such cuts are not looked at.)
+    """
+    whole = read_block(block)
+    content = (block / name).read_bytes()
+    part = name.removesuffix(".csv")
+    for length in range(len(content)):
+        if content[:length].count(b"\n") == 1:
+            continue
+        (block / name).write_bytes(content[:length])
+        try:
+            read = read_block(block)
+        except (InputMalformedError, InputNotFoundError) as refusal:
+            assert "\n" not in str(refusal)  # noqa: PT017
+            continue
+        values = getattr(read, part).values
+        assert len(values) == content[: length + 1].count(b"\n") - 1, (length, content[:length][-30:])
+        assert np.array_equal(values, getattr(whole, part).values[: len(values)], equal_nan=True)
+
+
 def test_a_setup_cut_at_any_byte(block: Path) -> None:
     whole = read_block(block)
     content = SMALL_TOML.encode()
