@@ -22,7 +22,7 @@ def _fingerprint() -> str:
     """
     digest = hashlib.sha256()
     for folder in ("geometry", "adjustment"):
-        for source in sorted((PACKAGE / folder).glob("*.py")):
+        for source in sorted((PACKAGE / folder).rglob("*.py")):
             text = source.read_bytes()
             if b"compiled import" in text:
                 digest.update(text)

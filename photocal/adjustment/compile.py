@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from photocal.adjustment.adjust import adjust
-from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
+from photocal.adjustment.network import Exposures, Network, Points, Rays, Relations, point_weights
+from photocal.adjustment.snooping import snoop
 from photocal.geometry.camera import camera
 
 
@@ -32,6 +35,13 @@ def compile_kernels() -> None:
         names,
     )
     adjust(network)
+    snoop(network)
+    # A free network with a scale bar passes through what the datum and kept points need.
+    free = Points(grid, *point_weights(np.full((16, 3), np.inf)))
+    bar = Relations(
+        np.zeros(1, np.int64), np.zeros(1, np.int64), np.ones(1, np.int64), np.ones(1), np.ones(1)
+    )
+    adjust(replace(network, points=free, relations=bar, datum_points=np.zeros(0, np.int64)))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from photocal.adjustment.datum import correction
 from photocal.adjustment.envelope import factorise, selected_inverse
 from photocal.adjustment.equations import Equations
-from photocal.adjustment.kernels import Structure, element_address, statistics
+from photocal.adjustment.kernels.data import Structure
+from photocal.adjustment.kernels.ray import element_address
+from photocal.adjustment.kernels.statistics import statistics
 from photocal.adjustment.normal import Problem, other_equations, values_of
 from photocal.adjustment.rank import explain_singular, require_determined
 from photocal.adjustment.solution import Group, Solution

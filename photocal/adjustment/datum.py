@@ -16,7 +16,7 @@ from scipy.linalg import qr
 from scipy.spatial.transform import Rotation
 
 from photocal.adjustment.envelope import multiply, solve
-from photocal.adjustment.kernels import back_substitute, reduce_right
+from photocal.adjustment.kernels.substitution import back_substitute, reduce_right
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import Normal, Problem, diagonal_addresses, normal_equations
 from photocal.adjustment.state import State

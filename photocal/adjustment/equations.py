@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.adjustment.kernels import Structure, element_address
+from photocal.adjustment.kernels.data import Structure
+from photocal.adjustment.kernels.ray import element_address
 from photocal.compiled import compiled
 
 Floats = NDArray[np.float64]

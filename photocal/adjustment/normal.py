@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.adjustment.equations import Equations, add_equations
-from photocal.adjustment.kernels import Design, Eliminated, Structure, Values, accumulate
+from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values
+from photocal.adjustment.kernels.elimination import accumulate
 from photocal.adjustment.layout import POSE, Layout, layout
 from photocal.adjustment.network import Network
 from photocal.adjustment.observations import (

@@ -15,7 +15,8 @@ from scipy import special, stats
 
 from photocal.adjustment.datum import correction, with_datum
 from photocal.adjustment.envelope import factorise, selected_inverse, solve
-from photocal.adjustment.kernels import back_substitute, statistics
+from photocal.adjustment.kernels.statistics import statistics
+from photocal.adjustment.kernels.substitution import back_substitute
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import Normal, Problem, normal_equations, prepare, values_of
 from photocal.adjustment.rank import explain_singular

@@ -6,15 +6,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.adjustment.kernels import (
-    Design,
-    Eliminated,
-    Structure,
-    Values,
-    gather,
-    most_rays,
-    ray_rows,
-)
+from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values
+from photocal.adjustment.kernels.ray import ray_rows
+from photocal.adjustment.kernels.statistics import gather, most_rays
 from photocal.compiled import compiled, compiled_parallel
 from photocal.geometry.lens import Scratch, scratch
 

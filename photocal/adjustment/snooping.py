@@ -20,7 +20,7 @@ from scipy import stats
 from drivers.errors import NotConvergedError
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
-from photocal.adjustment.kernels import evaluate
+from photocal.adjustment.kernels.residuals import evaluate
 from photocal.adjustment.network import Network, Points, Rays
 from photocal.adjustment.normal import Problem, normal_equations, prepare, values_of
 from photocal.adjustment.solution import Solution

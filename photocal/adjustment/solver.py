@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from drivers.errors import NotConvergedError
 from photocal.adjustment.datum import inner_state
 from photocal.adjustment.envelope import factorise, solve
-from photocal.adjustment.kernels import back_substitute
+from photocal.adjustment.kernels.substitution import back_substitute
 from photocal.adjustment.normal import (
     Normal,
     Problem,

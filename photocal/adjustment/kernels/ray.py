@@ -1,0 +1,70 @@
+"""One ray, one point, one element: what every pass is made of."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.adjustment.kernels.data import Design, Structure, Values
+from photocal.compiled import inlined
+from photocal.geometry.lens import Scratch, ray_residual
+
+Floats = NDArray[np.float64]
+
+
+@inlined
+def ray_rows(design: Design, values: Values, r: int, i: int, j: int, room: Scratch) -> tuple[float, float]:
+    """Residual of ray r from image i to point j; its derivatives are put into the scratch room."""
+    points, centre, rotation, basis = values.points, values.centre, values.rotation, values.basis
+    k = design.image_camera[i]
+    dx, dy, dz = points[j, 0] - centre[i, 0], points[j, 1] - centre[i, 1], points[j, 2] - centre[i, 2]
+    u = rotation[i, 0, 0] * dx + rotation[i, 0, 1] * dy + rotation[i, 0, 2] * dz
+    v = rotation[i, 1, 0] * dx + rotation[i, 1, 1] * dy + rotation[i, 1, 2] * dz
+    w = rotation[i, 2, 0] * dx + rotation[i, 2, 1] * dy + rotation[i, 2, 2] * dz
+    vx, vy = ray_residual(
+        values.cameras, design.optics, k, design.plane[r, 0], design.plane[r, 1], u, v, w, room
+    )
+    by_q, by_pose, by_point = room.by_q, room.by_pose, room.by_point
+    for a in range(2):
+        g0, g1, g2 = by_q[a, 0], by_q[a, 1], by_q[a, 2]
+        # A small turn t moves q by t x q.
+        t0, t1, t2 = v * g2 - w * g1, w * g0 - u * g2, u * g1 - v * g0
+        for n in range(3):
+            turn = t0 * basis[i, 0, n] + t1 * basis[i, 1, n] + t2 * basis[i, 2, n]
+            along = g0 * rotation[i, 0, n] + g1 * rotation[i, 1, n] + g2 * rotation[i, 2, n]
+            by_pose[a, n] = turn * design.pose_free[i, n]
+            by_pose[a, 3 + n] = -along * design.pose_free[i, 3 + n]
+            by_point[a, n] = along * design.point_free[j, n]
+    return vx, vy
+
+
+@inlined
+def inverse3(matrix: Floats, result: Floats, j: int) -> bool:
+    """Invert a symmetric positive definite 3 x 3 matrix; False, and zeros, when it is singular."""
+    a, b, c = matrix[0, 0], matrix[1, 1], matrix[2, 2]
+    d, e, f = matrix[1, 0], matrix[2, 0], matrix[2, 1]
+    c00, c10, c20 = b * c - f * f, e * f - d * c, d * f - b * e
+    determinant = a * c00 + d * c10 + e * c20
+    if not determinant > 1e-14 * a * b * c:
+        result[j] = 0.0
+        return False
+    s = 1.0 / determinant
+    result[j, 0, 0], result[j, 1, 1], result[j, 2, 2] = c00 * s, (a * c - e * e) * s, (a * b - d * d) * s
+    result[j, 1, 0] = result[j, 0, 1] = c10 * s
+    result[j, 2, 0] = result[j, 0, 2] = c20 * s
+    result[j, 2, 1] = result[j, 1, 2] = (d * e - a * f) * s
+    return True
+
+
+@inlined
+def element_address(structure: Structure, row: int, column: int) -> int:
+    """Where an element of the lower triangle stands among the values of the reduced matrix."""
+    panel, band = structure.panel, structure.band
+    if column >= band:
+        return int(
+            structure.offset[len(structure.width) - 1] + (row - band) * structure.border + column - band
+        )
+    home = column // panel
+    top = home * panel
+    line = row - top if row < band else structure.last[home] - top + row - band
+    return int(structure.offset[home] + line * structure.width[home] + column - top)

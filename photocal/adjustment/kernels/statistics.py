@@ -1,0 +1,200 @@
+"""Covariance of the points and redundancy numbers of the rays."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values
+from photocal.adjustment.kernels.ray import ray_rows
+from photocal.compiled import compiled, compiled_parallel, inlined
+from photocal.geometry.lens import Scratch, scratch
+
+Floats = NDArray[np.float64]
+
+
+@compiled
+def most_rays(design: Design, piece: int) -> int:
+    """Largest number of rays of a point among one thread's points, at least 1."""
+    most = 1
+    for j in range(design.pieces[piece], design.pieces[piece + 1]):
+        most = max(most, design.ray_start[j + 1] - design.ray_start[j])
+    return most
+
+
+@inlined
+def gather(design: Design, structure: Structure, j: int, inverse: Floats, local: Floats) -> int:
+    """Copy the covariance among all that a point's rays touch; returns its size."""
+    panel, border, width = structure.panel, structure.border, structure.width
+    # Only a point that stays among the unknowns has columns behind those of the cameras.
+    reach = border if design.point_column[j] >= 0 else structure.lens
+    begin, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
+    edge = 6 * n
+    for r in range(n):
+        column = design.image_column[design.ray_image[begin + r]]
+        home = column // panel
+        top = home * panel
+        step = width[home]
+        start = structure.offset[home] + column - top
+        for t in range(n):
+            other = design.image_column[design.ray_image[begin + t]]
+            if other < column:
+                continue
+            corner = start + (other - top) * step
+            for a in range(6):
+                for b in range(6):
+                    z = inverse[corner + a * step + b]
+                    local[6 * t + a, 6 * r + b] = z
+                    local[6 * r + b, 6 * t + a] = z
+        foot = start + (structure.last[home] - top) * step
+        for s in range(reach):
+            for b in range(6):
+                z = inverse[foot + s * step + b]
+                local[edge + s, 6 * r + b] = z
+                local[6 * r + b, edge + s] = z
+    own = structure.offset[len(width) - 1]
+    for s in range(reach):
+        for t in range(s + 1):
+            local[edge + s, edge + t] = inverse[own + s * border + t]
+            local[edge + t, edge + s] = inverse[own + s * border + t]
+    return int(edge + reach)
+
+
+@compiled
+def statistics_piece(
+    design: Design,
+    values: Values,
+    structure: Structure,
+    piece: int,
+    inverse: Floats,
+    kept: Eliminated,
+    point_covariance: Floats,
+    residuals: Floats,
+    redundancy: Floats,
+    room: Scratch,
+    mixed: Floats,
+    spread: Floats,
+    local: Floats,
+    row: Floats,
+    cov: Floats,
+) -> None:
+    """Statistics of one thread's points, see `statistics`."""
+    for j in range(design.pieces[piece], design.pieces[piece + 1]):
+        begin, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
+        edge = 6 * n
+        m = gather(design, structure, j, inverse, local)
+        # mixed = V^-1 W' and spread = V^-1 W' Q_uu: Q_pu = -spread, Q_pp = V^-1 + spread W V^-1.
+        for a in range(3):
+            q0, q1, q2 = kept.inverse[j, a, 0], kept.inverse[j, a, 1], kept.inverse[j, a, 2]
+            for r in range(n):
+                for b in range(6):
+                    mixed[a, 6 * r + b] = (
+                        q0 * kept.mixed[begin + r, 0, b]
+                        + q1 * kept.mixed[begin + r, 1, b]
+                        + q2 * kept.mixed[begin + r, 2, b]
+                    )
+            for s in range(edge, m):
+                mixed[a, s] = 0.0
+            for s in range(structure.lens):
+                mixed[a, edge + s] = (
+                    q0 * kept.mixed_border[j, 0, s]
+                    + q1 * kept.mixed_border[j, 1, s]
+                    + q2 * kept.mixed_border[j, 2, s]
+                )
+            for b in range(m):
+                spread[a, b] = 0.0
+        for c in range(m):
+            m0, m1, m2 = mixed[0, c], mixed[1, c], mixed[2, c]
+            for b in range(m):
+                spread[0, b] += m0 * local[c, b]
+                spread[1, b] += m1 * local[c, b]
+                spread[2, b] += m2 * local[c, b]
+        stays = design.point_column[j]
+        for a in range(3):
+            if stays >= 0:
+                for b in range(m):
+                    spread[a, b] = -local[edge + stays + a, b]
+            for b in range(3):
+                q = kept.inverse[j, a, b]
+                for c in range(m):
+                    q += spread[a, c] * mixed[b, c]
+                if stays >= 0:
+                    q = local[edge + stays + a, edge + stays + b]
+                held = design.point_free[j, a] == 0.0 or design.point_free[j, b] == 0.0
+                cov[a, b] = 0.0 if held else q
+                point_covariance[j, a, b] = cov[a, b]
+        for r in range(begin, begin + n):
+            i = design.ray_image[r]
+            k = design.image_camera[i]
+            residuals[r, 0], residuals[r, 1] = ray_rows(design, values, r, i, j, room)
+            at, first = edge + design.active_column[k], 6 * (r - begin)
+            count = design.active_count[k]
+            for a in range(2):
+                b0, b1, b2 = room.by_point[a, 0], room.by_point[a, 1], room.by_point[a, 2]
+                variance = 0.0
+                for b in range(3):
+                    variance += room.by_point[a, b] * (cov[b, 0] * b0 + cov[b, 1] * b1 + cov[b, 2] * b2)
+                for s in range(count):
+                    row[s] = room.by_camera[a, design.active[k, s]]
+                for b in range(6):
+                    part = -2.0 * (
+                        spread[0, first + b] * b0 + spread[1, first + b] * b1 + spread[2, first + b] * b2
+                    )
+                    for c in range(6):
+                        part += local[first + b, first + c] * room.by_pose[a, c]
+                    for s in range(count):
+                        part += 2.0 * local[first + b, at + s] * row[s]
+                    variance += room.by_pose[a, b] * part
+                for b in range(count):
+                    part = -2.0 * (spread[0, at + b] * b0 + spread[1, at + b] * b1 + spread[2, at + b] * b2)
+                    for s in range(count):
+                        part += local[at + b, at + s] * row[s]
+                    variance += row[b] * part
+                redundancy[r, a] = 1.0 - design.weight[r, a] * variance
+
+
+@compiled_parallel
+def statistics(
+    design: Design,
+    values: Values,
+    structure: Structure,
+    inverse: Floats,
+    kept: Eliminated,
+    point_covariance: Floats,
+    residuals: Floats,
+    redundancy: Floats,
+) -> None:
+    """Covariance of each point, and residual and redundancy number of each image coordinate.
+
+    Parameters
+    ----------
+    design, values, structure
+        As in `accumulate`, at the adjusted values.
+    inverse : ndarray
+        Selected inverse of the reduced matrix.
+    kept : Eliminated
+        From `accumulate` at the adjusted values, without damping.
+    point_covariance : ndarray, shape (points, 3, 3)
+    residuals, redundancy : ndarray, shape (rays, 2)
+        Receive the results. r = 1 - p a Q a' with a the row of the design matrix (Foerstner 1979).
+    """
+    for piece in numba.prange(len(design.pieces) - 1):
+        size = 6 * most_rays(design, piece) + structure.border
+        statistics_piece(
+            design,
+            values,
+            structure,
+            piece,
+            inverse,
+            kept,
+            point_covariance,
+            residuals,
+            redundancy,
+            scratch(),
+            np.zeros((3, size)),
+            np.zeros((3, size)),
+            np.zeros((size, size)),
+            np.zeros(size),
+            np.zeros((3, 3)),
+        )
