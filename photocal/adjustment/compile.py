@@ -37,11 +37,11 @@ def compile_kernels() -> None:
     adjust(network)
     snoop(network)
     # A free network with a scale bar passes through what the datum and kept points need.
+    one = np.ones(1)
+    bar = Relations(np.zeros(1, np.int64), np.zeros(1, np.int64), np.ones(1, np.int64), one, one)
     free = Points(grid, *point_weights(np.full((16, 3), np.inf)))
-    bar = Relations(
-        np.zeros(1, np.int64), np.zeros(1, np.int64), np.ones(1, np.int64), np.ones(1), np.ones(1)
-    )
-    adjust(replace(network, points=free, relations=bar, datum_points=np.zeros(0, np.int64)))
+    held = camera("c", "brown-observed", "mm", (100, 100), (0.1, 0.1), {"c": 20.0})
+    adjust(replace(network, cameras=(held,), points=free, relations=bar, datum_points=np.zeros(0, np.int64)))
 
 
 if __name__ == "__main__":

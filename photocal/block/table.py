@@ -225,7 +225,7 @@ def _refuse_cut_end(table: Table) -> None:
     """Refuse a table that seems cut inside its last cell.
 
     Without a final line end the last number may have lost digits. That is taken for granted when it has
-    fewer decimals than every other number of its column, or ends where no number ends.
+    fewer decimals, or fewer digits, than every other number of its column, or ends where no number ends.
     """
     with table.path.open("rb") as text:
         text.seek(-1, 2)
@@ -234,10 +234,14 @@ def _refuse_cut_end(table: Table) -> None:
     cells = [str(cell).strip() for cell in table.columns.columns[-1].to_pylist()]
     if not cells or not re.fullmatch(r"[-+0-9.eE]+", cells[-1]):
         return
-    decimals = [len(cell.partition(".")[2]) for cell in cells if cell]
-    if cells[-1][-1] in ".eE+-" or (len(decimals) > 1 and decimals[-1] < min(decimals[:-1])):
+    filled = [cell for cell in cells if cell]
+    shorter = [
+        len(filled) > 1 and length[-1] < min(length[:-1])
+        for length in ([len(cell.partition(".")[2]) for cell in filled], [len(cell) for cell in filled])
+    ]
+    if cells[-1][-1] in ".eE+-" or any(shorter):
         raise InputMalformedError(
-            "seems cut inside its last cell (no line end, fewer decimals than in all other rows)",
+            "seems cut inside its last cell (no line end, fewer digits than in all other rows)",
             where=table.place(len(table) - 1),
             remedy="end the last line with a line end if it is complete",
         )
