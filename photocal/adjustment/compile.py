@@ -37,8 +37,9 @@ def compile_kernels() -> None:
     adjust(network)
     snoop(network)
     # A free network with a scale bar passes through what the datum and kept points need.
-    one = np.ones(1)
-    bar = Relations(np.zeros(1, np.int64), np.zeros(1, np.int64), np.ones(1, np.int64), one, one)
+    length = np.linalg.norm(grid[15:] - grid[:1], axis=1)
+    ends = np.zeros(1, np.int64), np.full(1, 15)
+    bar = Relations(np.zeros(1, np.int64), *ends, length, np.full(1, 0.001))
     free = Points(grid, *point_weights(np.full((16, 3), np.inf)))
     held = camera("c", "brown-observed", "mm", (100, 100), (0.1, 0.1), {"c": 20.0})
     adjust(replace(network, cameras=(held,), points=free, relations=bar, datum_points=np.zeros(0, np.int64)))
