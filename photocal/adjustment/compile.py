@@ -41,8 +41,12 @@ def compile_kernels() -> None:
     ends = np.zeros(1, np.int64), np.full(1, 15)
     bar = Relations(np.zeros(1, np.int64), *ends, length, np.full(1, 0.001))
     free = Points(grid, *point_weights(np.full((16, 3), np.inf)))
-    held = camera("c", "brown-observed", "mm", (100, 100), (0.1, 0.1), {"c": 20.0})
-    adjust(replace(network, cameras=(held,), points=free, relations=bar, datum_points=np.zeros(0, np.int64)))
+    fixed_lens = camera("c", "brown-observed", "mm", (100, 100), (0.1, 0.1), {"c": 20.0})
+    adjust(
+        replace(
+            network, cameras=(fixed_lens,), points=free, relations=bar, datum_points=np.zeros(0, np.int64)
+        )
+    )
 
 
 if __name__ == "__main__":
