@@ -11,6 +11,7 @@ from photocal.commands import (
     compare,
     export,
     measure,
+    ortho,
     plan,
     ppk,
     verify,
@@ -29,6 +30,7 @@ app.command()(plan.plan)
 app.command()(ppk.ppk)
 app.command()(export.export)
 app.command()(volume.volume)
+app.command()(ortho.ortho)
 
 
 def main() -> None:

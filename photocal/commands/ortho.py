@@ -1,0 +1,125 @@
+"""`photocal ortho`: orthophotos and mosaics from oriented images and a terrain model."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from acquire.console import answer, progress
+from drivers.errors import ConfigurationError
+
+
+def ortho(
+    block: Annotated[Path, typer.Argument(help="Block folder with cameras and images.")],
+    images: Annotated[Path, typer.Option(help="Folder of the image files.")],
+    dtm: Annotated[Path, typer.Option(help="Terrain model, any raster that GDAL reads, in metres.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="GeoTIFF to write.")],
+    run: Annotated[
+        Path | None, typer.Option(help="Adjustment of the block; without: orientations as given.")
+    ] = None,
+    image: Annotated[list[str] | None, typer.Option(help="Only this image; may be repeated.")] = None,
+    cell: Annotated[
+        float | None, typer.Option(help="Size of a cell, m; without: the pixel on the ground.")
+    ] = None,
+    bounds: Annotated[str | None, typer.Option(help="Rectangle: WEST,SOUTH,EAST,NORTH in metres.")] = None,
+    resampling: Annotated[str, typer.Option(help="nearest, bilinear or cubic.")] = "bilinear",
+    crs: Annotated[str | None, typer.Option(help="Reference system of block and terrain model.")] = None,
+    heights: Annotated[
+        str | None, typer.Option(help="Kind of heights of a terrain model that does not say it.")
+    ] = None,
+    nodata: Annotated[
+        float, typer.Option(help="Value of cells without image; real grey levels keep clear of it.")
+    ] = 0.0,
+    compare: Annotated[
+        Path | None, typer.Option(help="Another adjustment of the block, with another interior orientation.")
+    ] = None,
+    displacement: Annotated[
+        Path | None,
+        typer.Option(help="Map (.pdf, .svg, .png) of how far --compare would put things elsewhere."),
+    ] = None,
+    workers: Annotated[int, typer.Option(help="Threads; 0 for all cores.")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+) -> None:
+    """Make an orthophoto: every cell takes its grey value from the image that sees it best from above.
+
+    The terrain hides nothing from the images here: houses that are not in the model lean.
+
+    Example: `photocal ortho block --run run --images photos --dtm dtm.tif --cell 0.1 -o ortho.tif`
+    """
+    from photocal.products.oriented import oriented
+    from photocal.products.ortho_job import (
+        METHODS,
+        displacement_field,
+        heights_of,
+        image_files,
+        overview,
+        plan_grid,
+        system_of,
+        write_orthophoto,
+    )
+    from photocal.products.orthophoto import Recipe
+    from photocal.products.raster import HEIGHT_TAG, describe, terrain_source
+    from photocal.products.terrain import HEIGHT_KINDS
+
+    if resampling not in METHODS:
+        raise ConfigurationError(
+            f"--resampling {resampling} is not known", remedy=f"use {', '.join(METHODS)}"
+        )
+    if heights is not None and heights not in HEIGHT_KINDS:
+        raise ConfigurationError(f"--heights {heights} is not known", remedy=f"use {', '.join(HEIGHT_KINDS)}")
+    if (compare is None) != (displacement is None):
+        raise ConfigurationError("--compare and --displacement go together", remedy="give both or none")
+    model, frame, shots = oriented(block, run)
+    files = image_files(model, images, tuple(image or ()))
+    shots = shots.only(list(files))
+    raster = describe(dtm)
+    kind, system = heights_of(raster, model, heights), system_of(raster, model, crs)
+    terrain = terrain_source(raster, kind)
+    grid = plan_grid(shots, frame, terrain, raster, cell, None if bounds is None else _rectangle(bounds))
+    first = next(iter(files.values()))
+    recipe = Recipe(shots, frame, terrain, grid, METHODS[resampling], first.bands, first.dtype, nodata)
+    recipe.require_nodata()
+    tags = {HEIGHT_TAG: kind, "SEAMS": "best nadir", "RESAMPLING": resampling}
+    with progress("orthophoto", grid.columns * grid.rows) as advance:
+        made = write_orthophoto(output, recipe, files, system, tags, workers or os.cpu_count() or 1, advance)
+    figures: dict[str, Any] = {
+        "schema": "photocal.ortho/1",
+        "output": str(output),
+        "columns": grid.columns,
+        "rows": grid.rows,
+        "cell_m": grid.cell,
+        "west": grid.west,
+        "north": grid.north,
+        "height_kind": kind,
+        "covered": made.share,
+        "cells": made.cells,
+    }
+    size = f"{grid.columns} x {grid.rows} cells of {grid.cell:g} m"
+    lines = [f"{output}: {size}, {resampling}, {100 * made.share:.1f} % covered, {kind} heights"]
+    lines += [f"  {name}: {100 * n / (grid.columns * grid.rows):.1f} %" for name, n in made.cells.items()]
+    if compare is not None and displacement is not None:
+        from photocal.products.displacement import draw_displacement
+
+        other = oriented(block, compare)[2].only(list(files))
+        south, east = grid.north - grid.rows * grid.cell, grid.west + grid.columns * grid.cell
+        near = overview(terrain, raster, (grid.west, south, east, grid.north))
+        field = displacement_field(shots, other, near, frame, grid)
+        draw_displacement(field, f"{compare.name} against {run.name if run else block.name}", displacement)
+        figures["displacement_m"] = {"rms": field.rms, "largest": field.largest}
+        lines.append(f"displacement by {compare}: rms {field.rms:.4g} m, largest {field.largest:.4g} m")
+    answer(as_json, lambda: figures, lambda: "\n".join(lines))
+
+
+def _rectangle(text: str) -> tuple[float, float, float, float]:
+    try:
+        west, south, east, north = (float(part) for part in text.split(","))
+    except ValueError as refusal:
+        raise ConfigurationError(
+            f"--bounds {text} is no rectangle", remedy="write WEST,SOUTH,EAST,NORTH in metres"
+        ) from refusal
+    if not (west < east and south < north):
+        raise ConfigurationError(f"--bounds {text} is empty", remedy="write WEST,SOUTH,EAST,NORTH in metres")
+    return west, south, east, north

@@ -1,0 +1,196 @@
+"""Kernels of the orthophoto: from ground points to image points, and grey values there."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.compiled import allocating, inlined
+from photocal.geometry.lens import Scratch, ray_residual, scratch
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+NEAREST, BILINEAR, CUBIC = 0, 1, 2
+_STEPS = 30
+
+
+@inlined
+def _recorded(
+    cameras: Floats,
+    optics_of: Floats,
+    limit: float,
+    k: int,
+    u: float,
+    v: float,
+    w: float,
+    room: Scratch,
+    found: Floats,
+) -> bool:
+    """Find where a camera records a point of camera axes (u, v, w); Newton on the ray's own residual."""
+    if w >= 0.0:
+        return False
+    c, x0, y0 = cameras[k, 0], cameras[k, 1], cameras[k, 2]
+    x, y = -c * u / w, -c * v / w
+    if x * x + y * y > limit * limit:
+        return False
+    x, y = x + x0, y + y0
+    by_camera = room.by_camera
+    for _ in range(_STEPS):
+        vx, vy = ray_residual(cameras, optics_of, k, x, y, u, v, w, room)
+        # The residual depends on x - x0 only: its derivative to x is the negative one to x0.
+        a, b, d, e = by_camera[0, 1], by_camera[0, 2], by_camera[1, 1], by_camera[1, 2]
+        determinant = a * e - b * d
+        if determinant <= 0.0:
+            return False
+        sx, sy = (e * vx - b * vy) / determinant, (a * vy - d * vx) / determinant
+        x, y = x + sx, y + sy
+        if sx * sx + sy * sy < 1e-18 * c * c:
+            found[0], found[1] = x, y
+            return True
+    return False
+
+
+@allocating
+def look_up(
+    ground: Floats,
+    cameras: Floats,
+    optics_of: Floats,
+    limit: Floats,
+    pitch: Floats,
+    size: Floats,
+    camera: Integers,
+    rotation: Floats,
+    station: Floats,
+    candidates: Integers,
+    column: Floats,
+    row: Floats,
+    chosen: Integers,
+) -> None:
+    """For every ground point choose the image with the best nadir and find the place in it.
+
+    Parameters
+    ----------
+    ground : ndarray, shape (n, 3)
+        m; NaN where there is no terrain.
+    cameras, optics_of, limit, pitch, size
+        From `LensTables`.
+    camera, rotation, station
+        From `Shots`.
+    candidates : ndarray of int
+        Images that may show the points.
+    column, row : ndarray, shape (n,)
+        Receive the place, px.
+    chosen : ndarray of int, shape (n,)
+        Receives the image; -1 for none.
+    """
+    room = scratch()
+    found = np.zeros(2)
+    count = len(candidates)
+    score = np.zeros(count)
+    for p in range(len(ground)):
+        chosen[p] = -1
+        x, y, z = ground[p, 0], ground[p, 1], ground[p, 2]
+        if not np.isfinite(z):
+            continue
+        for n in range(count):
+            m = candidates[n]
+            gx, gy, gz = x - station[m, 0], y - station[m, 1], station[m, 2] - z
+            # Squared tangent of the angle off the nadir; images from below see nothing.
+            score[n] = (gx * gx + gy * gy) / (gz * gz) if gz > 0.0 else np.inf
+        for _ in range(count):
+            n = int(np.argmin(score))
+            if score[n] == np.inf:
+                break
+            score[n] = np.inf
+            m = candidates[n]
+            k = camera[m]
+            gx, gy, gz = x - station[m, 0], y - station[m, 1], z - station[m, 2]
+            u = rotation[m, 0, 0] * gx + rotation[m, 0, 1] * gy + rotation[m, 0, 2] * gz
+            v = rotation[m, 1, 0] * gx + rotation[m, 1, 1] * gy + rotation[m, 1, 2] * gz
+            w = rotation[m, 2, 0] * gx + rotation[m, 2, 1] * gy + rotation[m, 2, 2] * gz
+            if not _recorded(cameras, optics_of, limit[k], k, u, v, w, room, found):
+                continue
+            c = found[0] / pitch[k, 0] + (size[k, 0] - 1.0) / 2.0
+            r = (size[k, 1] - 1.0) / 2.0 - found[1] / pitch[k, 1]
+            if -0.5 <= c < size[k, 0] - 0.5 and -0.5 <= r < size[k, 1] - 0.5:
+                column[p], row[p], chosen[p] = c, r, m
+                break
+
+
+@inlined
+def _weights(method: int, t: float, weight: Floats) -> None:
+    """Weights of the four neighbours at -1, 0, 1, 2 of a place t in [0, 1)."""
+    if method == CUBIC:
+        # Keys (1981) with a = -0.75, as OpenCV has it.
+        a = -0.75
+        weight[0] = ((a * (t + 1.0) - 5.0 * a) * (t + 1.0) + 8.0 * a) * (t + 1.0) - 4.0 * a
+        weight[1] = ((a + 2.0) * t - (a + 3.0)) * t * t + 1.0
+        s = 1.0 - t
+        weight[2] = ((a + 2.0) * s - (a + 3.0)) * s * s + 1.0
+        weight[3] = 1.0 - weight[0] - weight[1] - weight[2]
+    else:
+        weight[0], weight[1], weight[2], weight[3] = 0.0, 1.0 - t, t, 0.0
+
+
+@allocating
+def resample(
+    image: NDArray[Any],
+    which: int,
+    method: int,
+    column: Floats,
+    row: Floats,
+    chosen: Integers,
+    lowest: float,
+    highest: float,
+    whole: bool,
+    pixels: NDArray[Any],
+) -> None:
+    """Take the grey values of one image for the points that chose it.
+
+    Parameters
+    ----------
+    image : ndarray, shape (rows, columns, bands)
+    which : int
+        Its number among the images.
+    method : int
+        `NEAREST`, `BILINEAR` or `CUBIC`.
+    column, row, chosen : ndarray, shape (n,)
+        From `look_up`.
+    lowest, highest : float
+        Range of the values that may be written; the value that means "nothing" lies outside.
+    whole : bool
+        Whether values are whole numbers.
+    pixels : ndarray, shape (bands, n)
+        Receives the values.
+    """
+    rows, columns, bands = image.shape
+    across, down = np.zeros(4), np.zeros(4)
+    for p in range(len(chosen)):
+        if chosen[p] != which:
+            continue
+        c, r = column[p], row[p]
+        if method == NEAREST:
+            j = min(max(int(np.floor(c + 0.5)), 0), columns - 1)
+            i = min(max(int(np.floor(r + 0.5)), 0), rows - 1)
+            for b in range(bands):
+                value = float(image[i, j, b])
+                pixels[b, p] = min(max(value, lowest), highest)
+            continue
+        j, i = int(np.floor(c)), int(np.floor(r))
+        _weights(method, c - j, across)
+        _weights(method, r - i, down)
+        first, last = (0, 4) if method == CUBIC else (1, 3)
+        for b in range(bands):
+            value = 0.0
+            for n in range(first, last):
+                line = min(max(i + n - 1, 0), rows - 1)
+                along = 0.0
+                for m in range(first, last):
+                    along += across[m] * float(image[line, min(max(j + m - 1, 0), columns - 1), b])
+                value += down[n] * along
+            if whole:
+                value = np.floor(value + 0.5)
+            pixels[b, p] = min(max(value, lowest), highest)

@@ -1,0 +1,317 @@
+"""From a block, its images and a terrain model in files to an orthophoto in a file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.block.model import Block
+from photocal.geometry.frames import Frame
+from photocal.products.displacement import Displacement, displacement
+from photocal.products.kernels import BILINEAR, CUBIC, NEAREST
+from photocal.products.orthophoto import Grid, ImageStore, Recipe, footprints, orthophoto
+from photocal.products.raster import RasterFile, describe, geotiff, read_image, same_system, system_wkt
+from photocal.products.shots import Shots
+from photocal.products.terrain import Bounds, Terrain, TerrainSource
+
+METHODS = {"nearest": NEAREST, "bilinear": BILINEAR, "cubic": CUBIC}
+# A terrain model is sampled at most so densely to learn its mean height.
+_SAMPLE = 512
+
+
+@dataclass(frozen=True)
+class Made:
+    """What an orthophoto has become.
+
+    Attributes
+    ----------
+    grid : Grid
+    share : float
+        Part of the cells that an image shows.
+    cells : dict
+        Number of cells by image.
+    """
+
+    grid: Grid
+    share: float
+    cells: dict[str, int]
+
+
+def image_files(block: Block, folder: Path, wanted: tuple[str, ...]) -> dict[int, RasterFile]:
+    """Find the image files of a block.
+
+    Parameters
+    ----------
+    block : Block
+    folder : Path
+    wanted : tuple of str
+        Names of images; empty for all.
+
+    Returns
+    -------
+    dict
+        From the number of an image to its file; all have the same bands and the size of their camera.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError, ConfigurationError
+    """
+    unknown = sorted(set(wanted) - set(block.images.names))
+    if unknown:
+        raise ConfigurationError(f"image {unknown[0]} is not in the block", remedy="correct its name")
+    if not folder.is_dir():
+        raise InputNotFoundError("is no folder", where=folder, remedy="name the folder of the images")
+    inside = {file.name: file for file in sorted(folder.iterdir()) if file.is_file()}
+    found: dict[int, RasterFile] = {}
+    for number, name in enumerate(block.images.names):
+        if wanted and name not in wanted:
+            continue
+        file = describe(_image_path(inside, name, folder))
+        size = block.cameras[block.images.camera[number]].size_px
+        if (file.columns, file.rows) != size:
+            raise InputMalformedError(
+                f"is {file.columns} x {file.rows} px, its camera {size[0]} x {size[1]}",
+                where=file.path,
+                remedy="use the image as the camera wrote it, not turned and not resized",
+            )
+        first = next(iter(found.values()), file)
+        if (file.bands, file.dtype) != (first.bands, first.dtype):
+            raise InputMalformedError(
+                f"has {file.bands} band(s) of {file.dtype}, {first.path.name} has {first.bands} of "
+                f"{first.dtype}",
+                where=file.path,
+                remedy="make the images alike",
+            )
+        found[number] = file
+    return found
+
+
+def _image_path(inside: dict[str, Path], name: str, folder: Path) -> Path:
+    if name in inside:
+        return inside[name]
+    alike = [file for file in inside.values() if file.stem == name]
+    if len(alike) != 1:
+        what = f"has no file of image {name}" if not alike else f"has several files of image {name}"
+        raise InputNotFoundError(what, where=folder, remedy="one file a name, with or without its ending")
+    return alike[0]
+
+
+def heights_of(raster: RasterFile, block: Block, said: str | None) -> str:
+    """Kind of the heights of a terrain model, which must be that of the block.
+
+    Raises
+    ------
+    ConfigurationError
+        When it is not known, or another one.
+    """
+    if said is not None and raster.height_kind and said != raster.height_kind:
+        raise ConfigurationError(
+            f"{raster.path} has {raster.height_kind} heights, --heights says {said}", remedy="correct one"
+        )
+    kind = said or raster.height_kind
+    if not kind:
+        raise ConfigurationError(
+            f"{raster.path} does not say the kind of its heights",
+            remedy="give --heights ellipsoidal, orthometric or local",
+        )
+    if not block.height and block.frame != "local":
+        raise ConfigurationError("the block does not say the kind of its heights", where="block.toml")
+    if block.height and block.height != kind:
+        raise ConfigurationError(
+            f"the block has {block.height} heights, the terrain model {kind} ones",
+            where=raster.path,
+            remedy="convert one of them with its geoid",
+        )
+    return kind
+
+
+def system_of(raster: RasterFile, block: Block, said: str | None) -> str:
+    """Reference system of the product as WKT, empty for a local frame.
+
+    Raises
+    ------
+    ConfigurationError
+        When block, terrain model and wish do not agree.
+    """
+    named = None if block.frame == "local" else system_wkt(block.frame)
+    wished = None if said is None else system_wkt(said)
+    known = [(who, wkt) for who, wkt in (("--crs", wished), ("block.toml", named),
+                                         (str(raster.path), raster.crs or None)) if wkt]  # fmt: skip
+    for who, wkt in known[1:]:
+        if not same_system(known[0][1], wkt):
+            raise ConfigurationError(
+                f"{known[0][0]} and {who} name different reference systems", remedy="reproject one of them"
+            )
+    return known[0][1] if known else ""
+
+
+def overview(terrain: TerrainSource, raster: RasterFile, bounds: Bounds) -> Terrain:
+    """Terrain of a rectangle, thinned out where it is large.
+
+    Raises
+    ------
+    InputMalformedError
+        When it has no height there.
+    """
+    west, south = max(bounds[0], raster.bounds[0]), max(bounds[1], raster.bounds[1])
+    east, north = min(bounds[2], raster.bounds[2]), min(bounds[3], raster.bounds[3])
+    if west >= east or south >= north:
+        raise InputMalformedError(
+            "does not reach the images", where=raster.path, remedy="do block and terrain share a system?"
+        )
+    cell = math.sqrt(
+        abs(raster.transform[0] * raster.transform[4] - raster.transform[1] * raster.transform[3])
+    )
+    step = max(cell, max(east - west, north - south) / _SAMPLE)
+    columns, rows = max(int((east - west) / step), 1), max(int((north - south) / step), 1)
+    heights = np.full((rows, columns), np.nan)
+    x = west + (np.arange(columns) + 0.5) * step
+    # By strips, so that a model of any size fits.
+    for first in range(0, rows, 4):
+        y = north - (np.arange(first, min(first + 4, rows)) + 0.5) * step
+        piece = terrain((x[0], y[-1], x[-1], y[0]))
+        heights[first : first + len(y)] = piece.at(*np.meshgrid(x, y))
+    if not np.isfinite(heights).any():
+        raise InputMalformedError(
+            "has no height where the images are", where=raster.path, remedy="do they belong together?"
+        )
+    return Terrain(heights, (step, 0.0, west, 0.0, -step, north), raster.crs, raster.height_kind)
+
+
+def plan_grid(
+    shots: Shots, frame: Frame, terrain: TerrainSource, raster: RasterFile, cell: float | None,
+    bounds: Bounds | None,
+) -> Grid:  # fmt: skip
+    """Choose the cells of an orthophoto.
+
+    Parameters
+    ----------
+    shots, frame, terrain, raster
+        As for the orthophoto.
+    cell : float or None
+        Wished size, m; None for the pixel of the images on the ground.
+    bounds : tuple of float or None
+        Wished rectangle; None for all that the images show of the terrain.
+
+    Returns
+    -------
+    Grid
+        Its corner is a multiple of the cell, so that neighbouring products fit together.
+
+    Raises
+    ------
+    ConfigurationError, InputMalformedError
+    """
+    if cell is not None and not (math.isfinite(cell) and cell > 0):
+        raise ConfigurationError(f"the cell is {cell:g} m", remedy="give a positive length in metres")
+    given = frame.to_given(shots.station)
+    around = (*given[:, :2].min(axis=0) - 1, *given[:, :2].max(axis=0) + 1) if bounds is None else bounds
+    near = overview(terrain, raster, raster.bounds if bounds is None else around)
+    low, mean = float(np.nanmin(near.heights)), float(np.nanmean(near.heights))
+    if (given[:, 2] <= low).any():
+        raise ConfigurationError(
+            f"image {shots.names[int(np.argmin(given[:, 2]))]} lies below the terrain",
+            remedy="are the heights of one kind, and Z up?",
+        )
+    if cell is None:
+        pitch = np.array([max(camera.pitch) / camera.value("c") for camera in shots.cameras])[shots.camera]
+        cell = _round_up(float(np.median(pitch * (given[:, 2] - mean))))
+    if bounds is None:
+        shown = footprints(shots, frame, low)
+        reach = raster.bounds
+        west, south, east, north = (
+            max(shown[0], reach[0]), max(shown[1], reach[1]), min(shown[2], reach[2]), min(shown[3], reach[3])
+        )  # fmt: skip
+    else:
+        west, south, east, north = bounds
+    if not (west < east and south < north):
+        raise ConfigurationError(
+            "the rectangle of the orthophoto is empty", remedy="give WEST,SOUTH,EAST,NORTH on the terrain"
+        )
+    left, top = math.floor(west / cell + 1e-9) * cell, math.ceil(north / cell - 1e-9) * cell
+    return Grid(
+        left, top, cell, math.ceil((east - left) / cell - 1e-9), math.ceil((top - south) / cell - 1e-9)
+    )
+
+
+def _round_up(length: float) -> float:
+    """Round to two digits, so that nobody reads 0.083461."""
+    power = 10.0 ** (math.floor(math.log10(length)) - 1)
+    return math.ceil(length / power) * power
+
+
+def write_orthophoto(
+    path: Path,
+    recipe: Recipe,
+    files: dict[int, RasterFile],
+    crs: str,
+    tags: dict[str, str],
+    workers: int,
+    advance: Callable[[float], None],
+) -> Made:
+    """Make an orthophoto and write it as GeoTIFF.
+
+    Parameters
+    ----------
+    path : Path
+    recipe : Recipe
+        Its shots are those of the files, in their order.
+    files : dict
+        Of the images.
+    crs : str
+        WKT.
+    tags : dict
+        Metadata.
+    workers : int
+    advance : callable
+        Takes the number of cells done.
+
+    Returns
+    -------
+    Made
+
+    Raises
+    ------
+    OutputError, InputMalformedError
+    """
+    grid, paths = recipe.grid, [file.path for file in files.values()]
+    count = np.zeros(len(paths) + 1, dtype=np.int64)
+
+    def read(number: int) -> NDArray[Any]:
+        return read_image(paths[number])
+
+    with geotiff(
+        path,
+        columns=grid.columns,
+        rows=grid.rows,
+        bands=recipe.bands,
+        dtype=recipe.dtype,
+        transform=grid.transform,
+        crs=crs,
+        nodata=recipe.nodata,
+        tags=tags,
+    ) as write:
+        for tile in orthophoto(recipe, ImageStore(read), workers):
+            write(tile.pixels, tile.column, tile.row)
+            count += np.bincount(tile.chosen.ravel() + 1, minlength=len(count))
+            advance(float(tile.chosen.size))
+    shown = {name: int(n) for name, n in zip(recipe.shots.names, count[1:], strict=True)}
+    return Made(grid, float(count[1:].sum() / count.sum()), shown)
+
+
+def displacement_field(
+    right: Shots, wrong: Shots, terrain: Terrain, frame: Frame, grid: Grid, arrows: int = 25
+) -> Displacement:
+    """Displacement over a lattice of at most `arrows` points a side within a grid."""
+    step = max(grid.columns, grid.rows) * grid.cell / arrows
+    x = np.arange(grid.west + step / 2, grid.west + grid.columns * grid.cell, step)
+    y = np.arange(grid.north - step / 2, grid.north - grid.rows * grid.cell, -step)
+    xs, ys = np.meshgrid(x, y)
+    return displacement(right, wrong, terrain, frame, xs.ravel(), ys.ravel())

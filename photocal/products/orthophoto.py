@@ -1,0 +1,341 @@
+"""Orthophotos: every cell looks up its grey value in the image with the best nadir, tile by tile."""
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from threading import Lock
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError
+from photocal.geometry.camera import pixel_to_plane
+from photocal.geometry.distortion import undistorted
+from photocal.geometry.frames import Frame
+from photocal.products.kernels import look_up, resample
+from photocal.products.shots import Shots, image_border, lens_tables
+from photocal.products.terrain import Bounds, Terrain, TerrainSource, Transform
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+TILE = 512
+# Tiles are done in squares of so many, so that neighbouring ones find their images decoded.
+_SQUARE = 8
+# What a pixel needs of memory while its tile is worked on is some 200 bytes; images are the larger part.
+IMAGE_MEMORY = 600_000_000
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Cells of an orthophoto, rows from north to south.
+
+    Attributes
+    ----------
+    west, north : float
+        Corner of the first cell, m.
+    cell : float
+        Size of a cell, m.
+    columns, rows : int
+    """
+
+    west: float
+    north: float
+    cell: float
+    columns: int
+    rows: int
+
+    @property
+    def transform(self) -> Transform:
+        """From column and row to X and Y."""
+        return (self.cell, 0.0, self.west, 0.0, -self.cell, self.north)
+
+    def centers(self, column: int, row: int, columns: int, rows: int) -> tuple[Floats, Floats]:
+        """Coordinates of the cell centres of a window: X, shape (columns,), and Y, shape (rows,)."""
+        x = self.west + (column + np.arange(columns) + 0.5) * self.cell
+        y = self.north - (row + np.arange(rows) + 0.5) * self.cell
+        return np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A finished piece.
+
+    Attributes
+    ----------
+    column, row : int
+        Its first cell.
+    pixels : ndarray, shape (bands, rows, columns)
+    chosen : ndarray of int, shape (rows, columns)
+        Image of each cell; -1 for none.
+    """
+
+    column: int
+    row: int
+    pixels: NDArray[Any]
+    chosen: Integers
+
+
+class ImageStore:
+    """Decoded images, kept while there is room.
+
+    Parameters
+    ----------
+    read : callable
+        From the number of an image to its pixels, shape (rows, columns, bands).
+    room : int
+        Bytes to keep; a single image may be larger.
+    """
+
+    def __init__(self, read: Callable[[int], NDArray[Any]], room: int = IMAGE_MEMORY) -> None:
+        self._read, self._room = read, room
+        self._kept: OrderedDict[int, NDArray[Any]] = OrderedDict()
+        self._lock = Lock()
+
+    def get(self, number: int) -> NDArray[Any]:
+        """Give an image; one that is not kept is decoded."""
+        # One reader at a time: two threads must not hold the same image twice.
+        with self._lock:
+            if number in self._kept:
+                self._kept.move_to_end(number)
+                return self._kept[number]
+            pixels = self._read(number)
+            self._kept[number] = pixels
+            while len(self._kept) > 1 and sum(kept.nbytes for kept in self._kept.values()) > self._room:
+                self._kept.popitem(last=False)
+            return pixels
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What an orthophoto is made of.
+
+    Attributes
+    ----------
+    shots : Shots
+    frame : Frame
+        From the coordinates of the terrain to those of the shots.
+    terrain : callable
+    grid : Grid
+    method : int
+        `NEAREST`, `BILINEAR` or `CUBIC` of the kernels.
+    bands : int
+    dtype : str
+    nodata : float
+        Value of cells that no image shows.
+    """
+
+    shots: Shots
+    frame: Frame
+    terrain: TerrainSource
+    grid: Grid
+    method: int
+    bands: int
+    dtype: str
+    nodata: float
+
+    def require_nodata(self) -> None:
+        """Refuse a value for nothing that the type of the pixels cannot hold, or at neither end of it.
+
+        Raises
+        ------
+        ConfigurationError
+        """
+        if self.dtype.startswith("float"):
+            return
+        limits = np.iinfo(np.dtype(self.dtype))
+        if self.nodata not in (limits.min, limits.max):
+            raise ConfigurationError(
+                f"--nodata {self.nodata:g} does not suit pixels of {self.dtype}",
+                remedy=f"use {limits.min} or {limits.max}",
+            )
+
+
+def orthophoto(recipe: Recipe, images: ImageStore, workers: int) -> Iterator[Tile]:
+    """Make an orthophoto tile by tile.
+
+    Parameters
+    ----------
+    recipe : Recipe
+    images : ImageStore
+    workers : int
+        Threads; the kernels run beside each other.
+
+    Yields
+    ------
+    Tile
+        Each part of the grid once.
+    """
+    lenses = lens_tables(recipe.shots.cameras)
+    borders = _border_directions(recipe.shots)
+
+    def make(window: tuple[int, int, int, int]) -> Tile:
+        column, row, columns, rows = window
+        x, y = recipe.grid.centers(*window)
+        half = recipe.grid.cell / 2
+        piece = recipe.terrain((x[0] - half, y[-1] - half, x[-1] + half, y[0] + half))
+        ground = ground_points(x, y, piece, recipe.frame)
+        count = len(ground)
+        place, chosen = np.full((2, count), np.nan), np.full(count, -1, dtype=np.int64)
+        shots = recipe.shots
+        look_up(ground, lenses.values, lenses.optics, lenses.limit, lenses.pitch, lenses.size, shots.camera,
+                shots.rotation, shots.station, _candidates(shots, borders, ground), place[0], place[1],
+                chosen)  # fmt: skip
+        pixels = np.full((recipe.bands, count), recipe.nodata, dtype=recipe.dtype)
+        lowest, highest, whole = _range(recipe)
+        for number in np.unique(chosen[chosen >= 0]):
+            image = images.get(int(number))
+            resample(image, int(number), recipe.method, place[0], place[1], chosen, lowest, highest, whole,
+                     pixels)  # fmt: skip
+        return Tile(column, row, pixels.reshape(recipe.bands, rows, columns), chosen.reshape(rows, columns))
+
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        waiting: deque[Future[Tile]] = deque()
+        try:
+            for window in _windows(recipe.grid):
+                waiting.append(pool.submit(make, window))
+                # Finished tiles wait to be written: no more of them than there are threads.
+                if len(waiting) > workers:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+def _windows(grid: Grid) -> Iterator[tuple[int, int, int, int]]:
+    side = TILE * _SQUARE
+    for top in range(0, grid.rows, side):
+        for left in range(0, grid.columns, side):
+            for row in range(top, min(top + side, grid.rows), TILE):
+                for column in range(left, min(left + side, grid.columns), TILE):
+                    yield column, row, min(TILE, grid.columns - column), min(TILE, grid.rows - row)
+
+
+def _range(recipe: Recipe) -> tuple[float, float, bool]:
+    """Range of the values to write; whole numbers keep clear of the one that means nothing."""
+    if recipe.dtype.startswith("float"):
+        return -np.inf, np.inf, False
+    limits = np.iinfo(np.dtype(recipe.dtype))
+    lowest, highest = float(limits.min), float(limits.max)
+    if recipe.nodata == lowest:
+        lowest += 1
+    elif recipe.nodata == highest:
+        highest -= 1
+    return lowest, highest, True
+
+
+def ground_points(x: Floats, y: Floats, terrain: Terrain, frame: Frame) -> Floats:
+    """Ground points of a window in local coordinates.
+
+    Parameters
+    ----------
+    x : ndarray, shape (columns,)
+    y : ndarray, shape (rows,)
+        Of the cell centres, m.
+    terrain : Terrain
+    frame : Frame
+        From the terrain's coordinates to local ones.
+
+    Returns
+    -------
+    ndarray, shape (rows * columns, 3)
+        m; NaN without terrain.
+
+    Notes
+    -----
+    The frame is evaluated on a lattice over the window at its lowest and highest height and interpolated:
+    over a window of a few hundred metres the curvature of the earth between two nodes is micrometres.
+    """
+    xs, ys = np.broadcast_to(x, (len(y), len(x))), np.broadcast_to(y[:, None], (len(y), len(x)))
+    z = terrain.at(xs, ys)
+    if not np.isfinite(z).any():
+        return np.full((z.size, 3), np.nan)
+    low, high = float(np.nanmin(z)), float(np.nanmax(z)) + 1.0
+    nodes = 9
+    gx, gy = np.linspace(x[0], x[-1], nodes), np.linspace(y[0], y[-1], nodes)
+    lattice = np.stack(np.meshgrid([low, high], gy, gx, indexing="ij"), axis=-1)[..., ::-1]
+    local = frame.to_local(lattice.reshape(-1, 3)).reshape(2, nodes, nodes, 3)
+    j, u = _between(len(x), nodes)
+    i, v = _between(len(y), nodes)
+    along = local[:, :, j] * (1 - u)[:, None] + local[:, :, j + 1] * u[:, None]
+    flat = along[:, i] * (1 - v)[:, None, None] + along[:, i + 1] * v[:, None, None]
+    share = ((z - low) / (high - low))[..., None]
+    return np.ascontiguousarray((flat[0] * (1 - share) + flat[1] * share).reshape(-1, 3))
+
+
+def _between(count: int, nodes: int) -> tuple[Integers, Floats]:
+    """Node before each of evenly spaced places, and the share of the way to the next one."""
+    place = np.linspace(0, nodes - 1, count) if count > 1 else np.zeros(1)
+    node = np.minimum(place.astype(np.int64), nodes - 2)
+    return node, place - node
+
+
+def _border_directions(shots: Shots) -> Floats:
+    """Directions in object space of rays around the border of each image, shape (m, k, 3)."""
+    rays = []
+    for camera in shots.cameras:
+        plane = pixel_to_plane(camera.size_px, camera.pitch, image_border(camera, 16))
+        ideal = undistorted(camera, plane)
+        rays.append(np.column_stack([ideal, np.full(len(ideal), -camera.values[0])]))
+    return np.asarray(np.einsum("mkc,mcd->mkd", np.array(rays)[shots.camera], shots.rotation))
+
+
+def _candidates(shots: Shots, borders: Floats, ground: Floats) -> Integers:
+    """Images whose footprint, at the lowest or the highest ground, touches the ground."""
+    finite = ground[np.isfinite(ground[:, 2])]
+    if not len(finite):
+        return np.zeros(0, dtype=np.int64)
+    low, high = finite.min(axis=0), finite.max(axis=0)
+    touches = np.ones(len(shots.names), dtype=np.bool_)
+    for axis in range(2):
+        reach = []
+        for level in (low[2], high[2]):
+            with np.errstate(divide="ignore", invalid="ignore"):
+                steps = (level - shots.station[:, None, 2]) / borders[..., 2]
+                steps[~((borders[..., 2] < 0) & (steps > 0))] = np.nan
+                reach.append(shots.station[:, None, axis] + steps * borders[..., axis])
+        both = np.concatenate(reach, axis=1)
+        seen = np.isfinite(both).all(axis=1)
+        # A border that looks to the horizon, or polynomials without inverse, say nothing of the reach.
+        both[~seen] = 0
+        margin = 0.05 * np.ptp(both, axis=1) + 1e-6
+        apart = (both.min(axis=1) - margin > high[axis]) | (both.max(axis=1) + margin < low[axis])
+        touches &= ~(apart & seen)
+    return np.flatnonzero(touches).astype(np.int64)
+
+
+def footprints(shots: Shots, frame: Frame, height: float) -> Bounds:
+    """Rectangle around what the images show at one height, in the terrain's coordinates.
+
+    Parameters
+    ----------
+    shots : Shots
+    frame : Frame
+    height : float
+        Of the terrain, m.
+
+    Returns
+    -------
+    tuple of float
+        West, south, east, north; images that look to the horizon count with their nadir only.
+    """
+    given = frame.to_given(shots.station)
+    nadir = frame.to_local(np.column_stack([given[:, :2], np.full(len(given), height)]))
+    borders = _border_directions(shots)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        steps = (nadir[:, None, 2] - shots.station[:, None, 2]) / borders[..., 2]
+        points = shots.station[:, None, :] + steps[..., None] * borders
+    downward = ((borders[..., 2] < 0) & (steps > 0)).all(axis=1)
+    corners = [given[:, :2]]
+    if downward.any():
+        corners.append(frame.to_given(points[downward].reshape(-1, 3))[:, :2])
+    reach = np.vstack(corners)
+    west, south = np.nanmin(reach, axis=0)
+    east, north = np.nanmax(reach, axis=0)
+    return float(west), float(south), float(east), float(north)

@@ -1,0 +1,314 @@
+"""Rasters in files: terrain in pieces, images whole, GeoTIFF out. The only module that calls GDAL."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rasterio  # type: ignore[import-untyped]
+import rasterio.errors  # type: ignore[import-untyped]
+import rasterio.windows  # type: ignore[import-untyped]
+from numpy.typing import NDArray
+
+from acquire.outputs import output_file
+from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError, OutputError
+from photocal.products.terrain import HEIGHT_KINDS, Bounds, Terrain, Transform, bounds_of
+
+HEIGHT_TAG = "HEIGHT_KIND"
+TILE = 256
+
+
+@dataclass(frozen=True)
+class RasterFile:
+    """What is known of a raster without reading it.
+
+    Attributes
+    ----------
+    path : Path
+    columns, rows, bands : int
+    dtype : str
+    transform : tuple of float
+    crs : str
+        WKT; empty when the file names none.
+    height_kind : str
+        Of a terrain model, from its tag or its vertical system; empty when it does not say.
+    """
+
+    path: Path
+    columns: int
+    rows: int
+    bands: int
+    dtype: str
+    transform: Transform
+    crs: str
+    height_kind: str
+
+    @property
+    def bounds(self) -> Bounds:
+        """West, south, east, north."""
+        return bounds_of(self.transform, self.columns, self.rows)
+
+
+def describe(path: Path) -> RasterFile:
+    """Read the header of any raster that GDAL knows.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    RasterFile
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        When there is no such file, or it is no raster.
+    """
+    with opened(path) as source:
+        return RasterFile(
+            path,
+            source.width,
+            source.height,
+            source.count,
+            str(source.dtypes[0]),
+            _six(source.transform),
+            source.crs.to_wkt() if source.crs else "",
+            _height_kind(source),
+        )
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """Open a raster for reading; complaints become ours."""
+    if not path.is_file():
+        what = "is a folder, a raster was expected" if path.is_dir() else "does not exist"
+        raise InputNotFoundError(what, where=path, remedy="check the path")
+    try:
+        with warnings.catch_warnings():
+            # A photo has no georeference, and needs none.
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+            with rasterio.open(path) as source:
+                yield source
+    except rasterio.errors.RasterioError as failure:
+        reason = str(failure).splitlines()[0] if str(failure) else "no readable raster"
+        raise InputMalformedError(
+            f"cannot be read as a raster ({reason})", where=path, remedy="is the file whole?"
+        ) from failure
+
+
+def _six(affine: Any) -> Transform:
+    a, b, c, d, e, f = tuple(affine)[:6]
+    return (a, b, c, d, e, f)
+
+
+def _height_kind(source: Any) -> str:
+    said = str(source.tags().get(HEIGHT_TAG, ""))
+    if said in HEIGHT_KINDS:
+        return said
+    if source.crs:
+        from pyproj import CRS
+
+        system = CRS.from_wkt(source.crs.to_wkt())
+        if system.is_compound:
+            return "orthometric"
+        if len(system.axis_info) == 3:
+            return "ellipsoidal"
+    return ""
+
+
+def terrain_source(raster: RasterFile, height_kind: str) -> Callable[[Bounds], Terrain]:
+    """Give a reader of pieces of a terrain model; it may be called from several threads.
+
+    Parameters
+    ----------
+    raster : RasterFile
+        The first band is taken.
+    height_kind : str
+        Kind of its heights.
+
+    Returns
+    -------
+    callable
+        From bounds to the terrain around them.
+
+    Raises
+    ------
+    InputMalformedError
+        For a raster without georeference or with more than one band.
+    """
+    a, b, c, d, e, f = raster.transform
+    determinant = a * e - b * d
+    if determinant == 0 or (raster.transform == (1.0, 0.0, 0.0, 0.0, 1.0, 0.0) and not raster.crs):
+        raise InputMalformedError(
+            "has no georeference", where=raster.path, remedy="give a terrain model with its position"
+        )
+    if raster.bands != 1:
+        raise InputMalformedError(
+            f"has {raster.bands} bands, a terrain model has one", where=raster.path, remedy="name the model"
+        )
+
+    def piece(bounds: Bounds) -> Terrain:
+        west, south, east, north = bounds
+        corners = [(x - c, y - f) for x in (west, east) for y in (south, north)]
+        columns = [(e * x - b * y) / determinant for x, y in corners]
+        rows = [(a * y - d * x) / determinant for x, y in corners]
+        first = (max(math.floor(min(columns)) - 2, 0), max(math.floor(min(rows)) - 2, 0))
+        last = (min(math.ceil(max(columns)) + 2, raster.columns), min(math.ceil(max(rows)) + 2, raster.rows))
+        wide, high = last[0] - first[0], last[1] - first[1]
+        corner = (a, b, c + a * first[0] + b * first[1], d, e, f + d * first[0] + e * first[1])
+        if wide <= 0 or high <= 0:
+            return Terrain(np.full((1, 1), np.nan), corner, raster.crs, height_kind)
+        window = rasterio.windows.Window(*first, wide, high)
+        with opened(raster.path) as source:
+            band = source.read(1, window=window, masked=True)
+            # Scale and offset are part of what a value means.
+            heights = band.astype(np.float64) * source.scales[0] + source.offsets[0]
+        values = np.asarray(np.ma.filled(heights, np.nan))
+        values[~np.isfinite(values)] = np.nan
+        return Terrain(values, corner, raster.crs, height_kind)
+
+    return piece
+
+
+def read_image(path: Path) -> NDArray[Any]:
+    """Read a photo whole.
+
+    Returns
+    -------
+    ndarray, shape (rows, columns, bands)
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        When there is no such file, it is damaged, or has values of another kind than grey levels.
+    """
+    with opened(path) as source:
+        if str(source.dtypes[0]) not in ("uint8", "uint16", "float32"):
+            raise InputMalformedError(
+                f"has values of type {source.dtypes[0]}", where=path, remedy="convert it to 8 or 16 bits"
+            )
+        bands = source.read()
+    return np.ascontiguousarray(np.moveaxis(bands, 0, 2))
+
+
+def system_wkt(name: str) -> str:
+    """Reference system as WKT.
+
+    Raises
+    ------
+    ConfigurationError
+        For a name that is none.
+    """
+    from rasterio.crs import CRS  # type: ignore[import-untyped]
+
+    try:
+        return str(CRS.from_user_input(name).to_wkt())
+    except rasterio.errors.CRSError as failure:
+        raise ConfigurationError(
+            f"{name!r} is no known reference system", remedy="give an EPSG code such as EPSG:31982"
+        ) from failure
+
+
+def same_system(one: str, other: str) -> bool:
+    """Whether two reference systems (WKT) have the same horizontal part."""
+    from pyproj import CRS
+
+    def horizontal(wkt: str) -> Any:
+        system = CRS.from_wkt(wkt)
+        return system.sub_crs_list[0] if system.is_compound else system.to_2d()
+
+    return bool(horizontal(one).equals(horizontal(other), ignore_axis_order=True))
+
+
+@contextmanager
+def geotiff(
+    path: Path,
+    *,
+    columns: int,
+    rows: int,
+    bands: int,
+    dtype: str,
+    transform: Transform,
+    crs: str,
+    nodata: float,
+    tags: dict[str, str],
+) -> Iterator[Callable[[NDArray[Any], int, int], None]]:
+    """Write a tiled, compressed GeoTIFF with overviews; it appears when it is whole.
+
+    Parameters
+    ----------
+    path : Path
+    columns, rows, bands, dtype, transform, crs, nodata
+        Of the raster; `crs` as WKT, empty for none.
+    tags : dict
+        Metadata items.
+
+    Yields
+    ------
+    callable
+        Takes pixels (bands, rows, columns), the first column and the first row.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written.
+    """
+    floating = dtype.startswith("float")
+    options = {
+        "driver": "GTiff",
+        "width": columns,
+        "height": rows,
+        "count": bands,
+        "dtype": dtype,
+        "transform": rasterio.Affine(*transform),
+        "crs": crs or None,
+        "nodata": nodata,
+        "tiled": True,
+        "blockxsize": TILE,
+        "blockysize": TILE,
+        "compress": "deflate",
+        "predictor": 3 if floating else 2,
+        "BIGTIFF": "IF_SAFER",
+        "interleave": "pixel",
+    }
+    if bands == 3 and dtype == "uint8":
+        options["photometric"] = "RGB"
+    with output_file(path) as aside:
+        try:
+            # The cache of GDAL is by default a share of the memory of the machine.
+            with rasterio.Env(GDAL_CACHEMAX=128, GDAL_TIFF_INTERNAL_MASK=True):
+                with rasterio.open(aside, "w", **options) as target:
+                    target.update_tags(**tags)
+
+                    def write(pixels: NDArray[Any], column: int, row: int) -> None:
+                        window = rasterio.windows.Window(column, row, pixels.shape[2], pixels.shape[1])
+                        target.write(pixels, window=window)
+
+                    yield write
+                factors = _overviews(columns, rows)
+                if factors:
+                    with rasterio.open(aside, "r+") as target:
+                        target.build_overviews(factors, rasterio.enums.Resampling.average)
+        except rasterio.errors.RasterioError as failure:
+            raise OutputError(
+                f"cannot be written ({str(failure).splitlines()[0]})",
+                where=path,
+                remedy="is there room on the disk?",
+            ) from failure
+
+
+def _overviews(columns: int, rows: int) -> list[int]:
+    """Halve until everything fits into one tile."""
+    factors = []
+    factor = 2
+    while max(columns, rows) / factor * 2 > TILE:
+        factors.append(factor)
+        factor *= 2
+    return factors

@@ -1,0 +1,93 @@
+"""Terrain: heights on a grid, with the kind of the heights."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Heights = NDArray[np.floating]
+
+# West, south, east, north.
+Bounds = tuple[float, float, float, float]
+# a, b, c, d, e, f: X = a column + b row + c, Y = d column + e row + f, from the corner of the first cell.
+Transform = tuple[float, float, float, float, float, float]
+
+HEIGHT_KINDS = ("ellipsoidal", "orthometric", "local")
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """Heights of a piece of terrain.
+
+    Attributes
+    ----------
+    heights : ndarray, shape (rows, columns)
+        At the centres of the cells, m; NaN where there are none.
+    transform : tuple of float
+        From column and row to X and Y.
+    crs : str
+        Reference system as WKT; empty for a local frame.
+    height_kind : str
+        "ellipsoidal", "orthometric", "local", or empty when it is not known.
+    """
+
+    heights: Heights
+    transform: Transform
+    crs: str
+    height_kind: str
+
+    def at(self, x: Floats, y: Floats) -> Floats:
+        """Interpolate heights bilinearly.
+
+        Parameters
+        ----------
+        x, y : ndarray
+            m, of one shape.
+
+        Returns
+        -------
+        ndarray
+            m; NaN outside the outermost cell centres and beside cells without height.
+        """
+        a, b, c, d, e, f = self.transform
+        determinant = a * e - b * d
+        column = (e * (x - c) - b * (y - f)) / determinant - 0.5
+        row = (a * (y - f) - d * (x - c)) / determinant - 0.5
+        rows, columns = self.heights.shape
+        # Rounding must not cut off the outermost centres themselves.
+        slack = 1e-6
+        inside = (column >= -slack) & (column <= columns - 1 + slack)
+        inside &= (row >= -slack) & (row <= rows - 1 + slack)
+        j = np.clip(np.nan_to_num(column), 0, max(columns - 1, 0))
+        i = np.clip(np.nan_to_num(row), 0, max(rows - 1, 0))
+        j0 = np.minimum(j.astype(np.int64), max(columns - 2, 0))
+        i0 = np.minimum(i.astype(np.int64), max(rows - 2, 0))
+        j1, i1 = np.minimum(j0 + 1, columns - 1), np.minimum(i0 + 1, rows - 1)
+        u, v = j - j0, i - i0
+        z = self.heights
+        total = np.zeros(np.shape(x))
+        # A corner without weight may be without height.
+        for weight, rows_at, columns_at in (
+            ((1 - u) * (1 - v), i0, j0),
+            (u * (1 - v), i0, j1),
+            ((1 - u) * v, i1, j0),
+            (u * v, i1, j1),
+        ):
+            total += np.where(weight > 0, weight * z[rows_at, columns_at], 0.0)
+        return np.where(inside, total, np.nan)
+
+
+# Gives the terrain of a rectangle, with a margin of at least one cell where there is one.
+TerrainSource = Callable[[Bounds], Terrain]
+
+
+def bounds_of(transform: Transform, columns: int, rows: int) -> Bounds:
+    """Rectangle around a grid, m."""
+    a, b, c, d, e, f = transform
+    x = [c + a * i + b * j for i in (0, columns) for j in (0, rows)]
+    y = [f + d * i + e * j for i in (0, columns) for j in (0, rows)]
+    return min(x), min(y), max(x), max(y)
