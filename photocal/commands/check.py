@@ -1,23 +1,44 @@
-"""`photocal check`: a product judged at its check points."""
+"""`photocal check`: a block or a product judged at its check points."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from acquire.console import answer
+from acquire.console import answer, progress
+from drivers.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from photocal.accuracy.assessment import Question
+    from photocal.accuracy.georeferencing.experiment import InteriorSet
+    from photocal.accuracy.georeferencing.simulated import Degradation
+    from photocal.accuracy.standard import Standard
 
 
 def check(
+    block: Annotated[
+        Path | None,
+        typer.Argument(help="Block folder, or a set-up file of another program; its points have roles."),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Folder for tables, figures, GeoPackages and the report."),
+    ] = None,
     discrepancies: Annotated[
-        Path,
+        Path | None,
         typer.Option(
-            help="CSV with the columns point, dE, dN, dh = reference minus product, in metres or with the "
-            "unit in the header (dE_cm); optional E, N, h."
+            help="Instead of a block: CSV with the columns point, dE, dN, dh = reference minus product, in "
+            "metres or with the unit in the header (dE_cm); optional E, N, h."
         ),
-    ],
+    ] = None,
+    experiment: Annotated[
+        Path | None,
+        typer.Option(help="Instead of a block: TOML file with interior orientations and control patterns."),
+    ] = None,
     standard: Annotated[
         list[str] | None,
         typer.Option(
@@ -36,30 +57,42 @@ def check(
         float | None, typer.Option(help="Vertical RMSE of the survey of the check points, metres.")
     ] = None,
     figures: Annotated[
-        Path | None, typer.Option(help="Folder for the residual map and the histograms (PDF).")
+        Path | None, typer.Option(help="With --discrepancies: folder for residual map and histograms (PDF).")
     ] = None,
     geopackage: Annotated[
-        Path | None, typer.Option(help="GeoPackage of points and residual vectors for QGIS, to be written.")
+        Path | None, typer.Option(help="With --discrepancies: GeoPackage for QGIS, to be written.")
     ] = None,
     crs: Annotated[
         str | None, typer.Option(help="Projected system of E and N for the GeoPackage, such as EPSG:31982.")
     ] = None,
+    simulate_direct: Annotated[
+        str | None,
+        typer.Option(
+            help="Noise M,DEG of simulated exposures for direct georeferencing from the adjusted orientation."
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of that noise.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
-    """Judge a product at its check points: statistics, tests and accuracy classes.
+    """Judge a block or a product at its check points: statistics, tests and accuracy classes.
 
-    Two classes are given side by side: by precision (the bias removed) and by accuracy (90 % of the
-    points within PEC and RMSE within the standard error), with the largest scale that each admits.
+    A block is georeferenced three ways (direct, integrated, indirect); lever arm, boresight, time and
+    datum errors are looked for. Two classes are given side by side: by precision (the bias removed) and
+    by accuracy (90 % of the points within PEC and RMSE within the standard error).
 
-    Example: `photocal check --discrepancies check.csv --scale 1:1000 --interval 1`
+    Example: `photocal check field7 -o field7-check --scale 1:1000`
     """
-    from photocal.accuracy.as_json import to_json
-    from photocal.accuracy.as_text import to_text
-    from photocal.accuracy.assessment import Question, assess
-    from photocal.accuracy.discrepancies import read_discrepancies
+    from photocal.accuracy.assessment import Question
     from photocal.accuracy.map_scale import parse_scale
     from photocal.accuracy.standard_file import SHIPPED, load_standard
 
+    if sum(source is not None for source in (block, discrepancies, experiment)) != 1:
+        raise ConfigurationError(
+            "there must be one thing to check", remedy="name a block, or --discrepancies, or --experiment"
+        )
+    if experiment is not None:
+        _experiment(experiment, output, as_json=as_json)
+        return
     question = Question(
         None if scale is None else parse_scale(scale),
         interval,
@@ -68,18 +101,125 @@ def check(
         survey_vertical,
     )
     standards = tuple(load_standard(name) for name in standard or SHIPPED)
-    result = assess(read_discrepancies(discrepancies), standards, question)
+    if block is not None:
+        noise = None if simulate_direct is None else _noise(simulate_direct, seed)
+        _block(block, output, standards, question, noise, crs, as_json=as_json)
+    elif discrepancies is not None:
+        folder = figures or output
+        _discrepancies(discrepancies, standards, question, folder, geopackage, crs, as_json=as_json)
+
+
+def _block(
+    source: Path,
+    output: Path | None,
+    standards: tuple[Standard, ...],
+    question: Question,
+    noise: tuple[Degradation, np.random.Generator] | None,
+    crs: str | None,
+    *,
+    as_json: bool,
+) -> None:
+    from photocal.accuracy.geopackage import reference_system
+    from photocal.accuracy.georeferencing.as_json import to_json
+    from photocal.accuracy.georeferencing.as_text import to_text
+    from photocal.accuracy.georeferencing.comparison import check_block
+    from photocal.accuracy.georeferencing.methods import METHODS
+    from photocal.block.process import read_any_block
+
+    system = reference_system(crs)
+    read = read_any_block(source)
+    with progress("checking", len(METHODS) + 2) as advance:
+        result = check_block(read, standards, question, noise, lambda _: advance(1))
+    content = to_json(result)
+    if output is not None:
+        from photocal.accuracy.georeferencing.output import write_check
+
+        write_check(result, content, output, system, _stamp(source))
+    said = "" if output is None else f"\nwritten to {output}"
+    answer(as_json, lambda: content, lambda: to_text(result) + said)
+
+
+def _experiment(path: Path, output: Path | None, *, as_json: bool) -> None:
+    from photocal.accuracy.georeferencing.experiment import run_experiment
+    from photocal.accuracy.georeferencing.experiment_file import read_experiment
+    from photocal.accuracy.georeferencing.experiment_output import to_json, to_text, write_experiment
+    from photocal.block.process import read_any_block
+
+    asked = read_experiment(path, read_any_block, _interiors)
+    with progress("running", None) as advance:
+        outcome = run_experiment(asked, lambda: advance(1))
+    if output is not None:
+        write_experiment(outcome, output)
+    said = "" if output is None else f"\nwritten to {output}"
+    answer(as_json, lambda: to_json(outcome), lambda: to_text(outcome) + said)
+
+
+def _interiors(path: Path) -> tuple[InteriorSet, ...]:
+    """Calibrations of a file as `photocal compare` reads it."""
+    import numpy as np
+
+    from photocal.accuracy.georeferencing.experiment import InteriorSet
+    from photocal.analysis.stability.camera_file import read_camera_file
+    from photocal.geometry.camera import PARAMETERS
+
+    sets = []
+    for one in read_camera_file(path).calibrations:
+        sigma = np.full(len(PARAMETERS), np.nan)
+        if one.uncertainty is not None:
+            for name, value in zip(one.uncertainty.names, one.uncertainty.sigmas, strict=True):
+                sigma[PARAMETERS.index(name)] = value
+        sets.append(InteriorSet(one.id, one.camera, sigma))
+    return tuple(sets)
+
+
+def _discrepancies(
+    path: Path,
+    standards: tuple[Standard, ...],
+    question: Question,
+    figures: Path | None,
+    geopackage: Path | None,
+    crs: str | None,
+    *,
+    as_json: bool,
+) -> None:
+    from photocal.accuracy.as_json import to_json
+    from photocal.accuracy.as_text import to_text
+    from photocal.accuracy.assessment import assess
+    from photocal.accuracy.discrepancies import read_discrepancies
+
+    result = assess(read_discrepancies(path), standards, question)
     if figures is not None:
         from photocal.accuracy.figures import write_figures
 
         write_figures(result.discrepancies, figures)
     if geopackage is not None:
-        from datetime import UTC, datetime
-
         from photocal.accuracy.geopackage import reference_system, write_geopackage
 
-        # The time of the table, not of the clock: the same input gives the same file.
-        changed = datetime.fromtimestamp(discrepancies.stat().st_mtime, UTC)
-        stamp = f"{changed:%Y-%m-%dT%H:%M:%S}.000Z"
-        write_geopackage(geopackage, (("check", result.discrepancies),), reference_system(crs), stamp)
+        groups = (("check", result.discrepancies),)
+        write_geopackage(geopackage, groups, reference_system(crs), _stamp(path))
     answer(as_json, lambda: to_json(result), lambda: to_text(result))
+
+
+def _stamp(source: Path) -> str:
+    """Time of the input, not of the clock: the same input gives the same file."""
+    from datetime import UTC, datetime
+
+    table = source / "points.csv" if source.is_dir() else source
+    changed = datetime.fromtimestamp(table.stat().st_mtime, UTC)
+    return f"{changed:%Y-%m-%dT%H:%M:%S}.000Z"
+
+
+def _noise(text: str, seed: int) -> tuple[Degradation, np.random.Generator]:
+    import math
+
+    import numpy as np
+
+    from photocal.accuracy.georeferencing.simulated import Degradation
+
+    try:
+        position, attitude = (float(part) for part in text.split(","))
+    except ValueError as refusal:
+        raise ConfigurationError(
+            f"{text!r} is not a noise of position and attitude", remedy="write metres,degrees: 0.08,0.02"
+        ) from refusal
+    return Degradation(position, math.radians(attitude)), np.random.default_rng(seed)

@@ -1,0 +1,185 @@
+"""The whole check of a block: three methods side by side, systematic errors, what cannot be separated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import IllPosedError, PhotocalError
+from photocal.accuracy.assessment import Assessment, Question, assess
+from photocal.accuracy.findings import Finding
+from photocal.accuracy.georeferencing.differences import Differences, differences
+from photocal.accuracy.georeferencing.hypotheses import SystematicErrors, systematic_errors
+from photocal.accuracy.georeferencing.methods import (
+    METHODS,
+    Georeferenced,
+    Method,
+    checkable,
+    of_method,
+    without_weak_images,
+)
+from photocal.accuracy.georeferencing.mounted import as_mounted, with_attitude_angles
+from photocal.accuracy.georeferencing.plausible import ground_findings
+from photocal.accuracy.georeferencing.separation import Separation, separation
+from photocal.accuracy.georeferencing.simulated import Degradation, degraded
+from photocal.accuracy.standard import Standard
+from photocal.block.model import Block
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One method and what the ground points say about it.
+
+    Attributes
+    ----------
+    found : Georeferenced
+    control, check : Differences
+    assessment : Assessment or None
+        Of the check points, by statistics and standards; None without check points.
+    """
+
+    found: Georeferenced
+    control: Differences
+    check: Differences
+    assessment: Assessment | None
+
+
+@dataclass(frozen=True)
+class ExposureDifference:
+    """Observed exterior orientation less that of the indirect method, over the images that have both.
+
+    Attributes
+    ----------
+    images : int
+    mean, rmse : ndarray, shape (6,)
+        omega, phi, kappa (rad), X, Y, Z (m).
+    """
+
+    images: int
+    mean: Floats
+    rmse: Floats
+
+
+@dataclass(frozen=True)
+class BlockCheck:
+    """Everything that is said about a block.
+
+    Attributes
+    ----------
+    block : Block
+    judged : tuple of Judged
+        Those methods that the block allows, in the order of `METHODS`.
+    refused : tuple of (Method, str)
+        The others, with the reason.
+    exposures : ExposureDifference or None
+        None unless both the direct and the indirect method are there.
+    systematic : SystematicErrors or None
+        None without positions, or where they cannot be tested.
+    separation : Separation or None
+    plausibility : tuple of Finding
+        Mistakes in the ground points.
+    """
+
+    block: Block
+    judged: tuple[Judged, ...]
+    refused: tuple[tuple[Method, str], ...]
+    exposures: ExposureDifference | None
+    systematic: SystematicErrors | None
+    separation: Separation | None
+    plausibility: tuple[Finding, ...]
+
+    def of(self, method: Method) -> Judged | None:
+        """Give one method's result; None where the block does not allow it."""
+        return next((one for one in self.judged if one.found.method == method), None)
+
+
+def check_block(
+    block: Block,
+    standards: tuple[Standard, ...],
+    question: Question,
+    simulate: tuple[Degradation, np.random.Generator] | None = None,
+    done: Callable[[str], None] = lambda _: None,
+) -> BlockCheck:
+    """Georeference a block three ways and judge it at its ground points.
+
+    Parameters
+    ----------
+    block : Block
+    standards : tuple of Standard
+        Applied to the check points of each method.
+    question : Question
+    simulate : (Degradation, Generator), optional
+        Direct georeferencing from the adjusted orientation with this noise, labelled as simulated.
+    done : callable
+        Called with the name of each stage that ended.
+
+    Returns
+    -------
+    BlockCheck
+
+    Raises
+    ------
+    IllPosedError
+        When no method can be computed; the message has what was found in the ground points.
+    """
+    plausibility = ground_findings(block)
+    done("plausibility")
+    block = with_attitude_angles(checkable(block))
+    judged, refused = [], []
+    for method in METHODS:
+        try:
+            source, note = block, ""
+            if method == "direct" and simulate is not None:
+                source, note = degraded(block, *simulate), simulate[0].note
+            judged.append(_judge(source, of_method(source, method, note), standards, question))
+        except PhotocalError as refusal:
+            refused.append((method, str(refusal)))
+        done(method)
+    if not judged:
+        said = " ".join(finding.text for finding in plausibility)
+        reasons = "; ".join(f"{method}: {reason}" for method, reason in refused)
+        raise IllPosedError(f"no method can be computed: {reasons}. {said}".strip(), where=block.name)
+    systematic, apart = _calibration(block)
+    done("systematic errors")
+    return BlockCheck(
+        block,
+        tuple(judged),
+        tuple(refused),
+        _exposures(tuple(judged)),
+        systematic,
+        apart,
+        plausibility,
+    )
+
+
+def _judge(block: Block, found: Georeferenced, standards: tuple[Standard, ...], question: Question) -> Judged:
+    check = differences(block, found, "check")
+    assessment = assess(check.discrepancies(), standards, question) if len(check.names) else None
+    return Judged(found, differences(block, found, "control"), check, assessment)
+
+
+def _calibration(block: Block) -> tuple[SystematicErrors | None, Separation | None]:
+    """Systematic errors and separation; None where the block gives no hold for them."""
+    mounted = as_mounted(without_weak_images(block)[0])
+    if not len(mounted.positions.image) or block.datum == "free":
+        return None, None
+    try:
+        return systematic_errors(mounted), separation(mounted)
+    except PhotocalError:
+        # The integrated method has failed for the same reason, which is said there.
+        return None, None
+
+
+def _exposures(judged: tuple[Judged, ...]) -> ExposureDifference | None:
+    by_method = {one.found.method: one.found for one in judged}
+    if "direct" not in by_method or "indirect" not in by_method:
+        return None
+    d = by_method["direct"].exposures - by_method["indirect"].exposures
+    d[:, :3] = (d[:, :3] + np.pi) % (2 * np.pi) - np.pi
+    d = d[np.isfinite(d).all(axis=1)]
+    return ExposureDifference(len(d), d.mean(axis=0), np.sqrt(np.mean(d**2, axis=0)))

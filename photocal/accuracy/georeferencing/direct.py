@@ -1,0 +1,111 @@
+"""Direct georeferencing: exterior orientation from GNSS and inertial unit alone, with its covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.adjustment.mounting import BORESIGHT, LEVER, STRIPS, TIME, body_to_camera
+from photocal.block.model import Block
+from photocal.geometry.rotation import matrix_from_angles, turn_per_angle
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DirectOrientation:
+    """Exterior orientation that no image observation has touched.
+
+    Attributes
+    ----------
+    known : ndarray of bool, shape (n,)
+        Images that have one.
+    rotation : ndarray, shape (n, 3, 3)
+        Object to camera axes.
+    centre : ndarray, shape (n, 3)
+        m.
+    covariance : ndarray, shape (n, 6, 6)
+        Of a small turn in camera axes (rad) and of the centre (m), from each exposure's own errors.
+    by_common : ndarray, shape (n, 6, k)
+        Derivative with respect to the common values of the mounting.
+    common_covariance : ndarray, shape (k, k)
+        Of those, from the sigmas that the block states.
+    unstated : bool
+        Whether a common value is free in the block, so that its uncertainty is left out.
+    """
+
+    known: NDArray[np.bool_]
+    rotation: Floats
+    centre: Floats
+    covariance: Floats
+    by_common: Floats
+    common_covariance: Floats
+    unstated: bool
+
+
+def direct_orientation(block: Block) -> DirectOrientation:
+    """Exterior orientation of the images of a block from its position and attitude observations.
+
+    Parameters
+    ----------
+    block : Block
+        With `positions` and `attitudes`, or with a sigma at all six elements of an image.
+
+    Returns
+    -------
+    DirectOrientation
+        X0 = A - M' B l + v dt - s - d t and M = B R, see `photocal.adjustment.mounting`.
+    """
+    count, common = len(block.images.names), len(block.mounting.values)
+    rotation = matrix_from_angles(block.images.values[:, :3])
+    centre = block.images.values[:, 3:].copy()
+    complete = np.asarray(np.isfinite(block.images.sigma).all(axis=1))
+    covariance = np.zeros((count, 6, 6))
+    sigma = np.where(complete[:, None], block.images.sigma, 0.0)
+    turn = turn_per_angle(block.images.values[:, :3])
+    covariance[:, :3, :3] = turn @ (sigma[:, :3, None] ** 2 * np.swapaxes(turn, 1, 2))
+    covariance[:, range(3, 6), range(3, 6)] = sigma[:, 3:] ** 2
+    by_common = np.zeros((count, 6, common))
+    known = complete
+    positions, attitudes, mounting = block.positions, block.attitudes, block.mounting
+    row_p = {int(i): k for k, i in enumerate(positions.image)}
+    row_a = {int(i): k for k, i in enumerate(attitudes.image)}
+    matrix = body_to_camera(mounting, mounting.values)
+    arm = matrix @ mounting.values[LEVER]
+    for i in sorted(row_p.keys() & row_a.keys()):
+        p, a = row_p[i], row_a[i]
+        m = matrix @ attitudes.rotation[a]
+        at = STRIPS + 6 * int(positions.strip[p])
+        velocity, elapsed = positions.velocity[p], positions.time[p]
+        shift = mounting.values[at : at + 3] + elapsed * mounting.values[at + 3 : at + 6]
+        rotation[i] = m
+        centre[i] = positions.values[p] - m.T @ arm + velocity * mounting.values[TIME] - shift
+        # Rows: the turn of the camera, the projection centre; columns: turn of the body, antenna.
+        own = np.zeros((6, 6))
+        own[:3, :3] = matrix
+        own[3:, :3] = -m.T @ _skew(arm) @ matrix
+        own[3:, 3:] = np.eye(3)
+        measured = np.zeros((6, 6))
+        measured[:3, :3], measured[3:, 3:] = attitudes.covariance[a], positions.covariance[p]
+        covariance[i] = own @ measured @ own.T
+        by_common[i, :3, BORESIGHT] = _left_jacobian(mounting.values[BORESIGHT])
+        by_common[i, 3:, LEVER] = -m.T @ matrix
+        by_common[i, 3:, TIME] = velocity
+        by_common[i, 3:, at : at + 3] = -np.eye(3)
+        by_common[i, 3:, at + 3 : at + 6] = -elapsed * np.eye(3)
+        known[i] = True
+    stated = np.where(np.isfinite(mounting.sigma), mounting.sigma, 0.0)
+    unstated = bool(row_p and row_a and np.isinf(mounting.sigma).any())
+    return DirectOrientation(known, rotation, centre, covariance, by_common, np.diag(stated**2), unstated)
+
+
+def _skew(v: Floats) -> Floats:
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+def _left_jacobian(turn: Floats) -> Floats:
+    """J with exp([t + d]x) = exp([J d]x) exp([t]x) to second order of t (Chirikjian 2012, eq. 10.86)."""
+    skew = _skew(turn)
+    return np.asarray(np.eye(3) + skew / 2.0 + skew @ skew / 6.0)

@@ -1,0 +1,185 @@
+"""What a flight cannot separate, whatever its errors: camera, lever arm, boresight, time and datum."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+from drivers.errors import IllPosedError, NotConvergedError
+from photocal.accuracy.findings import Finding
+from photocal.accuracy.georeferencing.mounted import one_strip
+from photocal.adjustment.adjust import adjust
+from photocal.adjustment.covariance import blocks
+from photocal.adjustment.envelope import factorise, selected_inverse
+from photocal.adjustment.mounting import COMMON, STRIPS
+from photocal.adjustment.normal import normal_equations, prepare
+from photocal.block.model import Block
+from photocal.block.network import assemble
+
+Floats = NDArray[np.float64]
+
+# What is asked of a calibration flight: 1 m, 1 degree, 0.1 s, 1 m; the camera: 1 % of c.
+_SCALE_COMMON = np.array([1.0] * 3 + [np.radians(1.0)] * 3 + [0.1] + [1.0] * 3)
+_SCALE_CAMERA = 0.01
+# A direction is not determined when its standard deviation stays above this share of the scale.
+_UNDETERMINED = 0.05
+_TAKES_PART = 0.1
+_NAMES = (*COMMON, "shift_x", "shift_y", "shift_z")
+_WORDS = {
+    "lever_arm_x": "forward lever arm",
+    "lever_arm_y": "right lever arm",
+    "lever_arm_z": "vertical lever arm",
+    "boresight_x": "boresight about x",
+    "boresight_y": "boresight about y",
+    "boresight_z": "boresight about z",
+    "time_offset": "time offset",
+    "shift_x": "datum shift in X",
+    "shift_y": "datum shift in Y",
+    "shift_z": "height datum",
+    "c": "principal distance c",
+    "x0": "principal point x0",
+    "y0": "principal point y0",
+}
+
+
+@dataclass(frozen=True)
+class Separation:
+    """How well the flight determines the values that could be freed together.
+
+    Attributes
+    ----------
+    names : tuple of str
+    sigma : ndarray, shape (k,)
+        Standard deviation when all are free, in m, rad, s and the camera's unit; the prior of 1 m,
+        1 degree, 0.1 s, 1 % of c is included.
+    correlation : ndarray, shape (k, k)
+    groups : tuple of tuple of str
+        Names that are not separated from each other; a single name is not determined at all.
+    """
+
+    names: tuple[str, ...]
+    sigma: Floats
+    correlation: Floats
+    groups: tuple[tuple[str, ...], ...]
+
+
+def separation(block: Block) -> Separation | None:
+    """Free everything at once and see what the block leaves open.
+
+    Parameters
+    ----------
+    block : Block
+        With positions, see `as_mounted`.
+
+    Returns
+    -------
+    Separation or None
+        None without positions, or when even so the network cannot be adjusted.
+    """
+    if not len(block.positions.image):
+        return None
+    block = one_strip(block)
+    taken = [*range(3), *range(7, 10)]
+    if len(block.attitudes.image):
+        taken += [3, 4, 5]
+    if np.any(block.positions.velocity):
+        taken.append(6)
+    taken.sort()
+    sigma = np.zeros(STRIPS + 6)
+    sigma[taken] = _SCALE_COMMON[taken]
+    cameras = tuple(
+        replace(own, prior_sigma=np.where(_interior(own.estimated), _SCALE_CAMERA * own.value("c"), np.inf))
+        for own in block.cameras
+    )
+    network = assemble(replace(block, mounting=replace(block.mounting, sigma=sigma), cameras=cameras)).network
+    try:
+        state = adjust(network).state
+    except (IllPosedError, NotConvergedError):
+        return None
+    problem = prepare(network)
+    normal = normal_equations(problem, state)
+    if factorise(problem.layout.envelope, normal.matrix) >= 0:
+        return None
+    inverse = selected_inverse(problem.layout.envelope, normal.matrix)
+    columns = [problem.layout.common_columns[k] for k in taken]
+    names = [_NAMES[k] for k in taken]
+    scale = [float(_SCALE_COMMON[k]) for k in taken]
+    several = len(cameras) > 1
+    for own, (active, at) in zip(cameras, problem.layout.camera_columns, strict=True):
+        for k, column in zip(active, at, strict=True):
+            if k < 3:
+                names.append(("c", "x0", "y0")[k] + (f" of {own.id}" if several else ""))
+                columns.append(column)
+                scale.append(_SCALE_CAMERA * own.value("c"))
+    covariance = blocks(np.array([columns]), problem.structure, inverse)[0]
+    deviation = np.sqrt(np.diag(covariance))
+    return Separation(
+        tuple(names),
+        deviation,
+        covariance / np.outer(deviation, deviation),
+        _groups(tuple(names), covariance / np.outer(scale, scale)),
+    )
+
+
+def _interior(estimated: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Of the estimated parameters c, x0 and y0."""
+    return np.asarray(estimated & (np.arange(len(estimated)) < 3))
+
+
+def _groups(names: tuple[str, ...], covariance: Floats) -> tuple[tuple[str, ...], ...]:
+    """Names that the undetermined directions tie together."""
+    variances, vectors = np.linalg.eigh(covariance)
+    open_ = vectors[:, variances > _UNDETERMINED**2]
+    projector = open_ @ open_.T
+    part = np.diag(projector) > _TAKES_PART
+    linked = (np.abs(projector) > _TAKES_PART) & part[:, None] & part[None, :]
+    _, label = connected_components(csr_array(linked), directed=False)
+    groups: dict[int, list[str]] = {}
+    for name, group, has in zip(names, label.tolist(), part.tolist(), strict=True):
+        if has:
+            groups.setdefault(group, []).append(name)
+    return tuple(tuple(group) for group in groups.values())
+
+
+def separation_findings(found: Separation) -> tuple[Finding, ...]:
+    """Say what the flight cannot separate, and what would.
+
+    Parameters
+    ----------
+    found : Separation
+
+    Returns
+    -------
+    tuple of Finding
+    """
+    said = []
+    for group in found.groups:
+        words = [_WORDS.get(name.split(" of ")[0], name) for name in group]
+        if len(group) == 1:
+            text = f"this flight does not determine the {words[0]}: {_remedy(group)}"
+            said.append(Finding("not-determined", text))
+            continue
+        together = ", ".join(words[:-1]) + " and " + words[-1]
+        text = f"this flight cannot separate {together}: only their combined effect acts; {_remedy(group)}"
+        said.append(Finding("not-separated", text))
+    return tuple(said)
+
+
+def _remedy(group: tuple[str, ...]) -> str:
+    bare = {name.split(" of ")[0] for name in group}
+    advice = []
+    if "c" in bare:
+        advice.append("fly a second height (or oblique images), or hold c from another calibration")
+    if "lever_arm_z" in bare and "shift_z" in bare:
+        advice.append("measure the vertical lever arm on the ground and hold it")
+    if "time_offset" in bare:
+        advice.append("fly the same line at different speeds, or measure the lever arm")
+    if bare & {"x0", "y0"}:
+        advice.append("fly strips in opposite and crossing directions, or hold the principal point")
+    if not advice:
+        advice.append("add control, crossing strips or a measured value with its sigma")
+    return "; ".join(advice) + "."

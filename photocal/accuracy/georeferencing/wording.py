@@ -1,0 +1,107 @@
+"""What a check of a block found, in words."""
+
+from __future__ import annotations
+
+import math
+
+from photocal.accuracy.findings import Finding
+from photocal.accuracy.georeferencing.comparison import BlockCheck, Judged
+from photocal.accuracy.georeferencing.hypotheses import MEANING, Estimate, SystematicErrors
+from photocal.accuracy.georeferencing.separation import separation_findings
+from photocal.accuracy.ground_points import name_list
+
+# Errors this many times as large as predicted, or as small, are worth a word.
+_RATIO = 1.5
+
+
+def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
+    """Say what was found, the worst first.
+
+    Parameters
+    ----------
+    check : BlockCheck
+
+    Returns
+    -------
+    tuple of Finding
+    """
+    said = list(check.plausibility)
+    if check.systematic is not None:
+        said += _systematic(check.systematic)
+    for judged in check.judged:
+        said += _judged(judged)
+    if check.separation is not None:
+        said += separation_findings(check.separation)
+    said += [
+        Finding("method-refused", f"{method} georeferencing is not possible: {reason}")
+        for method, reason in check.refused
+    ]
+    return tuple(said)
+
+
+def estimate_text(estimate: Estimate) -> str:
+    """Write one estimate with its standard deviation."""
+    digits = max(0, 1 - math.floor(math.log10(estimate.sigma))) if estimate.sigma > 0 else 4
+    return (
+        f"{estimate.name} {estimate.correction:+.{digits}f} +- {estimate.sigma:.{digits}f} {estimate.unit} "
+        f"(t {estimate.t:.1f})"
+    )
+
+
+def _systematic(errors: SystematicErrors) -> list[Finding]:
+    said = []
+    for error in errors.errors:
+        figures = ", ".join(estimate_text(e) for e in error.found.estimates if e.significant)
+        figures = figures or ", ".join(estimate_text(e) for e in error.found.estimates)
+        text = f"{error.found.name}: {MEANING[error.found.name]}; correction {figures}."
+        if error.same:
+            text += (
+                f" This flight cannot tell it from an error of {' or '.join(error.same)}: "
+                "both explain the observations as well."
+            )
+        said.append(Finding(error.found.name.replace(" ", "-"), text))
+    return said
+
+
+def _judged(judged: Judged) -> list[Finding]:
+    method, said = judged.found.method, []
+    if judged.check.suspected:
+        said.append(
+            Finding(
+                "check-outside-prediction",
+                f"{method}: check point {name_list(list(judged.check.suspected))} differs by more than its "
+                "predicted covariance explains (0.1 %): a blunder of the point, or an error that the "
+                "sigmas do not know.",
+            )
+        )
+    if judged.control.suspected:
+        said.append(
+            Finding(
+                "control-outside-prediction",
+                f"{method}: control point {name_list(list(judged.control.suspected))} does not fit "
+                "(0.1 %): look at its coordinates and its image measurements.",
+            )
+        )
+    ratio = judged.check.ratio
+    if ratio > _RATIO:
+        said.append(
+            Finding(
+                "prediction-too-good",
+                f"{method}: the errors at the check points are {ratio:.1f} times as large as predicted: "
+                "trust the check points, not the predicted standard deviations.",
+            )
+        )
+    test = judged.found.test
+    if test is not None and not test.accepted and judged.found.chi_squared > test.upper:
+        said.append(
+            Finding(
+                "global-test",
+                f"{method}: v'Pv {judged.found.chi_squared:.0f} is above {test.upper:.0f} (95 %): the "
+                "observations disagree by more than their sigmas.",
+            )
+        )
+    if not judged.check.names:
+        said.append(
+            Finding("no-check-points", f"{method}: there is no check point, so nothing judges the accuracy.")
+        )
+    return said
