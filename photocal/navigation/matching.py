@@ -1,0 +1,192 @@
+"""Which image belongs to which event: alignment on the differences of time, never on the order alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import IllPosedError
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+_LEAST_PAIRS = 4
+_CERTAIN = 0.6
+_SIGMAS = 4.0
+
+
+@dataclass(frozen=True)
+class Matching:
+    """Images and events that belong together.
+
+    Parameters
+    ----------
+    image, event : int64 (n,)
+        Indices of the pairs, in the order of time.
+    unmatched_images, unmatched_events : int64
+        Indices of the rest.
+    ambiguous_images : int64
+        Of the unmatched images those with several possible events.
+    offset_s, drift : float
+        Event time = image time + offset + drift * (image time - first image time).
+    offset_sigma_s, drift_sigma : float
+        Their standard deviations.
+    scatter_s : float
+        Robust standard deviation of the residuals.
+    residual_s : float64 (n,)
+        Event less predicted time of each pair.
+    """
+
+    image: Integers
+    event: Integers
+    unmatched_images: Integers
+    unmatched_events: Integers
+    ambiguous_images: Integers
+    offset_s: float
+    drift: float
+    offset_sigma_s: float
+    drift_sigma: float
+    scatter_s: float
+    residual_s: Floats
+
+
+def match(
+    image_s: Floats,
+    event_s: Floats,
+    *,
+    resolution_s: float,
+    largest_offset_s: float = 60.0,
+    largest_drift: float = 100e-6,
+) -> Matching:
+    """Match the times of images to those of events by another clock.
+
+    Parameters
+    ----------
+    image_s, event_s : float64 (n,), (m,)
+        Times in seconds since any origin that both share up to the offset; any order.
+    resolution_s : float
+        Steps or jitter of the coarser clock (1 for EXIF without fractions).
+    largest_offset_s, largest_drift : float, optional
+        Bounds of offset (s) and drift between the clocks.
+
+    Returns
+    -------
+    Matching
+        Pairs that are each other's only candidates; everything else is listed as unmatched.
+
+    Raises
+    ------
+    IllPosedError
+        When there are too few common moments, or a second offset explains nearly as many (shots at equal
+        intervals): the pairs would be guessed.
+    """
+    images, events = np.argsort(image_s, kind="stable"), np.argsort(event_s, kind="stable")
+    x, y = np.asarray(image_s, float)[images], np.asarray(event_s, float)[events]
+    if min(len(x), len(y)) < _LEAST_PAIRS:
+        raise IllPosedError(
+            f"{len(x)} images and {len(y)} events: at least {_LEAST_PAIRS} of each are needed to align them",
+            remedy="give events and images of the same flight",
+        )
+    offset = _best_offset(x, y, resolution_s, largest_offset_s, largest_drift)
+    a, b, scatter, sigmas = _refine(x, y, offset, resolution_s, largest_drift)
+    reach = max(_SIGMAS * scatter, 1e-4)
+    predicted = x + a + b * (x - x[0])
+    of_image, image_rivals = _partners(predicted, y, reach)
+    of_event, event_rivals = _partners(y, predicted, reach)
+    rows = np.arange(len(x))
+    mutual = (of_image >= 0) & ~image_rivals
+    mutual &= np.where(of_image >= 0, (of_event[of_image] == rows) & ~event_rivals[of_image], False)
+    left, right = rows[mutual], of_image[mutual]
+    taken = np.zeros(len(y), bool)
+    taken[right] = True
+    ambiguous = (of_image >= 0) & ~mutual
+    return Matching(
+        images[left],
+        events[right],
+        images[~mutual],
+        events[~taken],
+        images[ambiguous],
+        a,
+        b,
+        *sigmas,
+        scatter,
+        y[right] - predicted[left],
+    )
+
+
+def _best_offset(x: Floats, y: Floats, resolution: float, largest: float, drift: float) -> float:
+    """Return the offset that brings most images onto events; refuse when it is not the only one."""
+    reach = 2 * resolution + drift * (x[-1] - x[0]) / 2
+    middle = (x[-1] + x[0]) / 2
+    difference = (y[None, :] - x[:, None]).ravel()
+    candidates = np.sort(difference[np.abs(difference) <= largest + reach])
+    if not len(candidates):
+        raise IllPosedError(
+            f"no event lies within {largest:g} s of an image",
+            remedy="check the date and time of camera and log",
+        )
+    # How many differences lie within the reach of each: the votes for it.
+    votes = np.searchsorted(candidates, candidates + reach, side="right") - np.searchsorted(
+        candidates, candidates - reach
+    )
+    best = candidates[int(np.argmax(votes))]
+    near = candidates[np.abs(candidates - best) <= reach]
+    best = float(np.median(near))
+    score = _hits(x, y, best, reach)
+    apart = candidates[np.abs(candidates - best) > 3 * reach]
+    top = apart[np.argsort(-votes[np.abs(candidates - best) > 3 * reach], kind="stable")[:200]]
+    rival = max((_hits(x, y, float(other), reach) for other in top), default=0)
+    if score < _LEAST_PAIRS or rival > _CERTAIN * score:
+        raise IllPosedError(
+            f"the match is ambiguous: an offset of {best:+.3f} s pairs {score} of {len(x)} images, "
+            f"another one {rival} (middle of the flight at {middle:.0f} s)",
+            remedy="narrow the offset of the clocks, or use a camera that stamps fractions of a second",
+        )
+    return best
+
+
+def _hits(x: Floats, y: Floats, offset: float, reach: float) -> int:
+    partner, _ = _partners(x + offset, y, reach)
+    return len(np.unique(partner[partner >= 0]))
+
+
+def _partners(from_s: Floats, to_s: Floats, reach: float) -> tuple[Integers, NDArray[np.bool_]]:
+    """Return the nearest partner within reach (-1: none) and whether there is more than one."""
+    low = np.searchsorted(to_s, from_s - reach)
+    high = np.searchsorted(to_s, from_s + reach, side="right")
+    place = np.clip(np.searchsorted(to_s, from_s), 1, len(to_s) - 1)
+    nearest = np.where(from_s - to_s[place - 1] <= to_s[place] - from_s, place - 1, place)
+    return np.where(high > low, nearest, -1), high - low > 1
+
+
+def _refine(
+    x: Floats, y: Floats, offset: float, resolution: float, drift: float
+) -> tuple[float, float, float, tuple[float, float]]:
+    """Return offset, drift, scatter and the sigmas of both, by narrowing the reach step by step."""
+    a, b = offset, 0.0
+    span = x[-1] - x[0]
+    reach = 2 * resolution + drift * span
+    scatter = reach
+    covariance = np.zeros((2, 2))
+    for _ in range(12):
+        partner, rivals = _partners(x + a + b * (x - x[0]), y, reach)
+        used = (partner >= 0) & ~rivals
+        if used.sum() < _LEAST_PAIRS:
+            break
+        t, d = x[used] - x[0], y[partner[used]] - x[used]
+        design = np.stack([np.ones_like(t), t], axis=1)
+        weight = np.ones(len(t))
+        for _ in range(10):
+            root = np.sqrt(weight)
+            (a, b), *_ = np.linalg.lstsq(design * root[:, None], d * root, rcond=None)
+            residual = d - a - b * t
+            scatter = max(1.4826 * float(np.median(np.abs(residual))), 1e-6)
+            weight = np.minimum(1.0, 1.5 * scatter / np.maximum(np.abs(residual), 1e-12))
+        covariance = scatter**2 * np.linalg.pinv(design.T @ (design * weight[:, None]))
+        narrower = max(_SIGMAS * scatter, 1e-4)
+        if narrower >= 0.9 * reach:
+            break
+        reach = narrower
+    sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return float(a), float(b), scatter, (float(sigmas[0]), float(sigmas[1]))

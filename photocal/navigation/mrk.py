@@ -1,0 +1,109 @@
+"""Event lists of multirotors with RTK receivers: the `Timestamp.MRK` file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from re import compile as pattern
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.navigation.events import Events, counter_jumps
+from photocal.navigation.time import GpsTime
+from photocal.navigation.trajectory import enu_axes, geocentric, geodetic
+
+Floats = NDArray[np.float64]
+_NUMBER = r"\s*([+-]?\d+(?:\.\d+)?)\s*"
+_ROW = pattern(
+    rf"{_NUMBER}\s{_NUMBER}\s\[{_NUMBER}\]\s{_NUMBER},N\s{_NUMBER},E\s{_NUMBER},V\s{_NUMBER},Lat\s"
+    rf"{_NUMBER},Lon\s{_NUMBER},Ellh\s{_NUMBER},{_NUMBER},{_NUMBER}\s{_NUMBER},Q\s*\Z"
+)
+# Flag of the receiver: 50 fixed, 34 float, 16 single.
+_STATUS = {50: "fixed", 34: "float"}
+
+
+@dataclass(frozen=True)
+class CameraEventList:
+    """Events with the position that the vehicle computed in flight.
+
+    Parameters
+    ----------
+    events : Events
+        The moments (GPS time).
+    offset_enu_m : float64 (n, 3)
+        From the antenna's phase centre to the camera's sensor, east, north, up.
+    lat_deg, lon_deg, height_m : float64 (n,)
+        Position of the camera as the vehicle computed it (the maker: after compensation of the offset),
+        ellipsoidal height.
+    sigma_enu_m : float64 (n, 3)
+        Standard deviations.
+    status : str (n,)
+        ``fixed``, ``float`` or ``single``.
+    """
+
+    events: Events
+    offset_enu_m: Floats
+    lat_deg: Floats
+    lon_deg: Floats
+    height_m: Floats
+    sigma_enu_m: Floats
+    status: NDArray[np.str_]
+
+
+def read_mrk(path: Path) -> CameraEventList:
+    """Read a `Timestamp.MRK` file.
+
+    Columns (DJI, Matrice 4 Series User Manual 2025, p. 92): number, seconds of week, [week], offset north,
+    east and down from the antenna to the sensor in mm, latitude, longitude, ellipsoidal height, their
+    sigmas, flag.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        When the file cannot be read, or a line is not as described.
+    """
+    try:
+        lines = path.read_text("latin-1").splitlines()
+    except OSError as refusal:
+        reason = (refusal.strerror or str(refusal)).lower()
+        raise InputNotFoundError(
+            f"cannot be read ({reason})", where=path, remedy="check name and rights"
+        ) from refusal
+    rows = []
+    for number, line in enumerate(lines, 1):
+        if not line.strip():
+            continue
+        found = _ROW.match(line)
+        if found is None:
+            raise InputMalformedError(
+                "is no event (number, time, week, offsets N E V, Lat, Lon, Ellh, sigmas, Q)",
+                where=f"{path}, line {number}",
+                remedy="give the file as the vehicle wrote it",
+            )
+        rows.append([float(value) for value in found.groups()])
+    if not rows:
+        raise InputMalformedError("has no events", where=path, remedy="check the flight's folder")
+    t = np.array(rows)
+    count = t[:, 0].astype(np.int64)
+    time = GpsTime.from_week(t[:, 2].astype(np.int64), t[:, 1])
+    events = Events(path.name, time, count, np.zeros(len(t)), counter_jumps(count, "events"))
+    return CameraEventList(
+        events,
+        np.stack([t[:, 4], t[:, 3], -t[:, 5]], axis=1) * 1e-3,
+        t[:, 6],
+        t[:, 7],
+        t[:, 8],
+        t[:, [10, 9, 11]],
+        np.array([_STATUS.get(int(q), "single") for q in t[:, 12]], "U6"),
+    )
+
+
+def moved(
+    lat_deg: Floats, lon_deg: Floats, height_m: Floats, offset_enu_m: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return geodetic positions moved by east, north, up offsets: from the antenna to the camera."""
+    at = geocentric(lat_deg, lon_deg, height_m)
+    turn = np.stack([enu_axes(a, b) for a, b in zip(lat_deg.tolist(), lon_deg.tolist(), strict=True)])
+    return geodetic(at + np.einsum("nji,nj->ni", turn, offset_enu_m))

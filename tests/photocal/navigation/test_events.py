@@ -1,0 +1,114 @@
+"""Time marks and event lists: time base, edges, counters, offsets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from drivers.errors import InputMalformedError
+from drivers.ubx.decode import LAYOUTS, TIM_TM2
+from photocal.navigation.events import FALLING, RISING, time_marks
+from photocal.navigation.mrk import moved, read_mrk
+from photocal.navigation.receiver_recording import read_receivers
+from photocal.navigation.time import GpsTime
+from tests.photocal.navigation.conftest import ImportLog, Run
+
+NEW_RISING_UTC, NEW_FALLING_UTC = 241, 117
+
+
+def marks(*rows: tuple[int, int, int, int]) -> NDArray[Any]:
+    table = np.zeros(len(rows), LAYOUTS[TIM_TM2])
+    for row, (flags, count, week, ms) in zip(table, rows, strict=True):
+        row["flags"], row["count"] = flags, count
+        row["wnR"] = row["wnF"] = week
+        row["towMsR"] = row["towMsF"] = ms
+    return table
+
+
+def test_the_time_base_is_read() -> None:
+    utc = time_marks(marks((NEW_RISING_UTC, 1, 2022, 1000)), RISING, "rover")
+    gnss = time_marks(marks((NEW_RISING_UTC - 8, 1, 2022, 1000)), RISING, "rover")
+    assert gnss.time == GpsTime.from_week([2022], [1.0])
+    # In 2018 GPS time was 18 s ahead of UTC (IERS Bulletin C 52).
+    assert (utc.time - gnss.time)[0] == 18_000_000_000
+
+
+def test_the_receivers_own_time_is_refused() -> None:
+    with pytest.raises(InputMalformedError, match="own time base"):
+        time_marks(marks((NEW_RISING_UTC - 16, 1, 2022, 1000)), RISING, "rover")
+
+
+def test_edges_and_counter_jumps() -> None:
+    table = marks(
+        (NEW_FALLING_UTC, 0, 2022, 500),
+        (NEW_RISING_UTC, 1, 2022, 1000),
+        (NEW_RISING_UTC | 4, 2, 2022, 3000),
+        (NEW_RISING_UTC, 5, 2022, 9000),
+    )
+    rising = time_marks(table, RISING, "rover")
+    assert rising.number.tolist() == [1, 2, 5]
+    assert any("from 2 to 5, 2 missing" in r for r in rising.remarks)
+    assert len(time_marks(table, FALLING, "rover")) == 2
+
+
+def test_counter_runs_over() -> None:
+    table = marks((NEW_RISING_UTC, 65535, 2022, 1000), (NEW_RISING_UTC, 0, 2022, 3000))
+    assert not any("missing" in r for r in time_marks(table, RISING, "rover").remarks)
+
+
+@pytest.mark.shared
+def test_moving_rover(moving_run: Run) -> None:
+    recording = read_receivers(moving_run.log)["rover"]
+    rising = time_marks(recording.marks(), RISING, "rover")
+    assert len(rising) == 589
+    assert len(time_marks(recording.marks(), FALLING, "rover")) == 589
+    assert np.median(np.diff(rising.time.ns)) / 1e9 == pytest.approx(2.0, abs=0.1)
+    assert any("UTC" in r for r in rising.remarks)
+
+
+@pytest.mark.shared
+def test_static_rover(m8p: Path, import_log: ImportLog) -> None:
+    log = import_log("rover-only", {"rover": m8p / "rover-20181004-1237.ubx.gz"})
+    # The first message brings no rising edge yet: its week and time are 0.
+    recording = read_receivers(log)["rover"]
+    assert len(recording.marks()) == 7
+    assert (time_marks(recording.marks(), RISING, "rover").time.ns > 0).all()
+
+
+@pytest.mark.shared
+def test_event_list(shared: Path) -> None:
+    found = read_mrk(shared / "data/rtk-mrk-gcp-helenenschacht/101FTASK_Timestamp.mrk")
+    assert len(found.events) == 176
+    assert (found.status == "fixed").all()
+    weeks, _ = found.events.time.week_and_seconds()
+    assert (weeks == 2211).all()
+    # First line by hand: 3,N 0,E 75,V mm (north, east, down) and sigmas 0.014391, 0.013698, 0.029694.
+    assert found.offset_enu_m[0].tolist() == [0.0, 0.003, -0.075]
+    assert found.sigma_enu_m[0].tolist() == [0.013698, 0.014391, 0.029694]
+
+
+def test_offsets_from_antenna_to_camera(tmp_path: Path) -> None:
+    # By hand at the equator and Greenwich: 1 m north is 1/110574.276 deg of latitude (M = a (1 - e2)),
+    # 2 m east 2/111319.491 deg of longitude, 3 m down lowers the height.
+    path = tmp_path / "case.MRK"
+    row = (
+        "1\t100.5\t[2211]\t 1000,N\t 2000,E\t 3000,V\t0.0,Lat\t0.0,Lon\t100.0,Ellh\t0.01, 0.02, 0.03\t50,Q\n"
+    )
+    path.write_text(row)
+    found = read_mrk(path)
+    lat, lon, height = moved(found.lat_deg, found.lon_deg, found.height_m, found.offset_enu_m)
+    assert lat[0] == pytest.approx(1 / 110574.276, rel=1e-4)
+    assert lon[0] == pytest.approx(2 / 111319.491, rel=1e-4)
+    assert height[0] == pytest.approx(97.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("line", ["1,2,3", "1\tx\t[2211]\t 3,N", "\0\0"])
+def test_damaged_event_list(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "bad.MRK"
+    path.write_text(line)
+    with pytest.raises(InputMalformedError, match="line 1"):
+        read_mrk(path)
