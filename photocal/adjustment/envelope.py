@@ -7,16 +7,21 @@ done panel by panel with dense kernels of the linear algebra library. A small ma
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import blas, lapack
+from threadpoolctl import ThreadpoolController
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 PANEL = 144
+# Threads of the linear algebra only wait for each other below this order.
+SMALL = 2000
 
 
 @dataclass(frozen=True)
@@ -94,6 +99,19 @@ def envelope(reach: Integers, block: int, border: int) -> Envelope:
     return Envelope(panel, last, width, offset, band, border)
 
 
+@cache
+def _libraries() -> ThreadpoolController:
+    return ThreadpoolController()
+
+
+def _threads(structure: Envelope) -> AbstractContextManager[object]:
+    """Keep the linear algebra to one thread where more would not pay."""
+    if structure.size >= SMALL:
+        return nullcontext()
+    limited: AbstractContextManager[object] = _libraries().limit(limits=1, user_api="blas")
+    return limited
+
+
 def factorise(structure: Envelope, values: Floats) -> int:
     """Replace a matrix by its Cholesky factor, in place.
 
@@ -108,7 +126,11 @@ def factorise(structure: Envelope, values: Floats) -> int:
     int
         -1, or the column at which the matrix is not positive definite.
     """
-    panels = structure.panels(values)
+    with _threads(structure):
+        return _factorised(structure, structure.panels(values))
+
+
+def _factorised(structure: Envelope, panels: list[Floats]) -> int:
     for j, panel in enumerate(panels):
         width = int(structure.width[j])
         if width == 0:
@@ -173,7 +195,13 @@ def solve(structure: Envelope, factor: Floats, right: Floats) -> Floats:
     ndarray, shape of `right`
     """
     x = np.array(right.reshape(structure.size, -1))
-    panels = structure.panels(factor)
+    with _threads(structure):
+        _substitute(structure, structure.panels(factor), x)
+    return x.reshape(right.shape)
+
+
+def _substitute(structure: Envelope, panels: list[Floats], x: Floats) -> None:
+    """Solve in place: forward, then back."""
     for j, panel in enumerate(panels):
         rows, width = _rows(structure, j), int(structure.width[j])
         if width == 0:
@@ -188,7 +216,6 @@ def solve(structure: Envelope, factor: Floats, right: Floats) -> Floats:
         top = structure.start(j) if j < len(structure.last) else structure.band
         part = x[top : top + width] - panel[width:].T @ x[rows]
         x[top : top + width] = blas.dtrsm(1.0, panel[:width].T, part, lower=0)
-    return x.reshape(right.shape)
 
 
 def _rows(structure: Envelope, j: int) -> Integers:
@@ -216,7 +243,12 @@ def selected_inverse(structure: Envelope, factor: Floats) -> Floats:
         Values of the inverse's lower triangle; the diagonal blocks are complete.
     """
     inverse = structure.zeros()
-    factors, results = structure.panels(factor), structure.panels(inverse)
+    with _threads(structure):
+        _invert(structure, structure.panels(factor), structure.panels(inverse))
+    return inverse
+
+
+def _invert(structure: Envelope, factors: list[Floats], results: list[Floats]) -> None:
     for j in reversed(range(len(factors))):
         width = int(structure.width[j])
         if width == 0:
@@ -231,7 +263,6 @@ def selected_inverse(structure: Envelope, factor: Floats) -> Floats:
         product = below @ scaled
         results[j][width:] = -product
         results[j][:width] += scaled.T @ product
-    return inverse
 
 
 def _gathered(structure: Envelope, results: list[Floats], j: int) -> Floats:
