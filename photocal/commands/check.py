@@ -126,8 +126,8 @@ def _block(
     from photocal.accuracy.georeferencing.methods import METHODS
     from photocal.block.process import read_any_block
 
-    system = reference_system(crs)
     read = read_any_block(source)
+    system = reference_system(crs or (None if read.frame == "local" else read.frame))
     with progress("checking", len(METHODS) + 2) as advance:
         result = check_block(read, standards, question, noise, lambda _: advance(1))
     content = to_json(result)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from photocal.accuracy.assessment import Assessment, Question, assess
 from photocal.accuracy.findings import Finding
 from photocal.accuracy.georeferencing.differences import Differences, differences
 from photocal.accuracy.georeferencing.hypotheses import SystematicErrors, systematic_errors
+from photocal.accuracy.georeferencing.local import in_local_frame
 from photocal.accuracy.georeferencing.methods import (
     METHODS,
     Georeferenced,
@@ -26,7 +27,7 @@ from photocal.accuracy.georeferencing.plausible import ground_findings
 from photocal.accuracy.georeferencing.separation import Separation, separation
 from photocal.accuracy.georeferencing.simulated import Degradation, degraded
 from photocal.accuracy.standard import Standard
-from photocal.block.model import Block
+from photocal.block.model import Block, Role
 
 Floats = NDArray[np.float64]
 
@@ -129,21 +130,25 @@ def check_block(
     """
     plausibility = ground_findings(block)
     done("plausibility")
-    block = with_attitude_angles(checkable(block))
+    places = block.points.values
+    try:
+        block = with_attitude_angles(checkable(in_local_frame(block)))
+    except PhotocalError as refusal:
+        raise type(refusal)(_with_findings(str(refusal), plausibility), where=block.name) from refusal
     judged, refused = [], []
     for method in METHODS:
         try:
             source, note = block, ""
             if method == "direct" and simulate is not None:
                 source, note = degraded(block, *simulate), simulate[0].note
-            judged.append(_judge(source, of_method(source, method, note), standards, question))
+            judged.append(_judge(source, places, of_method(source, method, note), standards, question))
         except PhotocalError as refusal:
             refused.append((method, str(refusal)))
         done(method)
     if not judged:
-        said = " ".join(finding.text for finding in plausibility)
         reasons = "; ".join(f"{method}: {reason}" for method, reason in refused)
-        raise IllPosedError(f"no method can be computed: {reasons}. {said}".strip(), where=block.name)
+        said = _with_findings(f"no method can be computed: {reasons}", plausibility)
+        raise IllPosedError(said, where=block.name)
     systematic, apart = _calibration(block)
     done("systematic errors")
     return BlockCheck(
@@ -157,10 +162,25 @@ def check_block(
     )
 
 
-def _judge(block: Block, found: Georeferenced, standards: tuple[Standard, ...], question: Question) -> Judged:
-    check = differences(block, found, "check")
+def _with_findings(said: str, findings: tuple[Finding, ...]) -> str:
+    """A refusal together with what was found in the input: the cause stands there."""
+    return f"{said}. {' '.join(finding.text for finding in findings)}".strip()
+
+
+def _judge(
+    block: Block, places: Floats, found: Georeferenced, standards: tuple[Standard, ...], question: Question
+) -> Judged:
+    """Judge one method; maps show the points at their places as given."""
+    index = {name: k for k, name in enumerate(block.points.names)}
+
+    def at_given_places(role: Role) -> Differences:
+        one = differences(block, found, role)
+        rows = np.array([index[name] for name in one.names], dtype=np.int64)
+        return replace(one, xyz=places[rows])
+
+    check = at_given_places("check")
     assessment = assess(check.discrepancies(), standards, question) if len(check.names) else None
-    return Judged(found, differences(block, found, "control"), check, assessment)
+    return Judged(found, at_given_places("control"), check, assessment)
 
 
 def _calibration(block: Block) -> tuple[SystematicErrors | None, Separation | None]:

@@ -11,6 +11,7 @@ from scipy import stats
 from photocal.accuracy.discrepancies import Discrepancies
 from photocal.accuracy.georeferencing.methods import Georeferenced
 from photocal.adjustment.ellipses import Ellipses, ellipses
+from photocal.adjustment.network import covariance_matrices
 from photocal.block.model import ROLES, Block, Role
 
 Floats = NDArray[np.float64]
@@ -90,8 +91,8 @@ def differences(block: Block, found: Georeferenced, role: Role) -> Differences:
     d = surveyed - found.xyz[mine]
     product = found.covariance[mine]
     stated = np.where(np.isfinite(block.points.sigma[index]), block.points.sigma[index], 0.0)
-    survey = np.zeros((len(index), 3, 3))
-    survey[:, range(3), range(3)] = stated**2
+    cross = np.zeros((len(index), 3)) if block.points.cross is None else block.points.cross[index]
+    survey = covariance_matrices(stated, cross)
     # The residual of a fitted observation: C_obs - C_adjusted (Mikhail 1976, eq. 7-17).
     covariance = np.where(fitted[:, None, None], survey - product, survey + product)
     variance = np.diagonal(covariance, axis1=1, axis2=2)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, PhotocalError
 from photocal.accuracy.georeferencing.differences import Differences, differences
+from photocal.accuracy.georeferencing.local import in_local_frame
 from photocal.accuracy.georeferencing.methods import Method, checkable, of_method, with_roles
 from photocal.accuracy.georeferencing.mounted import with_attitude_angles
 from photocal.accuracy.georeferencing.simulated import Degradation, degraded
@@ -180,7 +181,7 @@ def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: No
     Outcome
         Runs that cannot be computed say why.
     """
-    block = with_attitude_angles(checkable(experiment.block))
+    block = with_attitude_angles(checkable(in_local_frame(experiment.block)))
     if experiment.noise is not None:
         # One realisation for all runs, so that they differ by what is being compared only.
         noisy = degraded(block, experiment.noise, np.random.default_rng(experiment.seed))
