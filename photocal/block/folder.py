@@ -100,8 +100,16 @@ def _read_images(path: Path, cameras: tuple[Camera, ...]) -> Images:
     known = {camera.id: k for k, camera in enumerate(cameras)}
     refuse_unknown(table, index, found, known, "camera", "block.toml")
     camera = np.array([known[name] for name in found], dtype=np.int64)[index]
-    values = np.column_stack([table.numbers(c) for c in ("omega", "phi", "kappa", "X", "Y", "Z")])
+    pose = ("omega", "phi", "kappa", "X", "Y", "Z")
+    # Empty cells ask for start values; what has a sigma must be given.
+    values = np.column_stack([table.numbers(c, empty=np.nan) for c in pose])
     sigma = np.column_stack([_sigmas(table, c) for c in IMAGE_SIGMAS])
+    for part, what in ((slice(0, 3), "angles"), (slice(3, 6), "coordinates")):
+        empty = np.isnan(values[:, part])
+        torn = np.asarray(empty.any(axis=1) & ~empty.all(axis=1))
+        refuse(table, torn, f"some of the {what} are empty", "give all three or none")
+    observed = np.asarray((np.isnan(values) & np.isfinite(sigma)).any(axis=1))
+    refuse(table, observed, "a value with a sigma is empty", "give the value")
     values[:, :3] = np.radians(values[:, :3])
     sigma[:, :3] = np.radians(sigma[:, :3])
     return Images(names, camera, values, sigma)

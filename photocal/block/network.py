@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError
-from photocal.adjustment.intersection import intersect
 from photocal.adjustment.mounting import Positions
 from photocal.adjustment.network import (
     Exposures,
@@ -20,8 +19,8 @@ from photocal.adjustment.network import (
     point_weights,
 )
 from photocal.block.model import Block
+from photocal.block.start import with_start_values
 from photocal.geometry.camera import pixel_to_plane
-from photocal.geometry.distortion import undistorted
 from photocal.geometry.frames import Frame, ShiftedFrame, nearest_rotation, reference_frame
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 
@@ -92,8 +91,11 @@ def assemble(block: Block) -> Assembly:
         matrices = covariance_matrices(prior[linked], block.points.cross[used][linked])
         weight[linked] = np.linalg.inv(matrices)
     weight = _local_weights(frame, block.points.values[used], weight)
-    values = _with_start_values(block, exposures, rays, frame.to_local(block.points.values[used]), used)
     names = tuple(block.points.names[j] for j in used)
+    relations = _relations(block, position)
+    exposures, values = with_start_values(
+        block, exposures, rays, frame.to_local(block.points.values[used]), relations
+    )
     network = Network(
         block.cameras,
         exposures,
@@ -101,7 +103,7 @@ def assemble(block: Block) -> Assembly:
         rays,
         block.images.names,
         names,
-        _relations(block, position),
+        relations,
         _datum_points(block, position),
         _local_positions(block.positions, frame),
         block.attitudes,
@@ -119,6 +121,8 @@ def block_frame(block: Block) -> Frame:
         For an unknown system or heights of a kind that does not fit it.
     """
     places = np.vstack([block.images.values[:, 3:], block.points.values])
+    if np.isnan(places).all():
+        return ShiftedFrame(np.zeros(3))
     if block.frame == "local":
         return ShiftedFrame(np.asarray(np.round(np.nanmean(places, axis=0)), dtype=np.float64))
     return reference_frame(block.frame, block.height, np.asarray(np.nanmean(places, axis=0)))
@@ -127,7 +131,9 @@ def block_frame(block: Block) -> Frame:
 def _local_exposures(block: Block, frame: Frame) -> Floats:
     """Exterior orientation in the local frame: the angles refer to the given axes at each image."""
     values = block.images.values.copy()
-    turn = nearest_rotation(frame.derivative(values[:, 3:]))
+    known = np.isfinite(values).all(axis=1)
+    turn = np.broadcast_to(np.eye(3), (len(values), 3, 3)).copy()
+    turn[known] = nearest_rotation(frame.derivative(values[known, 3:]))
     matrix = matrix_from_angles(values[:, :3]) @ np.swapaxes(turn, 1, 2)
     # A Cartesian frame keeps the very angles that were given.
     if not np.array_equal(turn, np.broadcast_to(np.eye(3), turn.shape)):
@@ -262,31 +268,3 @@ def _require_datum(block: Block, rays_of_point: Integers) -> None:
             where="block.toml",
             remedy="add control points or weighted positions",
         )
-
-
-def _with_start_values(
-    block: Block, exposures: Exposures, rays: Rays, values: Floats, used: Integers
-) -> Floats:
-    """Fill the coordinates of points that have none by intersecting their rays."""
-    missing = np.asarray(np.isnan(values).any(axis=1))
-    if not missing.any():
-        return values
-    some = missing[rays.point]
-    image = rays.image[some]
-    camera = exposures.camera[image]
-    ideal = np.empty((len(image), 2))
-    for k, own in enumerate(block.cameras):
-        mine = camera == k
-        ideal[mine] = undistorted(own, rays.plane[some][mine])
-    distance = np.array([own.value("c") for own in block.cameras])[camera]
-    rotation = matrix_from_angles(exposures.values[:, :3])[image]
-    start = intersect(rays.point[some], len(values), exposures.values[image, 3:], rotation, ideal, distance)
-    lost = np.flatnonzero(missing & np.isnan(start).any(axis=1))
-    if len(lost):
-        name = block.points.names[used[lost[0]]]
-        raise IllPosedError(
-            f"the rays of point {name} are parallel",
-            where=f"point {name}",
-            remedy="give it start coordinates",
-        )
-    return np.where(missing[:, None], start, values)

@@ -1,0 +1,91 @@
+"""Start values that a block does not give: exterior orientations and coordinates of tie points."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import IllPosedError
+from photocal.adjustment.intersection import intersect
+from photocal.adjustment.network import Exposures, Rays, Relations
+from photocal.block.model import Block
+from photocal.geometry.camera import Camera
+from photocal.geometry.distortion import undistorted
+from photocal.geometry.rotation import matrix_from_angles
+
+Floats = NDArray[np.float64]
+
+
+def with_start_values(
+    block: Block, exposures: Exposures, rays: Rays, points: Floats, relations: Relations
+) -> tuple[Exposures, Floats]:
+    """Fill what is missing among the start values.
+
+    Parameters
+    ----------
+    block : Block
+        Where the cameras come from and the names for messages.
+    exposures : Exposures
+        NaN where an image has no orientation.
+    rays : Rays
+        Sorted by point.
+    points : ndarray, shape (n, 3)
+        Coordinates in the local frame, NaN where a point has none.
+    relations : Relations
+        Their distances give scale where nothing else does.
+
+    Returns
+    -------
+    exposures : Exposures
+    points : ndarray, shape (n, 3)
+
+    Raises
+    ------
+    IllPosedError
+        Naming the images or points for which none are found.
+    """
+    values = exposures.values
+    if np.isnan(values).any():
+        # The search needs computer vision: blocks that are complete do not wait for it.
+        from photocal.adjustment.start.values import start_values
+
+        found = start_values(
+            block.cameras, exposures.camera, values, points, rays, relations, free=block.datum == "free"
+        )
+        if len(found.lost):
+            some = ", ".join(block.images.names[i] for i in found.lost[:5])
+            raise IllPosedError(
+                f"no start values for {len(found.lost)} image(s) ({some}): too few points connect them",
+                where="images.csv",
+                remedy="give X, Y, Z, omega, phi, kappa roughly, or measure more common points",
+            )
+        exposures = replace(exposures, values=found.exposures)
+        points = np.where(np.isnan(points), found.points, points)
+    return exposures, _intersected(block.cameras, exposures, rays, points)
+
+
+def _intersected(cameras: tuple[Camera, ...], exposures: Exposures, rays: Rays, points: Floats) -> Floats:
+    """Fill the coordinates of points that have none by intersecting their rays."""
+    missing = np.asarray(np.isnan(points).any(axis=1))
+    if not missing.any():
+        return points
+    some = missing[rays.point]
+    image = rays.image[some]
+    camera = exposures.camera[image]
+    ideal = np.empty((len(image), 2))
+    for k, own in enumerate(cameras):
+        mine = camera == k
+        ideal[mine] = undistorted(own, rays.plane[some][mine])
+    distance = np.array([own.value("c") for own in cameras])[camera]
+    rotation = matrix_from_angles(exposures.values[:, :3])[image]
+    start = intersect(rays.point[some], len(points), exposures.values[image, 3:], rotation, ideal, distance)
+    lost = np.flatnonzero(missing & np.isnan(start).any(axis=1))
+    if len(lost):
+        raise IllPosedError(
+            f"the rays of {len(lost)} point(s) without coordinates are parallel",
+            where="points.csv",
+            remedy="give these points start coordinates, or rays from different places",
+        )
+    return np.where(missing[:, None], start, points)

@@ -1,0 +1,56 @@
+"""Blocks without exterior orientation reach the minimum of the same block with it."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from pathlib import Path
+
+import pytest
+
+from drivers.errors import IllPosedError, InputMalformedError
+from photocal.block.process import adjust_block
+
+DEMO = Path(__file__).resolve().parents[3] / "configs" / "demo" / "dcs460"
+
+
+def without_orientation(folder: Path, images: frozenset[str], extra: str = "") -> Path:
+    """Copy the demonstration block, the orientation of some images left empty."""
+    shutil.copytree(DEMO, folder)
+    with (folder / "images.csv").open(encoding="utf-8") as text:
+        rows = list(csv.reader(text))
+    head = ",".join(rows[0]) + (",sX" if extra else "")
+    lines = [head]
+    for row in rows[1:]:
+        cells = row[:2] + [""] * 6 if row[0] in images else row
+        lines.append(",".join(cells) + (f",{extra}" if extra else ""))
+    (folder / "images.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return folder
+
+
+ALL = frozenset({"1", "3", "4", "5", "6", "7", "8", "9", "10", "11", "12"})
+
+
+@pytest.mark.parametrize("images", [ALL, frozenset({"8"})], ids=["none given", "one missing"])
+def test_same_minimum_without_orientation(images: frozenset[str], tmp_path: Path) -> None:
+    result = adjust_block(without_orientation(tmp_path / "block", images), tmp_path / "run")
+    # Case A of the study, computed by others.
+    assert result["chi_squared"] == pytest.approx(764.07, abs=0.01)
+    assert result["cameras"]["dcs460"]["parameters"]["c"]["value"] == pytest.approx(20.5004666, abs=1e-5)
+
+
+def test_an_image_that_nothing_connects(tmp_path: Path) -> None:
+    folder = without_orientation(tmp_path / "block", frozenset({"8"}))
+    rows = (folder / "observations.csv").read_text(encoding="utf-8").splitlines()
+    few = [row for row in rows if not row.startswith("8,")] + [row for row in rows if row.startswith("8,")][
+        :3
+    ]
+    (folder / "observations.csv").write_text("\n".join(few) + "\n", encoding="utf-8")
+    with pytest.raises(IllPosedError, match=r"1 image\(s\) \(8\)"):
+        adjust_block(folder, tmp_path / "run")
+
+
+def test_a_sigma_needs_its_value(tmp_path: Path) -> None:
+    folder = without_orientation(tmp_path / "block", frozenset({"8"}), extra="0.05")
+    with pytest.raises(InputMalformedError, match="a value with a sigma is empty"):
+        adjust_block(folder, tmp_path / "run")
