@@ -15,7 +15,13 @@ from drivers.errors import ConfigurationError
 def ortho(
     block: Annotated[Path, typer.Argument(help="Block folder with cameras and images.")],
     images: Annotated[Path, typer.Option(help="Folder of the image files.")],
-    dtm: Annotated[Path, typer.Option(help="Terrain model, any raster that GDAL reads, in metres.")],
+    dtm: Annotated[
+        Path,
+        typer.Option(
+            help="Terrain model: any raster that GDAL reads, or a CSV of points or contours (X, Y, Z, "
+            "optional line), such as points.csv of an adjustment, all in metres."
+        ),
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", help="GeoTIFF to write.")],
     run: Annotated[
         Path | None, typer.Option(help="Adjustment of the block; without: orientations as given.")
@@ -29,6 +35,12 @@ def ortho(
     crs: Annotated[str | None, typer.Option(help="Reference system of block and terrain model.")] = None,
     heights: Annotated[
         str | None, typer.Option(help="Kind of heights of a terrain model that does not say it.")
+    ] = None,
+    dtm_cell: Annotated[
+        float | None, typer.Option(help="Size of the cells that a CSV of terrain points is put on, m.")
+    ] = None,
+    dtm_output: Annotated[
+        Path | None, typer.Option(help="GeoTIFF of the terrain model made from a CSV.")
     ] = None,
     nodata: Annotated[
         float, typer.Option(help="Value of cells without image; real grey levels keep clear of it.")
@@ -72,6 +84,7 @@ def ortho(
         raise ConfigurationError(f"--heights {heights} is not known", remedy=f"use {', '.join(HEIGHT_KINDS)}")
     if (compare is None) != (displacement is None):
         raise ConfigurationError("--compare and --displacement go together", remedy="give both or none")
+    dtm, notes = _terrain_file(dtm, dtm_cell, dtm_output, crs, heights)
     model, frame, shots = oriented(block, run)
     files = image_files(model, images, tuple(image or ()))
     shots = shots.only(list(files))
@@ -98,7 +111,7 @@ def ortho(
         "cells": made.cells,
     }
     size = f"{grid.columns} x {grid.rows} cells of {grid.cell:g} m"
-    lines = [f"{output}: {size}, {resampling}, {100 * made.share:.1f} % covered, {kind} heights"]
+    lines = [*notes, f"{output}: {size}, {resampling}, {100 * made.share:.1f} % covered, {kind} heights"]
     lines += [f"  {name}: {100 * n / (grid.columns * grid.rows):.1f} %" for name, n in made.cells.items()]
     if compare is not None and displacement is not None:
         from photocal.products.displacement import draw_displacement
@@ -111,6 +124,30 @@ def ortho(
         figures["displacement_m"] = {"rms": field.rms, "largest": field.largest}
         lines.append(f"displacement by {compare}: rms {field.rms:.4g} m, largest {field.largest:.4g} m")
     answer(as_json, lambda: figures, lambda: "\n".join(lines))
+
+
+def _terrain_file(
+    dtm: Path, cell: float | None, output: Path | None, crs: str | None, heights: str | None
+) -> tuple[Path, list[str]]:
+    """Make a raster of terrain points; a raster stays as it is."""
+    from photocal.products.raster import system_wkt, write_terrain
+    from photocal.products.tin import grid_of_points, read_terrain_points
+
+    if dtm.suffix.lower() != ".csv":
+        if cell is not None or output is not None:
+            raise ConfigurationError("--dtm-cell and --dtm-output are for a CSV of terrain points")
+        return dtm, []
+    if cell is None or output is None or heights is None:
+        raise ConfigurationError(
+            f"{dtm} is a table of points", remedy="give --dtm-cell, --dtm-output and --heights with it"
+        )
+    points = read_terrain_points(dtm)
+    made = grid_of_points(points, cell, "" if crs is None else system_wkt(crs), heights)
+    write_terrain(made.terrain, output)
+    note = f"{output}: {len(points.xyz)} points, {made.triangles} triangles"
+    if made.flat:
+        note += f", {made.flat} of them level within one contour (summits and hollows are cut off)"
+    return output, [note]
 
 
 def _rectangle(text: str) -> tuple[float, float, float, float]:

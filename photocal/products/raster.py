@@ -312,3 +312,32 @@ def _overviews(columns: int, rows: int) -> list[int]:
         factors.append(factor)
         factor *= 2
     return factors
+
+
+def write_terrain(terrain: Terrain, path: Path) -> None:
+    """Write a terrain model as GeoTIFF with the kind of its heights.
+
+    Parameters
+    ----------
+    terrain : Terrain
+    path : Path
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written.
+    """
+    rows, columns = terrain.heights.shape
+    tags = {HEIGHT_TAG: terrain.height_kind} if terrain.height_kind else {}
+    with geotiff(
+        path,
+        columns=columns,
+        rows=rows,
+        bands=1,
+        dtype="float32",
+        transform=terrain.transform,
+        crs=terrain.crs,
+        nodata=math.nan,
+        tags=tags,
+    ) as write:
+        write(terrain.heights[np.newaxis].astype(np.float32), 0, 0)

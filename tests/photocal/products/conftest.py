@@ -25,10 +25,10 @@ def rows_of(name: str) -> list[dict[str, str]]:
 def signed(lengths: Floats, angle: Floats) -> Floats:
     """Give the printed residuals, whose signs are lost, signs that residuals of a circle can have.
 
-    Those of a fit are orthogonal to 1, cos and sin of the direction: of 400 000 draws the nearest is taken.
+    Those of a fit are orthogonal to 1, cos and sin of the direction: of 150 000 draws the nearest is taken.
     """
     random = np.random.default_rng(1994)
-    signs = random.choice([-1.0, 1.0], size=(400_000, len(lengths)))
+    signs = random.choice([-1.0, 1.0], size=(150_000, len(lengths)))
     design = np.column_stack([np.ones_like(angle), np.cos(angle), np.sin(angle)])
     miss = np.linalg.norm((signs * lengths) @ design, axis=1)
     return np.asarray(signs[int(np.argmin(miss))] * lengths)

@@ -1,0 +1,277 @@
+"""Check points against an orthomosaic and a terrain model: what the products say at surveyed places."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError
+from photocal.accuracy.discrepancies import Discrepancies
+from photocal.block.table import read_table
+from photocal.products.raster import RasterFile, describe, opened, terrain_source
+
+Floats = NDArray[np.float64]
+
+# Share of the pattern of a round target that must be found again, 0 to 1.
+_LIKENESS = 0.6
+
+
+@dataclass(frozen=True)
+class CheckPoints:
+    """Surveyed points.
+
+    Attributes
+    ----------
+    names : tuple of str
+    enh : ndarray, shape (n, 3)
+        E, N, h in m; h may be NaN.
+    """
+
+    names: tuple[str, ...]
+    enh: Floats
+
+
+@dataclass(frozen=True)
+class ProductCheck:
+    """What products say at check points.
+
+    Attributes
+    ----------
+    discrepancies : Discrepancies
+        Reference minus product, for `photocal.accuracy.assessment.assess`; NaN where a product says nothing.
+    product : ndarray, shape (n, 3)
+        E and N of the target in the orthomosaic, h of the terrain model at the surveyed place, m.
+    likeness : ndarray, shape (n,)
+        How well the target was recognised, 0 to 1; NaN without orthomosaic.
+    remarks : tuple of str
+        One for each point that a product does not show.
+    """
+
+    discrepancies: Discrepancies
+    product: Floats
+    likeness: Floats
+    remarks: tuple[str, ...]
+
+
+def read_check_points(path: Path) -> CheckPoints:
+    """Read surveyed check points.
+
+    Parameters
+    ----------
+    path : Path
+        CSV with point, E, N and optional h, in m and in the reference system of the products.
+
+    Returns
+    -------
+    CheckPoints
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        When it is no such table.
+    """
+    table = read_table(path, ("point", "E", "N"), ("h",))
+    columns = [table.numbers("E"), table.numbers("N"), table.numbers("h", empty=np.nan)]
+    return CheckPoints(table.unique_names("point"), np.column_stack(columns))
+
+
+def check_products(
+    points: CheckPoints,
+    *,
+    ortho: Path | None = None,
+    target_diameter_m: float | None = None,
+    search_m: float | None = None,
+    dtm: Path | None = None,
+    height_kind: str | None = None,
+    dtm_height_kind: str | None = None,
+) -> ProductCheck:
+    """Find the targets of check points in an orthomosaic and sample a terrain model there.
+
+    Parameters
+    ----------
+    points : CheckPoints
+    ortho : Path or None
+        Orthomosaic with round targets, lighter or darker than their surroundings.
+    target_diameter_m : float or None
+        Their diameter, m; needed with an orthomosaic.
+    search_m : float or None
+        How far from the surveyed place a target is looked for, m; needed with an orthomosaic.
+    dtm : Path or None
+        Terrain model; its height is taken at the surveyed place (bilinear), so that an error in position
+        does not count twice.
+    height_kind : str or None
+        Kind of the surveyed heights; needed with a terrain model.
+    dtm_height_kind : str or None
+        Kind of the heights of a terrain model that does not say it itself.
+
+    Returns
+    -------
+    ProductCheck
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        For products that cannot be read.
+    ConfigurationError
+        For missing or contradicting settings.
+    """
+    if ortho is None and dtm is None:
+        raise ConfigurationError("no product is given", remedy="name an orthomosaic or a terrain model")
+    product, likeness = np.full((len(points.names), 3), np.nan), np.full(len(points.names), np.nan)
+    remarks: list[str] = []
+    if ortho is not None:
+        if not (target_diameter_m and target_diameter_m > 0 and search_m and search_m > 0):
+            raise ConfigurationError(
+                "targets are sought without their size", remedy="give target diameter and search distance, m"
+            )
+        raster = describe(ortho)
+        _require_square(raster, target_diameter_m)
+        for row, (name, place) in enumerate(zip(points.names, points.enh, strict=True)):
+            found = find_target(raster, place[:2], target_diameter_m, search_m)
+            product[row, :2], likeness[row] = found[:2], found[2]
+            if not np.isfinite(found[0]):
+                remarks.append(f"point {name}: no target within {search_m:g} m in {ortho.name}")
+    if dtm is not None:
+        heights = _heights(dtm, points, height_kind, dtm_height_kind)
+        product[:, 2] = heights
+        remarks += [
+            f"point {name}: no height in {dtm.name}"
+            for name, height in zip(points.names, heights, strict=True)
+            if not np.isfinite(height)
+        ]
+    positions = points.enh.copy()
+    discrepancies = Discrepancies(points.names, points.enh - product, positions)
+    return ProductCheck(discrepancies, product, likeness, tuple(remarks))
+
+
+def _require_square(raster: RasterFile, diameter: float) -> None:
+    a, b, _, d, e, _ = raster.transform
+    if b != 0 or d != 0 or abs(abs(a) - abs(e)) > 1e-6 * abs(a) or a <= 0 or e >= 0:
+        raise ConfigurationError("is not north up with square cells", where=raster.path, remedy="warp it")
+    if diameter < 2 * a:
+        raise ConfigurationError(
+            f"a target of {diameter:g} m is smaller than two cells of {a:g} m", where=raster.path
+        )
+
+
+def _heights(dtm: Path, points: CheckPoints, kind: str | None, said: str | None) -> Floats:
+    raster = describe(dtm)
+    model = raster.height_kind or said
+    if said is not None and raster.height_kind and said != raster.height_kind:
+        raise ConfigurationError(
+            f"has {raster.height_kind} heights, not {said} ones", where=dtm, remedy="correct the kind"
+        )
+    if not model or not kind:
+        whose = "terrain model" if not model else "check points"
+        raise ConfigurationError(
+            f"the kind of the heights of the {whose} is not said",
+            where=dtm,
+            remedy="name it: ellipsoidal, orthometric or local",
+        )
+    if model != kind:
+        raise ConfigurationError(
+            f"has {model} heights, the check points {kind} ones",
+            where=dtm,
+            remedy="convert one of them with its geoid",
+        )
+    source = terrain_source(raster, model)
+    return np.array(
+        [float(source((e, n, e, n)).at(np.array([e]), np.array([n]))[0]) for e, n in points.enh[:, :2]]
+    )
+
+
+def find_target(raster: RasterFile, place: Floats, diameter: float, search: float) -> Floats:
+    """Find a round target near a place in a raster.
+
+    Parameters
+    ----------
+    raster : RasterFile
+        North up, square cells.
+    place : ndarray, shape (2,)
+        E, N, m.
+    diameter, search : float
+        Of the target, and around the place, m.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        E, N of its middle, m, and the likeness; NaN when it is not found.
+
+    Notes
+    -----
+    The place of the best normalised correlation with a disc, then the centre of gravity of what stands out
+    from the surroundings there.
+    """
+    import cv2
+
+    cell = raster.transform[0]
+    radius = diameter / 2 / cell
+    margin = int(np.ceil(radius)) + 2
+    half = int(np.ceil(search / cell)) + margin
+    column = (place[0] - raster.transform[2]) / cell - 0.5
+    row = (raster.transform[5] - place[1]) / cell - 0.5
+    j, i = round(float(column)), round(float(row))
+    grey = _window(raster, j - half, i - half, 2 * half + 1)
+    if grey is None:
+        return np.full(3, np.nan)
+    template = _disc(radius, margin)
+    likeness = np.abs(cv2.matchTemplate(grey, template, cv2.TM_CCOEFF_NORMED))
+    # Flat surroundings have no correlation; OpenCV may say anything there.
+    likeness[~np.isfinite(likeness) | (likeness > 1.0001)] = 0
+    v, u = np.unravel_index(int(np.argmax(likeness)), likeness.shape)
+    best = float(likeness[v, u])
+    if best < _LIKENESS:
+        return np.array([np.nan, np.nan, best])
+    x, y = _gravity(grey[v : v + len(template), u : u + len(template)], radius)
+    east = raster.transform[2] + (j - half + int(u) + x + 0.5) * cell
+    north = raster.transform[5] - (i - half + int(v) + y + 0.5) * cell
+    if np.hypot(east - place[0], north - place[1]) > search:
+        return np.array([np.nan, np.nan, best])
+    return np.array([east, north, best])
+
+
+def _window(raster: RasterFile, column: int, row: int, side: int) -> NDArray[np.float32] | None:
+    """Mean of the bands; None when the window leaves the raster or has no data."""
+    import rasterio.windows  # type: ignore[import-untyped]
+
+    if column < 0 or row < 0 or column + side > raster.columns or row + side > raster.rows:
+        return None
+    with opened(raster.path) as source:
+        bands: Any = source.read(window=rasterio.windows.Window(column, row, side, side), masked=True)
+    # An alpha band holds no grey levels.
+    colours = bands[:3] if len(bands) >= 3 else bands[:1]
+    if np.ma.getmaskarray(colours).any():
+        return None
+    return np.asarray(colours.mean(axis=0), dtype=np.float32)
+
+
+def _disc(radius: float, margin: int) -> NDArray[np.float32]:
+    """Share of each cell that a disc covers."""
+    fine = 8
+    side = (2 * margin + 1) * fine
+    axis = (np.arange(side) + 0.5) / fine - 0.5 - margin
+    inside = (axis[:, None] ** 2 + axis**2 <= radius**2).astype(np.float32)
+    cells = inside.reshape(2 * margin + 1, fine, 2 * margin + 1, fine)
+    return np.asarray(cells.mean(axis=(1, 3)), dtype=np.float32)
+
+
+def _gravity(grey: NDArray[np.float32], radius: float) -> tuple[float, float]:
+    """Centre of gravity of a target in its window, in cells."""
+    side = len(grey)
+    index = np.arange(side)
+    x = y = (side - 1) / 2
+    away = np.hypot(index[:, None] - y, index - x)
+    outside = np.asarray(grey, dtype=np.float64)[away > radius + 1.2]
+    around = float(np.median(outside))
+    weight = np.abs(grey - around)
+    # What the surroundings do by themselves would pull towards the middle of the window.
+    weight[weight < 3 * 1.4826 * np.median(np.abs(outside - around))] = 0
+    for _ in range(5):
+        near = weight * (np.hypot(index[:, None] - y, index - x) <= radius + 1.5)
+        total = near.sum()
+        x, y = float(near.sum(axis=0) @ index / total), float(near.sum(axis=1) @ index / total)
+    return x, y
