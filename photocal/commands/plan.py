@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from acquire.console import answer
+from acquire.console import answer, progress
 from drivers.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from photocal.planning.control_layout import ControlLayout
+    from photocal.planning.flight import Flight
     from photocal.planning.mission import Home
+    from photocal.planning.simulated_adjustment import Survey
 
 _SIZE = re.compile(r"^(?P<columns>[0-9]+)\s*[xX]\s*(?P<rows>[0-9]+)$")
 
@@ -58,6 +61,20 @@ def plan(
     vehicle: Annotated[str, typer.Option(help="quadrotor or fixed-wing.")] = "quadrotor",
     control: Annotated[int, typer.Option(help="Number of control points to suggest.")] = 8,
     check: Annotated[int, typer.Option(help="Number of check points to suggest.")] = 30,
+    simulation: Annotated[
+        bool, typer.Option(help="Adjust the planned flight to expect its precision.")
+    ] = True,
+    image_sigma_px: Annotated[float, typer.Option(help="Expected precision in the image, px.")] = 0.5,
+    control_sigma_m: Annotated[
+        str, typer.Option(help="Expected precision of control in plane and height, m.")
+    ] = "0.02,0.03",
+    gnss_sigma_m: Annotated[
+        str | None, typer.Option(help="Precision of exposure positions in plane and height, m.")
+    ] = None,
+    calibrate: Annotated[
+        bool, typer.Option("--calibrate", help="Estimate the camera from the flight itself.")
+    ] = False,
+    relief_m: Annotated[float, typer.Option(help="Terrain above and below its mean, m.")] = 0.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
     """Plan a photo flight: height, overlaps, strips, expected precision, control, mission.
@@ -103,13 +120,48 @@ def plan(
     layout = suggest_layout(flight.corners_m, control, check, flight.levels[0].base_m / 2.0)
     takeoff = None if home is None or ground_height is None else (_home(home), ground_height)
     figures = to_json(flight, targets, said)
+    simulated = ""
+    if simulation:
+        survey = _survey(image_sigma_px, control_sigma_m, gnss_sigma_m, calibrate, relief_m)
+        figures["simulated"], simulated = _simulated(flight, layout, survey)
     names = write_plan(output, flight, layout, takeoff, autopilot, vehicle, figures)
     missing = "" if takeoff else "\nno mission written: give --home LAT,LON,HEIGHT and --ground-height"
     answer(
         as_json,
         lambda: figures,
-        lambda: f"{to_text(flight, targets, said)}\nwritten to {output}: {', '.join(names)}{missing}",
+        lambda: (
+            f"{to_text(flight, targets, said)}{simulated}\nwritten to {output}: {', '.join(names)}{missing}"
+        ),
     )
+
+
+def _simulated(flight: Flight, layout: ControlLayout, survey: Survey) -> tuple[dict[str, object], str]:
+    from photocal.planning.simulated_adjustment import simulate, to_json, to_text
+
+    with progress("adjusting the planned flight", None):
+        result = simulate(flight, layout, survey)
+    return to_json(result, survey), "\n" + to_text(result)
+
+
+def _survey(image_px: float, control: str, gnss: str | None, calibrate: bool, relief_m: float) -> Survey:
+    from photocal.planning.simulated_adjustment import Survey
+
+    if not (image_px > 0.0 and relief_m >= 0.0):
+        raise ConfigurationError("image precision must be positive and relief not negative")
+    positions = None if gnss is None else _pair(gnss)
+    return Survey(image_px, _pair(control), positions, calibrate, relief_m)
+
+
+def _pair(text: str) -> tuple[float, float]:
+    try:
+        plane, height = (float(part) for part in text.split(","))
+    except ValueError as refusal:
+        raise ConfigurationError(
+            f"{text!r} is not a precision in plane and height", remedy="write 0.02,0.03"
+        ) from refusal
+    if not (plane > 0.0 and height > 0.0):
+        raise ConfigurationError(f"a precision of {text} m is not positive", remedy="write 0.02,0.03")
+    return plane, height
 
 
 def _image_size(text: str) -> tuple[int, int]:

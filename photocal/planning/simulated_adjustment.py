@@ -1,0 +1,274 @@
+"""Precision of a planned flight, from the adjustment that will be made of it.
+
+The planned exposures, a net of tie points and the suggested ground points make a network whose
+observations are free of errors; its covariance is that of the flight as planned. Errors of the
+model, of the terrain and of the weather are not in it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import IllPosedError, NotConvergedError
+from photocal.adjustment.adjust import adjust
+from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
+from photocal.adjustment.solution import Solution
+from photocal.geometry.camera import PARAMETERS, Camera, camera
+from photocal.geometry.rotation import matrix_from_angles
+from photocal.planning.area import FloatArray
+from photocal.planning.control_layout import ControlLayout
+from photocal.planning.flight import Flight
+from photocal.planning.frame import Frame
+
+Integers = NDArray[np.int64]
+
+# Tie points per side of a footprint: 25 in each photo.
+_TIES_PER_SIDE = 5
+SELF_CALIBRATION = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
+
+
+@dataclass(frozen=True)
+class Survey:
+    """Precision of what will be observed.
+
+    Attributes
+    ----------
+    image_px : float
+        Standard deviation of an image coordinate, px.
+    control_m : tuple of float
+        Of control points in plane and height, m.
+    gnss_m : tuple of float or None
+        Of the exposures' positions in plane and height, m; None: no positions.
+    self_calibration : bool
+        Whether c, x0, y0, K1, K2, P1, P2 are estimated from the flight itself.
+    relief_m : float
+        Height of the terrain above and below its mean, m.
+    """
+
+    image_px: float = 0.5
+    control_m: tuple[float, float] = (0.02, 0.03)
+    gnss_m: tuple[float, float] | None = None
+    self_calibration: bool = False
+    relief_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class SimulatedPrecision:
+    """What the simulated adjustment says.
+
+    Attributes
+    ----------
+    method : str
+        "indirect" or "integrated".
+    images, points, rays : int
+    check : int
+        Check points that two photos or more see.
+    mean_m, worst_m : tuple of float
+        Root mean square and largest standard deviation of X, Y, Z at the check points, m; empty when
+        the flight does not determine them.
+    camera_px : dict
+        Standard deviations of c, x0, y0, px; empty without self-calibration.
+    reason : str
+        Why there is no result; empty otherwise.
+    """
+
+    method: str
+    images: int
+    points: int
+    rays: int
+    check: int
+    mean_m: tuple[float, ...]
+    worst_m: tuple[float, ...]
+    camera_px: dict[str, float]
+    reason: str
+
+
+def simulate(flight: Flight, layout: ControlLayout, survey: Survey) -> SimulatedPrecision:
+    """Adjust a planned flight.
+
+    Parameters
+    ----------
+    flight : Flight
+    layout : ControlLayout
+    survey : Survey
+
+    Returns
+    -------
+    SimulatedPrecision
+    """
+    network, check = planned_network(flight, layout, survey)
+    method = "indirect" if survey.gnss_m is None else "integrated"
+    counts = (len(network.image_names), len(network.point_names), len(network.rays.image), len(check))
+    nothing: tuple[float, ...] = ()
+    if not len(check):
+        reason = "no check point is seen by two photos"
+        return SimulatedPrecision(method, *counts, nothing, nothing, {}, reason)
+    try:
+        solution = adjust(network)
+    except (IllPosedError, NotConvergedError) as refusal:
+        return SimulatedPrecision(method, *counts, nothing, nothing, {}, str(refusal))
+    variance = np.diagonal(solution.point_covariance[check], axis1=1, axis2=2)
+    return SimulatedPrecision(
+        method,
+        *counts,
+        tuple(np.sqrt(variance.mean(axis=0)).tolist()),
+        tuple(np.sqrt(variance.max(axis=0)).tolist()),
+        _camera_px(flight.wish.frame, solution) if survey.self_calibration else {},
+        "",
+    )
+
+
+def planned_network(flight: Flight, layout: ControlLayout, survey: Survey) -> tuple[Network, Integers]:
+    """Make the network that the flight will give, free of errors.
+
+    Parameters
+    ----------
+    flight : Flight
+    layout : ControlLayout
+    survey : Survey
+
+    Returns
+    -------
+    network : Network
+    check : ndarray of int
+        Its check points.
+    """
+    poses = _poses(flight)
+    frame = flight.wish.frame
+    ties = _ties(flight)
+    plane = np.vstack([layout.control_m, layout.check_m, ties])
+    # Waves of about a footprint's length: relief that every photo sees some of.
+    length = min(flight.levels[0].footprint_m)
+    height = survey.relief_m * np.sin(2 * np.pi * plane[:, 0] / length)
+    height = height * np.cos(2 * np.pi * plane[:, 1] / length)
+    xyz = np.column_stack([plane, height])
+    own = _camera(frame, calibrated=not survey.self_calibration)
+    image, point, seen = _rays(poses, xyz, frame)
+    rays = np.bincount(point, minlength=len(xyz))
+    used = np.flatnonzero(rays >= 2)
+    place = np.full(len(xyz), -1)
+    place[used] = np.arange(len(used))
+    keep = place[point] >= 0
+    # Photos at the ends of strips may see no ground of the area; four points orient a photo.
+    strong = np.bincount(image[keep], minlength=len(poses)) >= 4
+    keep &= strong[image]
+    image, point, seen = image[keep], point[keep], seen[keep]
+    rays = np.bincount(point, minlength=len(xyz))
+    used = np.flatnonzero(rays >= 2)
+    place = np.full(len(xyz), -1)
+    place[used] = np.arange(len(used))
+    keep = place[point] >= 0
+    image, point, seen = image[keep], point[keep], seen[keep]
+    number = np.cumsum(strong) - 1
+    order = np.argsort(place[point], kind="stable")
+    control = used < len(layout.control_m)
+    sigma = np.full((len(used), 3), np.inf)
+    sigma[control] = [survey.control_m[0]] * 2 + [survey.control_m[1]]
+    held, weight = point_weights(sigma)
+    images = int(strong.sum())
+    pose_sigma = np.full((images, 6), np.inf)
+    if survey.gnss_m is not None:
+        pose_sigma[:, 3:] = [survey.gnss_m[0]] * 2 + [survey.gnss_m[1]]
+    precision = np.full((len(order), 2), survey.image_px * frame.pixel_m * 1e3)
+    network = Network(
+        (own,),
+        Exposures(np.zeros(images, dtype=np.int64), poses[strong], pose_sigma),
+        Points(xyz[used], held, weight),
+        Rays(number[image][order], place[point][order], seen[order], precision),
+        tuple(f"photo {k + 1}" for k in np.flatnonzero(strong)),
+        tuple(f"point {k + 1}" for k in used),
+    )
+    last = len(layout.control_m) + len(layout.check_m)
+    return network, np.flatnonzero(~control & (used < last))
+
+
+def _poses(flight: Flight) -> FloatArray:
+    """Angles and places of the planned exposures, looking straight down, shape (n, 6)."""
+    rows = []
+    for strip in flight.strips:
+        line = strip.exposures_m[-1] - strip.exposures_m[0]
+        azimuth = float(np.arctan2(line[0], line[1]))
+        kappa = -azimuth if flight.wish.along == "rows" else np.pi / 2 - azimuth
+        rows += [[0.0, 0.0, kappa, e, n, strip.height_m] for e, n in strip.exposures_m.tolist()]
+    return np.array(rows)
+
+
+def _ties(flight: Flight) -> FloatArray:
+    """A net of tie points over all ground that the photos may show; those in one photo drop out later."""
+    sides = [min(level.footprint_m) for level in flight.levels]
+    reach = max(max(level.footprint_m) for level in flight.levels) / 2.0
+    step = min(sides) / _TIES_PER_SIDE
+    exposures = np.vstack([strip.exposures_m for strip in flight.strips])
+    low, high = exposures.min(axis=0) - reach, exposures.max(axis=0) + reach
+    axes = [np.arange(low[k] + step / 2.0, high[k], step) for k in range(2)]
+    return np.asarray(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2))
+
+
+def _camera(frame: Frame, *, calibrated: bool) -> Camera:
+    return camera(
+        "planned",
+        "brown-ideal",
+        "mm",
+        (frame.columns, frame.rows),
+        (frame.pixel_m * 1e3, frame.pixel_m * 1e3),
+        {"c": frame.focal_m * 1e3},
+        estimate=() if calibrated else SELF_CALIBRATION,
+    )
+
+
+def _rays(poses: FloatArray, xyz: FloatArray, frame: Frame) -> tuple[Integers, Integers, FloatArray]:
+    """Which photo sees which point, and where in mm from its middle."""
+    half = np.array([frame.columns, frame.rows]) / 2.0 * frame.pixel_m * 1e3
+    images, points, seen = [], [], []
+    for number, pose in enumerate(poses):
+        q = (xyz - pose[3:]) @ matrix_from_angles(pose[:3]).T
+        plane = -frame.focal_m * 1e3 * q[:, :2] / q[:, 2:]
+        visible = np.flatnonzero((np.abs(plane) < half).all(axis=1) & (q[:, 2] < 0))
+        images.append(np.full(len(visible), number))
+        points.append(visible)
+        seen.append(plane[visible])
+    return np.concatenate(images), np.concatenate(points), np.vstack(seen)
+
+
+def _camera_px(frame: Frame, solution: Solution) -> dict[str, float]:
+    sigma = np.sqrt(np.diag(solution.camera_covariance[0])) / (frame.pixel_m * 1e3)
+    return {name: float(sigma[PARAMETERS.index(name)]) for name in ("c", "x0", "y0")}
+
+
+def to_json(result: SimulatedPrecision, survey: Survey) -> dict[str, object]:
+    """Give a simulated adjustment as a JSON value."""
+    axes = ("x", "y", "z")
+    return {
+        "method": result.method,
+        "image_sigma_px": survey.image_px,
+        "control_sigma_m": list(survey.control_m),
+        "gnss_sigma_m": None if survey.gnss_m is None else list(survey.gnss_m),
+        "self_calibration": survey.self_calibration,
+        "relief_m": survey.relief_m,
+        "images": result.images,
+        "points": result.points,
+        "rays": result.rays,
+        "check_points": result.check,
+        "sigma_m": dict(zip(axes, result.mean_m, strict=False)) or None,
+        "worst_sigma_m": dict(zip(axes, result.worst_m, strict=False)) or None,
+        "camera_sigma_px": result.camera_px or None,
+        "reason": result.reason or None,
+    }
+
+
+def to_text(result: SimulatedPrecision) -> str:
+    """Write a simulated adjustment for people."""
+    head = (
+        f"simulated adjustment, {result.method}: {result.images} photos, {result.points} points, "
+        f"{result.rays} rays"
+    )
+    if result.reason:
+        return f"{head}\n  not determined: {result.reason}"
+    mean, worst = (" ".join(f"{v:.3f}" for v in part) for part in (result.mean_m, result.worst_m))
+    text = f"{head}\n  sigma X Y Z at {result.check} check points {mean} m, worst {worst} m"
+    if result.camera_px:
+        text += "; camera " + ", ".join(f"{k} {v:.2f} px" for k, v in result.camera_px.items())
+    return text
