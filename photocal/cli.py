@@ -10,6 +10,7 @@ from photocal.commands import (
     check,
     compare,
     export,
+    exposures,
     measure,
     ortho,
     plan,
@@ -28,6 +29,7 @@ app.command()(compare.compare)
 app.command()(check.check)
 app.command()(plan.plan)
 app.command()(ppk.ppk)
+app.command()(exposures.exposures)
 app.command()(export.export)
 app.command()(volume.volume)
 app.command()(ortho.ortho)

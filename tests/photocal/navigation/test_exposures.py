@@ -1,0 +1,197 @@
+"""Exposures of recorded and simulated flights: positions, attitudes, images and their covariance."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from drivers.errors import ConfigurationError
+from photocal.navigation.exposures import Exposures, at_camera
+from photocal.navigation.interpolation import Placed
+from photocal.navigation.time import GpsTime, UtcTime
+from photocal.navigation.trajectory import enu_offsets
+from photocal.navigation.vehicle import read_vehicle
+from tests.photocal.conftest import Answer
+from tests.photocal.navigation.conftest import ImportLog, Run
+
+Photocal = Callable[..., Answer]
+Floats = NDArray[np.float64]
+ORIGIN = np.array([53.28, -8.98, 90.0])
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open() as stream:
+        return list(csv.DictReader(stream))
+
+
+def stamp_images(folder: Path, utc_ns: list[int], late_s: float) -> None:
+    """Images whose EXIF tells hundredths of seconds by a camera clock that is late."""
+    folder.mkdir()
+    for number, ns in enumerate(utc_ns):
+        hundredths = round(ns / 1e7 - late_s * 100)
+        seconds, part = divmod(hundredths, 100)
+        image, exif = Image.new("L", (8, 8)), Image.Exif()
+        moment = np.datetime64(seconds, "s").item()
+        details = {36867: f"{moment:%Y:%m:%d %H:%M:%S}", 37521: f"{part:02d}"}
+        exif._ifds[0x8769] = details
+        exif[0x8769] = details
+        exif[272] = "TestCam"
+        image.save(folder / f"IMG_{number:04d}.jpg", exif=exif)
+
+
+def at_antenna(angles: Floats, covariance: Floats) -> Exposures:
+    n = len(angles)
+    one = np.ones(n)
+    placed = Placed(
+        np.ones(n, bool), one, ORIGIN[0] * one, ORIGIN[1] * one, ORIGIN[2] * one, np.zeros((n, 3)),
+        np.broadcast_to(covariance, (n, 3, 3)), np.full(n, "fixed"),
+    )  # fmt: skip
+    time = GpsTime.from_week(np.full(n, 2022), np.arange(n, dtype=float))
+    return Exposures(time, np.arange(n), placed, angles, [""] * n, "ellipsoidal")
+
+
+def test_lever_arm_by_hand() -> None:
+    # Flying east (yaw 90 degrees), level: forward is east, right is south, down is down.
+    level = np.radians([[0.0, 0.0, 90.0]])
+    lever = np.array([0.5, 0.2, 0.1])
+    p = at_camera(at_antenna(level, np.eye(3) * 1e-4), lever, np.zeros(3), np.zeros(3)).placed
+    moved = enu_offsets(p.lat_deg, p.lon_deg, p.height_m, ORIGIN)
+    assert moved[0] == pytest.approx([0.5, -0.2, -0.1], abs=1e-6)
+
+
+def test_covariance_against_simulation() -> None:
+    rng = np.random.default_rng(11)
+    angles = np.radians([[8.0, -12.0, 130.0]])
+    lever, lever_sigma = np.array([0.6, -0.3, 0.4]), np.array([0.02, 0.03, 0.01])
+    angle_sigma = np.radians([1.0, 1.5, 4.0])
+    antenna = np.array([[4e-4, 1e-4, 0.0], [1e-4, 3e-4, -1e-4], [0.0, -1e-4, 9e-4]])
+    claimed = at_camera(at_antenna(angles, antenna), lever, lever_sigma, angle_sigma)
+    n = 200_000
+    # An independent way: scipy's intrinsic yaw, pitch, roll from body to north, east, down.
+    drawn = angles + rng.normal(0, 1, (n, 3)) * angle_sigma
+    ned = Rotation.from_euler("ZYX", drawn[:, ::-1]).apply(lever + rng.normal(0, 1, (n, 3)) * lever_sigma)
+    enu = ned[:, [1, 0, 2]] * [1, 1, -1] + rng.multivariate_normal(np.zeros(3), antenna, n)
+    simulated = np.cov(enu.T)
+    sigma = np.sqrt(np.diag(claimed.placed.covariance_m2[0]))
+    assert np.sqrt(np.diag(simulated)) == pytest.approx(sigma, rel=0.05)
+    scale = np.outer(sigma, sigma)
+    assert np.abs((simulated - claimed.placed.covariance_m2[0]) / scale).max() < 0.05
+
+
+def test_lever_arm_needs_an_attitude() -> None:
+    antenna = at_antenna(np.full((3, 3), np.nan), np.eye(3))
+    with pytest.raises(ConfigurationError, match="no attitude"):
+        at_camera(antenna, np.ones(3), np.zeros(3), np.zeros(3))
+
+
+@pytest.mark.shared
+def test_moving_rover_with_images(photocal: Photocal, moving_run: Run, tmp_path: Path) -> None:
+    plain = photocal("exposures", moving_run.log, "-o", tmp_path / "plain", "--json")
+    assert plain.code == 0, plain.err
+    rows = table(tmp_path / "plain" / "exposures.csv")
+    assert len(rows) == 589
+    placed = [row for row in rows if row["status"]]
+    assert len(placed) >= 530
+    assert all(row["note"] for row in rows if not row["status"])
+    assert len(json.loads(plain.out)["not_placed"]) == 589 - len(placed)
+    # Every position lies between its neighbours on the trajectory.
+    stamps = moving_run.column("time_gps_ns").astype(np.int64)
+    lat = moving_run.column("lat_deg")
+    for row in placed[::25]:
+        at = int(np.searchsorted(stamps, int(row["time_gps_ns"])))
+        low, high = sorted((lat[at - 1], lat[at]))
+        assert low - 3e-6 < float(row["lat_deg"]) < high + 3e-6
+
+
+@pytest.mark.shared
+def test_images_named_by_the_recording_computer(
+    photocal: Photocal, shared: Path, import_log: ImportLog, tmp_path: Path
+) -> None:
+    data = shared / "data/mavlink-tlog-cuav-images"
+    log = import_log("cuav", {"vehicle": data / "flight.tlog"})
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for path in data.glob("raw*.png"):
+        shutil.copy(path, folder)
+    answer = photocal("exposures", log, "--images", folder, "-o", tmp_path / "out", "--json")
+    assert answer.code == 0, answer.err
+    first = table(tmp_path / "out" / "exposures.csv")[0]
+    # README of the data: the position of the message 0.11 s (playback) before the image; the vehicle moved
+    # on by less than a metre.
+    near = np.array([-35.362304, 149.165188, float(first["height_m"])])
+    lat, lon, height = (np.array([float(first[c])]) for c in ("lat_deg", "lon_deg", "height_m"))
+    offset = enu_offsets(lat, lon, height, near)[0]
+    assert 0.1 < np.hypot(offset[0], offset[1]) < 1.5
+    # The autopilot's date, not that of the playback two months later.
+    assert GpsTime(np.array([int(first["time_gps_ns"])])).iso()[0].startswith("2016-09-07")
+    assert "mean sea level" in json.loads(answer.out)["height"]
+    assert all(row["yaw_deg"] for row in table(tmp_path / "out" / "exposures.csv"))
+
+
+@pytest.mark.shared
+def test_autopilot_time_orders_the_data(shared: Path, import_log: ImportLog) -> None:
+    log = import_log("dronekit", {"vehicle": shared / "data/mavlink-tlog-dronekit/flight.tlog"})
+    track = read_vehicle(log)
+    # Of 2833 messages 150 came before the autopilot knew the date.
+    assert len(track.position_time) == 2682
+    assert (np.diff(track.position_time.ns) > 0).all()
+    # Host less autopilot runs over two seconds: arrival would place the vehicle metres away.
+    late = (track.position_host.ns - track.position_time.to_utc().ns) / 1e9
+    # README of the data: from -1.82 s to +0.38 s.
+    assert (late.min(), late.max()) == pytest.approx((-1.82, 0.38), abs=0.02)
+    assert track.position_time[[0]].to_utc().iso()[0].startswith("2015-07-05 00:27")
+
+
+@pytest.mark.shared
+def test_event_list_alone(photocal: Photocal, shared: Path, tmp_path: Path) -> None:
+    listed = shared / "data/rtk-mrk-gcp-helenenschacht/101FTASK_Timestamp.mrk"
+    answer = photocal("exposures", "--mrk", listed, "-o", tmp_path / "out", "--json")
+    assert answer.code == 0, answer.err
+    rows = table(tmp_path / "out" / "exposures.csv")
+    assert len(rows) == 176
+    assert rows[0]["lat_deg"] == "47.6436873208"
+    assert (rows[0]["sn"], rows[0]["se"], rows[0]["su"]) == ("0.01439", "0.01370", "0.02969")
+
+
+@pytest.mark.shared
+def test_images_are_matched_to_an_event_list(photocal: Photocal, shared: Path, tmp_path: Path) -> None:
+    listed = shared / "data/rtk-mrk-gcp-helenenschacht/101FTASK_Timestamp.mrk"
+    lines = [line.split("\t") for line in listed.read_text().splitlines() if line.strip()]
+    gps = GpsTime.from_week([int(x[2][1:-1]) for x in lines], [float(x[1]) for x in lines])
+    utc: UtcTime = gps.to_utc()
+    # The 11th shot made no image.
+    folder = tmp_path / "images"
+    stamp_images(folder, [ns for i, ns in enumerate(utc.ns.tolist()) if i != 10], late_s=7.4)
+    out = tmp_path / "out"
+    answer = photocal(
+        "exposures", "--mrk", listed, "--images", folder, "-o", out, "--crs", "EPSG:32633", "--json"
+    )
+    assert answer.code == 0, answer.err
+    camera = json.loads(answer.out)["cameras"][0]
+    assert camera["matched"] >= 170
+    assert camera["clock_offset_s"] == pytest.approx(7.4, abs=0.02)
+    names = [row["image"] for row in table(out / "exposures.csv")]
+    expected = [f"IMG_{i:04d}.jpg" for i in range(10)] + [""] + [f"IMG_{i:04d}.jpg" for i in range(10, 175)]
+    assert all(found in ("", wanted) for found, wanted in zip(names, expected, strict=True))
+    images = table(out / "images.csv")
+    assert len(images) == camera["matched"]
+    # UTM 33: central meridian 15 degrees; height as listed.
+    assert 500_000 < float(images[0]["X"]) < 700_000
+    assert float(images[0]["Z"]) == pytest.approx(512.998)
+    assert (out / "geo.txt").read_text().splitlines()[0] == "EPSG:4326"
+
+
+def test_nothing_to_work_with(photocal: Photocal, tmp_path: Path) -> None:
+    answer = photocal("exposures", "-o", tmp_path / "out")
+    assert answer.code == 5
+    assert "no camera events" in answer.err
+    assert not (tmp_path / "out").exists()
