@@ -2,24 +2,41 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import IllPosedError
-from photocal.adjustment.datum import open_combinations, similarity_moves
+from photocal.adjustment.datum import similarity_moves
 from photocal.adjustment.envelope import dense
-from photocal.adjustment.normal import Normal, Problem, diagonal_addresses, normal_equations
+from photocal.adjustment.normal import Normal, Problem, normal_equations
 from photocal.adjustment.state import State
 from photocal.geometry.camera import PARAMETERS
 
 Floats = NDArray[np.float64]
 
-# A scaled eigenvalue below this means that rounding, not an observation, holds the unknowns.
-NULL = 1e-10
-# A point's own block has about the square of the angle between its rays as scaled determinant.
-PARALLEL = 1e-10
-# Where the iteration does not end, weak intersections are the first suspects.
-NEARLY_PARALLEL = 1e-4
+
+class Limits(NamedTuple):
+    """Below which shares of their own scale quantities count as undetermined.
+
+    Attributes
+    ----------
+    parallel : float
+        Scaled determinant of a point's own block, about the square of the angle between its rays.
+    null : float
+        Scaled eigenvalue of the reduced matrix.
+    """
+
+    parallel: float
+    null: float
+
+
+# What rounding alone holds; and what to suspect first when an adjustment fails or means nothing.
+SINGULAR = Limits(1e-10, 1e-10)
+SUSPECT = Limits(1e-4, 1e-7)
+# Share of a null vector that similarity transformations must explain to be called the datum.
+MOSTLY = 0.5
 # A standard deviation of this share of the value itself: the linearisation no longer means anything.
 LOST_POINT, LOST_CAMERA = 0.5, 0.1
 POSE_NAMES = ("omega", "phi", "kappa", "X", "Y", "Z")
@@ -41,7 +58,7 @@ def weakest_pivot(factor_diagonal: Floats, diagonal: Floats) -> float:
     return float(np.nanmin(share, initial=1.0))
 
 
-def explain_singular(problem: Problem, state: State, parallel: float = PARALLEL) -> None:
+def explain_singular(problem: Problem, state: State, limits: Limits = SINGULAR) -> None:
     """Raise what the observations leave undetermined; return when they determine everything.
 
     Parameters
@@ -49,8 +66,7 @@ def explain_singular(problem: Problem, state: State, parallel: float = PARALLEL)
     problem : Problem
     state : State
         Where the normal equations are looked at.
-    parallel : float
-        Scaled determinant of a point's own block below which its rays count as parallel.
+    limits : Limits
 
     Raises
     ------
@@ -59,7 +75,7 @@ def explain_singular(problem: Problem, state: State, parallel: float = PARALLEL)
     """
     normal = normal_equations(problem, state)
     names = problem.network.point_names
-    alone = _parallel(problem, normal, parallel)
+    alone = _parallel(problem, normal, limits.parallel)
     if len(alone):
         some = ", ".join(names[j] for j in alone[:5])
         raise IllPosedError(
@@ -70,16 +86,15 @@ def explain_singular(problem: Problem, state: State, parallel: float = PARALLEL)
     scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
     scaled = matrix / np.outer(scale, scale)
     eigenvalues, vectors = np.linalg.eigh(scaled)
-    null = vectors[:, eigenvalues < NULL]
+    null = vectors[:, eigenvalues < limits.null]
     if not null.shape[1]:
         return
-    datum = _datum_defects(problem, normal, state)
-    remainder = null.shape[1] - len(datum)
+    datum, other = _datum_part(problem, state, scale, scaled, null)
     parts = []
     if datum:
         parts.append(f"nothing fixes the datum ({', '.join(datum)})")
-    if remainder > 0 or not datum:
-        parts.append("the observations do not separate " + _loaded(problem, null))
+    if other.shape[1]:
+        parts.append("the observations do not separate " + _loaded(problem, other))
     raise IllPosedError(
         f"the network is singular (rank defect {null.shape[1]}): " + "; ".join(parts),
         remedy="add control points, weighted positions or prior sigmas, or hold what cannot be determined",
@@ -109,6 +124,7 @@ def require_determined(
     spread = np.sqrt(np.trace(point_covariance, axis1=1, axis2=2))
     lost = np.flatnonzero(~(spread < LOST_POINT * distance))
     if len(lost):
+        explain_singular(problem, state, SUSPECT)
         some = ", ".join(problem.network.point_names[j] for j in lost[:5])
         raise IllPosedError(
             f"{len(lost)} object point(s) are uncertain by more than half of their distance ({some}): "
@@ -136,13 +152,24 @@ def _parallel(problem: Problem, normal: Normal, limit: float) -> NDArray[np.int6
     return np.union1d(normal.singular, weak)
 
 
-def _datum_defects(problem: Problem, normal: Normal, state: State) -> list[str]:
-    """Elements of the datum along which nothing changes."""
-    moves, _ = similarity_moves(problem, state)
-    combinations = open_combinations(problem, normal, moves)
-    share = np.abs(combinations) * np.sqrt(normal.matrix[diagonal_addresses(problem)] @ moves**2)[:, None]
-    taking_part = (share > 0.5 * share.max(axis=0, initial=0.0)).any(axis=1)
-    return [name for name, hit in zip(DATUM_NAMES, taking_part, strict=True) if hit]
+def _datum_part(
+    problem: Problem, state: State, scale: Floats, scaled: Floats, null: Floats
+) -> tuple[list[str], Floats]:
+    """Datum elements that make up null vectors, and the null vectors that are something else."""
+    moves = similarity_moves(problem, state)[0] * scale[:, None]
+    length = np.linalg.norm(moves, axis=0)
+    unit = moves / np.where(length > 0, length, 1.0)
+    weights = np.linalg.lstsq(unit, null, rcond=None)[0]
+    nearest = unit @ weights
+    size = np.sum(nearest**2, axis=0)
+    # The datum is open only if moving it alone costs hardly more than the null vector does: all heights
+    # of a flat block move with c, but not without it.
+    cost = np.einsum("nk,nk->k", nearest, scaled @ nearest) / np.maximum(size, np.finfo(float).tiny)
+    own = np.einsum("nk,nk->k", null, scaled @ null)
+    explained = (size > MOSTLY) & (cost < 100 * np.maximum(own, np.finfo(float).eps))
+    strong = np.abs(weights) > 0.5 * np.abs(weights).max(axis=0)
+    named = strong[:, explained].any(axis=1)
+    return [name for name, hit in zip(DATUM_NAMES, named, strict=True) if hit], null[:, ~explained]
 
 
 def _loaded(problem: Problem, null: Floats) -> str:

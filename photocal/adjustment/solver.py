@@ -18,7 +18,7 @@ from photocal.adjustment.normal import (
     diagonal_addresses,
     normal_equations,
 )
-from photocal.adjustment.rank import NEARLY_PARALLEL, explain_singular, weakest_pivot
+from photocal.adjustment.rank import SUSPECT, explain_singular, weakest_pivot
 from photocal.adjustment.state import State, moved_exposures
 
 Floats = NDArray[np.float64]
@@ -124,7 +124,7 @@ def minimise(problem: Problem, state: State, report: Callable[[Iteration], None]
                 remedy="check the start values of images and points, their units and axes",
             )
         normal = normal_equations(problem, state, damping, normal.kept)
-    explain_singular(problem, state, NEARLY_PARALLEL)
+    explain_singular(problem, state, SUSPECT)
     raise NotConvergedError(
         f"not converged after {ITERATIONS} iterations (last step {np.sqrt(decrement):.2g} sigma)",
         remedy="check the start values, and what the network leaves undetermined",

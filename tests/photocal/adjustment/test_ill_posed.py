@@ -92,3 +92,14 @@ def test_mirrored_start_values_end_at_the_truth_or_in_words() -> None:
         assert "\n" not in str(failure)  # noqa: PT017
     else:
         assert solution.exposures[:, 3:] == pytest.approx(scene.exposures[:, 3:], abs=0.05)
+
+
+def test_collinear_control_leaves_a_rotation_open() -> None:
+    scene = networks.convergent()
+    points = scene.points.copy()
+    points[:4] = [[-2.0, 0.5, 0.0], [-1.0, 0.5, 0.0], [1.0, 0.5, 0.0], [2.0, 0.5, 0.0]]
+    sigma = np.full((len(points), 3), np.inf)
+    sigma[:4] = 0.003
+    network = networks.observe(replace(scene, points=points), np.random.default_rng(1), point_sigma=sigma)
+    with pytest.raises(IllPosedError, match="rotation about X"):
+        adjust(network)

@@ -14,6 +14,7 @@ from photocal.block.folder import (
     IMAGE_SIGMAS,
     OBSERVATION_COLUMNS,
     POINT_COLUMNS,
+    POINT_CROSS,
     POINT_SIGMAS,
 )
 from photocal.block.setup import make_camera, read_setup
@@ -42,7 +43,7 @@ def test_columns_are_those_that_are_read() -> None:
     rows = dict(re.findall(r"^\| `(\w+)\.csv`[^|]*\| (.+?) \|$", tables, re.MULTILINE))
     listed = {name: set(re.split(r"[,|\s]+", cells)) - {""} for name, cells in rows.items()}
     assert listed["images"] == {*IMAGE_COLUMNS, *IMAGE_SIGMAS}
-    assert listed["points"] == {*POINT_COLUMNS, *POINT_SIGMAS}
+    assert listed["points"] == {*POINT_COLUMNS, *POINT_SIGMAS, *POINT_CROSS}
     assert listed["observations"] == {*OBSERVATION_COLUMNS, "sx", "sy"}
 
 
