@@ -171,7 +171,8 @@ def remarks(
             Finding(
                 "one-height",
                 "one flying height over flat ground does not separate the principal distance from the flying "
-                "height; for a self-calibration add cross strips at a second height (--second-height).",
+                "height; for a self-calibration add cross strips at a second height (--second-height) and "
+                "observe the positions of the exposures: without them each photo has a height of its own.",
             )
         )
     return tuple(said)
