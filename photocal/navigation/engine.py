@@ -151,7 +151,7 @@ def configuration(mode: Mode, direction: Direction, options: ProcessingOptions) 
         "out-timendec": "9",
         "out-degform": "deg",
         "out-height": "ellipsoidal",
-        "out-solstatic": "single",
+        "out-solstatic": "all",
         "ant1-anttype": "*",
         "ant1-antdelu": f"{options.rover_antenna_m:.4f}",
         "ant2-anttype": "*",

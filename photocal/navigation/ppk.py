@@ -14,7 +14,7 @@ from photocal.navigation.engine_output import EngineSolution
 from photocal.navigation.fix_validation import Judgement, judge
 from photocal.navigation.rinex import ObservationFile, count_ephemerides
 from photocal.navigation.time import GpsTime
-from photocal.navigation.trajectory import Trajectory, geocentric
+from photocal.navigation.trajectory import Trajectory, enu_offsets, geocentric
 
 _STATUS = {1: "fixed", 2: "float"}
 _LEAST_EPOCHS = 10
@@ -22,6 +22,8 @@ _BASE_LIMIT_M = 10.0
 # The engine uses base observations up to 30 s old.
 _BASE_AGE_NS = 30_000_000_000
 _SYSTEMS = "GREJC"
+# Antennas without calibration: phase centres agree to a millimetre or two at best.
+_STATIC_FLOOR_M = np.array([0.001, 0.001, 0.002])
 
 
 @dataclass(frozen=True)
@@ -150,7 +152,8 @@ def process(
     combined = _differential(engine.solve(mode, "combined", files, options, inputs.base_m, folder), inputs)
     gaps = _base_gaps(inputs)
     if mode == "static":
-        found = combined.rows(np.array([len(combined) - 1]))
+        whole = engine.solve(mode, "forward", files, options, inputs.base_m, folder)
+        found = _static_position(_differential(whole, inputs), combined)
         trajectory = _trajectory(found, 0.0)
         return PpkResult(inputs, options, mode, engine.name, found, None, trajectory, off_m, gaps)
     forward = engine.solve(mode, "forward", files, options, inputs.base_m, folder)
@@ -238,6 +241,21 @@ def _differential(solution: EngineSolution, inputs: Inputs) -> EngineSolution:
             remedy="check that both observed the same satellites and signals",
         )
     return _rising(chosen)
+
+
+def _static_position(forward: EngineSolution, combined: EngineSolution) -> EngineSolution:
+    """Return the last epoch of a static run, which contains all before it, with an honest covariance.
+
+    The engine's sigmas of a long static run fall below a millimetre while its position still wanders with
+    multipath: the root mean square of the way that the estimates of both directions lie from it is added.
+    """
+    last = forward.rows(np.array([len(forward) - 1]))
+    origin = np.array([last.lat_deg[0], last.lon_deg[0], last.height_m[0]])
+    steady = combined.rows(combined.quality == last.quality[0])
+    apart = enu_offsets(steady.lat_deg, steady.lon_deg, steady.height_m, origin)
+    wander = np.sqrt(np.mean(apart**2, axis=0)) if len(apart) else np.zeros(3)
+    spread = np.maximum(wander, _STATIC_FLOOR_M)
+    return last.with_quality(last.quality, last.covariance_m2 + np.diag(spread**2))
 
 
 def _rising(solution: EngineSolution) -> EngineSolution:

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from drivers.frames import Wire
 from photocal.cli import app
-from tests.photocal.navigation.conftest import Run, against_receiver, frames_of, needs_engine
+from tests.photocal.navigation.conftest import Run, against_receiver, frames_of, needs_engine, ppk
 
 pytestmark = pytest.mark.shared
 THURSDAY, TUESDAY = 4, 2
@@ -103,6 +103,17 @@ def test_known_static_baseline(shared: Path, tmp_path: Path) -> None:
     north = (found["lat_deg"] - lat) * 110_930
     east = (found["lon_deg"] - lon) * 91_100
     assert np.linalg.norm([east, north, found["height_m"] - height]) < 0.002
+
+
+def test_static_baseline_of_the_damaged_recording(static_run: Run, tmp_path: Path) -> None:
+    run = ppk(static_run.log, tmp_path / "static", "--static")
+    found = run.figures["position"]
+    # README of the data: RTKLIB's static solution of the same recording.
+    assert (found["lat_deg"] - 53.280471130) * 111_260 == pytest.approx(0, abs=0.005)
+    assert (found["lon_deg"] + 9.057820957) * 66_660 == pytest.approx(0, abs=0.005)
+    assert found["height_m"] == pytest.approx(67.7481, abs=0.005)
+    # It wandered by a centimetre on the way: the sigma says so.
+    assert 0.003 < run.column("su")[0] < 0.05
 
 
 def test_the_table_is_as_agreed(static_run: Run) -> None:
