@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from acquire.commands import import_, info, record, recover, replay, simulate
+from acquire.commands import check, export, import_, info, record, recover, replay, simulate
 from acquire.console import application, run
 
 app = application("Record, import, replay and inspect flights; the flight log is an MCAP file.")
+app.command()(check.check)
+app.command()(export.export)
 app.command("import")(import_.import_)
 app.command()(info.info)
 app.command()(record.record)

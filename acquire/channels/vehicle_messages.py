@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -173,6 +173,16 @@ def system_time(sent: Sent) -> Made:
     )
 
 
+def timesync(sent: Sent) -> Made:
+    """Make the duration of the comparisons of clocks that we began ourselves: they carry our own UTC."""
+    round_trip = sent.log_ns - sent.fields["ts1"]
+    answered = (sent.fields["tc1"] > 0) & (round_trip >= 0) & (round_trip < 10_000_000_000)
+    rows = np.flatnonzero(answered)
+    own = replace(sent, fields=sent.fields[rows], log_ns=sent.log_ns[rows], publish_ns=sent.publish_ns[rows])
+    columns = {"boot_s": own.fields["tc1"] / 1e9, "round_trip_ns": round_trip[rows]}
+    return replace(own.json("/clock", CLOCK, columns), rows=rows)
+
+
 def sys_status(sent: Sent) -> Made:
     """Make the state of battery, processor and link that the autopilot reports."""
     f = sent.fields
@@ -219,6 +229,7 @@ MAKERS: dict[str, tuple[Callable[[Sent], Made], ...]] = {
     "CAMERA_TRIGGER": (camera_trigger,),
     "CAMERA_IMAGE_CAPTURED": (camera_captured,),
     "SYSTEM_TIME": (system_time,),
+    "TIMESYNC": (timesync,),
     "SYS_STATUS": (sys_status,),
     "RADIO_STATUS": (radio_status,),
     "STATUSTEXT": (status_text,),

@@ -65,7 +65,7 @@ def _sentence(result: Imported) -> str:
     tally = result.tally
     text = f"{result.link}: {tally.frames} frames from {result.path} ({result.form.name})"
     if tally.damage_bytes:
-        text += f"; {tally.damage_bytes} bytes in {len(tally.damage)} places belong to no valid frame"
+        text += f"; {tally.damage_bytes} bytes in {tally.damage_runs} places belong to no valid frame"
     if result.packing_cut:
         text += "; the packed file ends early, imported as far as it goes"
     if result.cut:

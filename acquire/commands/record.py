@@ -30,14 +30,17 @@ def record(
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    result = recording(
-        chosen, configuration.parent / chosen.recording.output, stop, lambda text: typer.echo(text, err=True)
-    )
+    result = recording(chosen, configuration.parent, stop, lambda text: typer.echo(text, err=True))
     answer(
         as_json,
         lambda: {
             "schema": "acquire.record/1",
-            "output": str(result.path),
+            "output": str(result.paths[0]),
+            "files": [str(path) for path in result.paths],
+            "alarms": [
+                {"kind": a.kind, "link": a.link, "text": a.text, "time_utc_ns": a.time_ns}
+                for a in result.alarms
+            ],
             "links": [
                 {
                     "link": name,
@@ -53,6 +56,6 @@ def record(
                 f"{name}: {t.frames} frames, {t.damage_bytes} bytes of damage"
                 for name, t in result.tallies.items()
             ]
-            + [f"wrote {result.path}"]
+            + [f"wrote {path}" for path in result.paths]
         ),
     )

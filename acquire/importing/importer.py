@@ -24,7 +24,6 @@ from drivers.mavlink.dialect import Dialect, ardupilotmega
 
 CHUNK_BYTES = 1 << 20
 HOST_TIME = "host stamps of the recording"
-_LISTED_RUNS = 200
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ class Imported:
             "frame_bytes": self.tally.frame_bytes,
             "stamp_bytes": self.tally.stamp_bytes,
             "damage_bytes": self.tally.damage_bytes,
-            "damage_runs": len(self.tally.damage),
+            "damage_runs": self.tally.damage_runs,
             "cut_bytes": self.cut,
             "packing_cut": self.packing_cut,
         }
@@ -82,11 +81,11 @@ class Imported:
     def metadata(self) -> dict[str, str]:
         """Return the table that the log keeps."""
         runs = self.tally.damage
-        listed = " ".join(f"{offset}+{length}" for offset, length in runs[:_LISTED_RUNS])
+        listed = " ".join(f"{offset}+{length}" for offset, length in runs)
         figures = {key: str(value) for key, value in self.as_json().items()}
         # The name is enough: the folder says something about a machine, not about the flight.
         figures["file"] = self.path.name
-        figures["damage_at"] = listed + (" ..." if len(runs) > _LISTED_RUNS else "")
+        figures["damage_at"] = listed + (" ..." if self.tally.damage_runs > len(runs) else "")
         return figures
 
 

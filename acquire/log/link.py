@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquire.channels.decoded import Decoder
 from acquire.log.records import Channel
-from acquire.log.writer import LogWriter
 from drivers.frames import Batch, Wire
 
 DAMAGE_ENCODING = "octets"
+LISTED_RUNS = 200
 
 
 def raw_channel(link: str, wire: Wire) -> Channel:
@@ -35,7 +36,9 @@ class Tally:
     frames, frame_bytes, stamp_bytes, damage_bytes : int
         Number and size; stamps are those of the recording format.
     damage : list of [int, int]
-        Offset in the stream and length of the runs of damage, adjacent ones merged.
+        Offset in the stream and length of the first `LISTED_RUNS` runs of damage, adjacent ones merged.
+    damage_runs : int
+        Number of all runs of damage.
     """
 
     frames: int = 0
@@ -43,6 +46,8 @@ class Tally:
     stamp_bytes: int = 0
     damage_bytes: int = 0
     damage: list[list[int]] = field(default_factory=list)
+    damage_runs: int = 0
+    _damage_end: int = -1
 
     def add(self, batch: Batch) -> None:
         """Count the frames and the damage of a batch."""
@@ -50,11 +55,33 @@ class Tally:
         self.frame_bytes += int(batch.length.sum())
         for offset, length in batch.damage.tolist():
             self.damage_bytes += length
-            if self.damage and sum(self.damage[-1]) == offset:
+            continued = self._damage_end == offset
+            self._damage_end = offset + length
+            if not continued:
+                self.damage_runs += 1
+            # A stream of nothing but damage must not fill the memory.
+            if self.damage_runs > LISTED_RUNS:
+                continue
+            if continued:
                 self.damage[-1][1] += length
             else:
                 self.damage.append([offset, length])
         self.stamp_bytes += len(batch.data) - int(batch.length.sum()) - int(batch.damage[:, 1].sum())
+
+
+class MessageWriter(Protocol):
+    """Takes messages: `acquire.log.writer.LogWriter` or what writes one file after the other."""
+
+    def messages(
+        self,
+        channel: Channel,
+        payloads: Sequence[bytes | memoryview],
+        log_ns: NDArray[np.int64],
+        publish_ns: NDArray[np.int64],
+        sequence: NDArray[np.int64],
+    ) -> None:
+        """Add messages of one channel."""
+        ...
 
 
 class LinkLog:
@@ -65,7 +92,7 @@ class LinkLog:
 
     Parameters
     ----------
-    writer : LogWriter
+    writer : MessageWriter
         The log.
     link : str
         Name of the link.
@@ -73,7 +100,7 @@ class LinkLog:
         What decodes the frames.
     """
 
-    def __init__(self, writer: LogWriter, link: str, decoders: Sequence[Decoder]) -> None:
+    def __init__(self, writer: MessageWriter, link: str, decoders: Sequence[Decoder]) -> None:
         self._writer = writer
         self._link = link
         self._decoders = tuple(decoders)

@@ -88,7 +88,7 @@ def replay(
     frames = size = 0
     first_ns = last_ns = None
     start = clock()
-    for time_ns, frame in _frames(path, link):
+    for time_ns, frame in raw_frames(path, link):
         first_ns = time_ns if first_ns is None else first_ns
         last_ns = time_ns
         if speed > 0:
@@ -102,7 +102,8 @@ def replay(
     return Replayed(frames, size, recorded)
 
 
-def _frames(path: Path, link: str) -> Iterator[tuple[int, bytes]]:
+def raw_frames(path: Path, link: str) -> Iterator[tuple[int, bytes]]:
+    """Yield time of receipt (UTC ns) and bytes of the raw frames of a link, in the order of the stream."""
     for chunk in LogReader(path).chunks():
         parts = [p for p in chunk if _is_raw(p) and p.channel.topic == f"/{link}/raw"]
         if not parts:

@@ -35,6 +35,7 @@ class LogWriter:
 
     def __init__(self, stream: BinaryIO, library: str = LIBRARY) -> None:
         self._stream = stream
+        self._library = library
         self._position = 0
         self._crc = 0
         self._schemas: dict[Schema, int] = {}
@@ -50,6 +51,35 @@ class LogWriter:
         self._span: tuple[int, int] | None = None
         self._put(records.MAGIC)
         self._put(records.record(records.HEADER, records.text("") + records.text(library)))
+
+    def continued(self, stream: BinaryIO) -> LogWriter:
+        """Return the writer of a next file, which takes over what is not in this one yet.
+
+        The channels keep their numbers and are defined again, so each file stands for itself.
+
+        Parameters
+        ----------
+        stream : binary file
+            The next file, open for writing at its beginning.
+        """
+        following = LogWriter(stream, self._library)
+        following._schemas = dict(self._schemas)
+        following._channels = dict(self._channels)
+        for definition in self._definitions:
+            following._define(definition)
+        shift = np.uint64(following._size)
+        for number, parts in self._index.items():
+            for part in parts:
+                moved = part.copy()
+                moved["offset"] += shift
+                following._index[number].append(moved)
+                following._counts[number] += len(moved)
+        following._pieces.extend(self._pieces)
+        following._size += self._size
+        self._pieces.clear()
+        self._index.clear()
+        self._size = 0
+        return following
 
     @property
     def open_bytes(self) -> int:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from drivers.errors import ConfigurationError, InputNotFoundError
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
+Positive = Annotated[float, Field(gt=0)]
 
 
 class Section(BaseModel):
@@ -20,10 +21,31 @@ class Section(BaseModel):
 
 
 class Recording(Section):
-    """Where the log goes and how often it is made safe."""
+    """Where the log goes, how often it is made safe, and when the next file begins (0: never)."""
 
     output: Path
+    spare: tuple[Path, ...] = ()
     flush_s: Annotated[float, Field(gt=0, le=1)] = 0.5
+    rotate_mb: Annotated[float, Field(ge=0)] = 0.0
+    rotate_min: Annotated[float, Field(ge=0)] = 0.0
+    least_free_mb: Annotated[float, Field(ge=0)] = 500.0
+
+
+class Ublox(Section):
+    """Configuration of a u-blox receiver: its port that we are connected to is never guessed."""
+
+    port: Literal["i2c", "uart1", "uart2", "usb", "spi"]
+    messages: Annotated[
+        tuple[Literal["NAV-PVT", "RXM-RAWX", "RXM-SFRBX", "TIM-TM2"], ...], Field(min_length=1)
+    ] = ("NAV-PVT", "RXM-RAWX", "RXM-SFRBX", "TIM-TM2")
+    rate_ms: Annotated[int, Field(ge=25, le=65535)]
+
+
+class Vehicle(Section):
+    """What is asked of an autopilot: rates by message name, and comparison of clocks every so often."""
+
+    rates_hz: dict[str, Annotated[float, Field(gt=0, le=1000)]] = {}
+    timesync_s: Annotated[float, Field(ge=0)] = 1.0
 
 
 class Link(Section):
@@ -33,14 +55,67 @@ class Link(Section):
     protocol: Literal["mavlink", "ubx", "rtcm3", "nmea"]
     url: str
     baud: Annotated[int, Field(gt=0)] = 115_200
+    silent_s: Positive = 10.0
+    corrections_to: tuple[Name, ...] = ()
+    user: str = ""
+    password_env: str = ""
+    vehicle: Vehicle | None = None
+    ublox: Ublox | None = None
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.vehicle is not None and self.protocol != "mavlink":
+            raise ValueError("[link.vehicle] belongs to a link with protocol mavlink")
+        if self.ublox is not None and self.protocol != "ubx":
+            raise ValueError("[link.ublox] belongs to a link with protocol ubx")
+        if self.corrections_to and self.protocol == "mavlink":
+            raise ValueError("corrections come from a receiver or a caster, not from a vehicle")
+        if (self.user or self.password_env) and not self.url.startswith(("ntrip:", "ntrips:")):
+            raise ValueError("user and password_env belong to an ntrip link")
+        return self
+
+
+class Site(Section):
+    """Place, people and antenna, as free texts, and files that ride along with the log."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    antenna_height_m: float | None = None
+    antenna_height_kind: Literal["vertical", "slant"] | None = None
+    control_file: Path | None = None
+    attachments: tuple[Path, ...] = ()
+
+    @model_validator(mode="after")
+    def _height_has_kind(self) -> Self:
+        if (self.antenna_height_m is None) != (self.antenna_height_kind is None):
+            raise ValueError("antenna_height_m and antenna_height_kind (vertical or slant) go together")
+        for key, value in (self.model_extra or {}).items():
+            if not isinstance(value, str):
+                raise ValueError(f"{key} must be a text")  # noqa: TRY004 - pydantic collects ValueErrors
+        return self
+
+    def texts(self) -> dict[str, str]:
+        """Return the table that the log keeps; of files the names."""
+        found = {key: str(value) for key, value in (self.model_extra or {}).items()}
+        if self.antenna_height_m is not None:
+            found["antenna_height_m"] = repr(self.antenna_height_m)
+            found["antenna_height_kind"] = str(self.antenna_height_kind)
+        if self.control_file is not None:
+            found["control_file"] = self.control_file.name
+        return found
+
+    def files(self) -> tuple[Path, ...]:
+        """Return the files to be attached."""
+        control = () if self.control_file is None else (self.control_file,)
+        return (*control, *self.attachments)
 
 
 class Configuration(Section):
-    """A recording: `[recording]`, `[[link]]` and free texts in `[site]`."""
+    """A recording: `[recording]`, `[[link]]` and `[site]`."""
 
     recording: Recording
     link: Annotated[tuple[Link, ...], Field(min_length=1)]
-    site: dict[str, str] = {}
+    site: Site = Site()
 
 
 def read_configuration(path: Path) -> Configuration:
@@ -73,10 +148,18 @@ def read_configuration(path: Path) -> Configuration:
         first = refusal.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         raise ConfigurationError(
-            f"{key}: {first['msg'].lower()}", where=path, remedy="correct this key"
+            f"{key}: {first['msg'].removeprefix('Value error, ')}", where=path, remedy="correct this key"
         ) from refusal
     names = [link.name for link in configuration.link]
     for name in names:
         if names.count(name) > 1:
             raise ConfigurationError(f"the link {name!r} is named twice", where=path, remedy="rename one")
+    for link in configuration.link:
+        for target in link.corrections_to:
+            if target not in names or target == link.name:
+                raise ConfigurationError(
+                    f"{link.name}.corrections_to names {target!r}, which is no other link",
+                    where=path,
+                    remedy=f"name one of {', '.join(n for n in names if n != link.name) or 'none'}",
+                )
     return configuration

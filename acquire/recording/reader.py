@@ -15,12 +15,13 @@ _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 5.0
 
 @dataclass(frozen=True)
 class Arrival:
-    """Bytes of a link and when they were received (UTC ns), or what happened to it instead."""
+    """Bytes of a link and when they were received (UTC ns), or kind and words of what happened to it."""
 
     link: str
     time_ns: int
     data: bytes
     event: str = ""
+    kind: str = ""
 
 
 def read_link(
@@ -46,15 +47,20 @@ def read_link(
         The clock of the host, UTC nanoseconds since 1970.
     """
     pause = _FIRST_PAUSE_S
-    told = ""
+    told = peer = ""
     while not stop.is_set():
         try:
             source.open()
             if told:
-                arrivals.put(Arrival(link, clock_ns(), b"", "is back"))
+                arrivals.put(Arrival(link, clock_ns(), b"", "is back", "back"))
             told = ""
             while not stop.is_set():
                 data = source.read(_POLL_S)
+                if source.peer != peer:
+                    if peer:
+                        text = f"comes from another place: {source.peer}, before {peer}"
+                        arrivals.put(Arrival(link, clock_ns(), b"", text, "source_changed"))
+                    peer = source.peer
                 if data:
                     arrivals.put(Arrival(link, clock_ns(), data))
                     pause = _FIRST_PAUSE_S
@@ -63,7 +69,7 @@ def read_link(
             # Told once, not with every attempt.
             if not told:
                 told = f"is lost: {loss}"
-                arrivals.put(Arrival(link, clock_ns(), b"", told))
+                arrivals.put(Arrival(link, clock_ns(), b"", told, "lost"))
             stop.wait(pause)
             pause = min(2 * pause, _LONGEST_PAUSE_S)
     source.close()

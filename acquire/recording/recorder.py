@@ -3,85 +3,72 @@
 from __future__ import annotations
 
 import contextlib
-import datetime as dt
-import os
+import mimetypes
+import shutil
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import BinaryIO
-
-import numpy as np
 
 from acquire import __version__
-from acquire.channels.decoded import Decoder
-from acquire.channels.receiver import ReceiverDecoder
-from acquire.channels.vehicle import VehicleDecoder
-from acquire.log.link import LinkLog, Tally
+from acquire.log.link import Tally
 from acquire.log.writer import LogWriter
+from acquire.recording.alarms import Alarm, ClockWatch, SilenceWatch, write_alarms
 from acquire.recording.configuration import Configuration
+from acquire.recording.files import Limits, LogFiles, Told, WholeWrites, new_file
+from acquire.recording.link_session import LinkSession, link_sessions
 from acquire.recording.reader import Arrival, read_link
-from acquire.transports.sources import Source, source_of
-from drivers.errors import OutputError
-from drivers.frames import Batch, Wire
-from drivers.framing import GNSS, StreamFramer
-from drivers.mavlink.dialect import Dialect, ardupilotmega
+from acquire.transports.of_link import source_of_link
+from acquire.transports.sources import Source
+from drivers.errors import InputNotFoundError
+from drivers.mavlink.dialect import ardupilotmega
 
 CHUNK_BYTES = 1 << 20
 GATHER_S = 0.02
+_LOOK_AT_DISK_EVERY_S = 5.0
+_MB = 1_000_000
+
+
+@dataclass(frozen=True)
+class Host:
+    """What a recording takes from the computer that it runs on.
+
+    Parameters
+    ----------
+    clock_ns : callable
+        UTC, nanoseconds since 1970.
+    steady_s : callable
+        A clock that never jumps, seconds.
+    free_bytes : callable
+        Free space where a folder lies.
+    make : callable
+        Makes a new file.
+    """
+
+    clock_ns: Callable[[], int] = time.time_ns
+    steady_s: Callable[[], float] = time.monotonic
+    free_bytes: Callable[[Path], int] = lambda folder: shutil.disk_usage(folder).free
+    make: Callable[[Path], WholeWrites] = new_file
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """What was recorded: the file, and frames and damage of each link."""
+    """What was recorded: the files, frames and damage of each link, and the alarms."""
 
-    path: Path
+    paths: tuple[Path, ...]
     tallies: dict[str, Tally]
-
-
-class _LinkWriter:
-    def __init__(self, writer: LogWriter, name: str, wires: tuple[Wire, ...], dialect: Dialect) -> None:
-        mavlink = Wire.MAVLINK in wires
-        decoder: Decoder = VehicleDecoder(name, dialect) if mavlink else ReceiverDecoder(name)
-        self.log = LinkLog(writer, name, [decoder])
-        self._framer = StreamFramer(wires, dialect)
-        self._received = 0
-        # Where in the stream each arrival ended, and when it came: as long as a frame may still end in it.
-        self._ends: list[int] = []
-        self._times_ns: list[int] = []
-
-    def take(self, arrivals: list[Arrival]) -> None:
-        """Frame and write bytes that have arrived; each frame has the time of its last byte."""
-        for arrival in arrivals:
-            self._received += len(arrival.data)
-            self._ends.append(self._received)
-            self._times_ns.append(arrival.time_ns)
-        self._write(self._framer.feed(b"".join(arrival.data for arrival in arrivals)))
-
-    def close(self) -> None:
-        """Write what is left of the stream."""
-        if self._ends:
-            self._write(self._framer.close())
-
-    def _write(self, batch: Batch) -> None:
-        if not batch.data:
-            return
-        last_bytes = batch.base + batch.start + batch.length - 1
-        place = np.searchsorted(np.array(self._ends), last_bytes, side="right")
-        self.log.write(batch, np.array(self._times_ns, np.int64)[place])
-        done = int(np.searchsorted(np.array(self._ends), batch.base + len(batch.data), side="right"))
-        keep = min(done, len(self._ends) - 1)
-        del self._ends[:keep], self._times_ns[:keep]
+    alarms: tuple[Alarm, ...]
 
 
 def record(
     configuration: Configuration,
-    folder: Path,
+    base: Path,
     stop: threading.Event,
     tell: Callable[[str], None],
-    clock_ns: Callable[[], int] = time.time_ns,
+    host: Host | None = None,
+    sources: dict[str, Source] | None = None,
 ) -> Recorded:
     """Record all links until told to stop.
 
@@ -89,14 +76,16 @@ def record(
     ----------
     configuration : Configuration
         Links and site.
-    folder : Path
-        Where the log goes; it is made.
+    base : Path
+        Where relative paths of the configuration begin.
     stop : Event
         Ends the recording; the log is closed properly.
     tell : callable
-        Is told in words what happens to links and file.
-    clock_ns : callable
-        The clock of the host, UTC nanoseconds since 1970.
+        Is told in words what happens to links and files.
+    host : Host, optional
+        Clocks and disk.
+    sources : dict, optional
+        Where the links come from; otherwise from their addresses.
 
     Raises
     ------
@@ -104,86 +93,150 @@ def record(
         When the log cannot be written (any more); what was written before stays.
     ConfigurationError
         When an address cannot be meant.
+    InputNotFoundError
+        When a file to be attached cannot be read.
     """
-    sources = {link.name: source_of(link.url, link.baud) for link in configuration.link}
-    path = _new_file(folder, clock_ns())
-    tell(f"recording to {path}")
-    try:
-        with path.open("xb") as stream:
-            tallies = _record(configuration, sources, stream, stop, tell, clock_ns)
-    except OSError as failure:
-        stop.set()
-        raise OutputError(
-            f"the recording cannot go on ({failure.strerror or failure}), what was written is safe",
-            where=path,
-            remedy="make room or choose another folder, then acquire recover this file",
-        ) from failure
-    return Recorded(path, tallies)
+    host = host or Host()
+    opened = sources or {link.name: source_of_link(link) for link in configuration.link}
+    attached = _attachments(configuration, base)
+    chosen = configuration.recording
 
+    def begin(writer: LogWriter) -> None:
+        writer.metadata("software", {"name": "photocal acquire", "version": __version__})
+        if texts := configuration.site.texts():
+            writer.metadata("site", texts)
+        for name, content in attached:
+            kind = mimetypes.guess_type(name)[0] or "application/octet-stream"
+            writer.attachment(name, kind, content, host.clock_ns())
 
-def _record(
-    configuration: Configuration,
-    sources: dict[str, Source],
-    stream: BinaryIO,
-    stop: threading.Event,
-    tell: Callable[[str], None],
-    clock_ns: Callable[[], int],
-) -> dict[str, Tally]:
-    dialect = ardupilotmega()
-    writer = LogWriter(stream)
-    writer.metadata("software", {"name": "photocal acquire", "version": __version__})
-    if configuration.site:
-        writer.metadata("site", configuration.site)
-    links = {
-        link.name: _LinkWriter(
-            writer, link.name, (Wire.MAVLINK,) if link.protocol == "mavlink" else GNSS, dialect
-        )
-        for link in configuration.link
-    }
+    folders = [base / folder for folder in (chosen.output, *chosen.spare)]
+    limits = Limits(round(chosen.rotate_mb * _MB), chosen.rotate_min * 60)
+    files = LogFiles(folders, begin, limits, host.clock_ns, host.make)
+    tell(f"recording to {files.paths[0]}")
+    flight = _Flight(
+        configuration, files, link_sessions(configuration, files, opened, ardupilotmega()), host, tell
+    )
     arrivals: SimpleQueue[Arrival] = SimpleQueue()
     readers = [
-        threading.Thread(target=read_link, args=(name, source, arrivals, stop, clock_ns), daemon=True)
-        for name, source in sources.items()
+        threading.Thread(target=read_link, args=(name, source, arrivals, stop, host.clock_ns), daemon=True)
+        for name, source in opened.items()
     ]
     for reader in readers:
         reader.start()
     try:
-        _write(links, writer, stream, arrivals, stop, tell, configuration.recording.flush_s)
+        while not stop.is_set():
+            # Many small arrivals are framed together: that is what makes high rates cheap.
+            stop.wait(GATHER_S)
+            flight.step(_waiting(arrivals))
         for reader in readers:
             reader.join()
         # What arrived between the order to stop and the end of the readers belongs to the flight, too.
-        _take(links, _waiting(arrivals), tell)
-        for link in links.values():
-            link.close()
-        writer.close()
-        _make_safe(stream)
+        flight.close(_waiting(arrivals))
     finally:
         stop.set()
         for reader in readers:
             reader.join()
-    return {name: link.log.tally for name, link in links.items()}
+    tallies = {name: session.log.tally for name, session in flight.sessions.items()}
+    return Recorded(tuple(files.paths), tallies, tuple(flight.alarms))
 
 
-def _write(
-    links: dict[str, _LinkWriter],
-    writer: LogWriter,
-    stream: BinaryIO,
-    arrivals: SimpleQueue[Arrival],
-    stop: threading.Event,
-    tell: Callable[[str], None],
-    flush_s: float,
-) -> None:
-    safe_at = time.monotonic() + flush_s
-    while not stop.is_set():
-        # Many small arrivals are framed together: that is what makes high rates cheap.
-        stop.wait(GATHER_S)
-        _take(links, _waiting(arrivals), tell)
-        if writer.open_bytes > CHUNK_BYTES:
-            writer.end_chunk()
-        if time.monotonic() >= safe_at:
-            writer.end_chunk()
-            _make_safe(stream)
-            safe_at = time.monotonic() + flush_s
+class _Flight:
+    """The writing side: takes what has arrived, watches, answers, and keeps the files safe."""
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        files: LogFiles,
+        sessions: dict[str, LinkSession],
+        host: Host,
+        tell: Callable[[str], None],
+    ) -> None:
+        self.sessions = sessions
+        self.alarms: list[Alarm] = []
+        self._recording = configuration.recording
+        self._files = files
+        self._host = host
+        self._tell = tell
+        now = host.steady_s()
+        self._clock = ClockWatch()
+        self._silence = SilenceWatch({link.name: link.silent_s for link in configuration.link}, now)
+        self._safe_at = now + self._recording.flush_s
+        self._disk_at = now
+        self._disk_told = False
+
+    def step(self, arrivals: list[Arrival]) -> None:
+        """Take arrivals and do what is due."""
+        now = self._host.steady_s()
+        self._take(arrivals, now)
+        clock_ns = self._host.clock_ns()
+        self._raise([*self._clock.look(clock_ns, now), *self._silence.look(now, clock_ns), *self._disk(now)])
+        if self._files.open_bytes > CHUNK_BYTES:
+            self._report(self._files.end_chunk())
+        if now >= self._safe_at:
+            self._safe_at = now + self._recording.flush_s
+            self._report(self._files.make_safe())
+
+    def close(self, arrivals: list[Arrival]) -> None:
+        """Take the last arrivals and close the files."""
+        self._take(arrivals, self._host.steady_s())
+        for session in self.sessions.values():
+            session.close()
+        self._report(self._files.close(), final=True)
+
+    def _take(self, arrivals: list[Arrival], now: float) -> None:
+        by_link: dict[str, list[Arrival]] = {}
+        for arrival in arrivals:
+            if arrival.event:
+                self._raise([Alarm(arrival.kind, arrival.link, arrival.event, arrival.time_ns)])
+            else:
+                by_link.setdefault(arrival.link, []).append(arrival)
+        clock_ns = self._host.clock_ns()
+        for name, session in self.sessions.items():
+            batch = session.take(by_link[name]) if name in by_link else None
+            if batch is not None and len(batch):
+                self._raise(self._silence.hear(name, now, clock_ns))
+                self._raise(session.forward(batch, clock_ns))
+            self._raise(session.converse(batch, now, clock_ns))
+
+    def _disk(self, now: float) -> list[Alarm]:
+        if now < self._disk_at:
+            return []
+        self._disk_at = now + _LOOK_AT_DISK_EVERY_S
+        try:
+            free_mb = self._host.free_bytes(self._files.paths[-1].parent) / _MB
+        except OSError:
+            return []
+        low = free_mb < self._recording.least_free_mb
+        told, self._disk_told = self._disk_told, low
+        if not low or told:
+            return []
+        return [Alarm("disk_low", "", f"only {free_mb:.0f} MB are left on the disk", self._host.clock_ns())]
+
+    def _report(self, told: list[Told], *, final: bool = False) -> None:
+        alarms = [Alarm(kind, "", text, self._host.clock_ns()) for kind, text in told]
+        self._raise(alarms, logged=not final)
+
+    def _raise(self, alarms: list[Alarm], *, logged: bool = True) -> None:
+        if not alarms:
+            return
+        for alarm in alarms:
+            self._tell(str(alarm))
+        if logged:
+            write_alarms(self._files, alarms, len(self.alarms))
+        self.alarms.extend(alarms)
+
+
+def _attachments(configuration: Configuration, base: Path) -> list[tuple[str, bytes]]:
+    found = []
+    for path in configuration.site.files():
+        try:
+            found.append((path.name, (base / path).read_bytes()))
+        except OSError as refusal:
+            reason = (refusal.strerror or str(refusal)).lower()
+            raise InputNotFoundError(
+                f"cannot be attached ({reason})", where=base / path, remedy="check the name in [site]"
+            ) from refusal
+    return found
 
 
 def _waiting(arrivals: SimpleQueue[Arrival]) -> list[Arrival]:
@@ -192,35 +245,3 @@ def _waiting(arrivals: SimpleQueue[Arrival]) -> list[Arrival]:
         while True:
             found.append(arrivals.get_nowait())
     return found
-
-
-def _take(links: dict[str, _LinkWriter], arrivals: list[Arrival], tell: Callable[[str], None]) -> None:
-    by_link: dict[str, list[Arrival]] = {}
-    for arrival in arrivals:
-        if arrival.event:
-            tell(f"{arrival.link} {arrival.event}")
-        else:
-            by_link.setdefault(arrival.link, []).append(arrival)
-    for name, group in by_link.items():
-        links[name].take(group)
-
-
-def _make_safe(stream: BinaryIO) -> None:
-    stream.flush()
-    os.fsync(stream.fileno())
-
-
-def _new_file(folder: Path, time_ns: int) -> Path:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as failure:
-        raise OutputError(
-            f"cannot be made ({failure.strerror or failure})", where=folder, remedy="choose another folder"
-        ) from failure
-    moment = dt.datetime.fromtimestamp(time_ns / 1e9, dt.UTC).strftime("%Y%m%dT%H%M%SZ")
-    path = folder / f"flight-{moment}.mcap"
-    number = 1
-    while path.exists():
-        number += 1
-        path = folder / f"flight-{moment}-{number}.mcap"
-    return path

@@ -20,6 +20,11 @@ class LinkLostError(Exception):
 class Source(Protocol):
     """Bytes of one link as they arrive."""
 
+    @property
+    def peer(self) -> str:
+        """Who sent last, where that can change; otherwise empty."""
+        ...
+
     def open(self) -> None:
         """Open the port; raises `LinkLostError` when that is not possible now."""
         ...
@@ -97,6 +102,11 @@ class UdpSource:
         return self._port
 
     @property
+    def peer(self) -> str:
+        """Address of the last sender; empty before the first."""
+        return f"{self._sender[0]}:{self._sender[1]}" if self._sender else ""
+
+    @property
     def local_port(self) -> int:
         """The port that is bound, also where any free one was asked for."""
         return int(self._opened().getsockname()[1])
@@ -110,6 +120,8 @@ class TcpSource:
     host, port : str, int
         The server.
     """
+
+    peer = ""
 
     def __init__(self, host: str, port: int) -> None:
         self._address = host, port
@@ -164,6 +176,8 @@ class SerialSource:
         Speed of the line.
     """
 
+    peer = ""
+
     def __init__(self, url: str, baud: int) -> None:
         self._url = url
         self._baud = baud
@@ -174,7 +188,7 @@ class SerialSource:
         import serial
 
         try:
-            self._port = serial.serial_for_url(self._url, baudrate=self._baud, timeout=0.1)
+            self._port = serial.serial_for_url(self._url, baudrate=self._baud, timeout=0.1, write_timeout=0.5)
         except (OSError, ValueError) as failure:
             raise LinkLostError(str(failure)) from failure
 
@@ -195,7 +209,7 @@ class SerialSource:
             raise LinkLostError("not open")
         try:
             self._port.write(data)
-        except OSError as failure:
+        except (OSError, TypeError, AttributeError) as failure:
             raise LinkLostError(str(failure)) from failure
 
     def close(self) -> None:
@@ -213,6 +227,8 @@ class FileSource:
     path : Path
         The file.
     """
+
+    peer = ""
 
     def __init__(self, path: Path) -> None:
         self._path = path

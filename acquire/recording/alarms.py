@@ -1,0 +1,109 @@
+"""What a person must hear of while a flight is recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from acquire.channels.decoded import TIME, JsonLayout, Times, words
+from acquire.log.link import MessageWriter
+from acquire.log.records import Channel
+
+LEAST_JUMP_S = 0.5
+
+ALARM = JsonLayout(
+    "photocal.Alarm",
+    "Something that a person at the field laptop was told.",
+    {
+        "kind": words(
+            "lost, back, source_changed, clock_jump, silent, heard_again, disk_low, disk_full, device or note"
+        ),
+        "link": words("link that is concerned; empty when none is"),
+        "text": words("what happened"),
+        "time": TIME,
+    },
+)
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """Something that happened: its kind (see `ALARM`), link, words, and when (UTC ns)."""
+
+    kind: str
+    link: str
+    text: str
+    time_ns: int
+
+    def __str__(self) -> str:
+        return f"{self.link} {self.text}" if self.link else self.text
+
+
+def write_alarms(writer: MessageWriter, alarms: Sequence[Alarm], first: int) -> None:
+    """Write alarms to the log; `first` is the number of the first of them."""
+    if not alarms:
+        return
+    times = np.array([alarm.time_ns for alarm in alarms], np.int64)
+    columns: dict[str, Any] = {
+        "kind": [alarm.kind for alarm in alarms],
+        "link": [alarm.link for alarm in alarms],
+        "text": [alarm.text for alarm in alarms],
+        "time": Times(times),
+    }
+    payloads = ALARM.rows(columns, len(alarms))
+    numbers = first + np.arange(len(alarms))
+    writer.messages(Channel("/alarm", "json", ALARM.schema()), payloads, times, times, numbers)
+
+
+@dataclass
+class ClockWatch:
+    """Compares the clock of the host with a steady one: a jump is told, drift is not."""
+
+    _offset_s: float | None = None
+
+    def look(self, clock_ns: int, steady_s: float) -> list[Alarm]:
+        """Return the alarm of a jump since the last look."""
+        offset = clock_ns / 1e9 - steady_s
+        last, self._offset_s = self._offset_s, offset
+        if last is None or abs(offset - last) < LEAST_JUMP_S:
+            return []
+        text = f"the clock of this computer jumped by {offset - last:+.1f} s: times of receipt jump with it"
+        return [Alarm("clock_jump", "", text, clock_ns)]
+
+
+@dataclass
+class SilenceWatch:
+    """Tells links that were silent for too long, each once, and when they are heard again.
+
+    Parameters
+    ----------
+    limits_s : dict of str to float
+        The longest silence of each link, seconds.
+    start_s : float
+        When the watch begins, seconds of a steady clock.
+    """
+
+    limits_s: dict[str, float]
+    start_s: float
+    _heard_s: dict[str, float] = field(default_factory=dict)
+    _told: set[str] = field(default_factory=set)
+
+    def hear(self, link: str, steady_s: float, time_ns: int) -> list[Alarm]:
+        """Take note of intact frames of a link."""
+        self._heard_s[link] = steady_s
+        if link not in self._told:
+            return []
+        self._told.discard(link)
+        return [Alarm("heard_again", link, "is heard again", time_ns)]
+
+    def look(self, steady_s: float, time_ns: int) -> list[Alarm]:
+        """Return the alarms of links that have become too silent."""
+        found = []
+        for link, limit in self.limits_s.items():
+            silence = steady_s - self._heard_s.get(link, self.start_s)
+            if silence > limit and link not in self._told:
+                self._told.add(link)
+                found.append(Alarm("silent", link, f"is silent for more than {limit:g} s", time_ns))
+        return found

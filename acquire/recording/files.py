@@ -1,0 +1,259 @@
+"""The files of a recording: one after the other, and on to the next place when a disk is full."""
+
+from __future__ import annotations
+
+import datetime as dt
+import io
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.log.records import Channel
+from acquire.log.writer import LogWriter
+from drivers.errors import OutputError
+
+# Kind (see `acquire.recording.alarms`) and words of what had to be done.
+Told = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When a file is ended and the next begun: size in bytes, age in seconds; 0 for never."""
+
+    size: int = 0
+    age_s: float = 0.0
+
+
+class WholeWrites(io.RawIOBase):
+    """A file whose writes are complete or fail; after a failure it ends where the last complete one ended.
+
+    Parameters
+    ----------
+    file : raw file
+        Where the bytes go, unbuffered.
+    """
+
+    def __init__(self, file: io.FileIO) -> None:
+        super().__init__()
+        self._file = file
+        self.size = 0
+
+    def writable(self) -> bool:
+        """Tell that it can be written."""
+        return True
+
+    def write(self, data: bytes) -> int:  # type: ignore[override]
+        """Write all of `data`."""
+        left = memoryview(data)
+        try:
+            while left:
+                left = left[self._file.write(left) :]
+        except OSError:
+            self._file.truncate(self.size)
+            self._file.seek(self.size)
+            raise
+        self.size += len(data)
+        return len(data)
+
+    def make_safe(self) -> None:
+        """Wait until the disk has everything."""
+        os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+        super().close()
+
+
+def new_file(path: Path) -> WholeWrites:
+    """Make a file that does not exist yet."""
+    return WholeWrites(io.FileIO(path, "xb"))
+
+
+class LogFiles:
+    """Writes messages to one log file after the other.
+
+    Parameters
+    ----------
+    folders : sequence of Path
+        Where files go: the first, and the next ones when nothing more can be written there.
+    begin : callable
+        Writes to each file what stands at its beginning.
+    limits : Limits
+        When the next file is begun.
+    clock_ns : callable
+        The clock of the host, UTC nanoseconds since 1970.
+    make : callable
+        Makes a new file.
+
+    Raises
+    ------
+    OutputError
+        When the first file cannot be made.
+    """
+
+    def __init__(
+        self,
+        folders: Sequence[Path],
+        begin: Callable[[LogWriter], None],
+        limits: Limits,
+        clock_ns: Callable[[], int],
+        make: Callable[[Path], WholeWrites] = new_file,
+    ) -> None:
+        self._folders = list(folders)
+        self._begin = begin
+        self._limits = limits
+        self._clock_ns = clock_ns
+        self._make = make
+        self._place = 0
+        self.paths: list[Path] = []
+        path = new_path(self._folders[0], clock_ns())
+        try:
+            self._stream = make(path)
+            self._writer = LogWriter(_binary(self._stream))
+            begin(self._writer)
+        except OSError as failure:
+            raise OutputError(
+                f"cannot be written ({failure.strerror or failure})", where=path, remedy="make room"
+            ) from failure
+        self._begun_ns = clock_ns()
+        self.paths.append(path)
+
+    @property
+    def open_bytes(self) -> int:
+        """Size of the messages that are not in a file yet."""
+        return self._writer.open_bytes
+
+    def messages(
+        self,
+        channel: Channel,
+        payloads: Sequence[bytes | memoryview],
+        log_ns: NDArray[np.int64],
+        publish_ns: NDArray[np.int64],
+        sequence: NDArray[np.int64],
+    ) -> None:
+        """Add messages, see `LogWriter.messages`."""
+        self._writer.messages(channel, payloads, log_ns, publish_ns, sequence)
+
+    def end_chunk(self) -> list[Told]:
+        """Write the open chunk; return in words what had to be done for that.
+
+        Raises
+        ------
+        OutputError
+            When it can be written nowhere.
+        """
+        try:
+            self._writer.end_chunk()
+        except OSError as failure:
+            return self._move(failure)
+        return []
+
+    def make_safe(self) -> list[Told]:
+        """Write everything, wait for the disk, and begin the next file when it is time; see `end_chunk`."""
+        told = self.end_chunk()
+        try:
+            self._stream.make_safe()
+        except OSError as failure:
+            # What was written to this file cannot be trusted to be on the disk: nothing more goes there.
+            return told + self._move(failure)
+        age_s = (self._clock_ns() - self._begun_ns) / 1e9
+        if (self._limits.size and self._stream.size >= self._limits.size) or (
+            self._limits.age_s and age_s >= self._limits.age_s
+        ):
+            told += self._rotate()
+        return told
+
+    def close(self) -> list[Told]:
+        """Write what is left and the summary; see `end_chunk`."""
+        return self.end_chunk() + self._finish()
+
+    def _finish(self) -> list[Told]:
+        path = self.paths[-1]
+        try:
+            self._writer.close()
+            self._stream.make_safe()
+        except OSError as failure:
+            reason = failure.strerror or failure
+            return [("disk_full", f"{path} has no summary ({reason}): acquire recover adds it")]
+        finally:
+            self._stream.close()
+        return []
+
+    def _rotate(self) -> list[Told]:
+        path = new_path(self._folders[self._place], self._clock_ns())
+        try:
+            stream = self._make(path)
+        except OSError as failure:
+            return self._move(failure)
+        following = self._writer.continued(_binary(stream))
+        told = self._finish()
+        self._writer, self._stream = following, stream
+        self.paths.append(path)
+        self._begun_ns = self._clock_ns()
+        try:
+            self._begin(self._writer)
+        except OSError as failure:
+            return told + self._move(failure)
+        return [*told, ("note", f"recording to {path}")]
+
+    def _move(self, failure: OSError) -> list[Told]:
+        """Go on in the first place that takes what is not written yet."""
+        reason = failure.strerror or str(failure)
+        full = self.paths[-1]
+        self._stream.close()
+        for place in range(self._place, len(self._folders)):
+            path = None
+            try:
+                path = new_path(self._folders[place], self._clock_ns())
+                stream = self._make(path)
+                self._writer = self._writer.continued(_binary(stream))
+                self._begin(self._writer)
+                self._writer.end_chunk()
+                stream.make_safe()
+            except (OSError, OutputError):
+                if path is not None:
+                    path.unlink(missing_ok=True)
+                continue
+            self._stream, self._place = stream, place
+            self.paths.append(path)
+            self._begun_ns = self._clock_ns()
+            text = f"{full} cannot be written any more ({reason}), recording goes on in {path}"
+            return [("disk_full", text)]
+        raise OutputError(
+            f"the recording cannot go on ({reason}), what was written is safe",
+            where=full,
+            remedy="make room or name a spare folder, then acquire recover this file",
+        ) from failure
+
+
+def new_path(folder: Path, time_ns: int) -> Path:
+    """Return the path of a file that does not exist yet; the folder is made.
+
+    Raises
+    ------
+    OutputError
+        When the folder cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as failure:
+        raise OutputError(
+            f"cannot be made ({failure.strerror or failure})", where=folder, remedy="choose another folder"
+        ) from failure
+    moment = dt.datetime.fromtimestamp(time_ns / 1e9, dt.UTC).strftime("%Y%m%dT%H%M%SZ")
+    path = folder / f"flight-{moment}.mcap"
+    number = 1
+    while path.exists():
+        number += 1
+        path = folder / f"flight-{moment}-{number}.mcap"
+    return path
+
+
+def _binary(stream: WholeWrites) -> BinaryIO:
+    return stream  # type: ignore[return-value]

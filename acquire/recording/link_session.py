@@ -1,0 +1,168 @@
+"""One link while it is recorded: its frames to the log, its corrections to others, its device spoken to."""
+
+from __future__ import annotations
+
+import contextlib
+
+import numpy as np
+
+from acquire.channels.decoded import Decoder
+from acquire.channels.receiver import ReceiverDecoder
+from acquire.channels.vehicle import VehicleDecoder
+from acquire.log.link import LinkLog, MessageWriter
+from acquire.log.records import Channel
+from acquire.recording.alarms import Alarm
+from acquire.recording.configuration import Configuration, Link
+from acquire.recording.corrections import VehicleCorrections, rtcm_frames
+from acquire.recording.dialogue import Dialogue
+from acquire.recording.reader import Arrival
+from acquire.recording.receiver_dialogue import ReceiverDialogue
+from acquire.recording.vehicle_dialogue import VehicleDialogue
+from acquire.transports.sources import LinkLostError, Source
+from drivers.errors import ConfigurationError
+from drivers.frames import Batch, Wire
+from drivers.framing import GNSS, StreamFramer
+from drivers.mavlink.dialect import Dialect
+
+
+def link_sessions(
+    configuration: Configuration, writer: MessageWriter, sources: dict[str, Source], dialect: Dialect
+) -> dict[str, LinkSession]:
+    """Return the sessions of all links, with the ways of the corrections between them.
+
+    Raises
+    ------
+    ConfigurationError
+        When an autopilot is asked for a message that does not exist.
+    """
+    sessions = {
+        link.name: LinkSession(link, writer, sources[link.name], dialect) for link in configuration.link
+    }
+    for link in configuration.link:
+        sessions[link.name].listeners = [sessions[name] for name in link.corrections_to]
+    return sessions
+
+
+def wires_of(link: Link) -> tuple[Wire, ...]:
+    """Return the protocols that are looked for on a link."""
+    return (Wire.MAVLINK,) if link.protocol == "mavlink" else GNSS
+
+
+class LinkSession:
+    """A link.
+
+    Parameters
+    ----------
+    link : Link
+        Its configuration.
+    writer : MessageWriter
+        The log.
+    source : Source
+        The port.
+    dialect : Dialect
+        The known MAVLink messages.
+    """
+
+    def __init__(self, link: Link, writer: MessageWriter, source: Source, dialect: Dialect) -> None:
+        wires = wires_of(link)
+        mavlink = Wire.MAVLINK in wires
+        decoder: Decoder = VehicleDecoder(link.name, dialect) if mavlink else ReceiverDecoder(link.name)
+        self.name = link.name
+        self.log = LinkLog(writer, link.name, [decoder])
+        self.listeners: list[LinkSession] = []
+        self._writer = writer
+        self._source = source
+        self._encoding = link.protocol
+        self._framer = StreamFramer(wires, dialect)
+        self._dialogue: Dialogue | None = None
+        self._corrections: VehicleCorrections | None = None
+        self._sent = 0
+        self._received = 0
+        # Where in the stream each arrival ended, and when it came: as long as a frame may still end in it.
+        self._ends: list[int] = []
+        self._times_ns: list[int] = []
+        if mavlink:
+            self._speak_to_vehicle(link, dialect)
+        elif link.ublox is not None:
+            wanted = link.ublox
+            self._dialogue = ReceiverDialogue(wanted.port, wanted.messages, wanted.rate_ms)
+
+    def _speak_to_vehicle(self, link: Link, dialect: Dialect) -> None:
+        rates = link.vehicle.rates_hz if link.vehicle else {}
+        for name in rates:
+            try:
+                dialect.number(name)
+            except KeyError as unknown:
+                raise ConfigurationError(
+                    f"{name} is no MAVLink message",
+                    where=f"link {link.name}, vehicle.rates_hz",
+                    remedy="check it",
+                ) from unknown
+        dialogue = VehicleDialogue(dialect, rates, link.vehicle.timesync_s if link.vehicle else 0.0)
+        self._corrections = VehicleCorrections(dialogue)
+        self._dialogue = dialogue if link.vehicle else None
+
+    def take(self, arrivals: list[Arrival]) -> Batch:
+        """Frame and write bytes that have arrived; each frame has the time of its last byte."""
+        for arrival in arrivals:
+            self._received += len(arrival.data)
+            self._ends.append(self._received)
+            self._times_ns.append(arrival.time_ns)
+        return self._write(self._framer.feed(b"".join(arrival.data for arrival in arrivals)))
+
+    def close(self) -> None:
+        """Write what is left of the stream."""
+        if self._ends:
+            self._write(self._framer.close())
+
+    def converse(self, batch: Batch | None, steady_s: float, clock_ns: int) -> list[Alarm]:
+        """Go on with the conversation with the device."""
+        if self._dialogue is None:
+            return []
+        said = self._dialogue.step(batch, steady_s, clock_ns)
+        self.send(said.frames, clock_ns)
+        return [Alarm("note", self.name, text, clock_ns) for text in said.notes] + [
+            Alarm("device", self.name, text, clock_ns) for text in said.alarms
+        ]
+
+    def forward(self, batch: Batch, clock_ns: int) -> list[Alarm]:
+        """Pass the corrections of a batch on to those who listen."""
+        alarms = []
+        if self.listeners:
+            for kind, frame in rtcm_frames(batch):
+                for listener in self.listeners:
+                    alarms += listener.receive_correction(kind, frame, clock_ns)
+        return alarms
+
+    def receive_correction(self, kind: int, frame: bytes, clock_ns: int) -> list[Alarm]:
+        """Send a correction to the device of this link."""
+        if self._corrections is None:
+            self.send((frame,), clock_ns, "rtcm3")
+            return []
+        frames, words = self._corrections.carry(kind, frame)
+        self.send(tuple(frames), clock_ns)
+        return [Alarm("device", self.name, words, clock_ns)] if words else []
+
+    def send(self, frames: tuple[bytes, ...], clock_ns: int, encoding: str = "") -> None:
+        """Send frames to the device and write them to the log as sent."""
+        if not frames:
+            return
+        # A port that is gone is told by who reads it.
+        with contextlib.suppress(LinkLostError):
+            for frame in frames:
+                self._source.write(frame)
+            times = np.full(len(frames), clock_ns, np.int64)
+            numbers = self._sent + np.arange(len(frames))
+            channel = Channel(f"/{self.name}/sent", encoding or self._encoding)
+            self._writer.messages(channel, frames, times, times, numbers)
+            self._sent += len(frames)
+
+    def _write(self, batch: Batch) -> Batch:
+        if batch.data:
+            last_bytes = batch.base + batch.start + batch.length - 1
+            place = np.searchsorted(np.array(self._ends), last_bytes, side="right")
+            self.log.write(batch, np.array(self._times_ns, np.int64)[place])
+            done = int(np.searchsorted(np.array(self._ends), batch.base + len(batch.data), side="right"))
+            keep = min(done, len(self._ends) - 1)
+            del self._ends[:keep], self._times_ns[:keep]
+        return batch

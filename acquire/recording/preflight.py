@@ -1,0 +1,204 @@
+"""Before the flight: do all links speak, is the fix good, are rates, disk and clock as they should be."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import numpy as np
+
+from acquire.recording.configuration import Configuration, Link
+from acquire.recording.link_session import wires_of
+from acquire.recording.reader import Arrival, read_link
+from acquire.recording.recorder import Host
+from acquire.transports.sources import Source
+from drivers.frames import Batch, Wire
+from drivers.framing import StreamFramer
+from drivers.gnsstime import utc_date_ns
+from drivers.mavlink.decode import decode
+from drivers.mavlink.dialect import Dialect
+from drivers.ubx.decode import NAV_PVT
+from drivers.ubx.decode import decode as decode_ubx
+
+_MB = 1_000_000
+# A receiver's message comes some tenths of a second after its time; more is a wrong clock.
+_CLOCK_LIMIT_S = 1.0
+_LEAST_RATE = 0.8
+_MAVLINK_FIXES = ("no receiver", "none", "2d", "3d", "differential", "rtk_float", "rtk_fixed")
+_GROUND_STATION, _NO_AUTOPILOT = 6, 8
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the preflight: what was looked at, whether it is good, and what was seen."""
+
+    subject: str
+    good: bool
+    seen: str
+
+
+@dataclass
+class _Heard:
+    frames: int = 0
+    damage_bytes: int = 0
+    event: str = ""
+    counts: dict[str, int] = field(default_factory=dict)
+    autopilots: set[tuple[int, int]] = field(default_factory=set)
+    fix: str = ""
+    fix_good: bool = False
+    host_minus_device_s: float | None = None
+
+
+def check(
+    configuration: Configuration,
+    base: Path,
+    sources: dict[str, Source],
+    seconds: float,
+    host: Host,
+    dialect: Dialect,
+) -> list[Finding]:
+    """Listen to all links for a while and judge what was heard.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        The recording to come.
+    base : Path
+        Where relative paths of the configuration begin.
+    sources : dict
+        Where the links come from.
+    seconds : float
+        How long to listen.
+    host : Host
+        Clocks and disk.
+    dialect : Dialect
+        The known MAVLink messages.
+    """
+    stop = threading.Event()
+    arrivals: SimpleQueue[Arrival] = SimpleQueue()
+    readers = [
+        threading.Thread(target=read_link, args=(name, source, arrivals, stop, host.clock_ns), daemon=True)
+        for name, source in sources.items()
+    ]
+    framers = {link.name: StreamFramer(wires_of(link), dialect) for link in configuration.link}
+    heard = {link.name: _Heard() for link in configuration.link}
+    for reader in readers:
+        reader.start()
+    until = host.steady_s() + seconds
+    while (left := until - host.steady_s()) > 0:
+        try:
+            arrival = arrivals.get(timeout=left)
+        except Empty:
+            break
+        if arrival.event:
+            heard[arrival.link].event = arrival.event
+        else:
+            _hear(heard[arrival.link], framers[arrival.link].feed(arrival.data), arrival.time_ns, dialect)
+    stop.set()
+    for reader in readers:
+        reader.join()
+    found = [finding for link in configuration.link for finding in _judge(link, heard[link.name], seconds)]
+    return [*found, *_disk(configuration, base, host)]
+
+
+def _hear(heard: _Heard, batch: Batch, time_ns: int, dialect: Dialect) -> None:
+    heard.frames += len(batch)
+    heard.damage_bytes += int(batch.damage[:, 1].sum())
+    known = (batch.wire == Wire.MAVLINK) & batch.known
+    for kind in batch.kind[known].tolist():
+        name = dialect.name(kind)
+        heard.counts[name] = heard.counts.get(name, 0) + 1
+    if known.any():
+        beats = decode(batch, dialect.number("HEARTBEAT"), dialect)
+        for row in range(len(beats)):
+            kind, autopilot = int(beats.fields["type"][row]), int(beats.fields["autopilot"][row])
+            if kind != _GROUND_STATION and autopilot != _NO_AUTOPILOT:
+                heard.autopilots.add((int(beats.system[row]), int(beats.component[row])))
+        fixes = decode(batch, dialect.number("GPS_RAW_INT"), dialect)
+        if len(fixes):
+            fix = int(fixes.fields["fix_type"][-1])
+            name = _MAVLINK_FIXES[fix] if fix < len(_MAVLINK_FIXES) else f"type {fix}"
+            heard.fix = f"{name}, {int(fixes.fields['satellites_visible'][-1])} satellites"
+            heard.fix_good = fix >= 3
+        clocks = decode(batch, dialect.number("SYSTEM_TIME"), dialect)
+        if len(clocks) and clocks.fields["time_unix_usec"][-1] > 0:
+            device_ns = int(clocks.fields["time_unix_usec"][-1]) * 1000
+            heard.host_minus_device_s = (time_ns - device_ns) / 1e9
+    _hear_receiver(heard, batch, time_ns)
+
+
+def _hear_receiver(heard: _Heard, batch: Batch, time_ns: int) -> None:
+    pvt = decode_ubx(batch, NAV_PVT)
+    if not len(pvt):
+        return
+    last = pvt.fields[-1]
+    carrier = ("", ", rtk_float", ", rtk_fixed", "")[int(last["flags"]) >> 6]
+    heard.fix_good = int(last["fixType"]) in (3, 4) and bool(int(last["flags"]) & 1)
+    heard.fix = f"{'3d' if heard.fix_good else 'none'}{carrier}, {int(last['numSV'])} satellites"
+    if int(last["valid"]) & 3 == 3:
+        date = int(
+            utc_date_ns(np.array([last["year"]]), np.array([last["month"]]), np.array([last["day"]]))[0]
+        )
+        seconds = int(last["hour"]) * 3600 + int(last["min"]) * 60 + int(last["sec"])
+        device_ns = date + seconds * 1_000_000_000 + int(last["nano"])
+        heard.host_minus_device_s = (time_ns - device_ns) / 1e9
+
+
+def _judge(link: Link, heard: _Heard, seconds: float) -> list[Finding]:
+    name = link.name
+    if heard.event and not heard.frames:
+        return [Finding(f"{name}: port", good=False, seen=heard.event)]
+    found = [
+        Finding(
+            f"{name}: frames",
+            heard.frames > 0,
+            f"{heard.frames / seconds:.1f} per second, {heard.damage_bytes} bytes of damage"
+            if heard.frames
+            else f"silent for {seconds:g} s",
+        )
+    ]
+    if link.protocol == "mavlink":
+        systems = ", ".join(f"system {s} component {c}" for s, c in sorted(heard.autopilots))
+        found.append(Finding(f"{name}: heartbeat", bool(systems), systems or "no autopilot"))
+        for message, wanted in (link.vehicle.rates_hz if link.vehicle else {}).items():
+            rate = heard.counts.get(message, 0) / seconds
+            found.append(
+                Finding(
+                    f"{name}: rate of {message}", rate >= _LEAST_RATE * wanted, f"{rate:.1f} of {wanted:g} Hz"
+                )
+            )
+    if heard.fix or link.protocol == "mavlink" or link.ublox is not None:
+        found.append(Finding(f"{name}: fix", heard.fix_good, heard.fix or "none told"))
+    if heard.host_minus_device_s is not None:
+        offset = heard.host_minus_device_s
+        good = abs(offset) <= _CLOCK_LIMIT_S
+        found.append(Finding(f"{name}: clock", good, f"this computer {offset:+.2f} s against the device"))
+    return found
+
+
+def _disk(configuration: Configuration, base: Path, host: Host) -> list[Finding]:
+    found = []
+    for folder in (configuration.recording.output, *configuration.recording.spare):
+        place = (base / folder).resolve()
+        while not place.exists():
+            place = place.parent
+        try:
+            free_mb = host.free_bytes(place) / _MB
+        except OSError as failure:
+            found.append(Finding(f"disk {folder}", good=False, seen=failure.strerror or str(failure)))
+            continue
+        good = free_mb >= configuration.recording.least_free_mb
+        found.append(Finding(f"disk {folder}", good, f"{free_mb:.0f} MB are free"))
+    return found
+
+
+def as_json(findings: list[Finding]) -> dict[str, Any]:
+    """Return the findings for programs."""
+    return {
+        "schema": "acquire.check/1",
+        "good": all(finding.good for finding in findings),
+        "findings": [{"subject": f.subject, "good": f.good, "seen": f.seen} for f in findings],
+    }

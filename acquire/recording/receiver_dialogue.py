@@ -1,0 +1,127 @@
+"""The conversation with a u-blox receiver: version, settings, acknowledgement, and whether they hold."""
+
+from __future__ import annotations
+
+from acquire.recording.dialogue import Said
+from drivers.errors import DeviceError
+from drivers.frames import Batch, Wire
+from drivers.ubx.configure import (
+    CFG_MSG,
+    CFG_RATE,
+    CFG_VALGET,
+    MON_VER,
+    Step,
+    acknowledged,
+    read_settings,
+    read_version,
+    steps,
+)
+from drivers.ubx.wire import encode
+
+_PATIENCE_S, _ATTEMPTS, _LOSSES = 1.0, 4, 2
+
+
+class ReceiverDialogue:
+    """Configures a receiver and verifies what it has kept; a `Dialogue`.
+
+    Parameters
+    ----------
+    port : str
+        The receiver's port that we are connected to.
+    messages : tuple of str
+        Messages to be sent with every measurement.
+    rate_ms : int
+        Time between measurements, milliseconds.
+    """
+
+    def __init__(self, port: str, messages: tuple[str, ...], rate_ms: int) -> None:
+        self._wanted = port, messages, rate_ms
+        self._steps: list[Step] | None = None
+        self._verifying = False
+        self._attempts = 0
+        self._losses = 0
+        self._asked_s = 0.0
+        self._over = False
+        self.failure = ""
+
+    @property
+    def finished(self) -> bool:
+        """Whether the configuration holds or was given up."""
+        return self._over
+
+    def step(self, batch: Batch | None, steady_s: float, clock_ns: int) -> Said:  # noqa: ARG002
+        """Take what was received and return what is to be said now."""
+        notes: list[str] = []
+        alarms: list[str] = []
+        if self._over:
+            return Said()
+        if batch is not None:
+            for kind, payload in _ubx(batch):
+                if self.finished:
+                    break
+                try:
+                    self._take(kind, payload, notes)
+                except DeviceError as refusal:
+                    self._give_up(str(refusal), alarms)
+        if self.finished:
+            return Said((), tuple(notes), tuple(alarms))
+        if self._attempts and steady_s - self._asked_s < _PATIENCE_S:
+            return Said((), tuple(notes), tuple(alarms))
+        if self._attempts == _ATTEMPTS:
+            self._give_up("the receiver does not answer; check cable, speed and port", alarms)
+            return Said((), tuple(notes), tuple(alarms))
+        self._attempts += 1
+        self._asked_s = steady_s
+        return Said((self._question(),), tuple(notes), tuple(alarms))
+
+    def _question(self) -> bytes:
+        if self._steps is None:
+            return encode(MON_VER, b"")
+        return self._steps[0].poll if self._verifying else self._steps[0].frame
+
+    def _take(self, kind: int, payload: bytes, notes: list[str]) -> None:
+        if self._steps is None:
+            if kind == MON_VER and len(payload) >= 40:
+                version = read_version(payload)
+                self._steps = steps(version, *self._wanted)
+                self._attempts = 0
+                notes.append(f"is a u-blox receiver of generation {version.generation}, {version.software}")
+            return
+        current = self._steps[0]
+        answer = acknowledged(kind, payload)
+        if answer is not None and answer[0] == current.kind and self._attempts and not self._verifying:
+            if not answer[1]:
+                raise DeviceError(f"the receiver refused the configuration of {current.what} (ACK-NAK)")
+            self._verifying = True
+            self._attempts = 0
+        elif self._verifying and kind in (CFG_VALGET, CFG_MSG, CFG_RATE):
+            found = read_settings(kind, payload)
+            if not found.keys() >= dict(current.expected).keys():
+                return
+            if any(found[key] != value for key, value in current.expected):
+                # The acknowledgement may have been a late one of the request before: set it once more.
+                self._losses += 1
+                self._verifying, self._attempts = False, 0
+                if self._losses < _LOSSES:
+                    return
+                raise DeviceError(
+                    f"the receiver acknowledged the configuration of {current.what} and lost it"
+                )
+            self._steps.pop(0)
+            self._losses = 0
+            self._verifying = False
+            self._attempts = 0
+            if not self._steps:
+                self._over = True
+                notes.append("is configured, verified")
+
+    def _give_up(self, why: str, alarms: list[str]) -> None:
+        self._over = True
+        self.failure = why
+        alarms.append(f"is not configured: {why}")
+
+
+def _ubx(batch: Batch) -> list[tuple[int, bytes]]:
+    rows = (batch.wire == Wire.UBX).nonzero()[0].tolist()
+    frames = [batch.frame(row) for row in rows]
+    return [(frame.kind, frame.data[6:-2]) for frame in frames]

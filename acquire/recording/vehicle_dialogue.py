@@ -1,0 +1,128 @@
+"""The conversation with an autopilot: message rates are asked for and verified, clocks compared."""
+
+from __future__ import annotations
+
+from acquire.recording.dialogue import Said
+from drivers.frames import Batch
+from drivers.mavlink.decode import Messages, decode
+from drivers.mavlink.dialect import Dialect
+from drivers.mavlink.encode import encode
+
+# Not the 255 of a ground station: a failsafe that waits for the pilot's station must not take us for it. For
+# the same reason no heartbeat is sent.
+SYSTEM, COMPONENT = 245, 191
+SET_MESSAGE_INTERVAL = 511
+_GROUND_STATION = 6
+_NO_AUTOPILOT = 8
+_ACCEPTED = 0
+_PATIENCE_S, _ATTEMPTS = 1.0, 4
+_RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress", "cancelled")
+
+
+class VehicleDialogue:
+    """Asks an autopilot for message rates, one after the other, and for its time; a `Dialogue`.
+
+    Parameters
+    ----------
+    dialect : Dialect
+        The messages.
+    rates_hz : dict of str to float
+        Wanted rate by message name.
+    timesync_every_s : float
+        Time between comparisons of the clocks; 0 for none.
+    """
+
+    def __init__(self, dialect: Dialect, rates_hz: dict[str, float], timesync_every_s: float) -> None:
+        self._dialect = dialect
+        self._open = list(rates_hz.items())
+        self._timesync_every_s = timesync_every_s
+        self._timesync_due_s = 0.0
+        self._target: tuple[int, int] | None = None
+        self._attempts = 0
+        self._asked_s = 0.0
+        self._sequence = 0
+        self.refused: dict[str, str] = {}
+
+    @property
+    def finished(self) -> bool:
+        """Whether all rates were answered or given up."""
+        return not self._open
+
+    def step(self, batch: Batch | None, steady_s: float, clock_ns: int) -> Said:
+        """Take what was received and return what is to be said now."""
+        notes: list[str] = []
+        alarms: list[str] = []
+        if batch is not None and len(batch):
+            if self._target is None:
+                self._target = self._autopilot(batch)
+                if self._target is not None:
+                    notes.append(f"has an autopilot: system {self._target[0]}, component {self._target[1]}")
+            self._take_answers(batch, notes, alarms)
+        if self._target is None:
+            return Said((), tuple(notes), tuple(alarms))
+        frames = self._ask(steady_s, alarms)
+        if self._timesync_every_s and steady_s >= self._timesync_due_s:
+            self._timesync_due_s = steady_s + self._timesync_every_s
+            frames.append(self.frame("TIMESYNC", {"tc1": 0, "ts1": clock_ns}))
+        return Said(tuple(frames), tuple(notes), tuple(alarms))
+
+    def frame(self, name: str, values: dict[str, object]) -> bytes:
+        """Return the frame of a message from us, numbered."""
+        message = self._dialect.number(name)
+        made = encode(
+            self._dialect, message, values, sequence=self._sequence, system=SYSTEM, component=COMPONENT
+        )
+        self._sequence += 1
+        return made
+
+    def _ask(self, steady_s: float, alarms: list[str]) -> list[bytes]:
+        if not self._open or (self._attempts and steady_s - self._asked_s < _PATIENCE_S):
+            return []
+        if self._attempts == _ATTEMPTS:
+            self._refuse("no answer", alarms)
+            if not self._open:
+                return []
+        name, rate = self._open[0]
+        self._attempts += 1
+        self._asked_s = steady_s
+        system, component = self._target or (0, 0)
+        values = {
+            "target_system": system,
+            "target_component": component,
+            "command": SET_MESSAGE_INTERVAL,
+            "param1": self._dialect.number(name),
+            "param2": 1e6 / rate,
+        }
+        return [self.frame("COMMAND_LONG", {**values})]
+
+    def _take_answers(self, batch: Batch, notes: list[str], alarms: list[str]) -> None:
+        answers = self._of_target(decode(batch, self._dialect.number("COMMAND_ACK"), self._dialect))
+        for command, result in answers:
+            if command != SET_MESSAGE_INTERVAL or not self._open or not self._attempts:
+                continue
+            if result == _ACCEPTED:
+                name, rate = self._open.pop(0)
+                self._attempts = 0
+                notes.append(f"sends {name} at {rate:g} Hz")
+            else:
+                self._refuse(_RESULTS[result] if result < len(_RESULTS) else f"result {result}", alarms)
+
+    def _of_target(self, messages: Messages) -> list[tuple[int, int]]:
+        if self._target is None:
+            return []
+        own = (messages.system == self._target[0]) & (messages.component == self._target[1])
+        fields = messages.fields[own]
+        return list(zip(fields["command"].tolist(), fields["result"].tolist(), strict=True))
+
+    def _refuse(self, why: str, alarms: list[str]) -> None:
+        name, rate = self._open.pop(0)
+        self._attempts = 0
+        self.refused[name] = why
+        alarms.append(f"does not send {name} at {rate:g} Hz ({why})")
+
+    def _autopilot(self, batch: Batch) -> tuple[int, int] | None:
+        beats = decode(batch, self._dialect.number("HEARTBEAT"), self._dialect)
+        fields = beats.fields
+        good = (fields["type"] != _GROUND_STATION) & (fields["autopilot"] != _NO_AUTOPILOT)
+        rows = good.nonzero()[0]
+        return (int(beats.system[rows[0]]), int(beats.component[rows[0]])) if len(rows) else None

@@ -1,0 +1,163 @@
+"""Configuration of u-blox receivers: what to send and how to read the answer.
+
+Source: u-blox interface descriptions of the F9 HPG 1.32 (CFG-VALSET, CFG-VALGET) and the M8 protocol 15 to
+23.01 (CFG-MSG, CFG-RATE); MON-VER of both.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from dataclasses import dataclass
+
+from drivers.errors import DeviceError
+from drivers.ubx.decode import ACK_ACK, ACK_NAK, NAV_PVT, RXM_RAWX, RXM_SFRBX, TIM_TM2
+from drivers.ubx.wire import encode
+
+MON_VER, CFG_MSG, CFG_RATE, CFG_VALSET, CFG_VALGET = 0x0A04, 0x0601, 0x0608, 0x068A, 0x068B
+MESSAGES = {"NAV-PVT": NAV_PVT, "RXM-RAWX": RXM_RAWX, "RXM-SFRBX": RXM_SFRBX, "TIM-TM2": TIM_TM2}
+PORTS = ("i2c", "uart1", "uart2", "usb", "spi")
+
+# Key of the rate on the first port (I2C); the other ports follow in the order of `PORTS`.
+_OUTPUT_KEYS = {
+    "NAV-PVT": 0x20910006,
+    "RXM-RAWX": 0x209102A4,
+    "RXM-SFRBX": 0x20910231,
+    "TIM-TM2": 0x20910178,
+}
+_RATE_KEY = 0x30210001
+_RAM = 1
+
+
+@dataclass(frozen=True)
+class Version:
+    """What a receiver is: generation (8, 9, 10) and its own words."""
+
+    generation: int
+    software: str
+    hardware: str
+    extensions: tuple[str, ...]
+
+
+def read_version(payload: bytes) -> Version:
+    """Read the answer to a poll of MON-VER.
+
+    Parameters
+    ----------
+    payload : bytes
+        Payload of the message.
+
+    Raises
+    ------
+    DeviceError
+        When the receiver belongs to no generation that can be configured here.
+    """
+    texts = [_text(payload[:30]), _text(payload[30:40])]
+    texts += [_text(payload[at : at + 30]) for at in range(40, len(payload), 30)]
+    software, hardware, *extensions = texts
+    hardware_generations = {"00080000": 8, "00190000": 9, "000A0000": 10}
+    generation = hardware_generations.get(hardware)
+    if generation is None:
+        protocol = re.search(r"PROTVER[ =]([0-9.]+)", " ".join(extensions))
+        raise DeviceError(
+            f"the receiver (hardware {hardware or 'unknown'}, software {software or 'unknown'}, protocol "
+            f"{protocol[1] if protocol else 'unknown'}) is of no generation that can be configured: "
+            "8, 9 and 10 are",
+            remedy="configure it with u-center and leave [link.ublox] out",
+        )
+    return Version(generation, software, hardware, tuple(extensions))
+
+
+@dataclass(frozen=True)
+class Step:
+    """One request of a configuration.
+
+    Parameters
+    ----------
+    what : str
+        In words.
+    frame : bytes
+        What is sent.
+    kind : int
+        Message that ACK-ACK or ACK-NAK will name.
+    poll : bytes
+        What asks for the setting afterwards.
+    expected : tuple of (int, int)
+        Settings that the answer must hold, by key (generation 9) or message (generation 8).
+    """
+
+    what: str
+    frame: bytes
+    kind: int
+    poll: bytes
+    expected: tuple[tuple[int, int], ...]
+
+
+def steps(version: Version, port: str, messages: tuple[str, ...], rate_ms: int) -> list[Step]:
+    """Return the requests that switch messages on and set the time between measurements.
+
+    Settings go to the working memory only: they are gone with the next cold start.
+
+    Parameters
+    ----------
+    version : Version
+        The receiver.
+    port : str
+        The port of the receiver that the host is connected to, one of `PORTS`.
+    messages : tuple of str
+        Names out of `MESSAGES`.
+    rate_ms : int
+        Time between measurements, milliseconds.
+    """
+    if version.generation >= 9:
+        keys = [(_OUTPUT_KEYS[name] + PORTS.index(port), 1) for name in messages] + [(_RATE_KEY, rate_ms)]
+        content = b"".join(struct.pack("<I", key) + _value(key, value) for key, value in keys)
+        poll = b"\0\0\0\0" + b"".join(struct.pack("<I", key) for key, _ in keys)
+        frame = encode(CFG_VALSET, bytes((0, _RAM, 0, 0)) + content)
+        return [Step("output and rate", frame, CFG_VALSET, encode(CFG_VALGET, poll), tuple(keys))]
+    made = []
+    for name in messages:
+        kind = MESSAGES[name].to_bytes(2, "big")
+        # Three bytes mean the port over which the request comes.
+        frame = encode(CFG_MSG, kind + b"\x01")
+        made.append(Step(name, frame, CFG_MSG, encode(CFG_MSG, kind), ((MESSAGES[name], 1),)))
+    rate = struct.pack("<HHH", rate_ms, 1, 1)
+    frame = encode(CFG_RATE, rate)
+    return [*made, Step("rate", frame, CFG_RATE, encode(CFG_RATE, b""), ((CFG_RATE, rate_ms),))]
+
+
+def read_settings(kind: int, payload: bytes) -> dict[int, int]:
+    """Read the answer to a poll of CFG-VALGET, CFG-MSG or CFG-RATE, see `Step.expected`."""
+    if kind == CFG_VALGET:
+        found, at = {}, 4
+        while at + 5 <= len(payload):
+            (key,) = struct.unpack_from("<I", payload, at)
+            width = _width(key)
+            found[key] = int.from_bytes(payload[at + 4 : at + 4 + width], "little")
+            at += 4 + width
+        return found
+    if kind == CFG_MSG and len(payload) == 8:
+        return {int.from_bytes(payload[:2], "big"): max(payload[2:])}
+    if kind == CFG_RATE and len(payload) == 6:
+        return {CFG_RATE: int.from_bytes(payload[:2], "little")}
+    return {}
+
+
+def acknowledged(kind: int, payload: bytes) -> tuple[int, bool] | None:
+    """Return which message was acknowledged and whether it was accepted; None for other messages."""
+    if kind not in (ACK_ACK, ACK_NAK) or len(payload) != 2:
+        return None
+    return int.from_bytes(payload, "big"), kind == ACK_ACK
+
+
+def _width(key: int) -> int:
+    # Bits 28 to 30 of a key tell the size of its value.
+    return {1: 1, 2: 1, 3: 2, 4: 4, 5: 8}.get(key >> 28 & 7, 1)
+
+
+def _value(key: int, value: int) -> bytes:
+    return value.to_bytes(_width(key), "little")
+
+
+def _text(field: bytes) -> str:
+    return field.split(b"\0")[0].decode("ascii", "replace").strip()
