@@ -4,13 +4,14 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 
-.PHONY: help setup demo demo-dcs460 test check bench lock clean
+.PHONY: help setup demo demo-dcs460 test check bench evidence lock clean
 
 help:
 	@echo "make demo    calibrate a camera from published observations, write its certificate"
 	@echo "make test    run the tests"
 	@echo "make check   ruff and mypy --strict"
 	@echo "make bench   measure speed"
+	@echo "make evidence  the long statistical studies, into docs/evidence"
 	@echo "make setup   only install (.venv, locked packages, compiled kernels)"
 	@echo "make lock    renew requirements.lock from pyproject.toml"
 
@@ -41,6 +42,9 @@ check: $(READY)
 
 bench: $(READY)
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-only
+
+evidence: $(READY)
+	for study in tests/evidence/*.py; do $(BIN)/python -m tests.evidence.$$(basename $$study .py) || exit 1; done
 
 lock:
 	$(PYTHON) -m venv --clear .lock-venv

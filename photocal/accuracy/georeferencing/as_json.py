@@ -112,6 +112,7 @@ def _systematic(errors: SystematicErrors) -> dict[str, Any]:
         "found": [{**_hypothesis(one.found), "not_separated_from": list(one.same)} for one in errors.errors],
         "together": [_estimate(one) for one in errors.estimates],
         "untested": list(errors.untested),
+        "free_in_block": [_estimate(one) for one in errors.own],
     }
 
 

@@ -50,6 +50,12 @@ def to_text(check: BlockCheck) -> str:
             figures = ", ".join(estimate_text(e) for e in one.estimates[:3])
             lines.append(f"  {one.name}: F {one.f:.1f} (limit {one.critical:.1f}), {verdict}; {figures}")
         lines += [f"  {text}" for text in check.systematic.untested] + [""]
+    if check.systematic is not None and check.systematic.own:
+        own = [
+            f"  {estimate_text(e)}, {'significant' if e.significant else 'not significant'}"
+            for e in check.systematic.own
+        ]
+        lines += ["left free in block.toml, estimated by the integrated method:", *own, ""]
     lines.append(findings_text(block_findings(check)))
     return "\n".join(lines)
 

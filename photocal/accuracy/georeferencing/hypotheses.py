@@ -33,6 +33,7 @@ _AS_GOOD = 10.0
 # A share of the gain: what explains as much of it is another name for the same error.
 _SAME_GAIN = 0.95
 _ROUNDS = 4
+_MOUNTED = ("lever arm", "boresight", "time offset", "strip shifts")
 # What a freed value may be at most, as a weak observation that keeps the network regular: m, rad, s, m.
 _LOOSE = {"lever arm": 100.0, "boresight": 1.0, "time offset": 10.0, "datum shift": 1000.0}
 _LOOSE_CAMERA = 0.1
@@ -133,12 +134,15 @@ class SystematicErrors:
         Of everything found, estimated together.
     untested : tuple of str
         Groups that could not be freed, with the reason.
+    own : tuple of Estimate
+        Values that the block itself leaves free, from its integrated adjustment.
     """
 
     tested: tuple[Hypothesis, ...]
     errors: tuple[SystematicError, ...]
     estimates: tuple[Estimate, ...]
     untested: tuple[str, ...]
+    own: tuple[Estimate, ...]
 
 
 def systematic_errors(block: Block, done: Callable[[], None] = lambda: None) -> SystematicErrors:
@@ -161,6 +165,7 @@ def systematic_errors(block: Block, done: Callable[[], None] = lambda: None) -> 
         When the block cannot be adjusted as it is.
     """
     base, solution = block, _adjusted(block)
+    first = solution
     names = _names(block)
     accepted: list[str] = []
     errors: list[SystematicError] = []
@@ -188,7 +193,18 @@ def systematic_errors(block: Block, done: Callable[[], None] = lambda: None) -> 
         base = _freed(base, best.name)
         solution = _adjusted(base)
     estimates = tuple(e for name in accepted for e in _estimates(block, base, solution, name))
-    return SystematicErrors(tested, tuple(errors), estimates, tuple(untested))
+    own = tuple(
+        e for name in _MOUNTED if _left_free(block, name) for e in _estimates(block, block, first, name)
+    )
+    return SystematicErrors(tested, tuple(errors), estimates, tuple(untested), own)
+
+
+def _left_free(block: Block, name: str) -> bool:
+    """Whether the block itself leaves all values of a group free."""
+    sigma = block.mounting.sigma
+    if name == "strip shifts":
+        return len(sigma) > STRIPS and bool(np.isinf(sigma[STRIPS : STRIPS + 3]).all())
+    return bool(np.isinf(sigma[_columns(name)]).all())
 
 
 def _names(block: Block) -> tuple[str, ...]:
@@ -204,7 +220,11 @@ def _names(block: Block) -> tuple[str, ...]:
         names.append("principal distance")
     if all(not _free(camera.estimated[k], camera.prior_sigma[k]) for camera in block.cameras for k in (1, 2)):
         names.append("principal point")
-    return tuple(names)
+    # With a shift of its own for each strip nothing is left of a common one.
+    taken = {name for name in _MOUNTED if _left_free(block, name)}
+    if "strip shifts" in taken:
+        taken.add("datum shift")
+    return tuple(name for name in names if name not in taken)
 
 
 def _free(estimated: object, prior: float) -> bool:

@@ -116,3 +116,20 @@ def test_one_speed_does_not_separate_time_and_forward_lever_arm(tmp_path: Path) 
     found = separation(block)
     assert found is not None
     assert any({"lever_arm_x", "time_offset"} == set(group) for group in found.groups)
+
+
+def test_values_left_free_in_the_block_are_estimated(tmp_path: Path) -> None:
+    plan = replace(SMALL, mounting='lever_arm_sigma_m = "free"\nboresight_sigma_deg = "free"')
+    errors = Errors(lever_arm_m=(0.16, 0.12, 0.0), boresight_deg=(0.3, -0.4, 0.0))
+    block = with_attitude_angles(
+        read_block(fly(tmp_path / "flight", np.random.default_rng(29), errors, plan))
+    )
+    found = systematic_errors(block)
+    assert found.errors == ()
+    values = {e.name: e for e in found.own}
+    truth = {"lever_arm_x": 0.16, "lever_arm_y": 0.12, "boresight_x": 0.3, "boresight_y": -0.4}
+    for name, true in truth.items():
+        assert abs(values[name].value - true) < 3 * values[name].sigma, name
+        assert values[name].significant
+    assert not values["boresight_z"].significant
+    assert {"lever arm", "boresight"}.isdisjoint(one.name for one in found.tested)
