@@ -94,7 +94,7 @@ def assemble(block: Block) -> Assembly:
     names = tuple(block.points.names[j] for j in used)
     relations = _relations(block, position)
     exposures, values = with_start_values(
-        block, exposures, rays, frame.to_local(block.points.values[used]), relations
+        block, exposures, rays, frame.to_local(block.points.values[used]), control, relations
     )
     network = Network(
         block.cameras,

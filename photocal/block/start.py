@@ -19,7 +19,12 @@ Floats = NDArray[np.float64]
 
 
 def with_start_values(
-    block: Block, exposures: Exposures, rays: Rays, points: Floats, relations: Relations
+    block: Block,
+    exposures: Exposures,
+    rays: Rays,
+    points: Floats,
+    control: NDArray[np.bool_],
+    relations: Relations,
 ) -> tuple[Exposures, Floats]:
     """Fill what is missing among the start values.
 
@@ -33,6 +38,8 @@ def with_start_values(
         Sorted by point.
     points : ndarray, shape (n, 3)
         Coordinates in the local frame, NaN where a point has none.
+    control : ndarray of bool, shape (n,)
+        Points whose coordinates were surveyed as control.
     relations : Relations
         Their distances give scale where nothing else does.
 
@@ -51,8 +58,10 @@ def with_start_values(
         # The search needs computer vision: blocks that are complete do not wait for it.
         from photocal.adjustment.start.values import start_values
 
+        # Coordinates of check and tie points may be wrong without anybody having noticed.
+        trusted = points if block.datum == "free" else np.where(control[:, None], points, np.nan)
         found = start_values(
-            block.cameras, exposures.camera, values, points, rays, relations, free=block.datum == "free"
+            block.cameras, exposures.camera, values, trusted, rays, relations, free=block.datum == "free"
         )
         if len(found.lost):
             some = ", ".join(block.images.names[i] for i in found.lost[:5])

@@ -2,7 +2,7 @@
 
 Image coordinates in px from the upper-left corner of the upper-left pixel, x right, y down (half a pixel more
 than ours); interior orientation in mm, signs and lens models as in `dbat_camera`; object space in the
-project's unit, taken as m. A control coordinate without sigma is held. Exterior orientations are resected.
+project's unit, taken as m. A control coordinate without sigma is held. Exterior orientations are left open.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from photocal.exchange.dbat_camera import NAMES, DbatCamera, from_dbat, to_colum
 from photocal.exchange.dbat_tables import CONTROL_FIELDS, IMAGE_FIELDS, MARK_FIELDS, Row, read_rows
 from photocal.exchange.markup import child, read_xml, text_of
 from photocal.exchange.source import beside, fingerprint, image_size, number
-from photocal.exchange.start import with_resections
 
 _UNITS = {"mm": 1.0, "m": 1e3, "um": 1e-3}
 _GROUPS = {
@@ -80,7 +79,7 @@ def read_dbat(path: Path) -> Block:
     observed = parts.observations(
         marks, list(names.values()), [point.name for point in points], "px", "pixel"
     )
-    block = Block(
+    return Block(
         (root.findtext("meta/name") or path.stem).strip(),
         "local",
         "",
@@ -92,7 +91,6 @@ def read_dbat(path: Path) -> Block:
         observed,
         (fingerprint(path), *reader.read),
     )
-    return with_resections(block)
 
 
 def read_dbat_cameras(path: Path) -> tuple[DbatCamera, ...]:
