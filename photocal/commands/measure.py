@@ -26,14 +26,22 @@ def measure(
     charuco: Annotated[
         str, typer.Option(help="Marker dictionary of a ChArUco board, such as 4x4_50 or apriltag_36h11.")
     ] = "",
+    workers: Annotated[int, typer.Option(help="Processes; 0 for one on each core.")] = 0,
+    cache: Annotated[
+        Path | None, typer.Option(help="Folder for features and matches; ~/.cache/photocal when not given.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print measurement.json.")] = False,
 ) -> None:
-    """Measure images: a calibration board, as a block folder for `photocal adjust`.
+    """Measure images, a calibration board or tie points, as a block folder for `photocal adjust`.
 
-    Example: `photocal measure --images photos --board 10x7 -o block`
+    Example: `photocal measure --images photos --board 10x7 -o block`; without --board, tie points.
     """
     if not board:
-        raise ConfigurationError("nothing to measure was named", remedy="give --board COLUMNSxROWS")
+        if charuco:
+            raise ConfigurationError("--charuco needs a board", remedy="give --board COLUMNSxROWS")
+        ties = _ties(images, workers, cache, output)
+        answer(as_json, lambda: ties, lambda: _ties_text(ties, output))
+        return
     record = _board(images, board, square_m, charuco, output)
     answer(as_json, lambda: record, lambda: _board_text(record, output))
 
@@ -66,6 +74,43 @@ def _board_text(record: dict[str, Any], output: Path) -> str:
             for ratio in record["principal_distance_sigma_ratio"]
             if ratio > WEAK
         ),
+        *(f"left out: {entry['image']}: {entry['reason']}" for entry in record["left_out"]),
+        f"block folder: {output}; next: photocal adjust {output} -o RUN",
+    ]
+    return "\n".join(lines)
+
+
+def _ties(images: Path, workers: int, cache: Path | None, output: Path) -> dict[str, Any]:
+    import os
+
+    from acquire.outputs import output_folder
+    from photocal.measurement.block_files import write_block
+    from photocal.measurement.cache import default_cache
+    from photocal.measurement.image_file import list_images
+    from photocal.measurement.match_images import MatchingPlan
+    from photocal.measurement.measure_ties import measure_ties
+
+    paths = list_images(images)
+    plan = MatchingPlan(cache or default_cache(), workers or os.cpu_count() or 1)
+    measured = measure_ties(paths, images.resolve().name, plan, progress)
+    with output_folder(output) as aside:
+        write_block(aside, measured.block, measured.record)
+    return measured.record
+
+
+def _ties_text(record: dict[str, Any], output: Path) -> str:
+    pairs, tracks = record["pairs"], record["tracks"]
+    share = 100 * record["share_of_four_and_more"]
+    lines = [
+        f"{len(record['images'])} images in one block",
+        f"pairs by {pairs['rule']}: {pairs['examined']} examined, {pairs['verified']} verified",
+        f"tracks: {tracks['all']}, {tracks['three_and_more_rays']} of three and more rays",
+        f"tracks with conflicts, taken out: {tracks['conflicts_removed']}",
+        f"points kept: {record['points']}, {share:.0f} % with four and more rays",
+        f"observations rejected: {record['rejected_observations']} of {record['observations']}",
+        f"sigma of an image coordinate: {record['sigma_px']:.2f} px; rms {record['rms_px']:.2f} px",
+        f"c from: {', '.join(record['principal_distance_from'])}",
+        "c, x0 and y0 are held: a level block without control does not determine them",
         *(f"left out: {entry['image']}: {entry['reason']}" for entry in record["left_out"]),
         f"block folder: {output}; next: photocal adjust {output} -o RUN",
     ]

@@ -1,0 +1,110 @@
+"""Features of an image: places that other images show too, with descriptors to recognise them by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats32 = NDArray[np.float32]
+Integers = NDArray[np.int64]
+
+# Cells along the longer side, in each of which the coarsest features stay.
+CELLS = 24
+
+
+@dataclass(frozen=True)
+class Features:
+    """Features of one image.
+
+    Attributes
+    ----------
+    pixels : ndarray of float32, shape (n, 2)
+        Columns and rows; the centre of the upper-left pixel is (0, 0).
+    scale : ndarray of float32, shape (n,)
+        Diameter, px.
+    descriptors : ndarray of uint8, shape (n, 128)
+    """
+
+    pixels: Floats32
+    scale: Floats32
+    descriptors: NDArray[np.uint8]
+
+    def some(self, index: Integers | NDArray[np.bool_]) -> Features:
+        """Give those features only."""
+        return Features(self.pixels[index], self.scale[index], self.descriptors[index])
+
+
+@dataclass(frozen=True)
+class FeatureSettings:
+    """How features are detected.
+
+    Attributes
+    ----------
+    most : int
+        Features to keep in an image.
+    contrast : float
+        Least contrast (SIFT's threshold, shared among its layers).
+    longest_px : int
+        Larger images are reduced to this length of their longer side; the places are given in the stored
+        grid. Memory and time depend on it alone.
+    """
+
+    most: int = 10_000
+    contrast: float = 0.01
+    longest_px: int = 2400
+
+
+def detect(grey: NDArray[np.uint8], settings: FeatureSettings) -> Features:
+    """Detect SIFT features (Lowe 2004), evenly spread, the coarse ones before the fine ones.
+
+    Fine features are many, but grass and sand change from image to image: the coarse ones are found again.
+
+    Parameters
+    ----------
+    grey : ndarray of uint8, shape (height, width)
+    settings : FeatureSettings
+
+    Returns
+    -------
+    Features
+        At most `settings.most`.
+    """
+    import cv2
+
+    height, width = grey.shape
+    factor = min(1.0, settings.longest_px / max(height, width))
+    size = (max(1, round(width * factor)), max(1, round(height * factor)))
+    small = grey if factor == 1 else cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    # Without the precise upscale the places are off by a fraction of a pixel.
+    detector: Any = cv2
+    sift = detector.SIFT_create(contrastThreshold=settings.contrast, enable_precise_upscale=True)
+    points = np.array(sift.detect(small, None), dtype=object)
+    places = np.array([p.pt for p in points], dtype=np.float32).reshape(-1, 2)
+    scale = np.array([p.size for p in points], dtype=np.float32)
+    chosen = _spread(places, scale, size, settings.most)
+    if not len(chosen):
+        none = np.zeros((0, 2), dtype=np.float32)
+        return Features(none, none[:, 0], np.zeros((0, 128), dtype=np.uint8))
+    points, descriptors = sift.compute(small, list(points[chosen]))
+    places = np.array([p.pt for p in points], dtype=np.float32)
+    # The outer edges of both grids coincide, not the centres of their first pixels.
+    zoom = np.array([width / size[0], height / size[1]], dtype=np.float32)
+    scale = np.array([p.size for p in points], dtype=np.float32) * zoom.mean()
+    return Features((places + 0.5) * zoom - 0.5, scale, np.asarray(descriptors).astype(np.uint8))
+
+
+def _spread(pixels: Floats32, strength: Floats32, size: tuple[int, int], most: int) -> Integers:
+    """The strongest features of each cell, cell after cell in turns, until there are enough."""
+    if len(pixels) <= most:
+        return np.arange(len(pixels))
+    side = max(size) / CELLS
+    cell = (pixels[:, 0] // side).astype(np.int64) + 1000 * (pixels[:, 1] // side).astype(np.int64)
+    order = np.lexsort((-strength, cell))
+    starts = np.r_[0, np.flatnonzero(np.diff(cell[order])) + 1]
+    lengths = np.diff(np.r_[starts, len(order)])
+    rank = np.arange(len(order)) - np.repeat(starts, lengths)
+    chosen = order[np.lexsort((-strength[order], rank))][:most]
+    return np.sort(chosen)

@@ -1,0 +1,132 @@
+"""Matches between the features of two images: ratio test, cross check, epipolar geometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.measurement.features import Features
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Integers = NDArray[np.int64]
+
+_BLOCK = 2048
+
+
+@dataclass(frozen=True)
+class MatchSettings:
+    """How features are matched.
+
+    Attributes
+    ----------
+    ratio : float
+        A match is taken when it is nearer than this part of the distance to the second best.
+    epipolar_px : float
+        Largest distance from the epipolar line.
+    fewest : int
+        Verified matches that a pair needs; by chance a few always agree.
+    """
+
+    ratio: float = 0.85
+    epipolar_px: float = 2.0
+    fewest: int = 20
+
+
+def match(first: Features, second: Features, settings: MatchSettings) -> Integers:
+    """Match two images and verify the matches by their epipolar geometry.
+
+    Parameters
+    ----------
+    first, second : Features
+    settings : MatchSettings
+
+    Returns
+    -------
+    ndarray of int, shape (n, 2)
+        Indices of the features; empty when the images do not belong together.
+    """
+    pairs = mutual_matches(first.descriptors, second.descriptors, settings.ratio)
+    if len(pairs) < settings.fewest:
+        return pairs[:0]
+    keep = epipolar_inliers(first.pixels[pairs[:, 0]], second.pixels[pairs[:, 1]], settings.epipolar_px)
+    return pairs[keep] if np.count_nonzero(keep) >= settings.fewest else pairs[:0]
+
+
+def mutual_matches(first: NDArray[np.uint8], second: NDArray[np.uint8], ratio: float) -> Integers:
+    """Features that are each other's nearest, clearly before the second nearest (Lowe 2004).
+
+    Descriptors are compared by the Hellinger kernel (Arandjelovic and Zisserman 2012).
+
+    Parameters
+    ----------
+    first, second : ndarray of uint8, shape (n, 128)
+    ratio : float
+
+    Returns
+    -------
+    ndarray of int, shape (k, 2)
+    """
+    if len(first) < 2 or len(second) < 2:
+        return np.zeros((0, 2), dtype=np.int64)
+    a, b = _rooted(first), _rooted(second)
+    forward = np.empty(len(a), dtype=np.int64)
+    best = np.empty(len(a), dtype=np.float32)
+    clear = np.empty(len(a), dtype=np.bool_)
+    best_back = np.full(len(b), -1.0, dtype=np.float32)
+    for start in range(0, len(a), _BLOCK):
+        likeness = a[start : start + _BLOCK] @ b.T
+        np.maximum(best_back, likeness.max(axis=0), out=best_back)
+        rows = np.arange(len(likeness))
+        nearest = likeness.argmax(axis=1)
+        high = likeness[rows, nearest]
+        likeness[rows, nearest] = -1.0
+        part = slice(start, start + _BLOCK)
+        forward[part], best[part] = nearest, high
+        clear[part] = _is_clear(high, likeness.max(axis=1), ratio)
+    # The nearest of my nearest is me when nobody is nearer to it than I am.
+    good = clear & (best >= best_back[forward])
+    return np.column_stack([np.flatnonzero(good), forward[good]]).astype(np.int64)
+
+
+def epipolar_inliers(first: Floats32, second: Floats32, tolerance_px: float) -> NDArray[np.bool_]:
+    """Matches that agree with one epipolar geometry (MAGSAC++, Barath et al. 2020).
+
+    Parameters
+    ----------
+    first, second : ndarray, shape (n, 2)
+        Columns and rows, px.
+    tolerance_px : float
+        Largest distance from the epipolar line.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    import cv2
+
+    none = np.zeros(len(first), dtype=np.bool_)
+    if len(first) < 8:
+        return none
+    # No result may depend on chance.
+    cv2.setRNGSeed(len(first))
+    try:
+        found: Any = cv2.findFundamentalMat(first, second, cv2.USAC_MAGSAC, tolerance_px, 0.9999, 5000)
+    except cv2.error:
+        return none
+    mask = found[1]
+    return none if mask is None else np.asarray(np.ravel(mask) > 0)
+
+
+def _rooted(descriptors: NDArray[np.uint8]) -> Floats32:
+    values = descriptors.astype(np.float32)
+    values /= np.maximum(values.sum(axis=1, keepdims=True), 1e-6)
+    return np.sqrt(values, out=values)
+
+
+def _is_clear(best: Floats32, other: Floats32, ratio: float) -> NDArray[np.bool_]:
+    """Whether the best match is clearly nearer, from likenesses (distance^2 = 2 - 2 likeness)."""
+    return np.asarray(1 - best < ratio**2 * (1 - other))

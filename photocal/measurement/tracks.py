@@ -1,0 +1,139 @@
+"""Tracks: the same place in many images, joined from matches of pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.measurement.features import Features
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Features with several directions stand at one place: they are one.
+_SAME_PX = 0.25
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Rays of tie points, sorted by track, then by image.
+
+    Attributes
+    ----------
+    track, image : ndarray of int, shape (n,)
+    pixels : ndarray, shape (n, 2)
+    scale : ndarray, shape (n,)
+        Diameter of the feature, px.
+    conflicts : int
+        Tracks that were taken out because they had two places in one image.
+    """
+
+    track: Integers
+    image: Integers
+    pixels: Floats
+    scale: Floats
+    conflicts: int = 0
+
+    @property
+    def count(self) -> int:
+        """Number of tracks."""
+        return int(self.track[-1]) + 1 if len(self.track) else 0
+
+    @property
+    def rays(self) -> Integers:
+        """Number of rays of each track, shape (count,)."""
+        return np.bincount(self.track, minlength=self.count)
+
+    def some(self, rays: NDArray[np.bool_], fewest: int = 2) -> Tracks:
+        """Keep some of the rays, and of those the tracks with enough of them; tracks are numbered anew."""
+        left = np.bincount(self.track[rays], minlength=self.count)
+        keep = rays & (left >= fewest)[self.track]
+        _, track = np.unique(self.track[keep], return_inverse=True)
+        return Tracks(
+            track.astype(np.int64), self.image[keep], self.pixels[keep], self.scale[keep], self.conflicts
+        )
+
+
+def join_tracks(features: Sequence[Features], pairs: Integers, matches: Sequence[Integers]) -> Tracks:
+    """Join matches of pairs to tracks; those with two places in one image are taken out.
+
+    Parameters
+    ----------
+    features : sequence of Features
+        Of each image.
+    pairs : ndarray of int, shape (k, 2)
+    matches : sequence of ndarray of int, shape (n, 2)
+        Of each pair.
+
+    Returns
+    -------
+    Tracks
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    offset = np.r_[0, np.cumsum([len(f.pixels) for f in features])]
+    total = int(offset[-1])
+    place = np.concatenate([_places(f) + o for f, o in zip(features, offset[:-1], strict=True)])
+    first = [place[offset[a] + m[:, 0]] for (a, _), m in zip(pairs, matches, strict=True)]
+    second = [place[offset[b] + m[:, 1]] for (_, b), m in zip(pairs, matches, strict=True)]
+    one = np.concatenate(first) if first else np.zeros(0, dtype=np.int64)
+    two = np.concatenate(second) if second else np.zeros(0, dtype=np.int64)
+    graph = coo_matrix((np.ones(len(one), dtype=np.int8), (one, two)), shape=(total, total))
+    _, label = connected_components(graph, directed=False)
+    used = np.unique(np.concatenate([one, two]))
+    image = np.searchsorted(offset, used, side="right") - 1
+    _, track = np.unique(label[used], return_inverse=True)
+    pixels = np.concatenate([f.pixels for f in features]).astype(float)[used]
+    scale = np.concatenate([f.scale for f in features]).astype(float)[used]
+    order = np.lexsort((image, track))
+    track, image = track[order].astype(np.int64), image[order].astype(np.int64)
+    twice = np.flatnonzero((np.diff(track) == 0) & (np.diff(image) == 0))
+    bad = np.unique(track[twice])
+    found = Tracks(track, image, pixels[order], scale[order], len(bad))
+    return found.some(~np.isin(track, bad))
+
+
+def thin(tracks: Tracks, sizes: Floats, cells: int, in_a_cell: int) -> Tracks:
+    """Keep strong points, evenly spread over each image.
+
+    Tracks with many rays come first; a track stays when it is among the first few in a cell of any of its
+    images.
+
+    Parameters
+    ----------
+    tracks : Tracks
+    sizes : ndarray, shape (images, 2)
+        Width and height, px.
+    cells : int
+        Along the longer side of an image.
+    in_a_cell : int
+        Points wanted in each cell.
+
+    Returns
+    -------
+    Tracks
+    """
+    side = sizes.max(axis=1)[tracks.image] / cells
+    column, row = (np.maximum(tracks.pixels.T, 0.0) / side).astype(np.int64)
+    cell = (tracks.image * (cells + 1) + column) * (cells + 1) + row
+    starts = np.r_[np.flatnonzero(np.r_[True, np.diff(tracks.track) > 0]), len(tracks.track)]
+    finest = np.minimum.reduceat(tracks.scale, starts[:-1]) if tracks.count else np.zeros(0)
+    filled = np.zeros(int(cell.max(initial=-1)) + 1, dtype=np.int64)
+    keep = np.zeros(tracks.count, dtype=np.bool_)
+    for j in np.lexsort((finest, -tracks.rays)):
+        mine = cell[starts[j] : starts[j + 1]]
+        if (filled[mine] < in_a_cell).any():
+            keep[j] = True
+            filled[mine] += 1
+    return tracks.some(keep[tracks.track])
+
+
+def _places(features: Features) -> Integers:
+    """For each feature the first one of its image at the same place."""
+    key = np.round(features.pixels / _SAME_PX).astype(np.int64)
+    _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    return np.asarray(first[np.ravel(inverse)], dtype=np.int64)

@@ -1,0 +1,92 @@
+"""Pieces of work on several processes, one after another in memory, in the order they were given."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
+from typing import TypeVar
+
+from drivers.errors import ProgramMissingError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def run_tasks(function: Callable[[Task], Result], tasks: Iterable[Task], processes: int) -> Iterator[Result]:
+    """Do a piece of work for each task.
+
+    Parameters
+    ----------
+    function : callable
+        Of a module, so that new processes find it.
+    tasks : iterable
+        Small: file names, not images.
+    processes : int
+        1 does all the work in this process.
+
+    Yields
+    ------
+    result
+        In the order of the tasks; only a few are held at a time.
+
+    Raises
+    ------
+    ProgramMissingError
+        When a worker process died, for want of memory as a rule.
+    """
+    if processes <= 1:
+        yield from map(function, tasks)
+        return
+    waiting: deque[Future[Result]] = deque()
+    with _one_thread_each(), ProcessPoolExecutor(processes, get_context("spawn"), _prepare) as pool:
+        try:
+            for task in tasks:
+                waiting.append(pool.submit(function, task))
+                if len(waiting) > 2 * processes:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        except BrokenPipeError as death:
+            raise _died() from death
+        except RuntimeError as death:
+            # concurrent.futures' BrokenProcessPool is a RuntimeError.
+            if type(death).__name__ != "BrokenProcessPool":
+                raise
+            raise _died() from death
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+def _died() -> ProgramMissingError:
+    return ProgramMissingError(
+        "a worker process died, probably for want of memory",
+        remedy="use fewer workers (--workers 1); finished images are not computed again",
+    )
+
+
+def _prepare() -> None:
+    import cv2
+
+    cv2.setNumThreads(1)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Let the processes that start now compute with one thread each."""
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

@@ -1,0 +1,257 @@
+"""Tie points: features, matches, tracks, pairs, cache and workers."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+from pyproj import Geod
+
+from photocal.block.folder import read_block
+from photocal.measurement.cache import cached
+from photocal.measurement.features import Features, FeatureSettings, detect
+from photocal.measurement.image_facts import read_facts
+from photocal.measurement.match_images import MatchingPlan, detect_all, match_all
+from photocal.measurement.matching import MatchSettings, match, mutual_matches
+from photocal.measurement.pair_selection import Footprints, footprints, select_pairs
+from photocal.measurement.tracks import Tracks, join_tracks, thin
+from photocal.measurement.workers import run_tasks
+
+
+class Answer(Protocol):
+    """What a command said."""
+
+    code: int
+    out: str
+    err: str
+
+
+def _texture(seed: int = 0, size: int = 700) -> NDArray[np.uint8]:
+    """Blobs of all sizes."""
+    rng = np.random.default_rng(seed)
+    total = np.zeros((size, size), np.float32)
+    for sigma in (2, 4, 8, 16):
+        layer = cv2.GaussianBlur(rng.normal(0, 1, (size, size)).astype(np.float32), (0, 0), sigma)
+        total += layer / layer.std()
+    return np.asarray(np.clip(128 + 35 * total, 0, 255), np.uint8)
+
+
+def _features(pixels: list[list[float]]) -> Features:
+    count = len(pixels)
+    return Features(
+        np.array(pixels, np.float32), np.ones(count, np.float32), np.zeros((count, 128), np.uint8)
+    )
+
+
+@pytest.mark.parametrize("longest", [2400, 100])
+def test_features_stand_where_the_blobs_are(longest: int) -> None:
+    """A bright spot at a known place: no half pixel is lost, nor by reducing the image."""
+    place = np.array([90.3, 60.8])
+    y, x = np.mgrid[0:140, 0:200]
+    for sigma in (6.0, 9.0):
+        spot = 40 + 180 * np.exp(-((x - place[0]) ** 2 + (y - place[1]) ** 2) / (2 * sigma**2))
+        found = detect(np.asarray(spot, np.uint8), FeatureSettings(longest_px=longest))
+        nearest = np.hypot(*(found.pixels - place).T).min()
+        assert nearest < 0.1
+
+
+def test_plain_images_have_no_features() -> None:
+    found = detect(np.full((64, 80), 90, np.uint8), FeatureSettings())
+    assert found.pixels.shape == (0, 2)
+    assert len(mutual_matches(found.descriptors, found.descriptors, 0.8)) == 0
+
+
+def test_matches_follow_a_known_homography() -> None:
+    texture = _texture()
+    move = np.array([[0.96, -0.2, 60], [0.2, 0.96, -40], [5e-5, 2e-5, 1.0]])
+    moved = np.asarray(cv2.warpPerspective(texture, move, (700, 700)), np.uint8)
+    first, second = (detect(image, FeatureSettings(most=1500)) for image in (texture, moved))
+    pairs = match(first, second, MatchSettings())
+    assert len(pairs) > 200
+    there = np.column_stack([first.pixels[pairs[:, 0]], np.ones(len(pairs))]) @ move.T
+    miss = np.hypot(*(there[:, :2] / there[:, 2:] - second.pixels[pairs[:, 1]]).T)
+    assert np.median(miss) < 0.3
+    assert np.mean(miss > 3) < 0.02
+
+
+def test_strangers_do_not_match() -> None:
+    first, second = (detect(_texture(seed), FeatureSettings(most=1500)) for seed in (1, 2))
+    assert len(match(first, second, MatchSettings())) == 0
+
+
+def test_nearest_neighbours_as_by_brute_force() -> None:
+    rng = np.random.default_rng(4)
+    a, b = (rng.integers(0, 200, (n, 128)).astype(np.uint8) for n in (300, 260))
+    b[:100] = np.clip(a[100:200].astype(int) + rng.integers(-3, 4, (100, 128)), 0, 255)
+    root = [np.sqrt(d / d.sum(axis=1, keepdims=True)) for d in (a.astype(float), b.astype(float))]
+    distance = np.linalg.norm(root[0][:, None] - root[1][None], axis=2)
+    expected = []
+    for i, row in enumerate(distance):
+        j, k = np.argsort(row)[:2]
+        if row[j] < 0.8 * row[k] and distance[:, j].argmin() == i:
+            expected.append((i, j))
+    assert mutual_matches(a, b, 0.8).tolist() == [list(pair) for pair in expected]
+
+
+def test_tracks_join_pairs_and_lose_conflicts() -> None:
+    features = [_features([[float(10 * j), 5.0] for j in range(4)]) for _ in range(3)]
+    pairs = np.array([[0, 1], [1, 2], [0, 2]])
+    # Place 0 is seen three times; place 1 of image 0 runs into places 1 and 2 of image 2: a conflict.
+    matches = [np.array([[0, 0], [1, 1]]), np.array([[0, 0], [1, 1]]), np.array([[1, 2], [3, 3]])]
+    tracks = join_tracks(features, pairs, matches)
+    assert tracks.conflicts == 1
+    assert tracks.rays.tolist() == [3, 2]
+    assert tracks.image.tolist() == [0, 1, 2, 0, 2]
+
+
+def test_features_at_one_place_are_one() -> None:
+    features = [_features([[10.0, 10.0], [10.0, 10.0]]), _features([[20.0, 10.0]]), _features([[30.0, 10.0]])]
+    pairs = np.array([[0, 1], [0, 2]])
+    tracks = join_tracks(features, pairs, [np.array([[0, 0]]), np.array([[1, 0]])])
+    assert tracks.rays.tolist() == [3]
+
+
+def test_thinning_keeps_strong_points_everywhere() -> None:
+    rng = np.random.default_rng(2)
+    rays = rng.integers(2, 6, 3000)
+    track = np.repeat(np.arange(3000), rays)
+    image = np.concatenate([rng.permutation(6)[:n] for n in rays])
+    order = np.lexsort((image, track))
+    pixels = rng.uniform(0, 1000, (len(track), 2))
+    tracks = Tracks(track[order], image[order].astype(np.int64), pixels, np.ones(len(track)))
+    few = thin(tracks, np.full((6, 2), 1000.0), 8, 2)
+    assert few.count < 0.5 * tracks.count
+    assert few.rays.mean() > tracks.rays.mean()
+    for k in range(6):
+        cells = {(int(x // 125), int(y // 125)) for x, y in few.pixels[few.image == k]}
+        assert len(cells) == 64
+
+
+def test_pairs_grow_with_the_images_not_with_their_square() -> None:
+    def grid(count: int) -> int:
+        side = int(np.sqrt(count))
+        east, north = np.meshgrid(np.arange(side) * 30.0, np.arange(count // side) * 20.0)
+        places = np.column_stack([east.ravel(), north.ravel()])
+        n = len(places)
+        seen = footprints(
+            places,
+            np.full(n, 60.0),
+            np.full((n, 2), np.nan),
+            np.tile([4000.0, 3000.0], (n, 1)),
+            np.full(n, 3000.0),
+        )
+        pairs, rule = select_pairs(seen, n)
+        assert rule == "footprints"
+        assert len(pairs) == len(np.unique(pairs, axis=0))
+        return len(pairs)
+
+    began = time.perf_counter()
+    small, large = grid(250), grid(1000)
+    assert time.perf_counter() - began < 10
+    assert large < 4.6 * small
+    assert large <= 24 * 1000
+
+
+def test_pairs_without_exposures() -> None:
+    unknown = Footprints(np.full((5, 2), np.nan), np.full(5, np.nan))
+    pairs, rule = select_pairs(unknown, 5)
+    assert (len(pairs), rule) == (10, "all")
+    many = Footprints(np.full((200, 2), np.nan), np.full(200, np.nan))
+    pairs, rule = select_pairs(many, 200)
+    assert rule == "sequence"
+    assert len(pairs) < 12 * 200
+
+
+def test_an_oblique_view_looks_ahead() -> None:
+    seen = footprints(
+        np.zeros((1, 2)),
+        np.array([100.0]),
+        np.radians([[90.0, -45.0]]),
+        np.array([[4000.0, 3000]]),
+        np.array([3000.0]),
+    )
+    assert seen.centre[0] == pytest.approx([100.0, 0.0], abs=1e-9)
+
+
+def test_cached_results_are_not_made_again_and_damage_is_repaired(tmp_path: Path) -> None:
+    made = []
+
+    def make() -> dict[str, NDArray[np.int64]]:
+        made.append(1)
+        return {"a": np.arange(3)}
+
+    for _ in range(2):
+        assert cached(tmp_path, "ab12", ("a",), make)["a"].tolist() == [0, 1, 2]
+    assert len(made) == 1
+    (tmp_path / "ab" / "ab12.npz").write_bytes(b"PK\x03\x04 damaged")
+    assert cached(tmp_path, "ab12", ("a",), make)["a"].tolist() == [0, 1, 2]
+    assert len(made) == 2
+
+
+def test_workers_give_the_same_in_the_same_order() -> None:
+    assert list(run_tasks(abs, range(-9, 0), 2)) == list(run_tasks(abs, range(-9, 0), 1))
+
+
+def test_two_workers_give_the_tracks_of_one(tmp_path: Path) -> None:
+    texture = _texture(3, 500)
+    paths = []
+    for k, shift in enumerate((0, 40, 80)):
+        path = tmp_path / f"{k}.png"
+        Image.fromarray(texture[shift : shift + 400, shift : shift + 400]).save(path)
+        paths.append(path)
+    (tmp_path / "bad.png").write_bytes(b"none")
+    results = []
+    for processes in (1, 2):
+        plan = MatchingPlan(tmp_path / f"cache{processes}", processes, FeatureSettings(most=800))
+        keys, reasons = detect_all([*paths, tmp_path / "bad.png"], plan, lambda _: None)
+        assert reasons == ("", "", "", "is not an image")
+        pairs = np.array([[0, 1], [0, 2], [1, 2]])
+        results.append(match_all(keys[:3], pairs, plan, lambda _: None)[0])
+    assert results[0].count > 100
+    assert np.array_equal(results[0].pixels, results[1].pixels)
+    assert np.array_equal(results[0].track, results[1].track)
+
+
+@pytest.mark.shared
+def test_small_drone_images_in_one_block(
+    shared: Path, tmp_path: Path, photocal: Callable[..., Answer]
+) -> None:
+    """Four small images of two strips of the recorded flight."""
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for k in (28, 29, 30, 31):
+        source = shared / f"data/uav-brighton-beach/images/DJI_00{k}.JPG"
+        with Image.open(source) as image:
+            half = image.resize((1000, 563), Image.Resampling.BOX)
+            half.save(folder / source.name, quality=95, exif=image.getexif(), xmp=image.info["xmp"])
+    (folder / "empty.jpg").touch()
+    said = photocal(
+        "measure",
+        "--images",
+        folder,
+        "-o",
+        tmp_path / "block",
+        "--workers",
+        "1",
+        "--cache",
+        tmp_path / "cache",
+    )
+    assert said.code == 0, said.err
+    assert "4 images in one block" in said.out
+    assert "left out: empty.jpg: is empty" in said.out
+    # The observed positions are those of the EXIF (distances between them are free of the frame).
+    written = read_block(tmp_path / "block").images
+    facts = [read_facts(folder / name) for name in written.names]
+    geodesic = Geod(ellps="WGS84").inv(
+        facts[0].longitude_deg, facts[0].latitude_deg, facts[1].longitude_deg, facts[1].latitude_deg
+    )
+    apart = written.values[1, 3:5] - written.values[0, 3:5]
+    assert np.hypot(*apart) == pytest.approx(geodesic[2], abs=0.01)
+    assert photocal("adjust", tmp_path / "block", "-o", tmp_path / "run").code == 0
