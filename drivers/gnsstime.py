@@ -53,6 +53,23 @@ def gps_to_utc_ns(gps_ns: NDArray[np.int64], leap_s: NDArray[np.int64] | None = 
     return np.asarray(civil - offset_s * SECOND_NS, np.int64)
 
 
+def expiry_warning(utc_ns: int) -> str:
+    """Return what to say when a time lies beyond the table of leap seconds; empty while it is good.
+
+    Parameters
+    ----------
+    utc_ns : int
+        The latest time in question, UTC nanoseconds since 1970.
+    """
+    end = dt.datetime(EXPIRES.year, EXPIRES.month, EXPIRES.day, tzinfo=dt.UTC)
+    if utc_ns < int(end.timestamp()) * SECOND_NS:
+        return ""
+    return (
+        f"the table of leap seconds ends on {EXPIRES.isoformat()}: later times agree with UTC only if no "
+        "leap second has come since; update the program or trust what the receiver announces"
+    )
+
+
 def week_to_ns(week: Any, seconds: Any) -> NDArray[np.int64]:
     """Return GPS time in nanoseconds from the GPS week and the seconds of the week."""
     whole = np.asarray(week).astype(np.int64) * (WEEK_S * SECOND_NS)

@@ -39,6 +39,9 @@ def import_(
     total = sum(p.stat().st_size for p in [*unnamed, *(p for _, p in named)] if p.is_file())
     with progress("importing", total) as advance:
         results = import_recordings(named, unnamed, output, advance)
+    for result in results:
+        if result.warning:
+            typer.echo(f"warning: {result.link}: {result.warning}", err=True)
     answer(
         as_json,
         lambda: {

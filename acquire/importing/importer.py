@@ -20,6 +20,7 @@ from acquire.log.writer import LogWriter
 from acquire.outputs import output_file
 from drivers.errors import ConfigurationError
 from drivers.frames import Batch, Wire
+from drivers.gnsstime import expiry_warning
 from drivers.mavlink.dialect import Dialect, ardupilotmega
 
 CHUNK_BYTES = 1 << 20
@@ -48,6 +49,8 @@ class Imported:
         Bytes of a frame that the end of the recording cut off.
     packing_cut : bool
         Whether the file is packed and its end is missing.
+    warning : str
+        What to know about the times; empty when they are sure.
     """
 
     link: str
@@ -59,6 +62,7 @@ class Imported:
     tally: Tally
     cut: int
     packing_cut: bool
+    warning: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """Return the figures for programs."""
@@ -76,6 +80,7 @@ class Imported:
             "damage_runs": self.tally.damage_runs,
             "cut_bytes": self.cut,
             "packing_cut": self.packing_cut,
+            "warning": self.warning,
         }
 
     def metadata(self) -> dict[str, str]:
@@ -171,6 +176,8 @@ def _import(
         tally=log.tally,
         cut=framer.cut,
         packing_cut=source.cut,
+        # Host stamps are UTC already; what a receiver tells in GPS time needs the leap seconds.
+        warning="" if framer.stamped else expiry_warning(log.last_ns),
     )
     writer.metadata(f"import {link}", imported.metadata())
     return imported

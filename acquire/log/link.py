@@ -98,6 +98,8 @@ class LinkLog:
         Name of the link.
     decoders : sequence of Decoder
         What decodes the frames.
+
+    `last_ns` is the time of receipt of the last frame.
     """
 
     def __init__(self, writer: MessageWriter, link: str, decoders: Sequence[Decoder]) -> None:
@@ -105,7 +107,7 @@ class LinkLog:
         self._link = link
         self._decoders = tuple(decoders)
         self._next = 0
-        self._last_ns = 0
+        self.last_ns = 0
         self.tally = Tally()
 
     def write(self, batch: Batch, log_ns: NDArray[np.int64]) -> None:
@@ -139,13 +141,13 @@ class LinkLog:
             times = log_ns[np.maximum(place, 0)]
             self._damage(batch, times, damage)
         elif len(damage):
-            self._damage(batch, np.full(len(damage), self._last_ns), damage)
+            self._damage(batch, np.full(len(damage), self.last_ns), damage)
         for part in decoded:
             self._writer.messages(
                 part.channel, part.payloads, log_ns[part.index], part.publish_ns, own[part.index]
             )
         if len(log_ns):
-            self._last_ns = int(log_ns[-1])
+            self.last_ns = int(log_ns[-1])
 
     def _damage(self, batch: Batch, times: NDArray[np.int64], numbers: NDArray[np.int64]) -> None:
         payloads = [data for _, data in batch.damaged()]

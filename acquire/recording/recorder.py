@@ -23,6 +23,7 @@ from acquire.recording.reader import Arrival, read_link
 from acquire.transports.of_link import source_of_link
 from acquire.transports.sources import Source
 from drivers.errors import InputNotFoundError
+from drivers.gnsstime import expiry_warning
 from drivers.mavlink.dialect import ardupilotmega
 
 CHUNK_BYTES = 1 << 20
@@ -113,6 +114,8 @@ def record(
     limits = Limits(round(chosen.rotate_mb * _MB), chosen.rotate_min * 60)
     files = LogFiles(folders, begin, limits, host.clock_ns, host.make)
     tell(f"recording to {files.paths[0]}")
+    if warning := expiry_warning(host.clock_ns()):
+        tell(f"warning: {warning}")
     flight = _Flight(
         configuration, files, link_sessions(configuration, files, opened, ardupilotmega()), host, tell
     )

@@ -17,7 +17,7 @@ from pyubx2 import UBXMessage, UBXReader
 from drivers import nmea, rtcm3
 from drivers.frames import Batch, Wire
 from drivers.framing import GNSS, StreamFramer
-from drivers.gnsstime import GPS_EPOCH_NS, gps_to_utc_ns, utc_date_ns, week_to_ns
+from drivers.gnsstime import EXPIRES, GPS_EPOCH_NS, expiry_warning, gps_to_utc_ns, utc_date_ns, week_to_ns
 from drivers.ubx import decode as ubx
 
 
@@ -165,3 +165,9 @@ def test_kinds_have_the_names_of_their_protocol() -> None:
     assert ubx.kind_name(0x0215) == "RXM-RAWX"
     assert ubx.kind_name(0x7F01) == "7F-01"
     assert Wire.RTCM3.encoding == "rtcm3"
+
+
+def test_the_table_of_leap_seconds_knows_its_end() -> None:
+    end_ns = int(dt.datetime.combine(EXPIRES, dt.time(), dt.UTC).timestamp()) * 1_000_000_000
+    assert not expiry_warning(end_ns - 1)
+    assert EXPIRES.isoformat() in expiry_warning(end_ns)
