@@ -13,7 +13,7 @@ from drivers.errors import ConfigurationError
 
 
 def ortho(
-    block: Annotated[Path, typer.Argument(help="Block folder with cameras and images.")],
+    block: Annotated[Path, typer.Argument(help="Block folder, or a set-up file of another program.")],
     images: Annotated[Path, typer.Option(help="Folder of the image files.")],
     dtm: Annotated[
         Path,

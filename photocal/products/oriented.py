@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError, InputNotFoundError
-from photocal.block.folder import IMAGE_COLUMNS, IMAGE_SIGMAS, read_block
+from photocal.block.folder import IMAGE_COLUMNS, IMAGE_SIGMAS
 from photocal.block.model import Block
 from photocal.block.network import block_frame
+from photocal.block.process import read_any_block
 from photocal.block.table import read_table
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.frames import Frame, nearest_rotation
@@ -28,7 +29,7 @@ def oriented(folder: Path, run: Path | None) -> tuple[Block, Frame, Shots]:
     Parameters
     ----------
     folder : Path
-        Block folder.
+        Block folder, or the set-up file of another program.
     run : Path or None
         Folder of its adjustment.
 
@@ -45,7 +46,7 @@ def oriented(folder: Path, run: Path | None) -> tuple[Block, Frame, Shots]:
     InputNotFoundError, InputMalformedError, ConfigurationError
         For what cannot be read, or results that belong to another block.
     """
-    block = read_block(folder)
+    block = read_any_block(folder)
     frame = block_frame(block)
     cameras, values = block.cameras, block.images.values
     if run is not None:

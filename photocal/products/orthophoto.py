@@ -24,10 +24,8 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 TILE = 512
-# Tiles are done in squares of so many, so that neighbouring ones find their images decoded.
-_SQUARE = 8
 # What a pixel needs of memory while its tile is worked on is some 200 bytes; images are the larger part.
-IMAGE_MEMORY = 600_000_000
+IMAGE_MEMORY = 800_000_000
 
 
 @dataclass(frozen=True)
@@ -103,10 +101,12 @@ class ImageStore:
             if number in self._kept:
                 self._kept.move_to_end(number)
                 return self._kept[number]
+            # Room is made before: the next image will be as large as the last one.
+            expected = next(reversed(self._kept.values())).nbytes if self._kept else 0
+            while self._kept and sum(kept.nbytes for kept in self._kept.values()) + expected > self._room:
+                self._kept.popitem(last=False)
             pixels = self._read(number)
             self._kept[number] = pixels
-            while len(self._kept) > 1 and sum(kept.nbytes for kept in self._kept.values()) > self._room:
-                self._kept.popitem(last=False)
             return pixels
 
 
@@ -196,7 +196,7 @@ def orthophoto(recipe: Recipe, images: ImageStore, workers: int) -> Iterator[Til
     with ThreadPoolExecutor(max_workers=workers) as pool:
         waiting: deque[Future[Tile]] = deque()
         try:
-            for window in _windows(recipe.grid):
+            for window in _windows(recipe):
                 waiting.append(pool.submit(make, window))
                 # Finished tiles wait to be written: no more of them than there are threads.
                 if len(waiting) > workers:
@@ -208,13 +208,25 @@ def orthophoto(recipe: Recipe, images: ImageStore, workers: int) -> Iterator[Til
                 future.cancel()
 
 
-def _windows(grid: Grid) -> Iterator[tuple[int, int, int, int]]:
-    side = TILE * _SQUARE
-    for top in range(0, grid.rows, side):
-        for left in range(0, grid.columns, side):
-            for row in range(top, min(top + side, grid.rows), TILE):
-                for column in range(left, min(left + side, grid.columns), TILE):
-                    yield column, row, min(TILE, grid.columns - column), min(TILE, grid.rows - row)
+def _windows(recipe: Recipe) -> list[tuple[int, int, int, int]]:
+    """Tiles of the grid; those nearest to the same image follow each other, so that it stays decoded."""
+    grid = recipe.grid
+    tiles = [
+        (column, row, min(TILE, grid.columns - column), min(TILE, grid.rows - row))
+        for row in range(0, grid.rows, TILE)
+        for column in range(0, grid.columns, TILE)
+    ]
+    height = float(recipe.frame.to_given(recipe.shots.station)[:, 2].mean())
+    centers = np.array(
+        [
+            [grid.west + (c + w / 2) * grid.cell, grid.north - (r + h / 2) * grid.cell, height]
+            for c, r, w, h in tiles
+        ]
+    )
+    places = recipe.frame.to_local(centers)[:, :2]
+    station = recipe.shots.station[:, :2]
+    nearest = [int(((station - place) ** 2).sum(axis=1).argmin()) for place in places]
+    return [tiles[n] for n in sorted(range(len(tiles)), key=lambda n: (nearest[n], n))]
 
 
 def _range(recipe: Recipe) -> tuple[float, float, bool]:

@@ -22,6 +22,7 @@ from photocal.products.terrain import HEIGHT_KINDS, Bounds, Terrain, Transform, 
 
 HEIGHT_TAG = "HEIGHT_KIND"
 TILE = 256
+_STRIP = 512
 
 
 @dataclass(frozen=True)
@@ -194,8 +195,13 @@ def read_image(path: Path) -> NDArray[Any]:
             raise InputMalformedError(
                 f"has values of type {source.dtypes[0]}", where=path, remedy="convert it to 8 or 16 bits"
             )
-        bands = source.read()
-    return np.ascontiguousarray(np.moveaxis(bands, 0, 2))
+        pixels = np.empty((source.height, source.width, source.count), dtype=source.dtypes[0])
+        # By strips: the bands of a whole image beside the image would double its memory.
+        for first in range(0, source.height, _STRIP):
+            count = min(_STRIP, source.height - first)
+            window = rasterio.windows.Window(0, first, source.width, count)
+            pixels[first : first + count] = np.moveaxis(source.read(window=window), 0, 2)
+    return pixels
 
 
 def system_wkt(name: str) -> str:

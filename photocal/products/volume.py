@@ -54,8 +54,7 @@ def cylinder_volume(radius: float, radius_sigma: float, height: float, height_si
     Returns
     -------
     Volume
-        V = pi R2 H with var V = (2 pi R H)2 var R + (pi R2)2 var H: eq. 61 to 64 of the study of an oil
-        tank (see the nomenclature).
+        V = pi R2 H with var V = (2 pi R H)2 var R + (pi R2)2 var H (da Silva, 1995, eq. 61 to 64).
 
     Raises
     ------
