@@ -29,11 +29,13 @@ def ppk(
     rover_link: Annotated[str, typer.Option(help="Link of the rover in the flight log.")] = "rover",
     base_link: Annotated[str, typer.Option(help="Link of the base in the flight log.")] = "base",
     rover_antenna_height: Annotated[
-        float, typer.Option(help="Antenna reference point above the rover's mark, metres.")
-    ] = 0.0,
+        float | None,
+        typer.Option(help="Antenna reference point above the rover's mark, metres; without: RINEX header."),
+    ] = None,
     base_antenna_height: Annotated[
-        float, typer.Option(help="Antenna reference point above the base's mark, metres.")
-    ] = 0.0,
+        float | None,
+        typer.Option(help="Antenna reference point above the base's mark, metres; without: RINEX header."),
+    ] = None,
     elevation: Annotated[float, typer.Option(help="Least elevation of satellites, degrees.")] = 15.0,
     static: Annotated[bool, typer.Option("--static", help="The rover stood still: one position.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,

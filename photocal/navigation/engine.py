@@ -38,16 +38,16 @@ class ProcessingOptions:
         Satellites below are left out.
     ratio : float
         Least ratio of the second best to the best ambiguities for a fix.
-    rover_antenna_m, base_antenna_m : float
-        Heights of the antenna reference points above the marks.
+    rover_antenna_m, base_antenna_m : float or None
+        Heights of the antenna reference points above the marks; None: as in the RINEX header.
     """
 
     systems: str
     two_frequencies: bool
     elevation_deg: float = 15.0
     ratio: float = 3.0
-    rover_antenna_m: float = 0.0
-    base_antenna_m: float = 0.0
+    rover_antenna_m: float | None = None
+    base_antenna_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -152,11 +152,11 @@ def configuration(mode: Mode, direction: Direction, options: ProcessingOptions) 
         "out-degform": "deg",
         "out-height": "ellipsoidal",
         "out-solstatic": "all",
-        "ant1-anttype": "*",
-        "ant1-antdelu": f"{options.rover_antenna_m:.4f}",
-        "ant2-anttype": "*",
-        "ant2-antdelu": f"{options.base_antenna_m:.4f}",
     }
+    for antenna, height_m in (("ant1", options.rover_antenna_m), ("ant2", options.base_antenna_m)):
+        # With the type "*" the engine takes type and height from the header and passes over the height here.
+        settings[f"{antenna}-anttype"] = "*" if height_m is None else ""
+        settings[f"{antenna}-antdelu"] = f"{height_m or 0.0:.4f}"
     if mode == "single":
         # Without a base there is nothing that removes the ionosphere's and troposphere's common part.
         settings["pos1-frequency"] = "l1"

@@ -89,8 +89,8 @@ class PpkResult:
 def options_for(
     rover: ObservationFile,
     base: ObservationFile,
-    rover_antenna_m: float = 0.0,
-    base_antenna_m: float = 0.0,
+    rover_antenna_m: float | None = None,
+    base_antenna_m: float | None = None,
     elevation_deg: float = 15.0,
 ) -> ProcessingOptions:
     """Choose systems and frequencies that both receivers observed.

@@ -89,17 +89,24 @@ def test_the_engine_by_hand_gives_the_same(moving_run: Run, m8p: Path, tmp_path:
         assert np.abs(difference).max() * metres < 1e-3
 
 
-def test_known_static_baseline(shared: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("rover_m", "base_m"), [(None, None), (1.5, 0.4)])
+def test_known_static_baseline(
+    shared: Path, tmp_path: Path, rover_m: float | None, base_m: float | None
+) -> None:
     needs_engine()
     data = shared / "data/gnss-rinex-static-known"
     base = ",".join((data / "base_position.txt").read_text().split())
     arguments = ["--rover", "rover.obs", "--base", "base.obs", "--nav", "base.nav"]
     named = [str(data / a) if not a.startswith("-") else a for a in arguments]
     command = ["ppk", *named, "--base-position", base, "--static", "-o", str(tmp_path / "out"), "--json"]
+    if rover_m is not None:
+        command += ["--rover-antenna-height", str(rover_m), "--base-antenna-height", str(base_m)]
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.output
     found = json.loads(done.output)["position"]
     lat, lon, height = map(float, (data / "rover_position.txt").read_text().split())
+    # The mark lies below the antenna by its height; the base's antenna above the position given.
+    height += (base_m or 0.0) - (rover_m or 0.0)
     north = (found["lat_deg"] - lat) * 110_930
     east = (found["lon_deg"] - lon) * 91_100
     assert np.linalg.norm([east, north, found["height_m"] - height]) < 0.002
