@@ -24,6 +24,10 @@ def import_(
     link: Annotated[
         list[str] | None, typer.Option(metavar="NAME=FILE", help="Recording with the name of its link.")
     ] = None,
+    date: Annotated[
+        str | None,
+        typer.Option(metavar="YYYY-MM-DD", help="UTC date of the beginning of streams that do not tell it."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
     """Import recordings into one flight log, raw first.
@@ -34,11 +38,12 @@ def import_(
 
     named = [_named(text) for text in link or []]
     unnamed = files or []
+    near_ns = _noon_ns(date)
     if not named and not unnamed:
         raise ConfigurationError("no recording was named", remedy="give FILE or --link NAME=FILE")
     total = sum(p.stat().st_size for p in [*unnamed, *(p for _, p in named)] if p.is_file())
     with progress("importing", total) as advance:
-        results = import_recordings(named, unnamed, output, advance)
+        results = import_recordings(named, unnamed, output, advance, near_ns)
     for result in results:
         if result.warning:
             typer.echo(f"warning: {result.link}: {result.warning}", err=True)
@@ -51,6 +56,21 @@ def import_(
         },
         lambda: "\n".join([*map(_sentence, results), f"wrote {output}"]),
     )
+
+
+def _noon_ns(date: str | None) -> int:
+    """Return noon of a date, which lies within half a day of every time of it; -1 without a date."""
+    if date is None:
+        return -1
+    import datetime as dt
+
+    try:
+        day = dt.date.fromisoformat(date)
+    except ValueError as refusal:
+        raise ConfigurationError(
+            "is no date", where=f"--date {date}", remedy="give year, month and day: 2026-05-01"
+        ) from refusal
+    return int(dt.datetime(day.year, day.month, day.day, 12, tzinfo=dt.UTC).timestamp()) * 1_000_000_000
 
 
 def _named(text: str) -> tuple[str, Path]:

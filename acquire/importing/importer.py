@@ -99,6 +99,7 @@ def import_recordings(
     unnamed: Sequence[Path],
     output: Path,
     advance: Callable[[float], None],
+    near_ns: int = -1,
 ) -> list[Imported]:
     """Import recordings into one flight log.
 
@@ -112,6 +113,8 @@ def import_recordings(
         The flight log; it is there when the import has succeeded, not before.
     advance : callable
         Is told the number of bytes that were read since the last call.
+    near_ns : int, optional
+        UTC within half a day of the beginning of streams that do not tell their date, nanoseconds since 1970.
 
     Raises
     ------
@@ -135,7 +138,7 @@ def import_recordings(
                         remedy="name each with --link NAME=FILE",
                     )
                 links.add(link)
-                results.append(_import(writer, link, source, form, dialect, advance))
+                results.append(_import(writer, link, source, form, dialect, advance, near_ns))
         writer.close()
     return results
 
@@ -147,9 +150,10 @@ def _import(
     form: Format,
     dialect: Dialect,
     advance: Callable[[float], None],
+    near_ns: int,
 ) -> Imported:
     framer = form.framer(dialect)
-    clock = ReceiverClock()
+    clock = ReceiverClock(near_ns)
     log = LinkLog(writer, link, _decoders(link, form, dialect))
 
     def batches() -> Iterator[Batch]:
@@ -165,7 +169,7 @@ def _import(
         log.write(batch, log_ns)
         if writer.open_bytes > CHUNK_BYTES:
             writer.end_chunk()
-    log_time = HOST_TIME if framer.stamped else _derivation(clock)
+    log_time = HOST_TIME if framer.stamped else _derivation(clock, near_ns)
     imported = Imported(
         link=link,
         path=source.path,
@@ -189,8 +193,11 @@ def _decoders(link: str, form: Format, dialect: Dialect) -> list[Decoder]:
     return [ReceiverDecoder(link)]
 
 
-def _derivation(clock: ReceiverClock) -> str:
-    return f"derived from the receiver's own time ({', '.join(sorted(clock.sources))}); no host clock"
+def _derivation(clock: ReceiverClock, near_ns: int) -> str:
+    told = sorted(clock.sources)
+    # Where the stream tells its date itself, that is what counts.
+    sources = ", ".join(told) if told or near_ns < 0 else "time of day or week, the date as it was given"
+    return f"derived from the receiver's own time ({sources}); no host clock"
 
 
 def _link_name(path: Path, form: Format) -> str:

@@ -67,7 +67,7 @@ def derived(
         raise InputMalformedError(
             "no message tells the date (RXM-RAWX, NAV-PVT, NAV-TIMEGPS, NAV-TIMEUTC, RMC, ZDA or 1013)",
             where=where,
-            remedy="record one of these messages too",
+            remedy="give --date YYYY-MM-DD, or record one of these messages too",
         )
 
 
