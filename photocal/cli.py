@@ -15,6 +15,7 @@ from photocal.commands import (
     ortho,
     plan,
     ppk,
+    survey,
     verify,
     volume,
 )
@@ -30,6 +31,7 @@ app.command()(check.check)
 app.command()(plan.plan)
 app.command()(ppk.ppk)
 app.command()(exposures.exposures)
+app.command()(survey.survey)
 app.command()(export.export)
 app.command()(volume.volume)
 app.command()(ortho.ortho)

@@ -82,7 +82,7 @@ def write_block_images(
         turn = np.array([axes @ enu_axes(a, b).T for a, b in zip(lat.tolist(), lon.tolist(), strict=True)])
         frame: dict[str, Any] = {"frame": "local", "origin_lat_lon_height": origin.tolist()}
     else:
-        xyz, turn = _projected(lat, lon, height, crs)
+        xyz, turn = projected(lat, lon, height, crs)
         frame = {"frame": crs}
     body, _ = object_to_body(exposures.angles[rows])
     # The camera looks down with the upper edge of the image forward; ENU axes into those of the frame.
@@ -107,7 +107,7 @@ def write_block_images(
     return frame
 
 
-def _projected(lat: Floats, lon: Floats, height: Floats, crs: str) -> tuple[Floats, Floats]:
+def projected(lat: Floats, lon: Floats, height: Floats, crs: str) -> tuple[Floats, Floats]:
     """Return coordinates in a CRS and the rotation (n, 3, 3) from east, north, up to its axes."""
     from pyproj import Transformer
     from pyproj.exceptions import ProjError

@@ -1,0 +1,45 @@
+"""`photocal survey`: control points from static GNSS baselines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from acquire.console import answer
+
+
+def survey(
+    setup: Annotated[
+        Path,
+        typer.Argument(
+            help="TOML: required_minutes, optional crs; [[known]] name, lat_deg, lon_deg, height_m, sigma_m; "
+            "[[baseline]] name, start, end, base, rover, nav, base_antenna_m, rover_antenna_m."
+        ),
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for points.csv and the summary.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+) -> None:
+    """Compute static baselines, adjust them as a network and write points with full covariances.
+
+    Baselines with blunders are left out and named. Heights are ellipsoidal unless the system says else.
+
+    Example: `photocal survey control.toml -o control`
+    """
+    import json
+    import tempfile
+
+    from acquire.outputs import output_folder
+    from photocal.navigation.engine import Rtklib
+    from photocal.navigation.survey import run_survey, survey_figures, survey_text, write_points
+    from photocal.navigation.survey_setup import read_setup
+
+    plan = read_setup(setup)
+    with tempfile.TemporaryDirectory() as scratch:
+        solution, sessions = run_survey(plan, setup.parent, Rtklib(), Path(scratch))
+    figures = survey_figures(solution, sessions)
+    with output_folder(output) as folder:
+        figures["points"] = write_points(folder / "points.csv", solution, plan.crs)
+        (folder / "survey.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    answer(as_json, lambda: figures, lambda: survey_text(figures))

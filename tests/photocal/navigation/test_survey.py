@@ -1,0 +1,81 @@
+"""The control survey as a command: a known baseline, times, wrong set-ups."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from photocal.navigation.trajectory import enu_offsets
+from tests.photocal.conftest import Answer
+from tests.photocal.navigation.conftest import needs_engine
+
+Photocal = Callable[..., Answer]
+
+
+def setup_text(data: Path, height_m: float = 0.0) -> str:
+    lat, lon, height = (data / "base_position.txt").read_text().split()
+    return f"""
+required_minutes = 20
+[[known]]
+name = "BASE"
+lat_deg = {lat}
+lon_deg = {lon}
+height_m = {height}
+sigma_m = [0, 0, 0]
+[[baseline]]
+name = "s1"
+start = "BASE"
+end = "P1"
+base = "{data}/base.obs"
+rover = "{data}/rover.obs"
+nav = ["{data}/base.nav"]
+base_antenna_m = {height_m}
+rover_antenna_m = {height_m}
+"""
+
+
+@pytest.mark.shared
+def test_known_baseline(photocal: Photocal, shared: Path, tmp_path: Path) -> None:
+    needs_engine()
+    data = shared / "data/gnss-rinex-static-known"
+    path = tmp_path / "survey.toml"
+    path.write_text(setup_text(data, 1.6))
+    answer = photocal("survey", path, "-o", tmp_path / "out", "--json")
+    assert answer.code == 0, answer.err
+    session = json.loads(answer.out)["sessions"][0]
+    assert session["minutes"] == pytest.approx(5.0)
+    assert not session["long_enough"]
+    with (tmp_path / "out" / "points.csv").open() as stream:
+        base, point = csv.DictReader(stream)
+    assert base["sX"] == "0.00000"
+    places = [list(map(float, (data / f"{n}_position.txt").read_text().split())) for n in ("rover", "base")]
+    (lat, lon, height), origin = places
+    expected = enu_offsets(np.array([lat]), np.array([lon]), np.array([height]), np.array(origin))[0]
+    found = np.array([float(point[axis]) for axis in "XYZ"])
+    assert np.linalg.norm(found - expected) < 0.002
+    assert 0.0005 < float(point["sZ"]) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("required_minutes", "minutes"), "required_minutes"),
+        (('start = "BASE"', 'start = "P7"'), "no chain of baselines"),
+        (("sigma_m = [0, 0, 0]", "sigma_m = 3"), "sigma_m"),
+    ],
+)
+@pytest.mark.shared
+def test_wrong_set_ups(
+    photocal: Photocal, shared: Path, tmp_path: Path, change: tuple[str, str], message: str
+) -> None:
+    path = tmp_path / "survey.toml"
+    path.write_text(setup_text(shared / "data/gnss-rinex-static-known").replace(*change))
+    answer = photocal("survey", path, "-o", tmp_path / "out")
+    assert answer.code == 5
+    assert message in answer.err
+    assert answer.err.count("\n") == 1
