@@ -124,9 +124,7 @@ def survey_figures(solution: NetworkSolution, sessions: list[dict[str, Any]]) ->
                 "name": b.name,
                 "residual_enu_m": solution.residuals_m[i].tolist(),
                 "redundancy_enu": solution.redundancy[i].tolist(),
-                "detectable_enu_m": [
-                    v if np.isfinite(v) else None for v in solution.detectable_m[i].tolist()
-                ],
+                "detectable_enu_m": _finite(solution.detectable_m[i]),
             }
             for i, b in enumerate(solution.used)
         ],
@@ -173,8 +171,8 @@ def survey_text(figures: dict[str, Any]) -> str:
             f"{s['minutes']:.1f} min{short}"
         )
     lines += [
-        f"left out: {b['name']} ({b['start']} to {b['end']}), {b['component']} wrong by {b['size_m']:+.3f} m, "
-        f"test {b['test']:.1f}; check its antenna heights"
+        f"left out: {b['name']} ({b['start']} to {b['end']}), {b['component']} wrong by "
+        f"{b['size_m']:+.3f} m, test {b['test']:.1f}; check its antenna heights"
         for b in figures["blunders"]
     ]
     lines.append(f"redundancy {figures['degrees_of_freedom']}")
