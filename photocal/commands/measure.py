@@ -110,7 +110,7 @@ def _ties_text(record: dict[str, Any], output: Path) -> str:
         f"observations rejected: {record['rejected_observations']} of {record['observations']}",
         f"sigma of an image coordinate: {record['sigma_px']:.2f} px; rms {record['rms_px']:.2f} px",
         f"c from: {', '.join(record['principal_distance_from'])}",
-        "c, x0 and y0 are held: a level block without control does not determine them",
+        "c, x0 and y0 are held: a level block fixes them weakly; to calibrate, name them under estimate",
         *(f"left out: {entry['image']}: {entry['reason']}" for entry in record["left_out"]),
         f"block folder: {output}; next: photocal adjust {output} -o RUN",
     ]

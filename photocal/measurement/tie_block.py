@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 
 # Sigma of a position that the image does not state, m: single-frequency receivers in the air.
 POSITION_SIGMA_M = (1.5, 1.5, 3.0)
-# A level block without control says next to nothing about c, x0 and y0, which go with the heights and the
+# A level block without control says little about c, x0 and y0, which go with the heights and the
 # positions: they are held until somebody asks for them.
 ESTIMATE = ("K1", "K2")
 # Fewer positions do not fix a datum.
