@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
@@ -152,9 +151,7 @@ def test_pairs_grow_with_the_images_not_with_their_square() -> None:
         assert len(pairs) == len(np.unique(pairs, axis=0))
         return len(pairs)
 
-    began = time.perf_counter()
     small, large = grid(250), grid(1000)
-    assert time.perf_counter() - began < 10
     assert large < 4.6 * small
     assert large <= 24 * 1000
 
