@@ -10,6 +10,7 @@ from photocal.accuracy.as_text import findings_text
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.georeferencing.comparison import BlockCheck, Judged
 from photocal.accuracy.georeferencing.differences import Differences
+from photocal.accuracy.georeferencing.standards_table import standards_rows
 from photocal.accuracy.georeferencing.wording import block_findings, estimate_text
 
 
@@ -33,6 +34,8 @@ def to_text(check: BlockCheck) -> str:
     for judged in check.judged:
         lines += [_row(judged, found) for found in (judged.check, judged.control) if found.names]
     lines += ["", *(f"{judged.found.label}" for judged in check.judged), ""]
+    lines += _aligned(standards_rows(check))
+    lines.append("")
     for judged in check.judged:
         lines += _points(judged)
     if check.exposures is not None:
@@ -58,6 +61,12 @@ def to_text(check: BlockCheck) -> str:
         lines += ["left free in block.toml, estimated by the integrated method:", *own, ""]
     lines.append(findings_text(block_findings(check)))
     return "\n".join(lines)
+
+
+def _aligned(rows: list[list[str]]) -> list[str]:
+    """Rows of cells as lines with columns as wide as they must be."""
+    widths = [max(len(cell) for cell in column) + 3 for column in zip(*rows, strict=True)]
+    return ["".join(f"{c:<{w}}" for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
 
 
 def _row(judged: Judged, found: Differences) -> str:

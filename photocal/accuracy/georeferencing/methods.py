@@ -193,9 +193,9 @@ def with_roles(block: Block, control: Integers, role_of_rest: Role = "check") ->
     return replace(block, points=replace(block.points, role=role))
 
 
-def local_origin(block: Block, assembly: Assembly) -> Floats:
+def local_origin(assembly: Assembly) -> Floats:
     """Give what was subtracted from all coordinates of a block in a local frame, m."""
-    return np.asarray(block.images.values[0, 3:] - assembly.network.exposures.values[0, 3:])
+    return np.asarray(assembly.frame.to_given(np.zeros((1, 3)))[0])
 
 
 def _direct(block: Block, note: str) -> Georeferenced:
@@ -258,11 +258,11 @@ def _adjusted(block: Block, method: Method, note: str) -> Georeferenced:
     block, weak = without_weak_images(block)
     assembly = assemble(block)
     solution = adjust(assembly.network)
-    exposures = solution.exposures + np.concatenate([np.zeros(3), local_origin(block, assembly)])
+    exposures = solution.exposures + np.concatenate([np.zeros(3), local_origin(assembly)])
     exposures[weak] = np.nan
     if weak.any():
         note = f"; {int(weak.sum())} images with fewer than four rays set aside" + note
-    origin = local_origin(block, assembly)
+    origin = local_origin(assembly)
     control = block.points.of_role("control")
     wanted = np.isin(assembly.points, ground_points(block))
     points = assembly.points[wanted]

@@ -16,6 +16,7 @@ from photocal.accuracy.geopackage import ReferenceSystem, write_geopackage
 from photocal.accuracy.georeferencing.as_json import finite
 from photocal.accuracy.georeferencing.comparison import BlockCheck
 from photocal.accuracy.georeferencing.differences import Differences
+from photocal.accuracy.georeferencing.standards_table import standards_rows
 from photocal.accuracy.georeferencing.wording import block_findings
 
 
@@ -160,6 +161,11 @@ def _report(check: BlockCheck) -> str:
             cells = " | ".join(f"{v:.4f}" for v in (*rmse, *sigma))
             n = len(found.names)
             lines.append(f"| {judged.found.method} | {found.role} | {n} | {cells} | {found.ratio:.2f} |")
-    lines += ["", *(f"- {judged.found.label}" for judged in check.judged), "", "## Findings", ""]
+    lines += ["", *(f"- {judged.found.label}" for judged in check.judged), ""]
+    rows = standards_rows(check)
+    if rows:
+        lines += ["## Bias and classes", "", *(f"| {' | '.join(row)} |" for row in rows[:1])]
+        lines += ["|---" * len(rows[0]) + "|", *(f"| {' | '.join(row)} |" for row in rows[1:]), ""]
+    lines += ["## Findings", ""]
     lines += [f"- {finding.text}" for finding in block_findings(check)] or ["- Nothing to remark."]
     return "\n".join(lines) + "\n"

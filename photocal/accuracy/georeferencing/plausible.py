@@ -90,6 +90,9 @@ def _exposures(block: Block) -> Floats:
 
 def _place_findings(block: Block, ground: GroundPoints) -> tuple[Finding, ...]:
     exposures = _exposures(block)
+    exposures = exposures[np.isfinite(exposures).all(axis=1)]
+    if not len(exposures):
+        return ()
     if block.frame == "local":
         return _far_in_local_frame(ground, exposures)
     from pyproj import CRS, Transformer
@@ -121,7 +124,7 @@ def _place_findings(block: Block, ground: GroundPoints) -> tuple[Finding, ...]:
 def _far_in_local_frame(ground: GroundPoints, exposures: Floats) -> tuple[Finding, ...]:
     """Ground points far from the exposures, and the mistake that would bring them near."""
     places = ground.xyz_m[np.isfinite(ground.xyz_m).all(axis=1)]
-    if not len(places) or not np.isfinite(exposures[:, :2]).all():
+    if not len(places):
         return ()
     flight, middle = exposures[:, :2].mean(axis=0), places[:, :2].mean(axis=0)
     distance = float(np.hypot(*(middle - flight)))
@@ -163,12 +166,14 @@ def _by_start_values(block: Block) -> GroundPoints:
         rotation[block.attitudes.image] = matrix @ block.attitudes.rotation
     centre[block.positions.image] = block.positions.values
     distance = np.array([own.value("c") for own in block.cameras])[camera]
+    # Images without start values have nothing to say yet.
+    known = np.isfinite(centre[image]).all(axis=1) & np.isfinite(rotation[image]).all(axis=(1, 2))
     xyz = intersect(
-        block.observations.point,
+        block.observations.point[known],
         len(block.points.names),
-        centre[image],
-        rotation[image],
-        ideal,
-        distance,
+        centre[image][known],
+        rotation[image][known],
+        ideal[known],
+        distance[known],
     )
     return GroundPoints(block.points.names, xyz)

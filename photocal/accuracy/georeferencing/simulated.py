@@ -68,7 +68,7 @@ def degraded(block: Block, noise: Degradation, rng: np.random.Generator) -> Bloc
     sigma = np.broadcast_to(
         np.repeat([noise.attitude_rad, noise.position_m], 3), block.images.sigma.shape
     ).copy()
-    values = exposures + np.concatenate([np.zeros(3), local_origin(block, assembly)])
+    values = exposures + np.concatenate([np.zeros(3), local_origin(assembly)])
     sigma[weak] = np.inf
     values = values + rng.normal(0.0, 1.0, values.shape) * np.where(np.isfinite(sigma), sigma, 0.0)
     return replace(

@@ -76,6 +76,16 @@ def test_three_methods_side_by_side_and_the_files(photocal: Photocal, folder: Pa
     assert len((out / "ground_points.csv").read_text(encoding="utf-8").splitlines()) == 1 + 3 * 29
 
 
+def test_text_has_methods_and_classes_side_by_side(photocal: Photocal, folder: Path, tmp_path: Path) -> None:
+    said = photocal("check", folder, "-o", tmp_path / "out", "--scale", "1:1000", "--standard", "pec-pcd")
+    assert said.code == 0, said.err
+    line = next(row for row in said.out.splitlines() if row.startswith("pec-pcd planimetry at 1:1 000"))
+    assert line.count("precision A, accuracy A") == 3
+    report = (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
+    assert "| pec-pcd planimetry at 1:1 000 |" in report
+    assert "cannot separate vertical lever arm and height datum" in report
+
+
 def test_heights_of_zero(photocal: Photocal, folder: Path) -> None:
     def flat(row: dict[str, str]) -> None:
         if row["role"] == "control":
