@@ -17,7 +17,7 @@ from tests.photocal.navigation.conftest import needs_engine
 Photocal = Callable[..., Answer]
 
 
-def setup_text(data: Path, height_m: float = 0.0) -> str:
+def setup_text(data: Path, base_antenna_m: float = 0.0) -> str:
     lat, lon, height = (data / "base_position.txt").read_text().split()
     return f"""
 required_minutes = 20
@@ -34,8 +34,8 @@ end = "P1"
 base = "{data}/base.obs"
 rover = "{data}/rover.obs"
 nav = ["{data}/base.nav"]
-base_antenna_m = {height_m}
-rover_antenna_m = {height_m}
+base_antenna_m = {base_antenna_m}
+rover_antenna_m = 0
 """
 
 
@@ -44,7 +44,7 @@ def test_known_baseline(photocal: Photocal, shared: Path, tmp_path: Path) -> Non
     needs_engine()
     data = shared / "data/gnss-rinex-static-known"
     path = tmp_path / "survey.toml"
-    path.write_text(setup_text(data, 1.6))
+    path.write_text(setup_text(data, 0.0))
     answer = photocal("survey", path, "-o", tmp_path / "out", "--json")
     assert answer.code == 0, answer.err
     session = json.loads(answer.out)["sessions"][0]
