@@ -15,6 +15,7 @@ from drivers.errors import ConfigurationError, DeviceError
 
 # A reader that takes nothing for so long is given up.
 PATIENCE_S = 60.0
+_QUIET_S = 0.5
 
 
 class Sink(Protocol):
@@ -178,12 +179,14 @@ def _drain(theirs: int) -> None:
     import termios
     import time
 
-    until = time.monotonic() + PATIENCE_S
-    while time.monotonic() < until:
-        waiting = int.from_bytes(fcntl.ioctl(theirs, termios.FIONREAD, bytes(4)), sys.byteorder)
-        if not waiting:
-            return
+    now = time.monotonic()
+    until, taken = now + PATIENCE_S, now
+    # The kernel passes bytes on in pieces: between two of them a terminal looks empty for a moment.
+    while now < until and now - taken < _QUIET_S:
         time.sleep(0.01)
+        now = time.monotonic()
+        if int.from_bytes(fcntl.ioctl(theirs, termios.FIONREAD, bytes(4)), sys.byteorder):
+            taken = now
 
 
 def _address(url: str) -> tuple[str, int]:
