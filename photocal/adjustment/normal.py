@@ -25,6 +25,8 @@ from photocal.geometry.lens import optics
 
 Floats = NDArray[np.float64]
 
+RAYS_PER_THREAD = 4000
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -97,7 +99,8 @@ def prepare(network: Network) -> Problem:
     count = np.array([len(positions) for positions, _ in where.camera_columns], dtype=np.int64)
     point_column = np.full(len(points.values), -1)
     point_column[where.kept_points] = where.point_columns[:, 0] - POSE * len(network.image_names)
-    threads = numba.get_num_threads()
+    # Threads only wait for each other in small networks.
+    threads = min(numba.get_num_threads(), 1 + len(rays.image) // RAYS_PER_THREAD)
     shares = np.linspace(0, len(rays.image), threads + 1)
     pieces = np.searchsorted(ray_start, shares)
     pieces[0], pieces[-1] = 0, len(points.values)

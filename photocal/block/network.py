@@ -247,12 +247,15 @@ def _require_rays(block: Block, rays_of_point: Integers) -> None:
             where=f"point {name}",
             remedy="measure it in a second image or take it out",
         )
-    weak = np.bincount(block.observations.image, minlength=len(block.images.names)) * 2
+    images = len(block.images.names)
+    weak = 2 * np.bincount(block.observations.image, minlength=images)
+    for observed in (block.positions.image, block.attitudes.image):
+        weak += 3 * np.bincount(observed, minlength=images)
     free = np.sum(np.isinf(block.images.sigma), axis=1)
     for image in np.flatnonzero(weak < free):
         name = block.images.names[image]
         raise IllPosedError(
-            f"it has {weak[image] // 2} observation(s) for {free[image]} unknown(s)",
+            f"it has {weak[image]} observed value(s) for {free[image]} unknown(s)",
             where=f"image {name}",
             remedy="measure more points in it, give its exterior orientation a sigma, or take it out",
         )
