@@ -225,7 +225,7 @@ BAD: dict[str, tuple[Spoiler, int, tuple[str, ...]]] = {
     "image with two points": (
         drop_rays("a,p0", "a,p1", "a,p2", "a,p3", "a,p4"),
         ILL_POSED,
-        ("image a", "2 observation"),
+        ("image a", "4 observed value"),
     ),
     "no datum": (no_control, ILL_POSED, ("datum", "control points")),
     "two forms of observations": (
