@@ -7,7 +7,7 @@ done panel by panel with dense kernels of the linear algebra library. A small ma
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cache
 
@@ -20,8 +20,6 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 PANEL = 144
-# Threads of the linear algebra only wait for each other below this order.
-SMALL = 2000
 
 
 @dataclass(frozen=True)
@@ -104,10 +102,8 @@ def _libraries() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def _threads(structure: Envelope) -> AbstractContextManager[object]:
-    """Keep the linear algebra to one thread where more would not pay."""
-    if structure.size >= SMALL:
-        return nullcontext()
+def _one_thread() -> AbstractContextManager[object]:
+    """Keep the linear algebra to one thread: with the kernels' threads waiting beside it, two are slower."""
     limited: AbstractContextManager[object] = _libraries().limit(limits=1, user_api="blas")
     return limited
 
@@ -126,7 +122,7 @@ def factorise(structure: Envelope, values: Floats) -> int:
     int
         -1, or the column at which the matrix is not positive definite.
     """
-    with _threads(structure):
+    with _one_thread():
         return _factorised(structure, structure.panels(values))
 
 
@@ -195,7 +191,7 @@ def solve(structure: Envelope, factor: Floats, right: Floats) -> Floats:
     ndarray, shape of `right`
     """
     x = np.array(right.reshape(structure.size, -1))
-    with _threads(structure):
+    with _one_thread():
         _substitute(structure, structure.panels(factor), x)
     return x.reshape(right.shape)
 
@@ -243,7 +239,7 @@ def selected_inverse(structure: Envelope, factor: Floats) -> Floats:
         Values of the inverse's lower triangle; the diagonal blocks are complete.
     """
     inverse = structure.zeros()
-    with _threads(structure):
+    with _one_thread():
         _invert(structure, structure.panels(factor), structure.panels(inverse))
     return inverse
 
