@@ -25,6 +25,8 @@ Floats = NDArray[np.float64]
 
 # Squared distance to the minimum, in units of the standard deviations, that is left after the last step.
 CONVERGED = 1e-12
+# Only between steps this short is that rate known: the first steps shrink much faster than the last.
+SHORT = 1e-9
 # A step this short that no longer lowers the sum of squares shows that rounding is reached.
 ROUNDING = 1e-6
 ITERATIONS = 50
@@ -112,7 +114,7 @@ def minimise(problem: Problem, state: State, report: Callable[[Iteration], None]
                 steps.append(Iteration(len(steps) + 1, normal.chi_squared, decrement, damping))
                 if report:
                     report(steps[-1])
-                if damping == 0.0 and (left < CONVERGED or not lower):
+                if damping == 0.0 and ((decrement < SHORT and left < CONVERGED) or not lower):
                     return _released(problem, Minimum(state, normal, tuple(steps)), start)
                 damping = calmer
                 continue

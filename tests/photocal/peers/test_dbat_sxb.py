@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,12 @@ def folder(shared: Path) -> Path:
 
 
 def same_as_printed(
-    block: Block, report: Any, adjusted: Any, origin: Any = (0, 0, 0), label: Callable[[str], str] = str
+    block: Block,
+    report: Any,
+    adjusted: Any,
+    origin: Any = (0, 0, 0),
+    label: Callable[[str], str] = str,
+    stopped_short: bool = False,
 ) -> None:
     found, solution = adjusted(block)
     assert solution.degrees_of_freedom == report.redundancy
@@ -34,8 +40,8 @@ def same_as_printed(
     assert solution.unknowns == report.unknowns
     sigma0 = math.sqrt(solution.variance_factor)
     # DBAT stops when a step is shorter than its tolerance times the length of the residuals: in the flattest
-    # direction that is up to this many standard deviations short of the minimum.
-    short = report.tolerance * report.last_error / sigma0
+    # direction that is up to this many standard deviations short of the minimum. Two of its runs show it.
+    short = report.tolerance * report.last_error / sigma0 if stopped_short else 0.0
     assert abs(sigma0 - report.sigma0.value) <= 2 * report.sigma0.unit
     assert set(report.photos) == set(block.images.names)
     for k, name in enumerate(block.images.names):
@@ -82,7 +88,20 @@ def test_positions_as_observations(
     block = block_from_export(export, control, positions=positions)
     report = dbat_report(folder / "dbatreports" / f"sxb-{prior}-dbatreport.txt")
     assert report.redundancy == redundancy
-    same_as_printed(block, report, adjusted)
+    same_as_printed(block, report, adjusted, stopped_short=prior == "prior-eo")
+
+
+def test_the_minimum_does_not_depend_on_the_start(folder: Path, adjusted: Any) -> None:
+    """In the weakest direction of this block, the flight line, a step too few is tens of micrometres."""
+    export = read_export(folder / "pmexports" / "wsmart-with-orient-pmexport.txt")
+    block = block_from_export(export, read_control(folder / "ref" / "ctrlpts-weighted.txt"))
+    found, _ = adjusted(block)
+    rng = np.random.default_rng(5)
+    for spread in (1e-3, 0.5):
+        values = block.images.values.copy()
+        values[:, 3:] += rng.normal(0, spread, (len(values), 3))
+        other, _ = adjusted(replace(block, images=replace(block.images, values=values)))
+        assert np.abs((other.poses - found.poses) / found.pose_sigma).max() < 1e-6
 
 
 def test_photoscan_project(folder: Path, dbat_report: Any, adjusted: Any) -> None:
@@ -108,4 +127,4 @@ def test_fixed_and_weighted_control(
     # These runs were made in PhotoModeler's own frame: control moved by the mean difference.
     shift = np.mean([table[name][0] - xyz for name, xyz in export.control.items()], axis=0)
     report = dbat_report(folder / "dbatreports" / f"{stem}-with-orient-dbatreport.txt")
-    same_as_printed(block, report, adjusted, origin=shift)
+    same_as_printed(block, report, adjusted, origin=shift, stopped_short=stem == "f-op0")
