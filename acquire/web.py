@@ -1,0 +1,294 @@
+"""Local pages: served on this computer alone, or with a token; what each page shares of caution."""
+
+from __future__ import annotations
+
+import ipaddress
+import secrets
+import socket
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import resources
+from typing import TYPE_CHECKING
+
+from starlette.datastructures import Headers, MutableHeaders, QueryParams
+from starlette.requests import cookie_parser
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.routing import Route
+
+from drivers.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+TOKEN_BYTES = 18
+# Nothing but what this server gives: no other host, no code within the page, no page around it.
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+    "img-src 'self' data: blob:; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
+)
+_HEADERS = {
+    "content-security-policy": POLICY,
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-resource-policy": "same-origin",
+    "cache-control": "no-store",
+}
+_TYPES = {
+    "html": "text/html; charset=utf-8",
+    "css": "text/css; charset=utf-8",
+    "js": "text/javascript; charset=utf-8",
+    "svg": "image/svg+xml",
+}
+_READING = ("GET", "HEAD")
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where a page is served: host and port; port 0 for any that is free."""
+
+    host: str
+    port: int
+
+    @property
+    def loopback(self) -> bool:
+        """Whether only this computer can reach it."""
+        return all(ipaddress.ip_address(ip.split("%")[0]).is_loopback for _, ip in self._resolved())
+
+    def listen(self) -> socket.socket:
+        """Return a socket that listens there.
+
+        Raises
+        ------
+        ConfigurationError
+            When the host is unknown or the port is taken.
+        """
+        family, ip = self._resolved()[0]
+        listener = socket.socket(family, socket.SOCK_STREAM)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((ip, self.port))
+            listener.listen(64)
+        except OSError as refusal:
+            listener.close()
+            raise ConfigurationError(
+                f"cannot be listened on ({(refusal.strerror or str(refusal)).lower()})",
+                where=str(self),
+                remedy="choose another port, or 0 for any that is free",
+            ) from refusal
+        return listener
+
+    def _resolved(self) -> list[tuple[socket.AddressFamily, str]]:
+        try:
+            found = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_STREAM)
+        except (OSError, UnicodeError) as refusal:
+            raise ConfigurationError(
+                "is no address of this computer", where=str(self), remedy="use for example 127.0.0.1:8740"
+            ) from refusal
+        return [(entry[0], str(entry[4][0])) for entry in found]
+
+    def __str__(self) -> str:
+        return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
+
+
+def read_address(text: str) -> Address:
+    """Read ``HOST:PORT`` or ``[IPv6]:PORT``.
+
+    Raises
+    ------
+    ConfigurationError
+        When it is neither.
+    """
+    host, colon, port = text.rpartition(":")
+    bare = host.removeprefix("[").removesuffix("]")
+    bracketed = host.startswith("[") and host.endswith("]")
+    if not colon or not bare or (":" in bare) != bracketed or not port.isdecimal() or int(port) > 65535:
+        raise ConfigurationError(
+            "is no HOST:PORT", where=text, remedy="use for example 127.0.0.1:8740 or [::1]:8740"
+        )
+    return Address(bare, int(port))
+
+
+class Guard:
+    """Lets nobody in who should not be: other hosts' names, other sites' pages, and who has no token.
+
+    A page of another site can make the browser ask this server (cross-site requests), or give its own name
+    this computer's address (DNS rebinding). So the Host header must be an address in numbers, ``localhost``
+    or the name that was chosen; requests of other sites are refused, links to the page itself apart.
+
+    Parameters
+    ----------
+    app : ASGI application
+        What is guarded.
+    address : Address
+        Where it is served.
+    token : str or None
+        What must be shown: once as ``?token=``, which leaves a cookie, or as bearer. None: nothing.
+    """
+
+    def __init__(self, app: ASGIApp, address: Address, token: str | None) -> None:
+        self._app = app
+        self._names = {"localhost", address.host.lower()}
+        self._only_loopback = address.loopback
+        self._token = token
+        # Cookies are shared by all ports of a host.
+        self._cookie = f"token-{address.port}"
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request or pass it on."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+
+        async def guarded(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                MutableHeaders(scope=message).update(_HEADERS)
+            await send(message)
+
+        refusal = self._refusal(scope)
+        if refusal is None:
+            await self._app(scope, receive, guarded)
+        elif scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008, "reason": "refused"})
+        else:
+            await refusal(scope, receive, guarded)
+
+    def _refusal(self, scope: Scope) -> Response | None:
+        headers = Headers(scope=scope)
+        host = headers.get("host", "")
+        if not self._names_us(host):
+            return PlainTextResponse("403: this page is not served under that name.\n", 403)
+        if _of_another_site(scope, headers, host):
+            return PlainTextResponse("403: asked for by a page of another site.\n", 403)
+        if self._token is None:
+            return None
+        shown = QueryParams(scope["query_string"]).get("token")
+        if shown is not None and self._opens(shown) and scope.get("method") in _READING:
+            answer = RedirectResponse("/", 303)
+            answer.set_cookie(self._cookie, shown, httponly=True, samesite="lax")
+            return answer
+        bearer = headers.get("authorization", "").removeprefix("Bearer ")
+        cookie = cookie_parser(headers.get("cookie", "")).get(self._cookie, "")
+        if self._opens(bearer) or self._opens(cookie):
+            return None
+        return PlainTextResponse(
+            "401: this page needs its token: open the address that was printed where it was started.\n",
+            401,
+            {"www-authenticate": "Bearer"},
+        )
+
+    def _opens(self, shown: str) -> bool:
+        return secrets.compare_digest(shown.encode(), (self._token or "").encode())
+
+    def _names_us(self, host: str) -> bool:
+        name = host.rpartition(":")[0] if host.rpartition(":")[2].isdecimal() else host
+        name = name.removeprefix("[").removesuffix("]").lower()
+        if name in self._names:
+            return True
+        try:
+            number = ipaddress.ip_address(name)
+        except ValueError:
+            return False
+        return number.is_loopback or not self._only_loopback
+
+
+def _of_another_site(scope: Scope, headers: Headers, host: str) -> bool:
+    origin = headers.get("origin")
+    if origin is not None and origin != f"http://{host}":
+        return True
+    opened_by_hand = scope.get("method") in _READING and headers.get("sec-fetch-mode") == "navigate"
+    return headers.get("sec-fetch-site") in ("cross-site", "same-site") and not opened_by_hand
+
+
+def packaged(package: str, files: Mapping[str, str]) -> list[Route]:
+    """Return routes to files that are part of a package.
+
+    The files are read now: no path of a request ever reaches the file system.
+
+    Parameters
+    ----------
+    package : str
+        Where the files lie.
+    files : mapping of str to str
+        Name of the file by path of the address.
+    """
+
+    def route(path: str, name: str) -> Route:
+        content = resources.files(package).joinpath(name).read_bytes()
+        kind = _TYPES[name.rpartition(".")[2]]
+
+        async def give(_: Request) -> Response:
+            return Response(content, media_type=kind)
+
+        return Route(path, give)
+
+    return [route(path, name) for path, name in files.items()]
+
+
+@contextmanager
+def serving(app: ASGIApp, address: Address) -> Iterator[str]:
+    """Serve an application behind a `Guard` in a thread of its own, until the end of the block.
+
+    Reachable from this computer alone it needs no token; anywhere else it makes one.
+
+    Parameters
+    ----------
+    app : ASGI application
+        What is served.
+    address : Address
+        Where.
+
+    Yields
+    ------
+    str
+        The address for the browser, with the token where there is one.
+
+    Raises
+    ------
+    ConfigurationError
+        When nothing can be served there.
+    """
+    import uvicorn
+
+    token = None if address.loopback else secrets.token_urlsafe(TOKEN_BYTES)
+    listener = address.listen()
+    bound = Address(address.host, listener.getsockname()[1])
+    settings = uvicorn.Config(
+        Guard(app, bound, token),
+        log_config=None,
+        log_level="critical",
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        timeout_graceful_shutdown=1,
+        lifespan="off",
+    )
+    server = uvicorn.Server(settings)
+    thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
+    thread.start()
+    try:
+        while not server.started and thread.is_alive():
+            time.sleep(0.005)
+        yield f"http://{_shown(bound)}/" + (f"?token={token}" if token else "")
+    finally:
+        server.should_exit = True
+        thread.join()
+        listener.close()
+
+
+def _shown(bound: Address) -> Address:
+    """Return the address as another computer writes it: one of all addresses is named instead of all."""
+    if bound.host not in ("0.0.0.0", "::"):  # noqa: S104 - compared, not bound
+        return bound
+    family = socket.AF_INET6 if ":" in bound.host else socket.AF_INET
+    outside = "2001:db8::1" if family == socket.AF_INET6 else "192.0.2.1"
+    with socket.socket(family, socket.SOCK_DGRAM) as probe:
+        try:
+            # Nothing is sent: the system only chooses the address that it would send from.
+            probe.connect((outside, 9))
+        except OSError:
+            return Address("localhost", bound.port)
+        return Address(probe.getsockname()[0], bound.port)
