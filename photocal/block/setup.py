@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import (
-    AliasChoices,
-    BaseModel,
-    ConfigDict,
-    Field,
-    FiniteFloat,
-    PositiveFloat,
-    PositiveInt,
-    ValidationError,
-)
+from pydantic import AliasChoices, Field, FiniteFloat, PositiveFloat, PositiveInt
 
 from drivers.errors import ConfigurationError
-from photocal.block.table import require_file
+from photocal.checked_toml import Table, read_toml
 from photocal.geometry.camera import PARAMETERS, Affinity, AffinityForm, Camera, Model, camera
 
 NonNegative = Annotated[FiniteFloat, Field(ge=0)]
@@ -29,11 +19,7 @@ Sigma = NonNegative | tuple[NonNegative, NonNegative, NonNegative] | Literal["fr
 BodyAxis = Literal["forward", "backward", "right", "left", "up", "down"]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class BlockKeys(_Strict):
+class BlockKeys(Table):
     """Section `[block]`."""
 
     name: str = ""
@@ -42,10 +28,10 @@ class BlockKeys(_Strict):
         default="", validation_alias=AliasChoices("height", "height_kind")
     )
     datum: Literal["control", "free"] | list[str] = "control"
-    datum_points: list[str] = []
+    datum_points: tuple[str, ...] = ()
 
 
-class ObservationKeys(_Strict):
+class ObservationKeys(Table):
     """Section `[observations]`."""
 
     unit: Literal["px", "mm"]
@@ -53,7 +39,7 @@ class ObservationKeys(_Strict):
     sigma: PositiveFloat | tuple[PositiveFloat, PositiveFloat] | None = None
 
 
-class CameraKeys(_Strict):
+class CameraKeys(Table):
     """One `[[camera]]`."""
 
     id: str
@@ -62,14 +48,14 @@ class CameraKeys(_Strict):
     size_px: tuple[PositiveInt, PositiveInt]
     pitch_mm: PositiveFloat | tuple[PositiveFloat, PositiveFloat] | None = None
     parameters: dict[str, FiniteFloat]
-    estimate: list[str] = []
-    prior_sigma: dict[str, NonNegative] = {}
+    estimate: tuple[str, ...] = ()
+    prior_sigma: dict[str, NonNegative] = Field(default={})
     R0: NonNegative = Field(default=0.0, validation_alias=AliasChoices("R0", "reference_radius"))
     affinity: Affinity = "additive"
     affinity_form: AffinityForm = "fraser"
 
 
-class MountingKeys(_Strict):
+class MountingKeys(Table):
     """Section `[mounting]`: where the GNSS antenna and the inertial unit sit beside the camera."""
 
     lever_arm_m: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = (0.0, 0.0, 0.0)
@@ -83,7 +69,7 @@ class MountingKeys(_Strict):
     camera_axes: tuple[BodyAxis, BodyAxis, BodyAxis] = ("right", "forward", "up")
 
 
-class Setup(_Strict):
+class Setup(Table):
     """The whole of `block.toml`."""
 
     block: BlockKeys
@@ -110,30 +96,7 @@ def read_setup(path: Path) -> Setup:
     ConfigurationError
         For what is not TOML, an unknown key, a missing one, or an impossible value.
     """
-    require_file(path)
-    try:
-        with path.open("rb") as text:
-            return Setup.model_validate(tomllib.load(text))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as failure:
-        raise ConfigurationError(
-            f"is not valid TOML ({failure})", where=path, remedy="correct it"
-        ) from failure
-    except ValidationError as failure:
-        raise _complaint(path, failure.errors()[0]) from failure
-
-
-def _complaint(path: Path, error: Any) -> ConfigurationError:
-    """Say in words what is wrong with a key."""
-    key = ".".join(str(part + 1) if isinstance(part, int) else part for part in error["loc"])
-    if error["type"] == "extra_forbidden":
-        return ConfigurationError(
-            f"unknown key {key}", where=path, remedy="correct its spelling or remove it"
-        )
-    if error["type"] == "missing":
-        return ConfigurationError(f"key {key} is missing", where=path, remedy="add it")
-    return ConfigurationError(
-        f"{key} = {error['input']!r}: {error['msg'].lower()}", where=path, remedy="correct the value"
-    )
+    return read_toml(path, Setup)
 
 
 def make_camera(keys: CameraKeys, where: object) -> Camera:
@@ -157,7 +120,7 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
     place = f"{where}, camera {keys.id}"
     for section, names in (
         ("parameters", list(keys.parameters)),
-        ("estimate", keys.estimate),
+        ("estimate", list(keys.estimate)),
         ("prior_sigma", list(keys.prior_sigma)),
     ):
         unknown = [name for name in names if name not in PARAMETERS]

@@ -1,0 +1,85 @@
+"""TOML files checked key by key: a wrong key or value is named with its file."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from drivers.errors import ConfigurationError, InputNotFoundError
+
+
+class Table(BaseModel):
+    """A table of a file: unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+Content = TypeVar("Content", bound=BaseModel)
+
+
+def read_toml(path: Path, model: type[Content], context: dict[str, Any] | None = None) -> Content:
+    """Read a TOML file and check it.
+
+    Parameters
+    ----------
+    path : Path
+    model : type
+        What the file must be.
+    context : dict, optional
+        For the validators of the model.
+
+    Returns
+    -------
+    model
+
+    Raises
+    ------
+    InputNotFoundError
+        When there is no such file.
+    ConfigurationError
+        For what is not TOML, an unknown key, a missing one, or an impossible value.
+    """
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as refusal:
+        raise InputNotFoundError(_unreadable(refusal), where=path, remedy="check the path") from refusal
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as failure:
+        raise ConfigurationError(
+            f"is not valid TOML ({failure})", where=path, remedy="correct it"
+        ) from failure
+    try:
+        return model.model_validate(content, context=context)
+    except ValidationError as failure:
+        # A misspelt key is both unknown and missing: the first says more.
+        unknown = [error for error in failure.errors() if error["type"] == "extra_forbidden"]
+        raise _complaint(path, (unknown or failure.errors())[0]) from failure
+
+
+def _unreadable(refusal: OSError) -> str:
+    if isinstance(refusal, FileNotFoundError):
+        return "does not exist"
+    if isinstance(refusal, IsADirectoryError):
+        return "is a folder, a file was expected"
+    return f"cannot be read ({refusal.strerror})"
+
+
+def _complaint(path: Path, error: Any) -> ConfigurationError:
+    """Say in words what is wrong with a key."""
+    key = ".".join(str(part + 1) if isinstance(part, int) else part for part in error["loc"])
+    if error["type"] == "extra_forbidden":
+        return ConfigurationError(
+            f"unknown key {key}", where=path, remedy="correct its spelling or remove it"
+        )
+    if error["type"] == "missing":
+        return ConfigurationError(f"key {key} is missing", where=path, remedy="add it")
+    if error["type"] == "value_error" and isinstance(error["input"], dict):
+        said = error["msg"].removeprefix("Value error, ")
+        return ConfigurationError(f"{key}: {said}" if key else said, where=path, remedy="correct the file")
+    return ConfigurationError(
+        f"{key} = {error['input']!r}: {error['msg'].removeprefix('Value error, ').lower()}",
+        where=path,
+        remedy="correct the value",
+    )

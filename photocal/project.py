@@ -1,0 +1,328 @@
+"""`PROJECT.toml`: everything that a flight is processed from, named in one file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal, Self, TypeVar
+
+from pydantic import (
+    AfterValidator,
+    Field,
+    FiniteFloat,
+    PositiveFloat,
+    ValidationInfo,
+    model_validator,
+)
+
+from drivers.errors import ConfigurationError
+from photocal.block.setup import BodyAxis, CameraKeys, MountingKeys, NonNegative, Sigma, make_camera
+from photocal.checked_toml import Table, read_toml
+from photocal.geometry.camera import Camera
+
+Degrees = Annotated[FiniteFloat, Field(ge=-360, le=360)]
+Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Sigmas = tuple[PositiveFloat, PositiveFloat, PositiveFloat]
+Part = TypeVar("Part")
+
+
+def _beside(path: Path, info: ValidationInfo) -> Path:
+    """Take a path from the folder of the project file."""
+    return path if info.context is None else Path(info.context["folder"]) / path
+
+
+Beside = Annotated[Path, AfterValidator(_beside)]
+
+
+class ProjectKeys(Table):
+    """`[project]`: name, the coordinates of results and of the control table, the work folder."""
+
+    name: Annotated[str, Field(min_length=1)]
+    crs: str
+    height: Literal["ellipsoidal", "orthometric", "local"]
+    output: Beside
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if (self.crs == "local") != (self.height == "local"):
+            raise ValueError('crs = "local" and height = "local" go together')
+        return self
+
+
+class Flight(Table):
+    """`[flight]`: recordings and what is known of the receivers and the camera's events.
+
+    Parameters
+    ----------
+    logs : tuple of Path
+        Flight logs in the order of time.
+    vehicle, rover, base : str
+        Names of links in the logs.
+    rover_rinex, base_rinex : Path or None
+        RINEX observations, which go before the links.
+    navigation : tuple of Path
+        RINEX navigation files.
+    base_position : (float, float, float) or None
+        Latitude, longitude in degrees, ellipsoidal height in m; goes before what the log says.
+    base_antenna_height_m, rover_antenna_height_m : float or None
+        Antenna reference point above the mark; None: as the RINEX headers have it.
+    edge : str
+        Of the time marks.
+    delay_s : float
+        From the event to the exposure.
+    clock_offset_s : float
+        Largest difference between the clocks of camera and log.
+    """
+
+    logs: tuple[Beside, ...] = Field(min_length=1)
+    vehicle: str = "vehicle"
+    rover: str = "rover"
+    base: str = "base"
+    rover_rinex: Beside | None = None
+    base_rinex: Beside | None = None
+    navigation: tuple[Beside, ...] = ()
+    base_position: tuple[Annotated[float, Field(ge=-90, le=90)], Degrees, FiniteFloat] | None = None
+    base_antenna_height_m: FiniteFloat | None = None
+    rover_antenna_height_m: FiniteFloat | None = None
+    edge: Literal["rising", "falling"] = "rising"
+    delay_s: FiniteFloat = 0.0
+    clock_offset_s: PositiveFloat = 60.0
+
+
+class Images(Table):
+    """`[images]`: a folder of pictures, or without pictures a table of their names and times."""
+
+    folder: Beside | None = None
+    times: Beside | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if (self.folder is None) == (self.times is None):
+            raise ValueError("give either folder (pictures) or times (a table of names and times)")
+        return self
+
+
+class Rig(Table):
+    """`[rig]`: camera, antenna and inertial unit beside each other, in body axes forward, right, down.
+
+    Parameters
+    ----------
+    camera_to_antenna_m : (float, float, float)
+        Vector from the projection centre to the antenna.
+    camera_to_antenna_sigma_m : float, 3 of them, or "free"
+        One rule holds for all of these: 0 holds the value, a number makes it an observation.
+    boresight_deg, boresight_sigma_deg
+        Small turns about the body axes between body and camera.
+    attitude_sigma_deg : (float, float, float)
+        Of roll, pitch, yaw.
+    time_offset_s, time_offset_sigma_s
+        Of the exposure against its event, beyond `delay_s`.
+    camera_axes : (str, str, str)
+        Body directions of the camera's x (right), y (up in the image), z (backwards).
+    """
+
+    camera_to_antenna_m: Triple
+    camera_to_antenna_sigma_m: Sigma
+    boresight_deg: Triple = (0.0, 0.0, 0.0)
+    boresight_sigma_deg: Sigma
+    attitude_sigma_deg: Sigmas
+    time_offset_s: FiniteFloat = 0.0
+    time_offset_sigma_s: NonNegative | Literal["free"]
+    camera_axes: tuple[BodyAxis, BodyAxis, BodyAxis] = ("right", "forward", "up")
+
+    def mounting(self) -> MountingKeys:
+        """Give the section `[mounting]` of a block."""
+        return MountingKeys(
+            lever_arm_m=self.camera_to_antenna_m,
+            lever_arm_sigma_m=self.camera_to_antenna_sigma_m,
+            boresight_deg=self.boresight_deg,
+            boresight_sigma_deg=self.boresight_sigma_deg,
+            time_offset_s=self.time_offset_s,
+            time_offset_sigma_s=self.time_offset_sigma_s,
+            camera_axes=self.camera_axes,
+        )
+
+
+class Targets(Table):
+    """`targets` of `[control]`: coded targets that are found by themselves."""
+
+    dictionary: str
+    side_m: PositiveFloat
+    names: dict[str, str]
+
+
+class Control(Table):
+    """`[control]`: surveyed points, marks made by hand, coded targets."""
+
+    points: Beside
+    marks: Beside | None = None
+    targets: Targets | None = None
+
+
+class Measurements(Table):
+    """`[measurements]`: what was measured elsewhere.
+
+    Parameters
+    ----------
+    observations : Path or None
+        Instead of measuring in pictures: `observations.csv` as in a block folder, in pixels.
+    sigma_px : float or None
+        Of observations without sigmas of their own.
+    block : Path or None
+        Instead of flight, images, rig, cameras and control: a block folder that has all of them.
+    """
+
+    observations: Beside | None = None
+    sigma_px: PositiveFloat | None = None
+    block: Beside | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if (self.observations is None) == (self.block is None):
+            raise ValueError("give either observations (a table) or block (a folder)")
+        return self
+
+
+class Judgement(Table):
+    """`[judgement]`: what the check points are judged against."""
+
+    scale: str | None = None
+    contour_interval_m: PositiveFloat | None = None
+    standards: tuple[str, ...] = ()
+    survey_horizontal_m: PositiveFloat | None = None
+    survey_vertical_m: PositiveFloat | None = None
+
+
+class CertificateKeys(Table):
+    """`[certificate]`: what only people know, and the language."""
+
+    particulars: Beside | None = None
+    client: str = ""
+    operator: str = ""
+    language: Literal["en", "pt-BR"] = "en"
+
+
+class Contents(Table):
+    """The whole file."""
+
+    project: ProjectKeys
+    flight: Flight | None = None
+    images: Images | None = None
+    rig: Rig | None = None
+    camera: tuple[CameraKeys, ...] = ()
+    control: Control | None = None
+    measurements: Measurements | None = None
+    judgement: Judgement = Judgement()
+    certificate: CertificateKeys = CertificateKeys()
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        sections = ("flight", "images", "rig", "camera", "control")
+        given = [name for name in sections if getattr(self, name)]
+        if self.measurements is not None and self.measurements.block is not None and given:
+            raise ValueError(f"[{given[0]}] stands beside a ready block, which has all of this: remove one")
+        if len({one.id for one in self.camera}) < len(self.camera):
+            raise ValueError("two cameras have the same id: rename one")
+        return self
+
+
+@dataclass(frozen=True)
+class Project:
+    """A project file that was read and checked.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    contents : Contents
+        Its tables; paths are taken from the folder of the file.
+    cameras : tuple of Camera
+        Of `[[camera]]`.
+    """
+
+    path: Path
+    contents: Contents
+    cameras: tuple[Camera, ...]
+
+    @property
+    def name(self) -> str:
+        """Name of the project."""
+        return self.contents.project.name
+
+    @property
+    def crs(self) -> str:
+        """System of results and control: a name such as "EPSG:31982", or "local"."""
+        return self.contents.project.crs
+
+    @property
+    def height(self) -> str:
+        """Kind of the heights in it: ellipsoidal, orthometric or local."""
+        return self.contents.project.height
+
+    @property
+    def output(self) -> Path:
+        """Work folder, with one folder for each stage of `photocal run`."""
+        return self.contents.project.output
+
+    @property
+    def flight(self) -> Flight:
+        """`[flight]`; ConfigurationError without it, as for all sections below."""
+        return self._needed(self.contents.flight, "[flight]")
+
+    @property
+    def images(self) -> Images:
+        """`[images]`."""
+        return self._needed(self.contents.images, "[images]")
+
+    @property
+    def picture_folder(self) -> Path:
+        """Folder of the pictures."""
+        return self._needed(self.images.folder, "folder in [images]")
+
+    @property
+    def rig(self) -> Rig:
+        """`[rig]`."""
+        return self._needed(self.contents.rig, "[rig]")
+
+    @property
+    def control(self) -> Control:
+        """`[control]`."""
+        return self._needed(self.contents.control, "[control]")
+
+    @property
+    def camera(self) -> Camera:
+        """The only camera."""
+        if len(self.cameras) > 1:
+            raise ConfigurationError(
+                f"has {len(self.cameras)} cameras, one was expected",
+                where=self.path,
+                remedy="keep one [[camera]]",
+            )
+        return self._needed(self.cameras[0] if self.cameras else None, "[[camera]]")
+
+    def _needed(self, part: Part | None, name: str) -> Part:
+        if part is None:
+            raise ConfigurationError(f"{name} is missing", where=self.path, remedy="add it")
+        return part
+
+
+def read_project(path: Path) -> Project:
+    """Read and check a project file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Project
+
+    Raises
+    ------
+    InputNotFoundError
+        When there is no such file.
+    ConfigurationError
+        For what is not TOML, an unknown key, a missing one, or an impossible value.
+    """
+    contents = read_toml(path, Contents, {"folder": path.parent})
+    return Project(path, contents, tuple(make_camera(keys, path) for keys in contents.camera))
