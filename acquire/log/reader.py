@@ -53,6 +53,8 @@ class Attachment:
 class LogReader:
     """Reads one flight log; tables and definitions fill while `chunks` is iterated.
 
+    A log that is still being written is read by iterating again: it goes on where it ended before.
+
     Parameters
     ----------
     path : Path
@@ -63,12 +65,15 @@ class LogReader:
         Attached files by name.
     complete : bool
         Whether the file ended with its footer.
+    position : int
+        Where in the file the next record begins.
     """
 
     path: Path
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, Attachment] = field(default_factory=dict)
     complete: bool = False
+    position: int = 0
     _schemas: dict[int, Schema] = field(default_factory=dict)
     _channels: dict[int, Channel] = field(default_factory=dict)
 
@@ -143,13 +148,14 @@ class LogReader:
                 raise InputMalformedError(
                     what, where=self.path, remedy="name an .mcap file, or import the recording first"
                 )
-            while len(head := stream.read(9)) == 9:
+            stream.seek(max(self.position, len(magic)))
+            while not self.complete and len(head := stream.read(9)) == 9:
                 opcode, size = struct.unpack("<BQ", head)
                 if size > total - stream.tell():
                     return
-                yield opcode, stream.read(size)
-                if opcode == records.FOOTER:
-                    return
+                body = stream.read(size)
+                self.position = stream.tell()
+                yield opcode, body
 
     def _chunk(self, body: bytes) -> list[Messages]:
         cursor = _Cursor(body, 16)

@@ -141,6 +141,22 @@ def test_a_log_that_ends_anywhere_gives_its_whole_chunks(tmp_path: Path) -> None
     assert seen == {0, 3, 6, 9, 12}
 
 
+def test_a_log_that_grows_is_read_on_where_it_ended(tmp_path: Path) -> None:
+    messages = [(n % 3, bytes([n]) * 5, n, n, n % 2 == 1) for n in range(12)]
+    data = write(messages)
+    path = tmp_path / "log.mcap"
+    path.write_bytes(data[:20])
+    reader = LogReader(path)
+    found: list[bytes] = []
+    for end in [*range(20, len(data), 37), len(data), len(data)]:
+        with path.open("ab") as stream:
+            stream.write(data[stream.tell() : end])
+        found += [p for chunk in reader.chunks() for part in chunk for p in part.payloads]
+    assert sorted(found) == [payload for _, payload, *_ in messages]
+    assert reader.complete
+    assert reader.metadata == {"site": {"name": "field", "empty": ""}}
+
+
 @settings(max_examples=200, deadline=None)
 @given(st.data())
 def test_a_damaged_log_is_refused_in_words(draw: st.DataObject) -> None:
