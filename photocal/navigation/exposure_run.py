@@ -82,10 +82,28 @@ def run_exposures(choices: Choices, engine: Engine, folder: Path) -> ExposureRun
         When the log has neither events nor images, or nothing that tells positions.
     """
     flight = choices.sources.flight
-    images = [] if choices.images is None else read_images(choices.images)
     receivers = {} if flight is None else read_receivers(flight)
-    vehicle = None if flight is None else read_vehicle(flight)
     trajectory, figures = _trajectory(choices, receivers, engine, folder)
+    return _exposures(choices, receivers, trajectory, figures)
+
+
+def place_exposures(
+    choices: Choices, trajectory: Trajectory | None, ppk: dict[str, Any] | None
+) -> ExposureRun:
+    """Do the same with a trajectory that is there already, with the figures of its PPK."""
+    flight = choices.sources.flight
+    return _exposures(choices, {} if flight is None else read_receivers(flight), trajectory, ppk)
+
+
+def _exposures(
+    choices: Choices,
+    receivers: dict[str, ReceiverRecording],
+    trajectory: Trajectory | None,
+    figures: dict[str, Any] | None,
+) -> ExposureRun:
+    flight = choices.sources.flight
+    images = [] if choices.images is None else read_images(choices.images)
+    vehicle = None if flight is None else read_vehicle(flight)
     listed = None if choices.mrk is None else read_mrk(choices.mrk)
     events = listed.events if listed else _events(choices, receivers)
     if events is None:
