@@ -59,10 +59,10 @@ def read_block(folder: Path) -> Block:
         raise ConfigurationError(
             "two cameras have the same id", where=folder / "block.toml", remedy="rename one"
         )
-    images = _read_images(folder / "images.csv", cameras)
-    points = _read_points(folder / "points.csv")
+    images = read_images(folder / "images.csv", cameras)
+    points = read_points(folder / "points.csv")
     table = _observations_path(folder)
-    observations = _read_observations(table, setup.observations, images.names, points.names)
+    observations = read_observations(table, setup.observations, images.names, points.names)
     relations = _read_relations(folder, points.names)
     tables = ["block.toml", "images.csv", "points.csv", table.name, *(_present(folder))]
     positions = read_positions(folder / "positions.csv", images.names)
@@ -93,7 +93,8 @@ def fingerprint(folder: Path, name: str) -> InputFile:
     return InputFile(name, hashlib.sha256(content).hexdigest(), len(content))
 
 
-def _read_images(path: Path, cameras: tuple[Camera, ...]) -> Images:
+def read_images(path: Path, cameras: tuple[Camera, ...]) -> Images:
+    """Read `images.csv`; parameters and errors as for `read_block`."""
     table = read_table(path, IMAGE_COLUMNS, IMAGE_SIGMAS)
     names = table.unique_names("image")
     index, found = table.names("camera")
@@ -115,7 +116,8 @@ def _read_images(path: Path, cameras: tuple[Camera, ...]) -> Images:
     return Images(names, camera, values, sigma)
 
 
-def _read_points(path: Path) -> ObjectPoints:
+def read_points(path: Path) -> ObjectPoints:
+    """Read `points.csv`; errors as for `read_block`."""
     table = read_table(path, POINT_COLUMNS, POINT_SIGMAS + POINT_CROSS)
     names = table.unique_names("point")
     index, found = table.names("role")
@@ -160,9 +162,10 @@ def _cross(table: Table, sigma: Floats) -> Floats:
     return cross
 
 
-def _read_observations(
+def read_observations(
     path: Path, keys: ObservationKeys, images: tuple[str, ...], points: tuple[str, ...]
 ) -> Observations:
+    """Read `observations.csv`; errors as for `read_block`."""
     table = read_table(path, OBSERVATION_COLUMNS, ("sx", "sy"))
     image = known_rows(table, "image", images, "images.csv")
     point = known_rows(table, "point", points, "points.csv")
