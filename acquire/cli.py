@@ -13,7 +13,7 @@ app.command()(info.info)
 app.command()(record.record)
 app.command()(recover.recover)
 app.command()(replay.replay)
-app.command()(simulate.simulate)
+app.add_typer(simulate.app, name="simulate")
 
 
 def main() -> None:

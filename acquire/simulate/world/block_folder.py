@@ -1,0 +1,179 @@
+"""A flight as a block folder in the local frame: every observation carries just the noise that it states."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.simulate.world.configuration import Configuration, Fault
+from acquire.simulate.world.exposures import antenna_at, antenna_velocity
+from acquire.simulate.world.observations import Observations, kept_images
+from acquire.simulate.world.survey import ANTENNA_HEIGHT_ERROR_M, BASE_ERROR_M, take_notes
+from acquire.simulate.world.tables import toml_text, write_table
+from acquire.simulate.world.world import LEAP_S, World
+from drivers.errors import ConfigurationError
+
+Floats = NDArray[np.float64]
+
+
+def write_block(world: World, observed: Observations, folder: Path) -> None:
+    """Write the block folder of a flight.
+
+    Parameters
+    ----------
+    world : World
+    observed : Observations
+    folder : Path
+        Is made.
+
+    Raises
+    ------
+    ConfigurationError
+        When a fault is switched on that only shows in streams.
+    """
+    if world.has(Fault.CYCLE_SLIPS):
+        raise ConfigurationError(
+            "cycle slips do not show at the level block", remedy='take level = "observations" or "pictures"'
+        )
+    folder.mkdir(parents=True)
+    kept = np.flatnonzero(kept_images(world))
+    names = np.array(world.exposures.names, dtype=object)
+    positions, attitudes = _navigation(world, kept)
+    write_table(folder / "positions.csv", {"image": ("", names[kept]), **positions})
+    heard = _heard(world, kept)
+    write_table(
+        folder / "attitudes.csv",
+        {"image": ("", names[kept][heard]), **{k: (f, v[heard]) for k, (f, v) in attitudes.items()}},
+    )
+    blank = np.full(len(kept), np.nan)
+    write_table(
+        folder / "images.csv",
+        {
+            "image": ("", names[kept]),
+            "camera": ("", [world.configuration.camera.id] * len(kept)),
+            **dict.fromkeys(("X", "Y", "Z", "omega", "phi", "kappa"), ("", blank)),
+        },
+    )
+    _write_points(world, observed, folder / "points.csv")
+    write_observations(world, observed, folder / "observations.csv")
+    (folder / "block.toml").write_text(_setup(world), encoding="utf-8")
+
+
+def write_observations(world: World, observed: Observations, path: Path) -> None:
+    """Write `observations.csv`."""
+    names = np.array(world.exposures.names, dtype=object)
+    points = np.array(observed.names, dtype=object)
+    write_table(
+        path,
+        {
+            "image": ("", names[observed.image]),
+            "point": ("", points[observed.point]),
+            "x": (".4f", observed.pixels[:, 0]),
+            "y": (".4f", observed.pixels[:, 1]),
+            "sx": ("g", observed.sigma_px),
+            "sy": ("g", observed.sigma_px),
+        },
+    )
+
+
+def _navigation(
+    world: World, kept: NDArray[np.int64]
+) -> tuple[dict[str, tuple[str, Floats]], dict[str, tuple[str, Floats]]]:
+    """Give positions of the antenna and attitudes at the events, with noise."""
+    rig, random = world.configuration.rig, world.random("sky")
+    late = LEAP_S if world.has(Fault.EVENT_TIME_BASE) else 0.0
+    event = world.exposures.event_s[kept] - late
+    position = antenna_at(world.motion, world.rig, event)
+    position = position + random.standard_normal(position.shape) * rig.position_sigma_m
+    if world.has(Fault.BASE_OFF):
+        position = position + BASE_ERROR_M
+    if world.has(Fault.ANTENNA_HEIGHT):
+        position[:, 2] -= ANTENNA_HEIGHT_ERROR_M
+    velocity = antenna_velocity(world.motion, world.rig, event)
+    angles = np.degrees(world.motion.angles(event))
+    angles = angles + random.standard_normal(angles.shape) * rig.attitude_sigma_deg
+    wide = np.ones(len(kept))
+    positions = {
+        **{axis: (".5f", position[:, k]) for k, axis in enumerate("XYZ")},
+        **{f"s{axis}": ("g", rig.position_sigma_m[k] * wide) for k, axis in enumerate("XYZ")},
+        **{f"v{axis}": (".5f", velocity[:, k]) for k, axis in enumerate("XYZ")},
+    }
+    names = ("roll", "pitch", "yaw")
+    attitudes = {
+        **{name: (".6f", angles[:, k]) for k, name in enumerate(names)},
+        **{f"s{name}": ("g", rig.attitude_sigma_deg[k] * wide) for k, name in enumerate(names)},
+    }
+    return positions, attitudes
+
+
+def _heard(world: World, kept: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell at which events telemetry was received."""
+    event = world.exposures.event_s[kept]
+    begin, end = telemetry_gap(world)
+    return np.asarray((event < begin) | (event >= end))
+
+
+def telemetry_gap(world: World) -> tuple[float, float]:
+    """Give when telemetry is lost: half a minute in the middle of the survey, or never."""
+    if not world.has(Fault.TELEMETRY_GAP):
+        return np.inf, np.inf
+    middle = float(np.median(world.exposures.event_s))
+    return middle - 15.0, middle + 15.0
+
+
+def _write_points(world: World, observed: Observations, path: Path) -> None:
+    targets = world.targets
+    notes = take_notes(world, targets.surveyed_m)
+    sigma = world.configuration.targets.sigma_m
+    seen = np.zeros(len(observed.names), bool)
+    seen[observed.point] = True
+    rows = [
+        (name, *notes.control[k], *(f"{s:g}" for s in sigma), targets.roles[k])
+        for k, name in enumerate(targets.names)
+        if seen[k]
+    ]
+    ties = [name for name, there in zip(observed.names, seen.tolist(), strict=True) if there][len(rows) :]
+    lines = [",".join(row) for row in rows] + [f"{name},,,,,,,tie" for name in ties]
+    path.write_text("point,X,Y,Z,sX,sY,sZ,role\n" + "\n".join(lines) + "\n", encoding="utf-8")
+
+
+def camera_keys(configuration: Configuration) -> dict[str, Any]:
+    """Give the `[[camera]]` of block and project files: it knows what the makers say, no more."""
+    camera = configuration.camera
+    return {
+        "id": camera.id,
+        "model": "brown-ideal",
+        "unit": "mm",
+        "size_px": camera.size_px,
+        "pitch_mm": camera.pitch_mm,
+        "parameters": {"c": camera.nominal_mm},
+        "estimate": camera.estimate,
+        "affinity": "after",
+    }
+
+
+def _setup(world: World) -> str:
+    given = world.configuration
+    notes = take_notes(world, world.targets.surveyed_m)
+    return toml_text(
+        [
+            ("[block]", {"name": given.name, "frame": "local", "height": "local", "datum": "control"}),
+            ("[observations]", {"unit": "px", "axes": "pixel", "sigma": given.observing.sigma_px}),
+            ("[[camera]]", camera_keys(given)),
+            (
+                "[mounting]",
+                {
+                    "lever_arm_m": notes.camera_to_antenna_m,
+                    "lever_arm_sigma_m": given.rig.camera_to_antenna_sigma_m,
+                    "boresight_deg": given.rig.boresight_deg,
+                    "boresight_sigma_deg": given.rig.boresight_sigma_deg,
+                    "time_offset_s": given.rig.time_offset_s,
+                    "time_offset_sigma_s": given.rig.time_offset_sigma_s,
+                    "camera_axes": ["right", "forward", "up"],
+                },
+            ),
+        ]
+    )

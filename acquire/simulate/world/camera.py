@@ -1,0 +1,153 @@
+"""The true camera: projection in OpenCV's terms, its inverse, and the same in the terms of a certificate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.simulate.world import configuration
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera with radial and tangential distortion; pixel centres are whole numbers, rows go down.
+
+    Attributes
+    ----------
+    width, height : int
+        px.
+    pitch_mm : float
+    fx, fy, cx, cy : float
+        px.
+    k1, k2, p1, p2, k3 : float
+        In units of the principal distance.
+    """
+
+    width: int
+    height: int
+    pitch_mm: float
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    k1: float
+    k2: float
+    p1: float
+    p2: float
+    k3: float
+
+    @classmethod
+    def of(cls, given: configuration.Camera) -> Camera:
+        """Make the camera of a configuration."""
+        names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+        values = {name: getattr(given, name) for name in names}
+        return cls(*given.size_px, given.pitch_mm, **values)
+
+    def zoomed(self, factor: float) -> Camera:
+        """Give the camera with a longer principal distance.
+
+        The lens keeps its distortion in the image plane: k1 counts r^2 in principal distances.
+        """
+        f = factor
+        return replace(
+            self,
+            fx=self.fx * f,
+            fy=self.fy * f,
+            k1=self.k1 * f**2,
+            k2=self.k2 * f**4,
+            k3=self.k3 * f**6,
+            p1=self.p1 * f,
+            p2=self.p2 * f,
+        )
+
+    def project(self, points: Floats) -> Floats:
+        """Give columns and rows of points in OpenCV's camera axes (x right, y down, z forward).
+
+        Parameters
+        ----------
+        points : ndarray, shape (..., 3)
+
+        Returns
+        -------
+        ndarray, shape (..., 2)
+            px; NaN behind the camera and where the polynomial turns back, far outside the image.
+
+        Notes
+        -----
+        OpenCV 4 documentation, calib3d, "Detailed Description".
+        """
+        depth = np.where(points[..., 2] > 0, points[..., 2], np.nan)
+        plane = points[..., :2] / depth[..., None]
+        # Beyond the image the polynomial may fold points back into it.
+        reach = 1.3 * np.hypot(self.width / self.fx, self.height / self.fy) / 2
+        outside = np.hypot(plane[..., 0], plane[..., 1]) > reach
+        return np.asarray(np.where(outside[..., None], np.nan, self._to_pixels(self._distorted(plane))))
+
+    def directions(self, pixels: Floats) -> Floats:
+        """Give the directions seen at columns and rows, in OpenCV's axes with z = 1, shape (..., 3)."""
+        wanted = (pixels - [self.cx, self.cy]) / [self.fx, self.fy]
+        plane = wanted.copy()
+        for _ in range(50):
+            correction = wanted - self._distorted(plane)
+            plane = plane + correction
+            if np.abs(correction).max() < 1e-13:
+                break
+        return np.concatenate([plane, np.ones((*plane.shape[:-1], 1))], axis=-1)
+
+    def sees(self, pixels: Floats, margin_px: float = 0.0) -> NDArray[np.bool_]:
+        """Tell which columns and rows lie in the image, `margin_px` from its border."""
+        column, row = pixels[..., 0], pixels[..., 1]
+        inside = (column >= margin_px) & (column <= self.width - 1 - margin_px)
+        return np.asarray(inside & (row >= margin_px) & (row <= self.height - 1 - margin_px))
+
+    def _distorted(self, plane: Floats) -> Floats:
+        x, y = plane[..., 0], plane[..., 1]
+        r2 = x**2 + y**2
+        radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
+        across = x * radial + 2 * self.p1 * x * y + self.p2 * (r2 + 2 * x**2)
+        down = y * radial + self.p1 * (r2 + 2 * y**2) + 2 * self.p2 * x * y
+        return np.stack([across, down], axis=-1)
+
+    def _to_pixels(self, plane: Floats) -> Floats:
+        return np.asarray(plane * [self.fx, self.fy] + [self.cx, self.cy])
+
+    def certificate_terms(self, unit: str) -> dict[str, float]:
+        """Give the same camera as `brown-ideal`, affinity `after`, y up from the middle of the image.
+
+        Parameters
+        ----------
+        unit : str
+            ``px`` or ``mm``.
+
+        Returns
+        -------
+        dict of str to float
+            c, x0, y0, K1-K3, P1, P2, B1.
+
+        Notes
+        -----
+        With x = c u and y = -c v the radial term k1 r^2 becomes K1 = k1 / c^2; of the tangential ones p2
+        belongs to x in OpenCV and P1 does so here, and the turned y axis changes the sign of p1.
+        """
+        scale = self.pitch_mm if unit == "mm" else 1.0
+        c = self.fy * scale
+        return {
+            "c": c,
+            "x0": (self.cx - (self.width - 1) / 2) * scale,
+            "y0": ((self.height - 1) / 2 - self.cy) * scale,
+            "K1": self.k1 / c**2,
+            "K2": self.k2 / c**4,
+            "K3": self.k3 / c**6,
+            "P1": self.p2 / c,
+            "P2": -self.p1 / c,
+            "B1": self.fx / self.fy - 1,
+        }
+
+    def opencv_terms(self) -> dict[str, float]:
+        """Give fx, fy, cx, cy, k1, k2, p1, p2, k3."""
+        names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+        return {name: float(getattr(self, name)) for name in names}

@@ -1,0 +1,282 @@
+"""The configuration of a simulated flight (TOML)."""
+
+from __future__ import annotations
+
+import datetime as dt
+import tomllib
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    PositiveFloat,
+    ValidationError,
+    model_validator,
+)
+
+from drivers.errors import ConfigurationError, InputNotFoundError
+
+Pair = tuple[FiniteFloat, FiniteFloat]
+Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+NonNegative = Annotated[FiniteFloat, Field(ge=0)]
+Sigmas = tuple[NonNegative, NonNegative, NonNegative]
+Share = Annotated[float, Field(ge=0, lt=1)]
+
+
+class Level(StrEnum):
+    """How far a flight is simulated.
+
+    pictures: streams of the devices and rendered images. observations: streams, and image observations
+    instead of images. block: a block folder whose positions and attitudes carry the noise they state.
+    """
+
+    PICTURES = "pictures"
+    OBSERVATIONS = "observations"
+    BLOCK = "block"
+
+
+class Section(BaseModel):
+    """A table of the file: unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Place(Section):
+    """Where and when: the origin of the local frame on the ellipsoid, the system of control and results."""
+
+    latitude_deg: Annotated[float, Field(gt=-85, lt=85)]
+    longitude_deg: Annotated[float, Field(ge=-180, le=180)]
+    height_m: FiniteFloat
+    crs: Annotated[str, Field(pattern=r"^EPSG:\d+$")]
+    start_utc: dt.datetime
+    geoid_m: FiniteFloat = 0.0
+
+    @model_validator(mode="after")
+    def _has_zone(self) -> Self:
+        if self.start_utc.utcoffset() is None:
+            raise ValueError("start_utc needs its zone, such as 2025-06-15T14:00:00Z")
+        return self
+
+
+class Terrain(Section):
+    """Fractal relief: standard deviation, longest wave, and how power falls with the wave number."""
+
+    relief_m: NonNegative = 3.0
+    longest_m: PositiveFloat = 120.0
+    exponent: Annotated[float, Field(ge=2, le=6)] = 3.4
+
+
+class Pass(Section):
+    """One coverage of the area by parallel strips."""
+
+    height_m: PositiveFloat
+    course_deg: FiniteFloat
+    speed_m_s: PositiveFloat
+    forward_overlap: Share = 0.75
+    side_overlap: Share = 0.6
+    spacing_spread: Share = 0.04
+
+
+class Plan(Section):
+    """The flight: corners of the area (east, north), and its passes."""
+
+    area_m: Annotated[tuple[Pair, ...], Field(min_length=3)]
+    passes: Annotated[tuple[Pass, ...], Field(min_length=1)] = Field(alias="pass")
+    on_ground_s: Annotated[float, Field(ge=2)] = 40.0
+    take_off_m: Pair = (0.0, 0.0)
+
+
+class Vehicle(Section):
+    """Motion beside the plan: wind, gusts and vibration of a multirotor."""
+
+    wind_m_s: NonNegative = 2.0
+    wind_from_deg: FiniteFloat = 120.0
+    sway_m: NonNegative = 0.05
+    shake_deg: NonNegative = 0.6
+    vibration_deg: NonNegative = 0.01
+
+
+class Camera(Section):
+    """The true camera, in OpenCV's terms: px, the polynomial in units of the principal distance.
+
+    `nominal_mm` is what the makers say (EXIF, start value of a calibration).
+    """
+
+    id: str = "cam"
+    size_px: tuple[Annotated[int, Field(ge=64)], Annotated[int, Field(ge=64)]]
+    pitch_mm: PositiveFloat
+    nominal_mm: PositiveFloat
+    fx: PositiveFloat
+    fy: PositiveFloat
+    cx: FiniteFloat
+    cy: FiniteFloat
+    k1: FiniteFloat = 0.0
+    k2: FiniteFloat = 0.0
+    p1: FiniteFloat = 0.0
+    p2: FiniteFloat = 0.0
+    k3: FiniteFloat = 0.0
+    readout_s: NonNegative = 0.0
+    exposure_s: NonNegative = 0.0005
+    estimate: tuple[str, ...] = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2", "B1")
+
+
+class Rig(Section):
+    """What the surveyor believes of the rig; the truth is drawn around it with the stated sigmas."""
+
+    camera_to_antenna_m: Triple
+    camera_to_antenna_sigma_m: Sigmas = (0.01, 0.01, 0.01)
+    boresight_deg: Triple = (0.0, 0.0, 0.0)
+    boresight_sigma_deg: Sigmas = (1.0, 1.0, 1.0)
+    time_offset_s: FiniteFloat = 0.0
+    time_offset_sigma_s: NonNegative = 0.005
+    position_sigma_m: Sigmas = (0.012, 0.012, 0.025)
+    attitude_sigma_deg: Sigmas = (0.3, 0.3, 0.6)
+
+
+class Targets(Section):
+    """Surveyed plates: how many, their coded pattern, and how well their centres are known."""
+
+    control: Annotated[int, Field(ge=0)] = 8
+    check: Annotated[int, Field(ge=0)] = 12
+    dictionary: str = "apriltag_36h11"
+    side_m: PositiveFloat = 1.0
+    sigma_m: Sigmas = (0.008, 0.008, 0.012)
+
+
+class Pictures(Section):
+    """What befalls a picture: blur, noise, vignetting, and the camera's clock."""
+
+    texel_m: PositiveFloat = 0.022
+    blur_px: NonNegative = 0.55
+    noise_grey: NonNegative = 1.5
+    vignetting: Share = 0.25
+    quality: Annotated[int, Field(ge=50, le=100)] = 92
+    clock_offset_s: FiniteFloat = 7.3
+    clock_drift_ppm: FiniteFloat = 8.0
+    clock_jitter_s: NonNegative = 0.003
+    subseconds: bool = True
+    gimbal_xmp: bool = False
+
+
+class Observing(Section):
+    """Image observations of the levels without pictures."""
+
+    ties: Annotated[int, Field(ge=0)] = 800
+    sigma_px: PositiveFloat = 0.4
+    target_sigma_px: PositiveFloat = 0.1
+
+
+class Gnss(Section):
+    """Receivers: rates, and the base's place (east, north) and antenna height above its mark."""
+
+    rover_interval_s: PositiveFloat = 0.2
+    base_interval_s: PositiveFloat = 1.0
+    base_m: Pair = (-60.0, -40.0)
+    base_antenna_height_m: NonNegative = 1.652
+    base_protocol: Literal["ubx", "rtcm3"] = "ubx"
+
+
+class Telemetry(Section):
+    """The autopilot's stream: rates, and how its filter differs from the truth."""
+
+    attitude_hz: PositiveFloat = 20.0
+    position_hz: PositiveFloat = 5.0
+    lag_s: NonNegative = 0.01
+    boot_s: NonNegative = 87.0
+    clock_drift_ppm: FiniteFloat = 12.0
+    latency_s: NonNegative = 0.04
+
+
+class Wires(Section):
+    """Losses (whole frames) and damage (single bits) on the way to the recording."""
+
+    vehicle_loss: Share = 0.0
+    vehicle_damage: Share = 0.0
+    rover_loss: Share = 0.0
+    rover_damage: Share = 0.0
+
+
+class Fault(StrEnum):
+    """What can be made wrong; each is one mistake that people or devices make."""
+
+    ANTENNA_HEIGHT = "wrong_antenna_height"
+    BASE_OFF = "base_off"
+    EVENT_TIME_BASE = "event_time_base"
+    LEVER_ARM_AXIS = "lever_arm_axis"
+    ZOOM = "zoom"
+    CONTROL_DIGITS = "control_digits"
+    MISSING_IMAGES = "missing_images"
+    TELEMETRY_GAP = "telemetry_gap"
+    CYCLE_SLIPS = "cycle_slips"
+
+
+class Judgement(Section):
+    """What the project file asks the check points to be judged against."""
+
+    scale: str = ""
+    standards: tuple[str, ...] = ()
+
+
+class Configuration(Section):
+    """The whole file."""
+
+    name: str = "simulated flight"
+    seed: Annotated[int, Field(ge=0)] = 1
+    level: Level = Level.PICTURES
+    place: Place
+    terrain: Terrain = Terrain()
+    plan: Plan
+    vehicle: Vehicle = Vehicle()
+    camera: Camera
+    rig: Rig
+    targets: Targets = Targets()
+    pictures: Pictures = Pictures()
+    observing: Observing = Observing()
+    gnss: Gnss = Gnss()
+    telemetry: Telemetry = Telemetry()
+    wires: Wires = Wires()
+    faults: frozenset[Fault] = frozenset()
+    judgement: Judgement = Judgement()
+
+
+def read_configuration(path: Path, instead: dict[str, Any] | None = None) -> Configuration:
+    """Read the configuration of a simulated flight.
+
+    Parameters
+    ----------
+    path : Path
+    instead : dict, optional
+        Keys of the top level that replace those of the file.
+
+    Returns
+    -------
+    Configuration
+
+    Raises
+    ------
+    InputNotFoundError
+        When the file cannot be read.
+    ConfigurationError
+        When it is no TOML, has an unknown key or an impossible value.
+    """
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        return Configuration.model_validate({**content, **(instead or {})})
+    except OSError as refusal:
+        reason = (refusal.strerror or str(refusal)).lower()
+        raise InputNotFoundError(
+            f"cannot be read ({reason})", where=path, remedy="check the name"
+        ) from refusal
+    except ValidationError as refusal:
+        first = refusal.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        said = first["msg"].removeprefix("Value error, ")
+        raise ConfigurationError(
+            f"{key}: {said}" if key else said, where=path, remedy="correct this key"
+        ) from refusal
+    except ValueError as refusal:
+        raise ConfigurationError(f"is no TOML ({refusal})", where=path, remedy="correct it") from refusal

@@ -1,0 +1,211 @@
+"""Where the vehicle is and how it is turned at any moment: smooth, with wind, gusts and vibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+from scipy.spatial.transform import Rotation
+
+from acquire.simulate.world import configuration
+from acquire.simulate.world.plan import Leg
+
+Floats = NDArray[np.float64]
+
+GRAVITY_M_S2 = 9.80665
+# Control points of the way: a spline of degree 5 turns a corner within six of these intervals, its curvature
+# and even the change of its curvature continuous.
+KNOT_S = 1.0
+DEGREE = 5
+# Specific drag of a small multirotor, 1/s: at 10 m/s of air it leans by about 12 degrees.
+_DRAG_PER_S = 0.21
+_AIRBORNE_M = 2.0
+# East, north, up to north, east, down.
+TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+
+
+@dataclass(frozen=True)
+class Waves:
+    """A smooth random motion: a sum of sines, one triple of amplitudes for each frequency.
+
+    Attributes
+    ----------
+    frequency_hz : ndarray, shape (k,)
+    amplitude, phase : ndarray, shape (k, 3)
+    """
+
+    frequency_hz: Floats
+    amplitude: Floats
+    phase: Floats
+
+    def at(self, time_s: Floats, derivative: int = 0) -> Floats:
+        """Give the motion or its derivative, shape (n, 3)."""
+        turn = 2 * np.pi * self.frequency_hz
+        angle = np.asarray(time_s)[:, None, None] * turn[:, None] + self.phase + derivative * np.pi / 2
+        return np.asarray(np.sum(self.amplitude * turn[:, None] ** derivative * np.sin(angle), axis=1))
+
+
+def make_waves(spread: Floats, low_hz: float, high_hz: float, random: np.random.Generator) -> Waves:
+    """Draw a motion with the standard deviations `spread` (3,) and frequencies between two bounds."""
+    count = 7
+    frequency = np.exp(random.uniform(np.log(low_hz), np.log(high_hz), count))
+    weight = random.uniform(0.5, 1.0, (count, 3))
+    amplitude = weight / np.sqrt(np.sum(weight**2, axis=0) / 2) * spread
+    return Waves(frequency, amplitude, random.uniform(0, 2 * np.pi, (count, 3)))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The true motion of the vehicle's reference point (its inertial unit).
+
+    Attributes
+    ----------
+    way : BSpline
+        Position in the local frame over time.
+    duration_s : float
+    ground_m : float
+        Height of the take-off place: on it nothing moves.
+    sway, shake, vibration : Waves
+        Of position (m), attitude (rad) slowly and attitude fast.
+    wind_m_s : ndarray, shape (2,)
+        Velocity of the air, east and north.
+    course : BSpline
+        Direction of the nose over time, radians from north towards east, continuous.
+    strip : tuple of (int, float, float)
+        Strips by number: when they begin and end, s.
+    """
+
+    way: BSpline[np.float64]
+    duration_s: float
+    ground_m: float
+    sway: Waves
+    shake: Waves
+    vibration: Waves
+    wind_m_s: Floats
+    course: BSpline[np.float64]
+    strip: tuple[tuple[int, float, float], ...]
+
+    def position(self, time_s: Floats) -> Floats:
+        """Give positions in the local frame, shape (n, 3)."""
+        return self._moved(time_s, 0)
+
+    def velocity(self, time_s: Floats) -> Floats:
+        """Give velocities, shape (n, 3)."""
+        return self._moved(time_s, 1)
+
+    def acceleration(self, time_s: Floats) -> Floats:
+        """Give accelerations, shape (n, 3)."""
+        return self._moved(time_s, 2)
+
+    def _moved(self, time_s: Floats, derivative: int) -> Floats:
+        time = np.clip(np.asarray(time_s, dtype=float), 0.0, self.duration_s)
+        share, slope, bend = self._airborne(time)
+        sway = [self.sway.at(time, k) for k in range(derivative + 1)]
+        parts = {
+            0: lambda: share * sway[0],
+            1: lambda: share * sway[1] + slope * sway[0],
+            2: lambda: share * sway[2] + 2 * slope * sway[1] + bend * sway[0],
+        }
+        return np.asarray(self.way(time, nu=derivative) + parts[derivative]())
+
+    def _airborne(self, time: Floats) -> tuple[Floats, Floats, Floats]:
+        """Give how far the vehicle is in the air, 0 to 1, with its first two derivatives, shape (n, 1)."""
+        rise = (self.way(time)[:, 2] - self.ground_m) / _AIRBORNE_M
+        rate, curve = (self.way(time, nu=k)[:, 2] / _AIRBORNE_M for k in (1, 2))
+        squared = rise**2
+        share = squared / (1 + squared)
+        slope = 2 * rise / (1 + squared) ** 2
+        bend = (2 - 6 * squared) / (1 + squared) ** 3
+        return share[:, None], (slope * rate)[:, None], (bend * rate**2 + slope * curve)[:, None]
+
+    def angles(self, time_s: Floats) -> Floats:
+        """Give roll, pitch, yaw of the body (forward, right, down) in north, east, down; rad, shape (n, 3).
+
+        A multirotor leans so that its thrust carries weight, drag and acceleration.
+        """
+        time = np.clip(np.asarray(time_s, dtype=float), 0.0, self.duration_s)
+        share = self._airborne(time)[0]
+        air = self.way(time, nu=1)
+        air[:, :2] -= self.wind_m_s
+        # The hull damps what is faster than the spline: sway does not tilt.
+        thrust = share * (self.way(time, nu=2) + _DRAG_PER_S * air) + [0.0, 0.0, GRAVITY_M_S2]
+        yaw = self.course(time)
+        ahead = np.column_stack([np.sin(yaw), np.cos(yaw)])
+        right = np.column_stack([np.cos(yaw), -np.sin(yaw)])
+        pitch = -np.arctan2(np.sum(thrust[:, :2] * ahead, axis=1), thrust[:, 2])
+        aside = np.sum(thrust[:, :2] * right, axis=1)
+        roll = np.arctan2(aside * np.cos(pitch), thrust[:, 2])
+        steady = np.column_stack([roll, pitch, yaw])
+        return np.asarray(steady + share * (self.shake.at(time) + self.vibration.at(time)))
+
+    def to_body(self, time_s: Floats) -> Floats:
+        """Give rotations from the local frame to body axes, shape (n, 3, 3)."""
+        return body_of(self.angles(time_s))
+
+
+def body_of(angles: Floats) -> Floats:
+    """Give rotations from east, north, up to body axes of roll, pitch, yaw (rad), shape (n, 3, 3)."""
+    to_ned = Rotation.from_euler("ZYX", angles[:, ::-1]).as_matrix()
+    return np.asarray(np.swapaxes(to_ned, 1, 2) @ TO_NED)
+
+
+def make_motion(
+    start_m: Floats, legs: list[Leg], given: configuration.Vehicle, random: np.random.Generator
+) -> Motion:
+    """Make the motion along a way.
+
+    Parameters
+    ----------
+    start_m : ndarray, shape (3,)
+        On the ground.
+    legs : list of Leg
+    given : configuration.Vehicle
+    random : Generator
+
+    Returns
+    -------
+    Motion
+    """
+    ends = np.cumsum([0.0, *(leg.duration_s for leg in legs)])
+    corners = np.vstack([start_m, *(leg.to_m for leg in legs)])
+    duration = float(ends[-1])
+    times = np.arange(-DEGREE, duration / KNOT_S + DEGREE) * KNOT_S
+    points = np.column_stack([np.interp(times, ends, axis) for axis in corners.T])
+    way = _spline(points, times)
+    wind_to = np.radians(given.wind_from_deg + 180)
+    wind = given.wind_m_s * np.array([np.sin(wind_to), np.cos(wind_to)])
+    strip = tuple(
+        (leg.strip, float(ends[k]), float(ends[k + 1])) for k, leg in enumerate(legs) if leg.strip >= 0
+    )
+    return Motion(
+        way,
+        duration,
+        float(start_m[2]),
+        make_waves(np.full(3, given.sway_m), 0.08, 0.5, random),
+        make_waves(np.radians(given.shake_deg) * np.array([1.0, 1.0, 1.5]), 0.1, 0.8, random),
+        make_waves(np.full(3, np.radians(given.vibration_deg)), 20.0, 60.0, random),
+        wind,
+        _course(points, times, wind),
+        strip,
+    )
+
+
+def _spline(points: Floats, times: Floats) -> BSpline[np.float64]:
+    """Give the uniform spline whose control points are passed at `times` on straight even pieces."""
+    middle = (DEGREE + 1) / 2
+    knots = times[0] + (np.arange(len(points) + DEGREE + 1) - middle) * KNOT_S
+    return BSpline(knots, points, DEGREE)
+
+
+def _course(points: Floats, times: Floats, wind: Floats) -> BSpline[np.float64]:
+    """Point the nose into the relative air while the vehicle moves; elsewhere it stays."""
+    air = np.gradient(points[:, :2], KNOT_S, axis=0)
+    moving = np.hypot(*air.T) > 1.0
+    air = air - wind
+    course = np.arctan2(air[:, 0], air[:, 1])
+    rows = np.arange(len(times))
+    held = np.maximum.accumulate(np.where(moving, rows, -1))
+    held[held < 0] = int(np.argmax(moving))
+    return _spline(np.unwrap(course[held]), times)

@@ -1,0 +1,88 @@
+"""Image observations without pictures: targets and tie points with noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.simulate.world.configuration import Fault
+from acquire.simulate.world.observe import sight
+from acquire.simulate.world.world import World
+
+Floats = NDArray[np.float64]
+MARGIN_PX = 8.0
+MISSING_IMAGES = 4
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Measured places of points in images.
+
+    Attributes
+    ----------
+    names : tuple of str (points,)
+        Targets first, then ties.
+    points_m : ndarray, shape (points, 3)
+        True coordinates in the local frame.
+    image, point : ndarray of int, shape (n,)
+    pixels : ndarray, shape (n, 2)
+        With noise.
+    sigma_px : ndarray, shape (n,)
+    """
+
+    names: tuple[str, ...]
+    points_m: Floats
+    image: NDArray[np.int64]
+    point: NDArray[np.int64]
+    pixels: Floats
+    sigma_px: Floats
+
+
+def kept_images(world: World) -> NDArray[np.bool_]:
+    """Tell which pictures reach the office: some are lost from within a strip when that fault is on."""
+    kept = np.ones(len(world.exposures), bool)
+    if world.has(Fault.MISSING_IMAGES):
+        first = int(world.random("faults").integers(3, len(kept) - MISSING_IMAGES - 3))
+        kept[first : first + MISSING_IMAGES] = False
+    return kept
+
+
+def observe(world: World) -> Observations:
+    """Measure targets and tie points in all pictures.
+
+    Parameters
+    ----------
+    world : World
+
+    Returns
+    -------
+    Observations
+        Of points with at least two rays; targets are measured better than ties.
+    """
+    given = world.configuration
+    random = world.random("observations")
+    area = np.array(given.plan.area_m)
+    middle = area.mean(axis=0)
+    # Ties lie beyond the area, too, as far as pictures overlap there.
+    places = random.uniform(*_wide(area, middle), (given.observing.ties, 2)) if given.observing.ties else None
+    points = world.targets.centre_m
+    if places is not None:
+        heights = world.terrain.height(places[:, 0], places[:, 1])
+        points = np.vstack([points, np.column_stack([places, heights])])
+    found = sight(points, world.exposures, world.motion, world.rig, given.camera.readout_s, MARGIN_PX)
+    kept = kept_images(world)[found.image]
+    image, point, pixels = found.image[kept], found.point[kept], found.pixels[kept]
+    rays = np.bincount(point, minlength=len(points))
+    enough = rays[point] >= 2
+    image, point, pixels = image[enough], point[enough], pixels[enough]
+    count = len(world.targets.names)
+    sigma = np.where(point < count, given.observing.target_sigma_px, given.observing.sigma_px)
+    noisy = pixels + random.standard_normal(pixels.shape) * sigma[:, None]
+    names = (*world.targets.names, *(f"T{number:04d}" for number in range(1, given.observing.ties + 1)))
+    return Observations(names, points, image, point, noisy, sigma)
+
+
+def _wide(area: Floats, middle: Floats) -> tuple[Floats, Floats]:
+    return middle + 1.25 * (area.min(axis=0) - middle), middle + 1.25 * (area.max(axis=0) - middle)

@@ -1,0 +1,109 @@
+"""The local frame of a simulated flight: topocentric at its origin on the ellipsoid GRS 80."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.simulate.world import configuration
+
+Floats = NDArray[np.float64]
+
+SEMI_MAJOR_M = 6_378_137.0
+FLATTENING = 1 / 298.257222101
+_ECCENTRICITY2 = FLATTENING * (2 - FLATTENING)
+
+
+@dataclass(frozen=True)
+class Place:
+    """A topocentric frame: X east, Y north, Z up, metres.
+
+    Attributes
+    ----------
+    latitude, longitude : float
+        Of its origin, radians.
+    height_m : float
+        Of its origin above the ellipsoid.
+    crs : str
+        The projected system of control and results; ellipsoidal heights.
+    """
+
+    latitude: float
+    longitude: float
+    height_m: float
+    crs: str
+
+    @classmethod
+    def of(cls, given: configuration.Place) -> Place:
+        """Make the frame of a configuration."""
+        return cls(
+            float(np.radians(given.latitude_deg)),
+            float(np.radians(given.longitude_deg)),
+            given.height_m,
+            given.crs,
+        )
+
+    @cached_property
+    def axes(self) -> Floats:
+        """Rows: east, north and up in geocentric axes, shape (3, 3)."""
+        (sb, cb), (sl, cl) = (_sin_cos(angle) for angle in (self.latitude, self.longitude))
+        return np.array([[-sl, cl, 0.0], [-sb * cl, -sb * sl, cb], [cb * cl, cb * sl, sb]])
+
+    @cached_property
+    def origin_m(self) -> Floats:
+        """Geocentric coordinates of the origin, shape (3,)."""
+        return geocentric(np.array([[self.latitude, self.longitude, self.height_m]])).reshape(3)
+
+    def to_geocentric(self, local_m: Floats) -> Floats:
+        """Give geocentric coordinates of local ones, shape (n, 3)."""
+        return np.asarray(self.origin_m + local_m @ self.axes)
+
+    def to_geodetic(self, local_m: Floats) -> Floats:
+        """Give latitude and longitude (rad) and height above the ellipsoid (m), shape (n, 3)."""
+        return geodetic(self.to_geocentric(local_m))
+
+    def to_projected(self, local_m: Floats) -> Floats:
+        """Give east, north and ellipsoidal height in the projected system, shape (n, 3)."""
+        from pyproj import CRS, Transformer
+
+        system = CRS.from_user_input(self.crs)
+        # Geographic coordinates of the system itself: no change of datum is involved.
+        transformer = Transformer.from_crs(system.geodetic_crs, system, always_xy=True)
+        place = self.to_geodetic(local_m)
+        east, north = transformer.transform(*np.degrees(place[:, 1::-1]).T)
+        return np.column_stack([east, north, place[:, 2]])
+
+
+def geocentric(place: Floats) -> Floats:
+    """Give geocentric coordinates of latitude, longitude (rad) and height (m), shape (n, 3).
+
+    Source: Hofmann-Wellenhof, Lichtenegger and Wasle (2008), eq. 8.7.
+    """
+    latitude, longitude, height = place.T
+    normal = SEMI_MAJOR_M / np.sqrt(1 - _ECCENTRICITY2 * np.sin(latitude) ** 2)
+    across = (normal + height) * np.cos(latitude)
+    up = (normal * (1 - _ECCENTRICITY2) + height) * np.sin(latitude)
+    return np.column_stack([across * np.cos(longitude), across * np.sin(longitude), up])
+
+
+def geodetic(position_m: Floats) -> Floats:
+    """Give latitude, longitude (rad) and height (m) of geocentric coordinates near the ground, shape (n, 3).
+
+    Source: the same, eq. 8.8, iterated: near the ellipsoid each step gains more than two digits.
+    """
+    x, y, z = position_m.T
+    across = np.hypot(x, y)
+    latitude = np.arctan2(z, across * (1 - _ECCENTRICITY2))
+    height = np.zeros_like(latitude)
+    for _ in range(8):
+        normal = SEMI_MAJOR_M / np.sqrt(1 - _ECCENTRICITY2 * np.sin(latitude) ** 2)
+        height = across * np.cos(latitude) + z * np.sin(latitude) - SEMI_MAJOR_M**2 / normal
+        latitude = np.arctan2(z, across * (1 - _ECCENTRICITY2 * normal / (normal + height)))
+    return np.column_stack([latitude, np.arctan2(y, x), height])
+
+
+def _sin_cos(angle: float) -> tuple[float, float]:
+    return float(np.sin(angle)), float(np.cos(angle))

@@ -1,0 +1,141 @@
+"""The whole of a simulated flight before any device looks at it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.simulate.world.camera import Camera
+from acquire.simulate.world.configuration import Configuration, Fault
+from acquire.simulate.world.exposures import Exposures, Rig, make_exposures, make_rig
+from acquire.simulate.world.motion import Motion, make_motion
+from acquire.simulate.world.place import Place
+from acquire.simulate.world.plan import legs, strips
+from acquire.simulate.world.targets import Targets, make_targets
+from acquire.simulate.world.terrain import Terrain, make_terrain
+
+Floats = NDArray[np.float64]
+
+GPS_EPOCH_UNIX_S = 315_964_800
+# GPS time less UTC since 2017-01-01 (IERS Bulletin C 52).
+LEAP_S = 18
+ZOOM_FACTOR = 1.004
+# Parts of the truth that are drawn one by one, so that a change of one leaves the others as they are.
+STREAMS = (
+    "terrain", "targets", "rig", "motion", "exposures", "sky", "telemetry", "wires", "texture", "pictures",
+    "observations", "faults",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class World:
+    """The truth.
+
+    Attributes
+    ----------
+    configuration : Configuration
+    place : Place
+        The local frame: all coordinates below are in it, m.
+    terrain : Terrain
+    targets : Targets
+    camera : Camera
+        During the first pass.
+    rig : Rig
+    motion : Motion
+    exposures : Exposures
+    base_m : ndarray, shape (3,)
+        The base's mark.
+    start_gps_ns : int
+        GPS time of the flight's second 0, since 1980-01-06.
+    """
+
+    configuration: Configuration
+    place: Place
+    terrain: Terrain
+    targets: Targets
+    camera: Camera
+    rig: Rig
+    motion: Motion
+    exposures: Exposures
+    base_m: Floats
+    start_gps_ns: int
+
+    def random(self, part: str) -> np.random.Generator:
+        """Give the random numbers of a part."""
+        return generator(self.configuration.seed, part)
+
+    def has(self, fault: Fault) -> bool:
+        """Tell whether a fault is switched on."""
+        return fault in self.configuration.faults
+
+    @property
+    def base_antenna_m(self) -> Floats:
+        """Antenna of the base, shape (3,)."""
+        height = self.configuration.gnss.base_antenna_height_m
+        return np.asarray(self.base_m + np.array([0.0, 0.0, height]))
+
+    def gps_ns(self, time_s: Floats) -> NDArray[np.int64]:
+        """Give GPS nanoseconds of seconds since the start."""
+        return np.asarray(self.start_gps_ns + np.rint(np.asarray(time_s) * 1e9).astype(np.int64))
+
+    def utc_ns(self, time_s: Floats) -> NDArray[np.int64]:
+        """Give UTC nanoseconds since 1970 of seconds since the start."""
+        return np.asarray(self.gps_ns(time_s) + (GPS_EPOCH_UNIX_S - LEAP_S) * 1_000_000_000)
+
+    def seconds(self, gps_ns: NDArray[np.int64]) -> Floats:
+        """Give seconds since the start of GPS nanoseconds."""
+        return np.asarray((gps_ns - self.start_gps_ns) / 1e9)
+
+
+def generator(seed: int, part: str) -> np.random.Generator:
+    """Give the random numbers of one part of a simulation, independent of the other parts."""
+    return np.random.default_rng([seed, STREAMS.index(part)])
+
+
+def make_world(configuration: Configuration) -> World:
+    """Draw a world and fly through it.
+
+    Parameters
+    ----------
+    configuration : Configuration
+
+    Returns
+    -------
+    World
+    """
+    seed = configuration.seed
+    area = np.array(configuration.plan.area_m)
+    far = np.abs(area).max() + 1.3 * max(one.height_m for one in configuration.plan.passes)
+    half = max(float(far), float(np.abs(configuration.gnss.base_m).max()) + 5.0)
+    terrain = make_terrain(configuration.terrain, half, generator(seed, "terrain"))
+    targets = make_targets(configuration.targets, area, terrain, generator(seed, "targets"))
+    camera = Camera.of(configuration.camera)
+    rig = make_rig(configuration.rig, generator(seed, "rig"))
+    lines = strips(configuration.plan, configuration.camera)
+    home = np.array(configuration.plan.take_off_m)
+    ground = float(terrain.height(home[:1], home[1:])[0]) + 0.3
+    start, way = legs(configuration.plan, lines, ground)
+    motion = make_motion(start, way, configuration.vehicle, generator(seed, "motion"))
+    zoomed = Fault.ZOOM in configuration.faults
+    passes = configuration.plan.passes
+    cameras = tuple(camera.zoomed(ZOOM_FACTOR) if zoomed and k > 0 else camera for k in range(len(passes)))
+    spreads = tuple(one.spacing_spread for one in passes)
+    exposures = make_exposures(motion, rig, lines, spreads, cameras, generator(seed, "exposures"))
+    base = np.array([*configuration.gnss.base_m, 0.0])
+    base[2] = float(terrain.height(base[:1], base[1:2])[0])
+    start_utc_s = round(configuration.place.start_utc.timestamp())
+    start_gps = (start_utc_s - GPS_EPOCH_UNIX_S + LEAP_S) * 1_000_000_000
+    return World(
+        configuration,
+        Place.of(configuration.place),
+        terrain,
+        targets,
+        camera,
+        rig,
+        motion,
+        exposures,
+        base,
+        start_gps,
+    )
