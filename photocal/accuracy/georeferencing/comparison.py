@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from drivers.errors import IllPosedError, PhotocalError
 from photocal.accuracy.assessment import Assessment, Question, assess
 from photocal.accuracy.findings import Finding
+from photocal.accuracy.georeferencing.calibrated import Calibration
 from photocal.accuracy.georeferencing.differences import Differences, differences
 from photocal.accuracy.georeferencing.hypotheses import SystematicErrors, systematic_errors
 from photocal.accuracy.georeferencing.local import in_local_frame
@@ -105,6 +106,7 @@ def check_block(
     question: Question,
     simulate: tuple[Degradation, np.random.Generator] | None = None,
     done: Callable[[str], None] = lambda _: None,
+    calibration: Calibration | None = None,
 ) -> BlockCheck:
     """Georeference a block three ways and judge it at its ground points.
 
@@ -118,6 +120,8 @@ def check_block(
         Direct georeferencing from the adjusted orientation with this noise, labelled as simulated.
     done : callable
         Called with the name of each stage that ended.
+    calibration : Calibration, optional
+        Camera and mounting for direct georeferencing; without it those that the block states.
 
     Returns
     -------
@@ -141,7 +145,9 @@ def check_block(
             source, note = block, ""
             if method == "direct" and simulate is not None:
                 source, note = degraded(block, *simulate), simulate[0].note
-            judged.append(_judge(source, places, of_method(source, method, note), standards, question))
+            judged.append(
+                _judge(source, places, of_method(source, method, note, calibration), standards, question)
+            )
         except PhotocalError as refusal:
             refused.append((method, str(refusal)))
         done(method)

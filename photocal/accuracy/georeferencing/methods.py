@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, IllPosedError
+from photocal.accuracy.georeferencing.calibrated import Calibration, joint_covariance, with_calibration
 from photocal.accuracy.georeferencing.direct import direct_orientation
 from photocal.accuracy.georeferencing.space_intersection import Intersected, intersect_points
 from photocal.adjustment.adjust import adjust
@@ -84,7 +85,9 @@ class Georeferenced:
     solution: Solution | None
 
 
-def of_method(block: Block, method: Method, note: str = "") -> Georeferenced:
+def of_method(
+    block: Block, method: Method, note: str = "", calibration: Calibration | None = None
+) -> Georeferenced:
     """Georeference a block by one method.
 
     Parameters
@@ -93,6 +96,8 @@ def of_method(block: Block, method: Method, note: str = "") -> Georeferenced:
     method : {"direct", "integrated", "indirect"}
     note : str
         Added to the label, such as where simulated orientations come from.
+    calibration : Calibration, optional
+        Camera and mounting for the direct method; without it those that the block states.
 
     Returns
     -------
@@ -106,7 +111,7 @@ def of_method(block: Block, method: Method, note: str = "") -> Georeferenced:
         As the adjustment does.
     """
     if method == "direct":
-        return _direct(block, note)
+        return _direct(block, note, calibration)
     return _adjusted(without_georeference(block) if method == "indirect" else block, method, note)
 
 
@@ -198,7 +203,11 @@ def local_origin(assembly: Assembly) -> Floats:
     return np.asarray(assembly.frame.to_given(np.zeros((1, 3)))[0])
 
 
-def _direct(block: Block, note: str) -> Georeferenced:
+def _direct(block: Block, note: str, calibration: Calibration | None) -> Georeferenced:
+    joint = None
+    if calibration is not None:
+        block = with_calibration(block, calibration)
+        joint = joint_covariance(calibration, len(block.mounting.values))
     orientation = direct_orientation(block)
     if not orientation.known.any():
         raise ConfigurationError(
@@ -206,7 +215,7 @@ def _direct(block: Block, note: str) -> Georeferenced:
             where=block.name,
             remedy="give positions.csv and attitudes.csv, or all six sigmas in images.csv",
         )
-    found = intersect_points(block, orientation, ground_points(block))
+    found = intersect_points(block, orientation, ground_points(block), joint)
     if not len(found.points):
         raise IllPosedError(
             "no ground point has two rays from exposures with position and attitude",
@@ -216,7 +225,9 @@ def _direct(block: Block, note: str) -> Georeferenced:
     label = "direct: space intersection from GNSS and attitude alone"
     if not orientation.known.all():
         label += f"; {int((~orientation.known).sum())} images without position or attitude left out"
-    if orientation.unstated:
+    if joint is not None:
+        label += ", with camera and mounting of a calibration"
+    elif orientation.unstated:
         label += "; the mounting is free in block.toml: its values are used, their uncertainty is unknown"
     poses = np.hstack([angles_from_matrix(orientation.rotation), orientation.centre])
     poses[~orientation.known] = np.nan

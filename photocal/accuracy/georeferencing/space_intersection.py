@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from photocal.accuracy.georeferencing.direct import DirectOrientation
 from photocal.adjustment.intersection import intersect
@@ -62,7 +63,9 @@ class _Rays:
     distance: Floats
 
 
-def intersect_points(block: Block, orientation: DirectOrientation, wanted: Integers) -> Intersected:
+def intersect_points(
+    block: Block, orientation: DirectOrientation, wanted: Integers, joint: Floats | None = None
+) -> Intersected:
     """Intersect points from all images that have an orientation.
 
     The weights of a point's rays come from image observations and orientations together, with the
@@ -74,12 +77,18 @@ def intersect_points(block: Block, orientation: DirectOrientation, wanted: Integ
     orientation : DirectOrientation
     wanted : ndarray of int, shape (n,)
         Points of the block; those with fewer than two such rays are left out.
+    joint : ndarray, optional
+        Covariance of the common values and the parameters of all cameras together; without it that of
+        the sigmas that the block states.
 
     Returns
     -------
     Intersected
     """
-    corrected = _corrected(block)
+    if joint is None:
+        stated = [np.diag(camera_variance(own)) for own in block.cameras]
+        joint = block_diag(orientation.common_covariance, *stated)
+    corrected = _corrected(block, np.diag(joint)[len(orientation.common_covariance) :])
     observations = block.observations
     usable = orientation.known[observations.image]
     chosen = np.flatnonzero(usable & np.isin(observations.point, wanted))
@@ -97,7 +106,9 @@ def intersect_points(block: Block, orientation: DirectOrientation, wanted: Integ
         rays = chosen[observations.point[chosen] == point]
         if len(rays) < 2 or not np.isfinite(start[point]).all():
             continue
-        found.append((int(point), rays, *_one_point(block, orientation, corrected, rays, start[point])))
+        found.append(
+            (int(point), rays, *_one_point(block, orientation, corrected, rays, start[point], joint))
+        )
     rays = np.concatenate([f[1] for f in found]) if found else np.zeros(0, dtype=np.int64)
     scale = pitch[block.images.camera[observations.image[rays]]]
     stack = np.concatenate
@@ -114,7 +125,12 @@ def intersect_points(block: Block, orientation: DirectOrientation, wanted: Integ
 
 
 def _one_point(
-    block: Block, orientation: DirectOrientation, corrected: _Rays, rays: Integers, start: Floats
+    block: Block,
+    orientation: DirectOrientation,
+    corrected: _Rays,
+    rays: Integers,
+    start: Floats,
+    joint: Floats,
 ) -> tuple[Floats, Floats, Floats, Floats, float]:
     image = block.observations.image[rays]
     rotation, centre = orientation.rotation[image], orientation.centre[image]
@@ -125,7 +141,7 @@ def _one_point(
         by_q = _by_camera_axes(q, c)
         by_point = (by_q @ rotation).reshape(-1, 3)
         miss = (-c[:, None] * q[:, :2] / q[:, 2:] - ideal).ravel()
-        weight = np.linalg.inv(_misclosure(block, orientation, corrected, rays, q, by_q))
+        weight = np.linalg.inv(_misclosure(block, orientation, corrected, rays, q, by_q, joint))
         covariance = np.linalg.inv(by_point.T @ weight @ by_point)
         step = -covariance @ (by_point.T @ (weight @ miss))
         xyz = xyz + step
@@ -148,7 +164,13 @@ def _by_camera_axes(q: Floats, c: Floats) -> Floats:
 
 
 def _misclosure(
-    block: Block, orientation: DirectOrientation, corrected: _Rays, rays: Integers, q: Floats, by_q: Floats
+    block: Block,
+    orientation: DirectOrientation,
+    corrected: _Rays,
+    rays: Integers,
+    q: Floats,
+    by_q: Floats,
+    joint: Floats,
 ) -> Floats:
     """Covariance of computed minus corrected coordinates of one point's rays, shape (2n, 2n)."""
     n, image = len(rays), block.observations.image[rays]
@@ -163,15 +185,14 @@ def _misclosure(
             part = by_pose[k] @ orientation.covariance[i] @ by_pose[other].T
             result[2 * k : 2 * k + 2, 2 * other : 2 * other + 2] += part
         result[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += corrected.covariance[rays[k]]
-    by_common = (by_pose @ orientation.by_common[image]).reshape(2 * n, -1)
-    result += by_common @ orientation.common_covariance @ by_common.T
-    for index, own in enumerate(block.cameras):
+    shared = [(by_pose @ orientation.by_common[image]).reshape(2 * n, -1)]
+    for index in range(len(block.cameras)):
         mine = corrected.camera[rays] == index
         by_camera = -corrected.by_camera[rays] * mine[:, None, None]
         by_camera[:, :, 0] += np.where(mine[:, None], -q[:, :2] / q[:, 2:], 0.0)
-        flat = by_camera.reshape(2 * n, -1)
-        result += flat @ np.diag(camera_variance(own)) @ flat.T
-    return result
+        shared.append(by_camera.reshape(2 * n, -1))
+    by_shared = np.hstack(shared)
+    return np.asarray(result + by_shared @ joint @ by_shared.T)
 
 
 def camera_variance(camera: Camera) -> Floats:
@@ -180,7 +201,8 @@ def camera_variance(camera: Camera) -> Floats:
     return np.asarray(sigma**2)
 
 
-def _corrected(block: Block) -> _Rays:
+def _corrected(block: Block, variance: Floats) -> _Rays:
+    """Correct the observations; `variance` of all camera parameters tells which derivatives are needed."""
     plane, sigma = observed_plane(block)
     camera = block.images.camera[block.observations.image]
     ideal, by_plane = np.empty(plane.shape), np.empty((len(plane), 2, 2))
@@ -195,8 +217,9 @@ def _corrected(block: Block) -> _Rays:
             step = small * np.eye(2)[k]
             change = undistorted(own, at + step) - undistorted(own, at - step)
             by_plane[mine, :, k] = change / (2 * small)
-        for k in np.flatnonzero(camera_variance(own) > 0).tolist():
-            move = np.eye(len(PARAMETERS))[k] * own.prior_sigma[k] * 0.1
+        sigma_own = np.sqrt(variance.reshape(-1, len(PARAMETERS))[index])
+        for k in np.flatnonzero(sigma_own > 0).tolist():
+            move = np.eye(len(PARAMETERS))[k] * sigma_own[k] * 0.1
             higher = undistorted(replace(own, values=own.values + move), at)
             lower = undistorted(replace(own, values=own.values - move), at)
             by_camera[mine, :, k] = (higher - lower) / (2 * move[k])
