@@ -1,0 +1,123 @@
+"""Delays of the atmosphere: an ionospheric layer with waves, and a standard troposphere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.simulate.gnss.settings import SkySettings
+from acquire.simulate.gnss.signals import L1CA, LIGHT_M_S
+from drivers.gnsstime import DAY_NS
+
+Floats = NDArray[np.float64]
+_LAYER_M, _EARTH_M = 350e3, 6371e3
+_SCALES = 2.0 ** np.array([-30, -27, -24, -24, 11, 14, 16, 16])
+
+
+@dataclass(frozen=True)
+class Sight:
+    """Lines of sight from an antenna, one per epoch.
+
+    Parameters
+    ----------
+    lat, lon : float64 (n,)
+        Antenna, radians.
+    height_m : float64 (n,)
+        Above the ellipsoid.
+    azimuth, elevation : float64 (n,)
+        Of the satellite, radians.
+    gps_ns : int64 (n,)
+        Time.
+    """
+
+    lat: Floats
+    lon: Floats
+    height_m: Floats
+    azimuth: Floats
+    elevation: Floats
+    gps_ns: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Atmosphere:
+    """One weather for all receivers of a session.
+
+    Parameters
+    ----------
+    settings : SkySettings
+        Its strength.
+    waves : float64 (k, 4)
+        Of the ionosphere: wave numbers to the north and the east (rad/m), angular frequency (rad/s), phase.
+    wet_m : float
+        Zenith wet delay beyond the standard one.
+    """
+
+    settings: SkySettings
+    waves: Floats
+    wet_m: float
+
+    @classmethod
+    def by_chance(cls, settings: SkySettings, rng: np.random.Generator) -> Atmosphere:
+        """Draw the waves and the wet delay."""
+        length = rng.uniform(150e3, 400e3, 3)
+        course = rng.uniform(0, 2 * np.pi, 3)
+        period = rng.uniform(900, 2400, 3)
+        k = 2 * np.pi / length
+        waves = [k * np.cos(course), k * np.sin(course), 2 * np.pi / period, rng.uniform(0, 2 * np.pi, 3)]
+        return cls(settings, np.stack(waves, axis=1), float(rng.normal(0, settings.wet_sigma_m)))
+
+    def ionosphere_m(self, sight: Sight) -> Floats:
+        """Return the delay of codes on L1, float64 (n,); it grows with the inverse square of the frequency.
+
+        A thin layer at 350 km whose vertical delay is the broadcast model's (IS-GPS-200N, 20.3.3.5.2.5, there
+        with a slant factor of its own), scaled, and the waves.
+        """
+        zenith = np.arcsin(_EARTH_M / (_EARTH_M + _LAYER_M) * np.cos(sight.elevation))
+        angle = np.pi / 2 - sight.elevation - zenith
+        lat = np.arcsin(
+            np.sin(sight.lat) * np.cos(angle) + np.cos(sight.lat) * np.sin(angle) * np.cos(sight.azimuth)
+        )
+        lon = sight.lon + np.arcsin(np.sin(angle) * np.sin(sight.azimuth) / np.cos(lat))
+        north, east = lat * _EARTH_M, lon * _EARTH_M * np.cos(sight.lat)
+        time = (sight.gps_ns % DAY_NS) / 1e9
+        vertical = self.settings.ionosphere_scale * self._broadcast_m(lat, lon, time)
+        for to_north, to_east, frequency, phase in self.waves:
+            wave = to_north * north + to_east * east - frequency * time + phase
+            vertical = vertical + self.settings.wave_m * (1 + np.sin(wave)) / len(self.waves)
+        return np.asarray(vertical / np.cos(zenith))
+
+    def _broadcast_m(self, lat: Floats, lon: Floats, time: Floats) -> Floats:
+        """Return the vertical delay of the Klobuchar model at points of the layer."""
+        values = np.array(self.settings.klobuchar) * _SCALES
+        magnetic = lat / np.pi + 0.064 * np.cos(lon - 1.617 * np.pi)
+        powers = magnetic[:, None] ** np.arange(4)
+        amplitude = np.maximum(powers @ values[:4], 0)
+        period = np.maximum(powers @ values[4:], 72_000)
+        local = (43_200 * lon / np.pi + time) % 86_400
+        phase = 2 * np.pi * (local - 50_400) / period
+        day = np.where(np.abs(phase) < np.pi / 2, amplitude * np.cos(phase), 0.0)
+        return np.asarray(LIGHT_M_S * (5e-9 + day))
+
+    def troposphere_m(self, sight: Sight) -> Floats:
+        """Return the delay of all signals, float64 (n,).
+
+        Zenith delays by Saastamoinen (1972) in the standard atmosphere; mapped by Chao (1974), dry and wet.
+        """
+        kelvin = 288.15 - 6.5e-3 * sight.height_m
+        pressure = 1013.25 * (1 - 2.2557e-5 * sight.height_m) ** 5.2568
+        humidity = self.settings.relative_humidity
+        vapour = 6.108 * humidity * np.exp((17.15 * kelvin - 4684) / (kelvin - 38.45))
+        gravity = 1 - 0.00266 * np.cos(2 * sight.lat) - 0.28e-6 * sight.height_m
+        dry = 0.0022768 * pressure / gravity
+        wet = 0.002277 * (1255 / kelvin + 0.05) * vapour + self.wet_m * np.exp(-sight.height_m / 2000)
+        sine, tangent = np.sin(sight.elevation), np.tan(sight.elevation)
+        dry_map = 1 / (sine + 0.00143 / (tangent + 0.0445))
+        wet_map = 1 / (sine + 0.00035 / (tangent + 0.017))
+        return np.asarray(dry * dry_map + wet * wet_map)
+
+
+def on(frequency_hz: float) -> float:
+    """Return the factor from the ionospheric delay on L1 to that on another frequency."""
+    return (L1CA.frequency_hz / frequency_hz) ** 2

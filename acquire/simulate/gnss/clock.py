@@ -1,0 +1,66 @@
+"""The receiver's clock: a crystal with bias, drift and noise, set by whole milliseconds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.simulate.gnss.settings import ReceiverModel
+from drivers.gnsstime import SECOND_NS
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Epochs of a receiver.
+
+    Parameters
+    ----------
+    tag_gps_ns : int64 (n,)
+        What the receiver's clock shows at its measurements.
+    bias_s : float64 (n,)
+        Receiver time minus GPS time at the measurements.
+    rate : float64 (n,)
+        Derivative of the bias.
+    step : bool (n,)
+        Whether the clock was set since the last epoch.
+    """
+
+    tag_gps_ns: NDArray[np.int64]
+    bias_s: Floats
+    rate: Floats
+    step: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.tag_gps_ns)
+
+    @property
+    def true_gps_ns(self) -> NDArray[np.int64]:
+        """GPS time of the measurements to the nanosecond."""
+        return np.asarray(self.tag_gps_ns - np.rint(self.bias_s * SECOND_NS).astype(np.int64))
+
+
+def run(model: ReceiverModel, start_gps_ns: int, stop_gps_ns: int, rng: np.random.Generator) -> Clock:
+    """Let a clock run through a session.
+
+    Parameters
+    ----------
+    model : ReceiverModel
+        Interval and quality of the clock.
+    start_gps_ns, stop_gps_ns : int
+        First and last possible epoch; epochs are whole multiples of the interval in receiver time.
+    rng : Generator
+        Chance.
+    """
+    every = round(model.interval_s * SECOND_NS)
+    tag = np.arange(-(-start_gps_ns // every) * every, stop_gps_ns + 1, every, dtype=np.int64)
+    bias = rng.uniform(-4e-4, 4e-4) if model.clock_bias_s is None else model.clock_bias_s
+    drift = rng.uniform(-5e-7, 5e-7) if model.clock_drift is None else model.clock_drift
+    rate = drift + model.clock_noise / np.sqrt(model.interval_s) * rng.standard_normal(len(tag))
+    total = bias + np.concatenate([[0.0], np.cumsum(rate[:-1])]) * model.interval_s
+    steps = np.rint(total * 1e3) if model.clock_steps else np.zeros(len(tag))
+    moved = np.concatenate([[False], np.diff(steps) != 0])
+    return Clock(tag, total - steps * 1e-3, rate, moved)

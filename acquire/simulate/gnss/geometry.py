@@ -1,0 +1,125 @@
+"""What lies between a satellite and an antenna: range, its rate, direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.simulate.gnss.constellation import Satellite
+from acquire.simulate.gnss.signals import EARTH_RATE_RAD_S, LIGHT_M_S
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Place:
+    """An antenna at the epochs of a receiver.
+
+    Parameters
+    ----------
+    position_m, velocity_m_s : float64 (n, 3)
+        Earth-centred, earth-fixed.
+    lat, lon, height_m : float64 (n,)
+        Geodetic, radians and metres above WGS 84's ellipsoid.
+    """
+
+    position_m: Floats
+    velocity_m_s: Floats
+    lat: Floats
+    lon: Floats
+    height_m: Floats
+
+    def rows(self, chosen: NDArray[np.int64]) -> Place:
+        """Return some of the epochs."""
+        return Place(
+            self.position_m[chosen],
+            self.velocity_m_s[chosen],
+            self.lat[chosen],
+            self.lon[chosen],
+            self.height_m[chosen],
+        )
+
+
+def place(position_m: Floats, velocity_m_s: Floats) -> Place:
+    """Return an antenna with its geodetic coordinates."""
+    from pyproj import Transformer
+
+    to_geodetic = Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
+    lon, lat, height = to_geodetic.transform(position_m[:, 0], position_m[:, 1], position_m[:, 2])
+    return Place(position_m, velocity_m_s, np.radians(lat), np.radians(lon), np.asarray(height))
+
+
+@dataclass(frozen=True)
+class Link:
+    """A satellite as an antenna receives it.
+
+    Parameters
+    ----------
+    range_m, range_rate_m_s : float64 (n,)
+        Way of the signal that arrives at the epoch, and its derivative.
+    azimuth, elevation : float64 (n,)
+        Radians.
+    clock_s, clock_rate : float64 (n,)
+        Satellite clock at the moment of transmission.
+    """
+
+    range_m: Floats
+    range_rate_m_s: Floats
+    azimuth: Floats
+    elevation: Floats
+    clock_s: Floats
+    clock_rate: Floats
+
+
+def link(satellite: Satellite, seconds: Floats, origin_gps_ns: int, at: Place) -> Link:
+    """Solve the light time equation.
+
+    The earth turns while the signal travels (Sagnac effect): the satellite's position at transmission is
+    turned into the earth-fixed frame of the arrival.
+
+    Parameters
+    ----------
+    satellite : Satellite
+        What transmits.
+    seconds : float64 (n,)
+        GPS time of arrival since `origin_gps_ns`.
+    origin_gps_ns : int
+        Origin of the times.
+    at : Place
+        Where it arrives.
+    """
+    travel = np.full(len(seconds), 0.075)
+    # The satellite moves 4 km/s: the error shrinks by 1e-5 with each step, from 60 m.
+    for _ in range(3):
+        state = satellite.state(seconds - travel, origin_gps_ns)
+        position = _turned(state.position_m, EARTH_RATE_RAD_S * travel)
+        towards = position - at.position_m
+        distance = np.linalg.norm(towards, axis=1)
+        travel = distance / LIGHT_M_S
+    unit = towards / distance[:, None]
+    velocity = _turned(state.velocity_m_s, EARTH_RATE_RAD_S * travel)
+    # d/dt of |R(w tau) x(t - tau) - a(t)| with tau = range / c, solved for the rate of the range.
+    swept = np.stack([position[:, 1], -position[:, 0], np.zeros(len(position))], axis=1) * EARTH_RATE_RAD_S
+    steady = np.einsum("ij,ij->i", unit, velocity - at.velocity_m_s)
+    rate = steady / (1 + np.einsum("ij,ij->i", unit, velocity - swept) / LIGHT_M_S)
+    east, north, up = np.moveaxis(axes(at.lat, at.lon), 1, 0)
+    e, n, u = (np.einsum("ij,ij->i", axis, unit) for axis in (east, north, up))
+    clock_rate = state.clock_rate * (1 - rate / LIGHT_M_S)
+    return Link(distance, rate, np.arctan2(e, n), np.arcsin(u), state.clock_s, clock_rate)
+
+
+def axes(lat: Floats, lon: Floats) -> Floats:
+    """Return the unit vectors to the east, the north and up at geodetic coordinates, float64 (n, 3, 3)."""
+    zero = np.zeros_like(lat)
+    east = np.stack([-np.sin(lon), np.cos(lon), zero], axis=1)
+    north = np.stack([-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)], axis=1)
+    up = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
+    return np.stack([east, north, up], axis=1)
+
+
+def _turned(vectors: Floats, angle: Floats) -> Floats:
+    cosine, sine = np.cos(angle), np.sin(angle)
+    x, y = vectors[:, 0], vectors[:, 1]
+    return np.stack([cosine * x + sine * y, cosine * y - sine * x, vectors[:, 2]], axis=1)

@@ -1,0 +1,78 @@
+"""Galileo navigation message I/NAV: words of 128 bits in nominal pages with CRC-24Q.
+
+Source: Galileo OS SIS ICD 2.1, sections 4.3.2 (pages), 4.3.4 (sequence), 4.3.5 (words) and 5.1.9.4 (CRC).
+"""
+
+from __future__ import annotations
+
+from acquire.simulate.gnss.bits import field, joined
+from acquire.simulate.gnss.ephemeris import Ephemeris
+from drivers.checksums import crc24q
+
+PAGE_S = 2
+GST_BEHIND_WEEKS = 1024
+_SUBFRAME_PAGES = 15
+# Word types of one subframe of 30 s; 0 is the spare word, which carries the time (tables 42 and 43).
+_E1B = (2, 4, 6, 0, 0, 0, 0, 0, 0, 0, 1, 3, 5, 0, 0)
+_E5B = (1, 3, 5, 0, 0, 0, 0, 0, 0, 0, 2, 4, 6, 0, 0)
+_SEQUENCE = {"E1B": _E1B, "E5b": _E5B}
+_TAIL = "0" * 6
+
+
+def page(ephemeris: Ephemeris, gps_s: int, band: str, leap_s: int) -> list[int]:
+    """Return the page that begins at a time, as u-blox hands it over.
+
+    Parameters
+    ----------
+    ephemeris : Ephemeris
+        The set on the air.
+    gps_s : int
+        Beginning of its even part, GPS seconds; even for E5b, odd for E1B.
+    band : str
+        ``E1B`` or ``E5b``.
+    leap_s : int
+        GPS time minus UTC, which Galileo's is as well.
+
+    Returns
+    -------
+    list of int
+        Nine words of 32 bits: even part, odd part (120 bits each and eight of filling), and a last word.
+    """
+    week, tow = divmod(gps_s, 604_800)
+    kind = _SEQUENCE[band][tow // PAGE_S % _SUBFRAME_PAGES]
+    data = _word(kind, ephemeris, week - GST_BEHIND_WEEKS, tow, leap_s)
+    even = "00" + data[:112]
+    # E1B carries 40 reserved, 22 search and rescue and 2 spare bits here; a message for nobody is all ones.
+    between = "10" * 20 + "1" + "0" * 21 + "00" if band == "E1B" else "10" * 32
+    odd = "10" + data[112:] + between
+    check = crc24q(int(even + odd, 2).to_bytes(25, "big"))
+    final = "00000100" if band == "E1B" else "10101010"  # SSP configuration 1 / reserved
+    odd += field(check, 24) + final
+    parts = [(part + _TAIL).ljust(128, "0") for part in (even, odd)]
+    return [int(part[at : at + 32], 2) for part in parts for at in range(0, 128, 32)] + [1]
+
+
+def _word(kind: int, e: Ephemeris, week: int, tow: int, leap_s: int) -> str:
+    r = e.raw
+    issue = field(kind, 6) + field(e.issue, 10)
+    time = field(week % 4096, 12) + field(tow, 20)
+    if kind == 0:
+        return field(0, 6) + "10" + "10" * 44 + time
+    if kind == 1:
+        return issue + joined([(r["toe"], 14), (r["m0"], 32), (r["e"], 32), (r["sqrt_a"], 32), (0, 2)])
+    if kind == 2:
+        return issue + joined([(r["omega0"], 32), (r["i0"], 32), (r["omega"], 32), (r["idot"], 14), (0, 2)])
+    if kind == 3:
+        harmonics = [(r[name], 16) for name in ("cuc", "cus", "crc", "crs")]
+        return issue + joined([(r["omega_dot"], 24), (r["delta_n"], 16), *harmonics, (e.accuracy, 8)])
+    if kind == 4:
+        clock = [(r["toc"], 14), (r["af0"], 31), (r["af1"], 21), (r["af2"], 6), (0, 2)]
+        return issue + joined([(e.number, 6), (r["cic"], 16), (r["cis"], 16), *clock])
+    if kind == 5:
+        # Effective ionisation a0 of a quiet sun (NeQuick G), no disturbed region.
+        ionosphere = [(240, 11), (0, 11), (0, 14), (0, 5)]
+        health = [(e.health, 2), (e.health, 2), (int(e.health != 0), 1), (int(e.health != 0), 1)]
+        delays = [(r["bgd_e5a"], 10), (r["bgd_e5b"], 10)]
+        return field(5, 6) + joined([*ionosphere, *delays, *health]) + time + "0" * 23
+    utc = [(0, 32), (0, 24), (leap_s, 8), (0, 8), (week % 256, 8), (905 % 256, 8), (7, 3), (leap_s, 8)]
+    return field(6, 6) + joined(utc) + field(tow, 20) + "0" * 3

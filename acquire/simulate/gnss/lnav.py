@@ -1,0 +1,247 @@
+"""GPS navigation message LNAV: subframes of ten words with parity.
+
+Source: IS-GPS-200N, figures 20-1 (subframes), 20-2 (TLM and HOW), sections 20.3.3.5 (pages), 20.3.5 (parity).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from acquire.simulate.gnss.bits import field, joined
+from acquire.simulate.gnss.ephemeris import Ephemeris
+from acquire.simulate.gnss.signals import SEMICIRCLE_RAD
+
+SUBFRAME_S = 6
+PAGES = 25
+_PREAMBLE = "10001011"
+# Which of D29*, D30* and which data bits each parity bit sums (IS-GPS-200N, table 20-XIV).
+_PARITY = (
+    (29, (1, 2, 3, 5, 6, 10, 11, 12, 13, 14, 17, 18, 20, 23)),
+    (30, (2, 3, 4, 6, 7, 11, 12, 13, 14, 15, 18, 19, 21, 24)),
+    (29, (1, 3, 4, 5, 7, 8, 12, 13, 14, 15, 16, 19, 20, 22)),
+    (30, (2, 4, 5, 6, 8, 9, 13, 14, 15, 16, 17, 20, 21, 23)),
+    (30, (1, 3, 5, 6, 7, 9, 10, 14, 15, 16, 17, 18, 21, 22, 24)),
+    (29, (3, 5, 6, 8, 9, 10, 11, 13, 15, 19, 22, 23, 24)),
+)
+_HEALTH_PAGE, _IONOSPHERE_PAGE = 63, 56
+# Satellite or page identity of the pages of subframe 4 (IS-GPS-200N, table 20-V); 0 is a dummy.
+_SUBFRAME_4 = (
+    *(57, 25, 26, 27, 28, 57, 29, 30, 31, 32, 57, 62, 52, 53, 54, 57, 55),
+    *(56, 58, 59, 57, 60, 61, 62, 63),
+)
+
+
+@dataclass(frozen=True)
+class Broadcast:
+    """What subframe 4 tells to all.
+
+    Parameters
+    ----------
+    klobuchar : tuple of int
+        Four alpha and four beta as transmitted (8 bits each).
+    leap_s : int
+        GPS time minus UTC.
+    almanacs : tuple of Ephemeris
+        From which the almanac pages are made.
+    """
+
+    klobuchar: tuple[int, ...]
+    leap_s: int
+    almanacs: tuple[Ephemeris, ...]
+
+
+def subframe(ephemeris: Ephemeris, gps_s: int, broadcast: Broadcast) -> list[int]:
+    """Return the subframe that begins at a time, as u-blox hands it over.
+
+    Parameters
+    ----------
+    ephemeris : Ephemeris
+        The set on the air.
+    gps_s : int
+        Beginning, GPS seconds, a multiple of 6.
+    broadcast : Broadcast
+        Ionosphere, UTC and almanacs.
+
+    Returns
+    -------
+    list of int
+        Ten words of 32 bits, see `with_parity`.
+    """
+    week, tow = divmod(gps_s, 604_800)
+    number = tow // SUBFRAME_S % 5 + 1
+    count = (tow // SUBFRAME_S + 1) % 100_800
+    handover = field(count, 17) + "00" + field(number, 3)
+    page = tow // 30 % PAGES
+    if number == 1:
+        words = _subframe_1(ephemeris, week)
+    elif number == 2:
+        words = _subframe_2(ephemeris)
+    elif number == 3:
+        words = _subframe_3(ephemeris)
+    elif number == 4:
+        words = _subframe_4(page, week, broadcast)
+    else:
+        words = _subframe_5(page, broadcast)
+    return with_parity([_PREAMBLE + "0" * 16, handover, *words])
+
+
+def with_parity(words: Sequence[str]) -> list[int]:
+    """Return the words with their parity in the form of u-blox.
+
+    Receivers of u-blox keep the last two bits of the word before (D29*, D30*) in front of the 30 bits of
+    a word, and turn all 32 where D30* is set: so the data bits come out as they were before transmission.
+
+    Parameters
+    ----------
+    words : sequence of str
+        Data bits, 24 each. The second and the last have 22: their final two are chosen so that the word ends
+        in two zeros (IS-GPS-200N, 20.3.3.2 and 20.3.5.2).
+    """
+    coded, last = [], (0, 0)
+    for word in words:
+        for tail in [""] if len(word) == 24 else ["00", "01", "10", "11"]:
+            check = parity(word + tail, last)
+            if not tail or check.endswith("00"):
+                break
+        turn = 0xFFFF_FFFF if last[1] else 0
+        sent = int(word + tail, 2) << 6
+        coded.append((last[0] << 31 | last[1] << 30 | int(check, 2)) ^ (turn & 0xC000_003F) | sent)
+        last = int(check[4]), int(check[5])
+    return coded
+
+
+def parity(data: str, last: tuple[int, int]) -> str:
+    """Return the six parity bits of 24 data bits after a word that ended in D29*, D30*."""
+    return "".join(
+        str((last[before - 29] + sum(int(data[bit - 1]) for bit in bits)) % 2) for before, bits in _PARITY
+    )
+
+
+def _subframe_1(e: Ephemeris, week: int) -> list[str]:
+    r = e.raw
+    bits = joined(
+        [
+            (week % 1024, 10),
+            (1, 2),  # P code on L2
+            (e.accuracy, 4),
+            (e.health, 6),
+            (e.issue >> 8, 2),
+            (0, 1),
+            (0, 23),
+            (0, 24),
+            (0, 24),
+            (0, 16),
+            (r["tgd"], 8),
+            (e.issue & 0xFF, 8),
+            (r["toc"], 16),
+            (r["af2"], 8),
+            (r["af1"], 16),
+            (r["af0"], 22),
+        ]
+    )
+    return _split(bits)
+
+
+def _subframe_2(e: Ephemeris) -> list[str]:
+    r = e.raw
+    bits = joined(
+        [
+            *[(e.issue & 0xFF, 8), (r["crs"], 16), (r["delta_n"], 16), (r["m0"], 32), (r["cuc"], 16)],
+            *[(r["e"], 32), (r["cus"], 16), (r["sqrt_a"], 32), (r["toe"], 16), (0, 1), (27, 5)],
+        ]
+    )
+    return _split(bits)
+
+
+def _subframe_3(e: Ephemeris) -> list[str]:
+    r = e.raw
+    bits = joined(
+        [
+            *[(r["cic"], 16), (r["omega0"], 32), (r["cis"], 16), (r["i0"], 32), (r["crc"], 16)],
+            *[(r["omega"], 32), (r["omega_dot"], 24), (e.issue & 0xFF, 8), (r["idot"], 14)],
+        ]
+    )
+    return _split(bits)
+
+
+def _subframe_4(page: int, week: int, broadcast: Broadcast) -> list[str]:
+    identity = _SUBFRAME_4[page]
+    if identity == _IONOSPHERE_PAGE:
+        return _ionosphere_and_utc(week, broadcast)
+    if identity == _HEALTH_PAGE:
+        configuration = "1001" * 32  # antispoofing on, Block IIR-M and later
+        health = "".join(field(_health(broadcast, n), 6) for n in range(25, 33))
+        return _split(_page(identity) + configuration + "00" + health + "0" * 4)
+    if 25 <= identity <= 32:
+        return _almanac(identity, broadcast)
+    return _split(_page(identity) + ("10" * 88)[:176] + "00" * 3)
+
+
+def _subframe_5(page: int, broadcast: Broadcast) -> list[str]:
+    if page < 24:
+        return _almanac(page + 1, broadcast)
+    health = "".join(field(_health(broadcast, n), 6) for n in range(1, 25))
+    reference = broadcast.almanacs[0]
+    toa = field(round(reference.value("toe")) // 4096, 8) + field(reference.week % 256, 8)
+    return _split(_page(51) + toa + health + "0" * 22)
+
+
+def _page(identity: int) -> str:
+    return "01" + field(identity, 6)
+
+
+def _health(broadcast: Broadcast, number: int) -> int:
+    return next((e.health for e in broadcast.almanacs if e.number == number), 0b111111)
+
+
+def _ionosphere_and_utc(week: int, broadcast: Broadcast) -> list[str]:
+    bits = _page(_IONOSPHERE_PAGE) + joined((value, 8) for value in broadcast.klobuchar)
+    leap = field(broadcast.leap_s, 8)
+    # A1, A0, t_ot, WN_t, leap seconds, WN_LSF, DN and the leap seconds after an event that is past.
+    bits += joined([(0, 24), (1, 32), (61, 8), (week % 256, 8)]) + leap + field(137, 8) + field(7, 8) + leap
+    return _split(bits + "0" * 14)
+
+
+def _almanac(number: int, broadcast: Broadcast) -> list[str]:
+    """Return the reduced orbit of one satellite (IS-GPS-200N, table 20-VI), or a dummy page."""
+    found = [e for e in broadcast.almanacs if e.number == number]
+    if not found:
+        return _split(_page(0) + "10" * 91)
+    e = found[0]
+    toa = round(e.value("toe")) // 4096 * 4096
+    passed = toa - e.value("toe")
+    motion = (3.986005e14**0.5) / e.value("sqrt_a") ** 3
+    anomaly = _turned(e.value("m0") + motion * passed)
+    clock = round((e.value("af0") + e.value("af1") * passed) * 2**20)
+    bits = _page(number) + joined(
+        [
+            (round(e.value("e") * 2**21), 16),
+            (toa // 4096, 8),
+            (round((e.value("i0") / SEMICIRCLE_RAD - 0.30) * 2**19), 16),
+            (round(e.value("omega_dot") / SEMICIRCLE_RAD * 2**38), 16),
+            (e.health << 2 & 0xFF if e.health else 0, 8),
+            (round(e.value("sqrt_a") * 2**11), 24),
+            (_half_turns(e.value("omega0")), 24),
+            (_half_turns(e.value("omega")), 24),
+            (_half_turns(anomaly), 24),
+        ]
+    )
+    coded = field(clock, 11)
+    return _split(bits + coded[:8] + field(round(e.value("af1") * 2**38), 11) + coded[8:])
+
+
+def _half_turns(angle: float) -> int:
+    number = round(_turned(angle) / SEMICIRCLE_RAD * 2**23)
+    return -number if number == 1 << 23 else number
+
+
+def _turned(angle: float) -> float:
+    return (angle + SEMICIRCLE_RAD) % (2 * SEMICIRCLE_RAD) - SEMICIRCLE_RAD
+
+
+def _split(bits: str) -> list[str]:
+    """Cut words 3 to 10 out of 190 bits; the last word is left with 22, see `with_parity`."""
+    if len(bits) != 190:
+        raise ValueError(f"{len(bits)} bits instead of 190")
+    return [bits[at : at + 24] for at in range(0, 168, 24)] + [bits[168:]]

@@ -1,0 +1,112 @@
+"""RTCM 3 multiple signal messages with full content and high resolution: MSM7 of GPS and Galileo.
+
+Source: RTCM standard 10403.3, section 3.5.12, tables 3.5-74 (DF407), 3.5-78 to 3.5-84 (layout of MSM7).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.simulate.gnss.bits import field, joined, octets
+from acquire.simulate.gnss.observations import Observations
+from acquire.simulate.gnss.signals import GALILEO, GPS, LIGHT_M_S
+from drivers.gnsstime import SECOND_NS, WEEK_S
+
+_NUMBER = {GPS: 1077, GALILEO: 1097}
+_LATENCY_NS = 100_000_000
+_MS_M = LIGHT_M_S * 1e-3
+# What stands for "no value" in the signed fields.
+_NO_FINE_CODE, _NO_FINE_PHASE, _NO_FINE_RATE, _NO_RATE = -(1 << 19), -(1 << 23), -(1 << 14), -(1 << 13)
+# A message carries at most 64 cells.
+_MOST_CELLS = 64
+
+
+def observation_messages(
+    observations: Observations, station: int, every_s: float
+) -> Iterator[tuple[int, bytes]]:
+    """Yield time of sending (GPS ns) and payload: 1077 and 1097 of each epoch.
+
+    Parameters
+    ----------
+    observations : Observations
+        Of the base.
+    station : int
+        Its number.
+    every_s : float
+        Between the epochs that are sent.
+    """
+    rows = observations.rows
+    clock = observations.clock
+    every = round(every_s * SECOND_NS)
+    systems = np.array([s.system for s in observations.satellites])
+    true_ns = clock.true_gps_ns
+    for epoch in np.flatnonzero(clock.tag_gps_ns % every == 0).tolist():
+        first, after = np.searchsorted(rows["epoch"], [epoch, epoch + 1])
+        here = rows[first:after]
+        present = [system for system in _NUMBER if (systems[here["satellite"]] == system).any()]
+        for place, system in enumerate(present):
+            mine = here[systems[here["satellite"]] == system]
+            more = place + 1 < len(present)
+            tow_ms = int(clock.tag_gps_ns[epoch]) % (WEEK_S * SECOND_NS) // 1_000_000
+            head = joined([(_NUMBER[system], 12), (station, 12), (tow_ms, 30), (int(more), 1), (0, 18)])
+            yield int(true_ns[epoch]) + _LATENCY_NS, octets(head + _body(mine, observations))
+
+
+def _body(rows: NDArray[np.void], observations: Observations) -> str:
+    """Return the masks, the satellites and the signals of one system."""
+    satellites = np.unique(rows["satellite"]).tolist()
+    signals = sorted({observations.signal(s, n).msm for s in satellites for n in np.unique(rows["signal"])})
+    numbers = [observations.satellites[s].truth.number for s in satellites]
+    place = {(int(r["satellite"]), observations.signal(r["satellite"], r["signal"]).msm): r for r in rows}
+    cells = [(s, m) for s in satellites for m in signals]
+    if len(cells) > _MOST_CELLS:
+        raise OverflowError(f"{len(cells)} cells in one message, {_MOST_CELLS} are allowed")
+    masks = _mask(numbers, 64) + _mask(signals, 32) + "".join(str(int(cell in place)) for cell in cells)
+    kept = [place[cell] for cell in cells if cell in place]
+    firsts = {s: next(r for r in kept if r["satellite"] == s) for s in satellites}
+    rough = {s: round(float(r["code_m"]) / _MS_M * 1024) for s, r in firsts.items()}
+    rate = {s: round(_rate(observations, r)) for s, r in firsts.items()}
+    columns = [
+        "".join(field(rough[s] >> 10, 8) for s in satellites),
+        "0" * 4 * len(satellites),
+        "".join(field(rough[s] & 1023, 10) for s in satellites),
+        "".join(field(rate[s] if abs(rate[s]) < 8192 else _NO_RATE, 14) for s in satellites),
+    ]
+    fine = [_signal(r, rough[int(r["satellite"])], rate[int(r["satellite"])], observations) for r in kept]
+    return masks + "".join(columns) + "".join("".join(column) for column in zip(*fine, strict=True))
+
+
+def _signal(row: np.void, rough: int, rate: int, observations: Observations) -> tuple[str, ...]:
+    signal = observations.signal(row["satellite"], row["signal"])
+    base_ms = rough / 1024
+    code = round((float(row["code_m"]) / _MS_M - base_ms) * 2**29)
+    phase = round((float(row["phase_cycles"]) * signal.wavelength_m / _MS_M - base_ms) * 2**31)
+    swing = round((_rate(observations, row) - rate) * 1e4)
+    has_phase = bool(row["has_phase"])
+    return (
+        field(code if abs(code) < 1 << 19 else _NO_FINE_CODE, 20),
+        field(phase if has_phase and abs(phase) < 1 << 23 else _NO_FINE_PHASE, 24),
+        field(lock_indicator(int(float(row["lock_s"]) * 1e3)), 10),
+        str(int(not row["half_valid"])),
+        field(round(float(row["cn0_dbhz"]) * 16), 10),
+        field(swing if abs(swing) < 1 << 14 else _NO_FINE_RATE, 15),
+    )
+
+
+def _rate(observations: Observations, row: np.void) -> float:
+    return -float(row["doppler_hz"]) * observations.signal(row["satellite"], row["signal"]).wavelength_m
+
+
+def lock_indicator(milliseconds: int) -> int:
+    """Return DF407: linear to 64 ms, then each 32 steps twice as coarse, to 704."""
+    if milliseconds < 64:
+        return max(milliseconds, 0)
+    power = milliseconds.bit_length() - 6
+    return min(32 * power + (milliseconds >> power), 704)
+
+
+def _mask(numbers: list[int], width: int) -> str:
+    return "".join("1" if n + 1 in numbers else "0" for n in range(width))

@@ -1,0 +1,174 @@
+"""NAV-PVT and NAV-SVIN: what a receiver itself says where it is.
+
+Source: u-blox F9 HPG 1.32 interface description, NAV-PVT and NAV-SVIN.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.simulate.gnss.geometry import axes
+from acquire.simulate.gnss.noise import correlated
+from acquire.simulate.gnss.observations import Observations
+from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS, WEEK_S
+
+Floats = NDArray[np.float64]
+KIND, SURVEY_KIND = 0x0107, 0x013B
+_LATENCY_NS = 80_000_000
+_EVERYTHING_VALID, _CONFIRMED, _FIX_OK = 0x07, 0xE0, 0x01
+_CARRIER = {"none": 0, "float": 1, "fixed": 2}
+_LEAST_SATELLITES = 4
+
+
+@dataclass(frozen=True)
+class OwnPosition:
+    """Quality of the receiver's own solution.
+
+    Parameters
+    ----------
+    sigma_m : tuple of float
+        East, north, up.
+    correlation_s : float
+        How long its error stays.
+    speed_sigma_m_s : float
+        Of each component of the velocity.
+    carrier : str
+        ``none``, ``float`` or ``fixed``: what it says of the carrier phase.
+    geoid_m : float
+        Height of the geoid above the ellipsoid that it uses for heights above sea level.
+    """
+
+    sigma_m: tuple[float, float, float] = (0.9, 0.9, 1.6)
+    correlation_s: float = 60.0
+    speed_sigma_m_s: float = 0.04
+    carrier: str = "none"
+    geoid_m: float = 0.0
+
+
+def messages(
+    observations: Observations, own: OwnPosition, leap_s: int, rng: np.random.Generator
+) -> Iterator[tuple[int, bytes]]:
+    """Yield time of sending (GPS ns) and payload of NAV-PVT, one per epoch with four satellites."""
+    clock, place = observations.clock, observations.place
+    count = len(clock)
+    step = float(np.median(np.diff(clock.tag_gps_ns))) / SECOND_NS if count > 1 else 1.0
+    error = correlated(count, step / own.correlation_s, 3, rng).T * own.sigma_m
+    frame = axes(place.lat, place.lon)
+    metres_per_rad = 6_378_137.0
+    lat = np.degrees(place.lat + error[:, 1] / metres_per_rad)
+    lon = np.degrees(place.lon + error[:, 0] / metres_per_rad / np.cos(place.lat))
+    height = place.height_m + error[:, 2]
+    speed = np.einsum("nij,nj->ni", frame, place.velocity_m_s)
+    speed = speed + own.speed_sigma_m_s * rng.standard_normal((count, 3))
+    ground = np.hypot(speed[:, 0], speed[:, 1])
+    course = np.degrees(np.arctan2(speed[:, 0], speed[:, 1])) % 360
+    numbers, pdop = dilution(observations)
+    horizontal, vertical = float(np.hypot(*own.sigma_m[:2])), own.sigma_m[2]
+    flags = _FIX_OK | _CARRIER[own.carrier] << 6 | (0x02 if own.carrier != "none" else 0)
+    true_ns = clock.true_gps_ns
+    for k in np.flatnonzero(numbers >= _LEAST_SATELLITES).tolist():
+        nominal = int(clock.tag_gps_ns[k])
+        civil, nano = _civil(int(true_ns[k]), leap_s)
+        yield (
+            int(true_ns[k]) + _LATENCY_NS,
+            struct.pack(
+                "<IH5BBIiBBBBiiiiIIiiiiiIIHBB4xihH",
+                nominal % (WEEK_S * SECOND_NS) // 1_000_000,
+                civil.year,
+                civil.month,
+                civil.day,
+                civil.hour,
+                civil.minute,
+                civil.second,
+                _EVERYTHING_VALID,
+                25,
+                nano,
+                3,
+                flags,
+                _CONFIRMED,
+                int(numbers[k]),
+                round(lon[k] * 1e7),
+                round(lat[k] * 1e7),
+                round(height[k] * 1e3),
+                round((height[k] - own.geoid_m) * 1e3),
+                round(horizontal * 1e3),
+                round(vertical * 1e3),
+                round(speed[k, 1] * 1e3),
+                round(speed[k, 0] * 1e3),
+                round(-speed[k, 2] * 1e3),
+                round(ground[k] * 1e3),
+                round(course[k] * 1e5),
+                round(own.speed_sigma_m_s * np.sqrt(3) * 1e3),
+                round(np.degrees(np.arctan2(own.speed_sigma_m_s, max(ground[k], 1e-3))) * 1e5),
+                min(round(pdop[k] * 100), 9999),
+                0,
+                0,
+                0,
+                0,
+                0,
+            ),
+        )
+
+
+def survey_messages(observations: Observations, announced_m: Floats) -> Iterator[tuple[int, bytes]]:
+    """Yield time of sending and payload of NAV-SVIN, every second: its survey ended before the session."""
+    clock = observations.clock
+    whole = clock.tag_gps_ns % SECOND_NS == 0
+    hundredths = np.rint(announced_m * 100).astype(int)
+    fine = np.rint((announced_m - hundredths / 100) * 1e4).astype(int)
+    first = int(clock.tag_gps_ns[0]) if len(clock) else 0
+    for tag, true in zip(clock.tag_gps_ns[whole].tolist(), clock.true_gps_ns[whole].tolist(), strict=True):
+        passed = 3600 + (tag - first) // SECOND_NS
+        yield (
+            true + _LATENCY_NS,
+            struct.pack(
+                "<B3xII3i3bxIIBB2x",
+                0,
+                tag % (WEEK_S * SECOND_NS) // 1_000_000,
+                passed,
+                *hundredths.tolist(),
+                *fine.tolist(),
+                9500,
+                passed,
+                1,
+                0,
+            ),
+        )
+
+
+def dilution(observations: Observations) -> tuple[NDArray[np.int64], Floats]:
+    """Return the number of satellites and the PDOP of each epoch (99 where it is not defined)."""
+    rows = observations.rows[observations.rows["signal"] == 0]
+    count = len(observations.clock)
+    cosine = np.cos(rows["elevation"])
+    design = np.stack(
+        [
+            cosine * np.sin(rows["azimuth"]),
+            cosine * np.cos(rows["azimuth"]),
+            np.sin(rows["elevation"]),
+            np.ones(len(rows)),
+        ],
+        axis=1,
+    )
+    normal = np.zeros((count, 4, 4))
+    for i in range(4):
+        for j in range(4):
+            normal[:, i, j] = np.bincount(rows["epoch"], design[:, i] * design[:, j], count)
+    numbers = np.bincount(rows["epoch"], minlength=count)
+    pdop = np.full(count, 99.0)
+    good = (numbers >= _LEAST_SATELLITES) & (np.linalg.cond(normal) < 1e8)
+    pdop[good] = np.sqrt(np.trace(np.linalg.inv(normal[good])[:, :3, :3], axis1=1, axis2=2))
+    return numbers, pdop
+
+
+def _civil(gps_ns: int, leap_s: int) -> tuple[dt.datetime, int]:
+    """Return UTC to the nearest hundredth of a second and the signed rest in nanoseconds of the second."""
+    utc_ns = gps_ns + GPS_EPOCH_NS - leap_s * SECOND_NS
+    second = (utc_ns + 5_000_000) // SECOND_NS
+    return dt.datetime.fromtimestamp(second, dt.UTC), utc_ns - second * SECOND_NS

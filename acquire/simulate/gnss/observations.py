@@ -1,0 +1,235 @@
+"""What a receiver measures: code, phase, Doppler and signal strength of every signal in view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.simulate.gnss.antenna import Antenna
+from acquire.simulate.gnss.atmosphere import Atmosphere, Sight, on
+from acquire.simulate.gnss.clock import Clock, run
+from acquire.simulate.gnss.constellation import Satellite
+from acquire.simulate.gnss.geometry import Link, Place, link, place
+from acquire.simulate.gnss.noise import Noise, correlated, thermal
+from acquire.simulate.gnss.settings import Outage, ReceiverModel
+from acquire.simulate.gnss.signals import GPS, LIGHT_M_S, SIGNALS, Signal
+from acquire.simulate.gnss.tracking import Tracking, track
+from drivers.gnsstime import SECOND_NS
+
+Floats = NDArray[np.float64]
+_SIGNAL_ORDER = 2
+# Below this a receiver of this kind holds nothing.
+_WEAKEST_DBHZ = 22.0
+_COARSE_S = 60
+
+ROW = np.dtype(
+    [
+        ("epoch", "i8"),
+        ("satellite", "i8"),
+        ("signal", "i8"),
+        ("code_m", "f8"),
+        ("phase_cycles", "f8"),
+        ("doppler_hz", "f8"),
+        ("cn0_dbhz", "f8"),
+        ("lock_s", "f8"),
+        ("azimuth", "f8"),
+        ("elevation", "f8"),
+        ("code_sigma_m", "f8"),
+        ("phase_sigma_cycles", "f8"),
+        ("doppler_sigma_hz", "f8"),
+        ("has_phase", "?"),
+        ("half_valid", "?"),
+        ("half_subtracted", "?"),
+    ]
+)
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Measurements of one receiver.
+
+    Parameters
+    ----------
+    clock : Clock
+        Its epochs (n).
+    place : Place
+        Where its antenna was at them.
+    satellites : tuple of Satellite
+        What `satellite` of the rows counts.
+    rows : structured array (m,) of `ROW`
+        By epoch, satellite and signal. `phase_cycles` grows with the range, like `code_m`.
+    """
+
+    clock: Clock
+    place: Place
+    satellites: tuple[Satellite, ...]
+    rows: NDArray[np.void]
+
+    def signal(self, satellite: int, number: int) -> Signal:
+        """Return a signal by the numbers of a row."""
+        return SIGNALS[self.satellites[satellite].system][number]
+
+
+def observe(
+    antenna: Antenna,
+    satellites: tuple[Satellite, ...],
+    atmosphere: Atmosphere,
+    model: ReceiverModel,
+    span_gps_ns: tuple[int, int],
+    rng: np.random.Generator,
+    *,
+    gaps_s: tuple[tuple[float, float], ...] = (),
+    outages: tuple[Outage, ...] = (),
+) -> Observations:
+    """Measure through a session.
+
+    Parameters
+    ----------
+    antenna : Antenna
+        Its way.
+    satellites : tuple of Satellite
+        The sky.
+    atmosphere : Atmosphere
+        The weather.
+    model : ReceiverModel
+        The receiver.
+    span_gps_ns : (int, int)
+        Start and stop of the session.
+    rng : Generator
+        Chance.
+    gaps_s, outages : tuple
+        See `Faults`.
+    """
+    start = span_gps_ns[0]
+    clock = run(model, *span_gps_ns, rng)
+    true_ns = clock.true_gps_ns
+    here = place(antenna.position(true_ns), antenna.velocity(true_ns))
+    # To the fraction of a nanosecond, with small numbers.
+    seconds = (clock.tag_gps_ns - start) / SECOND_NS - clock.bias_s
+    off = _within(seconds, gaps_s)
+    biases = rng.normal(0, model.code_bias_m, (len(SIGNALS), _SIGNAL_ORDER))
+    parts = []
+    for index, (satellite, chance) in enumerate(zip(satellites, rng.spawn(len(satellites)), strict=True)):
+        out = _within(seconds, tuple((o.from_s, o.to_s) for o in outages if o.satellite == satellite.name))
+        bias = biases[list(SIGNALS).index(satellite.system)]
+        epochs = _Epochs(seconds, start, true_ns, clock, here, off | out)
+        parts += _satellite(index, satellite, atmosphere, model, epochs, bias, chance)
+    rows = np.concatenate([np.empty(0, ROW), *parts])
+    order = np.lexsort((rows["signal"], rows["satellite"], rows["epoch"]))
+    return Observations(clock, here, satellites, rows[order])
+
+
+@dataclass(frozen=True)
+class _Epochs:
+    seconds: Floats
+    origin_ns: int
+    true_ns: NDArray[np.int64]
+    clock: Clock
+    place: Place
+    blocked: NDArray[np.bool_]
+
+
+def _within(seconds: Floats, spans: tuple[tuple[float, float], ...]) -> NDArray[np.bool_]:
+    inside = np.zeros(len(seconds), bool)
+    for begin, end in spans:
+        inside |= (seconds >= begin) & (seconds < end)
+    return inside
+
+
+def _satellite(
+    index: int,
+    satellite: Satellite,
+    atmosphere: Atmosphere,
+    model: ReceiverModel,
+    epochs: _Epochs,
+    biases: Floats,
+    rng: np.random.Generator,
+) -> list[NDArray[np.void]]:
+    mask = np.radians(model.mask_deg)
+    if not _ever_up(satellite, epochs, mask):
+        return []
+    way = link(satellite, epochs.seconds, epochs.origin_ns, epochs.place)
+    above = way.elevation >= mask
+    sight = Sight(
+        epochs.place.lat,
+        epochs.place.lon,
+        epochs.place.height_m,
+        way.azimuth,
+        np.maximum(way.elevation, mask),
+        epochs.true_ns,
+    )
+    layer, air = atmosphere.ionosphere_m(sight), atmosphere.troposphere_m(sight)
+    slow = way.range_m + air + LIGHT_M_S * (epochs.clock.bias_s - way.clock_s)
+    parts = []
+    for number, (signal, chance) in enumerate(zip(SIGNALS[satellite.system], rng.spawn(2), strict=True)):
+        noise = thermal(signal, way.elevation, model, chance)
+        arrives = above & ~epochs.blocked & (noise.cn0_dbhz > _WEAKEST_DBHZ)
+        held = track(epochs.seconds, arrives, model.slips_per_hour, signal.data, chance)
+        delay = layer * on(signal.frequency_hz)
+        code = slow + delay + LIGHT_M_S * group_delay_s(satellite, number) + biases[number]
+        multipath = correlated(len(code), model.interval_s / model.multipath_time_s, 2, chance)
+        measured = slow - delay, code, multipath
+        parts.append(_rows((index, number), signal, epochs.clock, way, held, noise, measured, model, chance))
+    return parts
+
+
+def _ever_up(satellite: Satellite, epochs: _Epochs, mask: float) -> bool:
+    """Look once a minute, with a margin for what rises in between (half a degree a minute)."""
+    step = max(round(_COARSE_S / max(float(np.median(np.diff(epochs.seconds))), 1e-3)), 1)
+    chosen = np.unique(np.append(np.arange(0, len(epochs.seconds), step), len(epochs.seconds) - 1))
+    coarse = link(satellite, epochs.seconds[chosen], epochs.origin_ns, epochs.place.rows(chosen))
+    return bool((coarse.elevation > mask - np.radians(1.0)).any())
+
+
+def group_delay_s(satellite: Satellite, number: int) -> float:
+    """Return how much later than the broadcast clock says a code leaves the satellite.
+
+    The clock of GPS belongs to the ionosphere-free combination of L1 and L2, that of Galileo's I/NAV to that
+    of E1 and E5b (IS-GPS-200N, 20.3.3.3.3.2; Galileo OS SIS ICD 2.1, 5.1.5).
+    """
+    signal = SIGNALS[satellite.system][number]
+    delay = satellite.truth.value("tgd" if satellite.system == GPS else "bgd_e5b")
+    return delay * on(signal.frequency_hz)
+
+
+def _rows(
+    numbers: tuple[int, int],
+    signal: Signal,
+    clock: Clock,
+    way: Link,
+    held: Tracking,
+    noise: Noise,
+    measured: tuple[Floats, Floats, Floats],
+    model: ReceiverModel,
+    rng: np.random.Generator,
+) -> NDArray[np.void]:
+    chosen = np.flatnonzero(held.code)
+    phase_m, code_m, multipath = (values[..., chosen] for values in measured)
+    # From the zenith to the mask multipath grows threefold.
+    strength = (1 + 2 * np.cos(way.elevation[chosen]) ** 2) / 3
+    code_path = model.code_multipath_m * min(signal.chip_m / 293.0, 1.0) ** 0.5 * strength
+    phase_path = model.phase_multipath_m * strength * signal.wavelength_m / 0.1903
+    rows = np.zeros(len(chosen), ROW)
+    rows["epoch"], rows["satellite"], rows["signal"] = chosen, *numbers
+    sigma = noise.code_m[chosen]
+    rows["code_m"] = code_m + code_path * multipath[0] + sigma * rng.standard_normal(len(chosen))
+    fine = noise.phase_cycles[chosen]
+    phase = phase_m + phase_path * multipath[1]
+    # The ambiguity brings the phase near the code (u-blox F9 HPG 1.32, RXM-RAWX), the same for all arcs.
+    near = np.rint((code_m[:1] - phase_m[:1]) / signal.wavelength_m)
+    rows["phase_cycles"] = (
+        phase / signal.wavelength_m + near + held.ambiguity[chosen] + fine * rng.standard_normal(len(chosen))
+    )
+    rows["phase_cycles"][~held.phase[chosen]] = 0.0
+    rate = way.range_rate_m_s + LIGHT_M_S * (clock.rate - way.clock_rate)
+    swing = noise.doppler_hz[chosen]
+    doppler = -rate[chosen] / (1 + clock.rate[chosen]) / signal.wavelength_m
+    rows["doppler_hz"] = doppler + swing * rng.standard_normal(len(chosen))
+    rows["cn0_dbhz"], rows["lock_s"] = noise.cn0_dbhz[chosen], held.lock_s[chosen]
+    rows["azimuth"], rows["elevation"] = way.azimuth[chosen], way.elevation[chosen]
+    rows["code_sigma_m"], rows["phase_sigma_cycles"], rows["doppler_sigma_hz"] = sigma, fine, swing
+    rows["has_phase"] = held.phase[chosen]
+    rows["half_valid"], rows["half_subtracted"] = held.half_valid[chosen], held.half_subtracted[chosen]
+    return rows

@@ -1,0 +1,111 @@
+"""A session: rover and base under one sky, and the streams that they send."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.simulate.gnss.antenna import Antenna
+from acquire.simulate.gnss.atmosphere import Atmosphere
+from acquire.simulate.gnss.constellation import Satellite, constellation
+from acquire.simulate.gnss.geometry import axes
+from acquire.simulate.gnss.observations import Observations, observe
+from acquire.simulate.gnss.settings import BASE, ROVER, Faults, ReceiverModel, SkySettings
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Session:
+    """What two receivers measured.
+
+    Parameters
+    ----------
+    span_gps_ns : (int, int)
+        Start and stop.
+    sky : SkySettings
+        What the messages say.
+    satellites : tuple of Satellite
+        The sky.
+    rover, base : Observations
+        The receivers.
+    announced_m : float64 (3,)
+        What the base says where it is, earth-centred: the truth but for the fault.
+    """
+
+    span_gps_ns: tuple[int, int]
+    sky: SkySettings
+    satellites: tuple[Satellite, ...]
+    rover: Observations
+    base: Observations
+    announced_m: Floats
+
+
+def simulate(
+    rover: Antenna,
+    base: Antenna,
+    start_gps_ns: int,
+    stop_gps_ns: int,
+    *,
+    rng: np.random.Generator,
+    sky: SkySettings | None = None,
+    rover_model: ReceiverModel = ROVER,
+    base_model: ReceiverModel = BASE,
+    faults: Faults | None = None,
+) -> Session:
+    """Let a rover and a base measure.
+
+    Parameters
+    ----------
+    rover, base : Antenna
+        Their ways; the base stands still.
+    start_gps_ns, stop_gps_ns : int
+        Session, GPS nanoseconds since 1980-01-06.
+    rng : Generator
+        All chance comes from it: the same state gives the same bytes.
+    sky : SkySettings, optional
+        Satellites and atmosphere.
+    rover_model, base_model : ReceiverModel
+        The receivers.
+    faults : Faults, optional
+        What goes wrong.
+
+    Returns
+    -------
+    Session
+        Measurements, from which the streams are made.
+    """
+    sky, faults = sky or SkySettings(), faults or Faults()
+    # Each part has its own chance: a fault at the rover changes nothing at the base.
+    for_sky, for_air, for_rover, for_base = rng.spawn(4)
+    satellites = constellation(start_gps_ns, stop_gps_ns, for_sky, sky.unhealthy)
+    atmosphere = Atmosphere.by_chance(sky, for_air)
+    span = start_gps_ns, stop_gps_ns
+    moving = observe(
+        rover,
+        satellites,
+        atmosphere,
+        _slipping(rover_model, faults.rover_slips_per_hour),
+        span,
+        for_rover,
+        gaps_s=faults.rover_gaps_s,
+        outages=faults.outages,
+    )
+    still = observe(
+        base,
+        satellites,
+        atmosphere,
+        _slipping(base_model, faults.base_slips_per_hour),
+        span,
+        for_base,
+        gaps_s=faults.base_gaps_s,
+    )
+    at = still.place
+    shift = np.array(faults.base_shift_m) @ axes(at.lat[:1], at.lon[:1])[0]
+    return Session(span, sky, satellites, moving, still, at.position_m[0] + shift)
+
+
+def _slipping(model: ReceiverModel, rate: float | None) -> ReceiverModel:
+    return model if rate is None else replace(model, slips_per_hour=rate)

@@ -1,0 +1,117 @@
+"""What can be set: the sky, the receivers and what goes wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class SkySettings:
+    """Satellites and atmosphere.
+
+    Parameters
+    ----------
+    unhealthy : tuple of str
+        Satellites whose messages call them unhealthy.
+    klobuchar : tuple of int
+        The broadcast model of the ionosphere as transmitted: four alpha and four beta.
+    ionosphere_scale : float
+        What the true ionosphere has of the delay that the broadcast model says.
+    wave_m : float
+        Amplitude of the travelling waves in the ionosphere (vertical delay on L1), 150 to 400 km long.
+    relative_humidity : float
+        At all heights of the standard atmosphere. At 0.5 the wet delay 100 m above the base differs by some 4 mm
+        in the zenith, which no receiver knows.
+    wet_sigma_m : float
+        Scatter of the zenith wet delay around that of the standard atmosphere.
+    leap_s : int
+        GPS time minus UTC.
+    """
+
+    unhealthy: tuple[str, ...] = ()
+    klobuchar: tuple[int, ...] = (12, 2, -1, -1, 44, 1, -2, -3)
+    ionosphere_scale: float = 1.15
+    wave_m: float = 0.05
+    relative_humidity: float = 0.5
+    wet_sigma_m: float = 0.02
+    leap_s: int = 18
+
+
+@dataclass(frozen=True)
+class ReceiverModel:
+    """A receiver and its surroundings.
+
+    Parameters
+    ----------
+    interval_s : float
+        Between measurements, a divisor or multiple of a second.
+    mask_deg : float
+        Satellites below are not tracked.
+    cn0_dbhz : float
+        Carrier to noise density of a satellite in the zenith on the first frequency.
+    code_multipath_m, phase_multipath_m : float
+        Standard deviation at the mask on codes of 1 Mchip/s and on L1; a third of it in the zenith.
+    multipath_time_s : float
+        Correlation time of multipath: seconds for a rover in motion, minutes for a base.
+    clock_bias_s, clock_drift : float or None
+        Receiver time minus GPS time at the start, seconds, and its rate; None: by chance, within 0.4 ms and
+        5e-7.
+    clock_noise : float
+        White frequency noise of the oscillator, s / sqrt(s).
+    clock_steps : bool
+        Whether the clock is set by a millisecond when it is half of one off (`clkReset` of RXM-RAWX).
+    slips_per_hour : float
+        Rate of cycle slips of each signal.
+    code_bias_m : float
+        Standard deviation of the receiver's own delays, constant for each signal.
+    """
+
+    interval_s: float = 0.2
+    mask_deg: float = 8.0
+    cn0_dbhz: float = 50.0
+    code_multipath_m: float = 0.6
+    phase_multipath_m: float = 0.004
+    multipath_time_s: float = 8.0
+    clock_bias_s: float | None = None
+    clock_drift: float | None = None
+    clock_noise: float = 3e-10
+    clock_steps: bool = True
+    slips_per_hour: float = 0.2
+    code_bias_m: float = 0.5
+
+
+ROVER = ReceiverModel()
+BASE = ReceiverModel(interval_s=1.0, code_multipath_m=0.5, multipath_time_s=60.0, slips_per_hour=0.05)
+
+
+@dataclass(frozen=True)
+class Outage:
+    """Signals of a satellite that do not arrive, seconds from the start of the session."""
+
+    satellite: str
+    from_s: float
+    to_s: float
+
+
+@dataclass(frozen=True)
+class Faults:
+    """What goes wrong, each alone or together.
+
+    Parameters
+    ----------
+    base_shift_m : tuple of float
+        East, north, up: what is announced as the base's position less where it is.
+    rover_slips_per_hour, base_slips_per_hour : float or None
+        Cycle slips of each signal instead of the receiver's own rate.
+    rover_gaps_s, base_gaps_s : tuple of (float, float)
+        Times without any measurement, seconds from the start.
+    outages : tuple of Outage
+        Of single satellites, at the rover.
+    """
+
+    base_shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rover_slips_per_hour: float | None = None
+    base_slips_per_hour: float | None = None
+    rover_gaps_s: tuple[tuple[float, float], ...] = ()
+    base_gaps_s: tuple[tuple[float, float], ...] = ()
+    outages: tuple[Outage, ...] = ()

@@ -1,0 +1,136 @@
+"""TIM-TM2: edges at the receiver's pin.
+
+Source: u-blox F9 HPG 1.32 interface description, TIM-TM2.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.simulate.gnss.clock import Clock
+from drivers.gnsstime import SECOND_NS, WEEK_S
+
+KIND = 0x0D03
+TimeBase = Literal["receiver", "gnss", "utc"]
+_LATENCY_NS = 90_000_000
+_RUNNING, _FALLING, _UTC_KNOWN, _VALID, _RISING = 0x01, 0x04, 0x20, 0x40, 0x80
+_BASE = {"receiver": 0, "gnss": 1, "utc": 2}
+
+
+@dataclass(frozen=True)
+class Events:
+    """Pulses at the receiver's pin.
+
+    Parameters
+    ----------
+    rising_gps_ns : int64 (n,)
+        True GPS times of the rising edges, rising.
+    falling_gps_ns : int64 (n,) or (0,)
+        Of the falling edge of each pulse; empty: falling edges are not marked.
+    time_base : str
+        What the messages say that their times are.
+    stamped_in : str
+        What they are: another one than `time_base` is a fault.
+    accuracy_s : float
+        Standard deviation of the marks, which the messages tell.
+    first_count : int
+        Counter of rising edges before the first one.
+    """
+
+    rising_gps_ns: NDArray[np.int64]
+    falling_gps_ns: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    time_base: TimeBase = "gnss"
+    stamped_in: TimeBase = "gnss"
+    accuracy_s: float = 20e-9
+    first_count: int = 0
+
+
+def messages(
+    events: Events, clock: Clock, leap_s: int, rng: np.random.Generator
+) -> Iterator[tuple[int, bytes]]:
+    """Yield time of sending (GPS ns) and payload.
+
+    Edges are reported with the next epoch of navigation, one of each kind in a message; several pulses
+    between two epochs give several messages.
+
+    Parameters
+    ----------
+    events : Events
+        The pulses.
+    clock : Clock
+        Of the receiver: its own time base, and when messages are sent.
+    leap_s : int
+        GPS time minus UTC.
+    rng : Generator
+        Chance of the marks' noise.
+    """
+    true_ns = clock.true_gps_ns
+    latest = [0, 0]
+    for mark in _marks(events, true_ns):
+        flags = _RUNNING | _BASE[events.time_base] << 3 | _UTC_KNOWN | _VALID
+        for kind, (edge_ns, bit) in enumerate(zip(mark.edges, (_RISING, _FALLING), strict=True)):
+            noise = round(float(rng.normal(0, events.accuracy_s)) * SECOND_NS)
+            if edge_ns is not None:
+                flags |= bit
+                latest[kind] = _stamp(edge_ns + noise, events, clock, leap_s)
+        (rising_week, rising_ms, rising_ns), (falling_week, falling_ms, falling_ns) = map(_split, latest)
+        yield (
+            int(true_ns[mark.epoch]) + _LATENCY_NS,
+            struct.pack(
+                "<BBHHHIIIII",
+                0,
+                flags,
+                mark.count % 65_536,
+                rising_week,
+                falling_week,
+                rising_ms,
+                rising_ns,
+                falling_ms,
+                falling_ns,
+                max(round(events.accuracy_s * SECOND_NS), 1),
+            ),
+        )
+
+
+@dataclass(frozen=True)
+class _Mark:
+    epoch: int
+    count: int
+    edges: tuple[int | None, int | None]
+
+
+def _marks(events: Events, true_ns: NDArray[np.int64]) -> Iterator[_Mark]:
+    rising = np.searchsorted(true_ns, events.rising_gps_ns).tolist()
+    falling = np.searchsorted(true_ns, events.falling_gps_ns).tolist()
+    for place, epoch in enumerate(rising):
+        count = events.first_count + place + 1
+        edge = int(events.rising_gps_ns[place])
+        if place < len(falling) and falling[place] == epoch:
+            end = int(events.falling_gps_ns[place])
+            if epoch < len(true_ns):
+                yield _Mark(epoch, count, (edge, end))
+            continue
+        if epoch < len(true_ns):
+            yield _Mark(epoch, count, (edge, None))
+        if place < len(falling) and falling[place] < len(true_ns):
+            yield _Mark(falling[place], count, (None, int(events.falling_gps_ns[place])))
+
+
+def _stamp(gps_ns: int, events: Events, clock: Clock, leap_s: int) -> int:
+    if events.stamped_in == "utc":
+        return gps_ns - leap_s * SECOND_NS
+    if events.stamped_in == "receiver":
+        at = int(np.searchsorted(clock.tag_gps_ns, gps_ns)) - 1
+        return gps_ns + round(float(clock.bias_s[max(at, 0)]) * SECOND_NS)
+    return gps_ns
+
+
+def _split(stamp_ns: int) -> tuple[int, int, int]:
+    week, of_week = divmod(stamp_ns, WEEK_S * SECOND_NS)
+    return week, of_week // 1_000_000, of_week % 1_000_000
