@@ -20,8 +20,8 @@ class SkySettings:
     wave_m : float
         Amplitude of the travelling waves in the ionosphere (vertical delay on L1), 150 to 400 km long.
     relative_humidity : float
-        At all heights of the standard atmosphere. At 0.5 the wet delay 100 m above the base differs by some 4 mm
-        in the zenith, which no receiver knows.
+        At all heights of the standard atmosphere. At 0.5 the wet delay 100 m above the base differs by some
+        4 mm in the zenith, which no receiver knows.
     wet_sigma_m : float
         Scatter of the zenith wet delay around that of the standard atmosphere.
     leap_s : int

@@ -89,7 +89,7 @@ def _arcs(
     count = len(starts)
     # Steps of 1 to 80 cycles, modulo 81: two arcs in a row never have the same number.
     values = 2 * _LARGEST_SLIP + 1
-    whole = np.cumsum(rng.integers(1, values, count)) % values - float(_LARGEST_SLIP)
+    whole = (np.cumsum(rng.integers(1, values, count)) % values - _LARGEST_SLIP).astype(np.float64)
     # A slip while the lock is being found again only delays it.
     starts = np.maximum.accumulate(starts)
     known = starts + rng.uniform(*_HALF_CYCLE_S, count) if data else starts
