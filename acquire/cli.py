@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from acquire.commands import check, export, import_, info, record, recover, replay, simulate
+from acquire.commands import check, export, import_, info, monitor, record, recover, replay, simulate
 from acquire.console import application, run
 
 app = application("Record, import, replay and inspect flights; the flight log is an MCAP file.")
@@ -10,6 +10,7 @@ app.command()(check.check)
 app.command()(export.export)
 app.command("import")(import_.import_)
 app.command()(info.info)
+app.command()(monitor.monitor)
 app.command()(record.record)
 app.command()(recover.recover)
 app.command()(replay.replay)

@@ -1,0 +1,142 @@
+"""Trigger count against feedback count: which pictures were asked for and never reported."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+# So long after a trigger its feedback may come: shutters need tenths of a second, slow radios a little more.
+GRACE_NS = 1_000_000_000
+# A longer jump of the numbers is another way of counting, not so many lost pictures.
+LONGEST_GAP = 1000
+_MOST_PENDING = 1000
+
+
+@dataclass(frozen=True)
+class Trigger:
+    """A picture that was asked for: number, moment (UTC ns), latitude and longitude (deg; None: unknown)."""
+
+    number: int
+    time_ns: int
+    place: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Exposures:
+    """The pictures of one link, counted.
+
+    A picture that was asked for by trigger message, or whose number the feedback has skipped, counts as
+    missed as long as its own feedback has not come.
+
+    Parameters
+    ----------
+    triggers, feedbacks : int
+        How many pictures were asked for, and how many were reported.
+    pending, missed : tuple of Trigger
+        Those that may still be reported, and those that were not.
+    before : tuple of Trigger
+        Those that were not before the device last started again: their numbers have come to mean others.
+    last_trigger, last_feedback : int or None
+        The last numbers.
+    offset : int or None
+        Number of a feedback less that of its trigger: devices begin to count at 0 or 1.
+    """
+
+    triggers: int = 0
+    feedbacks: int = 0
+    pending: tuple[Trigger, ...] = ()
+    missed: tuple[Trigger, ...] = ()
+    before: tuple[Trigger, ...] = ()
+    last_trigger: int | None = None
+    last_feedback: int | None = None
+    offset: int | None = None
+
+    @property
+    def unreported(self) -> tuple[Trigger, ...]:
+        """All that were missed."""
+        return self.before + self.missed
+
+
+def triggered(counted: Exposures, trigger: Trigger) -> Exposures:
+    """Take note of a trigger; one that is told again counts once."""
+    last = counted.last_trigger
+    if last == trigger.number:
+        return counted
+    if last is not None and trigger.number < last:
+        # The device has started again: what was open stays open for good.
+        counted = _restarted(counted)
+    return replace(
+        counted,
+        triggers=counted.triggers + 1,
+        pending=(*counted.pending, trigger)[-_MOST_PENDING:],
+        last_trigger=trigger.number,
+    )
+
+
+def reported(
+    counted: Exposures, number: int, time_ns: int, place: tuple[float, float] | None = None
+) -> Exposures:
+    """Take note of a feedback: closes its trigger, and shows which numbers were skipped before it."""
+    last = counted.last_feedback
+    if last == number:
+        return counted
+    if counted.offset is None:
+        counted = replace(counted, offset=_offset(counted.pending, number))
+    offset = counted.offset or 0
+    wanted = number - offset
+    open_ = {trigger.number for trigger in counted.missed}
+    if wanted in open_:
+        # It only came late.
+        missed = tuple(trigger for trigger in counted.missed if trigger.number != wanted)
+        return replace(counted, feedbacks=counted.feedbacks + 1, missed=missed)
+    if last is not None and number < last:
+        # The offset is found anew: the device may have begun at another number.
+        return reported(_restarted(counted), number, time_ns, place)
+    told = {trigger.number for trigger in counted.pending}
+    first = number if last is None or number - last > LONGEST_GAP else last + 1
+    skipped = [
+        Trigger(skip, time_ns, place)
+        for skip in range(first - offset, wanted)
+        if skip not in told and skip not in open_
+    ]
+    passed = [trigger for trigger in counted.pending if trigger.number < wanted]
+    return replace(
+        counted,
+        # A picture whose trigger was not told was asked for all the same.
+        triggers=counted.triggers + len(skipped) + (wanted not in told),
+        feedbacks=counted.feedbacks + 1,
+        pending=tuple(trigger for trigger in counted.pending if trigger.number > wanted),
+        missed=(*counted.missed, *sorted([*passed, *skipped], key=lambda trigger: trigger.number)),
+        last_feedback=number,
+    )
+
+
+def settled(counted: Exposures, now_ns: int) -> Exposures:
+    """Count as missed what has waited for too long; without any feedback so far nothing is expected."""
+    if not counted.feedbacks or not counted.pending or now_ns - counted.pending[0].time_ns <= GRACE_NS:
+        return counted
+    late = tuple(t for t in counted.pending if now_ns - t.time_ns > GRACE_NS)
+    return replace(counted, pending=counted.pending[len(late) :], missed=(*counted.missed, *late))
+
+
+def numbers(missed: tuple[Trigger, ...]) -> str:
+    """Return numbers in words: ``"7, 12-15"``."""
+    found = [trigger.number for trigger in missed]
+    parts: list[list[int]] = []
+    for number in found:
+        if parts and number == parts[-1][1] + 1:
+            parts[-1][1] = number
+        else:
+            parts.append([number, number])
+    return ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in parts)
+
+
+def _restarted(counted: Exposures) -> Exposures:
+    still_open = counted.pending if counted.feedbacks else ()
+    before = (*counted.before, *counted.missed, *still_open)
+    return Exposures(counted.triggers, counted.feedbacks, before=before)
+
+
+def _offset(pending: tuple[Trigger, ...], number: int) -> int:
+    if not pending or any(trigger.number == number for trigger in pending):
+        return 0
+    return number - pending[-1].number

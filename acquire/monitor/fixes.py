@@ -1,0 +1,74 @@
+"""The quality of fixes: what a fix is worth, and when one is lost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from acquire.channels.decoded import SECOND_NS
+from acquire.monitor.state import Receiver
+
+# Worth of a fix, and how it is called.
+WORTH = {
+    "none": 0,
+    "time_only": 0,
+    "dead_reckoning": 1,
+    "2d": 1,
+    "3d": 2,
+    "differential": 3,
+    "rtk_float": 4,
+    "rtk_fixed": 5,
+}
+NAMES = {
+    "none": "no fix",
+    "time_only": "time only",
+    "dead_reckoning": "dead reckoning",
+    "2d": "2D",
+    "3d": "3D",
+    "differential": "3D differential",
+    "rtk_float": "RTK float",
+    "rtk_fixed": "RTK fixed",
+}
+# A fix in space: with less nothing can be measured.
+LEAST_WORTH = WORTH["3d"]
+# A better fix is expected to stay only after it has stayed so long: one that flickers is told once.
+STEADY_NS = 5 * SECOND_NS
+
+
+def receiver_after(
+    before: Receiver | None, row: Mapping[str, Any], time_ns: int
+) -> tuple[Receiver, list[tuple[str, str]]]:
+    """Return a receiver after a message, and level and words of what is to be told.
+
+    Parameters
+    ----------
+    before : Receiver or None
+        What was known of it.
+    row : mapping
+        A message of the type `acquire.channels.layouts.GNSS_STATUS`.
+    time_ns : int
+        When it was received, UTC.
+    """
+    fix = row["fix"]
+    same = before is not None and before.fix == fix
+    now = Receiver(
+        link=row["link"],
+        fix=fix,
+        satellites=int(row.get("satellites", -1)),
+        horizontal_m=row.get("horizontal_m"),
+        correction_age_s=row.get("correction_age_s"),
+        time_ns=time_ns,
+        expected=fix if before is None else before.expected,
+        since_ns=before.since_ns if before is not None and same else time_ns,
+    )
+    worth, expected = WORTH.get(fix, 0), WORTH.get(now.expected, 0)
+    if worth < expected and expected >= LEAST_WORTH:
+        level = "bad" if worth < LEAST_WORTH else "warn"
+        text = f"fix fell from {NAMES[now.expected]} to {NAMES.get(fix, fix)}"
+        return replace(now, expected=fix), [(level, text)]
+    if worth < expected:
+        return replace(now, expected=fix), []
+    if worth > expected and time_ns - now.since_ns >= STEADY_NS:
+        return replace(now, expected=fix), [("note", f"has {NAMES[fix]}")]
+    return now, []

@@ -1,0 +1,87 @@
+"""The channels of a recording for Foxglove or Lichtblick, live, over their WebSocket protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from acquire.log.reader import Messages
+from acquire.log.records import Channel
+from drivers.errors import ConfigurationError, ProgramMissingError
+
+# The protocol knows no token: what others could reach would be open to all.
+_HOST = "127.0.0.1"
+
+
+@contextmanager
+def serving_foxglove(port: int) -> Iterator[tuple[Callable[[list[Messages]], None], str]]:
+    """Serve channels on this computer until the end of the block.
+
+    Parameters
+    ----------
+    port : int
+        Where; 0 for any that is free.
+
+    Yields
+    ------
+    callable
+        Takes the messages of a chunk and passes them on, raw and decoded.
+    str
+        The address to open in Foxglove.
+
+    Raises
+    ------
+    ProgramMissingError
+        When the package foxglove-sdk is not installed.
+    ConfigurationError
+        When the port is taken.
+    """
+    try:
+        import foxglove
+    except ImportError as missing:
+        raise ProgramMissingError(
+            "the package foxglove-sdk is not installed", remedy="pip install 'photocal[foxglove]'"
+        ) from missing
+    # A context of its own: nothing that is logged elsewhere in the process is served.
+    context = foxglove.Context()
+    try:
+        server = foxglove.start_server(
+            name="photocal acquire monitor", host=_HOST, port=port, capabilities=[], context=context
+        )
+    except (RuntimeError, OSError) as refusal:
+        raise ConfigurationError(
+            f"cannot be listened on ({refusal})", where=f"{_HOST}:{port}", remedy="choose --foxglove-port"
+        ) from refusal
+    served: dict[Channel, Any] = {}
+
+    def listen(chunk: list[Messages]) -> None:
+        for part in chunk:
+            channel = served.get(part.channel)
+            if channel is None:
+                channel = served[part.channel] = _channel(part.channel, context)
+            for payload, time_ns in zip(part.payloads, part.log_ns.tolist(), strict=True):
+                channel.log(payload, log_time=time_ns)
+
+    try:
+        yield listen, f"ws://{_HOST}:{server.port}"
+    finally:
+        for channel in served.values():
+            channel.close()
+        server.stop()
+
+
+def _channel(channel: Channel, context: Any) -> Any:
+    import foxglove
+
+    schema = None
+    if channel.schema is not None:
+        definition = channel.schema
+        schema = foxglove.Schema(name=definition.name, encoding=definition.encoding, data=definition.data)
+    return foxglove.Channel(
+        channel.topic,
+        schema=schema,
+        message_encoding=channel.encoding,
+        context=context,
+        metadata=dict(channel.metadata),
+    )

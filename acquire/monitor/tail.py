@@ -1,0 +1,126 @@
+"""Following the log of a recording while it grows, from one file to the next."""
+
+from __future__ import annotations
+
+import datetime as dt
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from acquire.channels.decoded import SECOND_NS
+from acquire.log.reader import LogReader, Messages
+from acquire.log.records import MAGIC
+from drivers.errors import PhotocalError
+
+# Files of one flight follow each other within this time, also when the recorder was started again.
+SAME_FLIGHT_S = 60.0
+# What one step reads at most, so that a long log shows its beginning at once.
+_MOST_CHUNKS = 20
+_NAME = re.compile(r"flight-(\d{8}T\d{6}Z)(?:-(\d+))?\.mcap")
+
+
+class Tail:
+    """Reads what is new in the logs of a recording.
+
+    Parameters
+    ----------
+    source : Path or sequence of Path
+        One file, which is read to its end, or the folders into which a recorder writes: the latest flight in
+        them is read, from its first file on, and the next one when it begins.
+    """
+
+    def __init__(self, source: Path | Sequence[Path]) -> None:
+        self._folders = [] if isinstance(source, Path) else list(source)
+        self._waiting = [source] if isinstance(source, Path) else []
+        self._reader: LogReader | None = None
+        self.flight = ""
+        self.trouble = ""
+
+    @property
+    def path(self) -> Path | None:
+        """The file that is read; None as long as there is none."""
+        return None if self._reader is None else self._reader.path
+
+    @property
+    def ended(self) -> bool:
+        """Whether the file has its end and no other follows yet."""
+        return self._reader is not None and self._reader.complete and not self._waiting
+
+    def step(self) -> tuple[list[list[Messages]], bool]:
+        """Return chunks that have come, and whether there may be more at once."""
+        chunks = self._read()
+        if len(chunks) == _MOST_CHUNKS:
+            return chunks, True
+        # Only what was read to its end is left for the next file.
+        done = not chunks or (self._reader is not None and self._reader.complete)
+        return chunks, done and self._next()
+
+    def _read(self) -> list[list[Messages]]:
+        if self._reader is None:
+            return []
+        chunks: list[list[Messages]] = []
+        self.trouble = ""
+        try:
+            if self._reader.path.stat().st_size < len(MAGIC):
+                return []
+            for chunk in self._reader.chunks(self._damaged):
+                chunks.append(chunk)
+                if len(chunks) == _MOST_CHUNKS:
+                    break
+        except OSError as refusal:
+            self.trouble = f"{self._reader.path} is gone ({(refusal.strerror or str(refusal)).lower()})"
+        except PhotocalError as refusal:
+            self.trouble = str(refusal)
+        return chunks
+
+    def _damaged(self, refusal: PhotocalError) -> None:
+        self.trouble = str(refusal)
+
+    def _next(self) -> bool:
+        """Go on to the next file; return whether there was one."""
+        if not self._waiting and self._folders:
+            self._waiting = self._new_files()
+        if not self._waiting:
+            return False
+        path = self._waiting.pop(0)
+        last_s = _written_s(self._reader.path) if self._reader else None
+        begun_s = _begun_s(path)
+        if last_s is None or begun_s is None or begun_s - last_s > SAME_FLIGHT_S:
+            self.flight = path.name
+        self._reader = LogReader(path)
+        return True
+
+    def _new_files(self) -> list[Path]:
+        """Return files newer than the one that is read; at the beginning those of the latest flight."""
+        found = [path for folder in self._folders if folder.is_dir() for path in folder.iterdir()]
+        logs = sorted((key, path) for path in found if (key := _order(path)) is not None)
+        if self._reader is not None:
+            own = _order(self._reader.path)
+            return [path for key, path in logs if own is not None and key > own]
+        first = len(logs) - 1
+        while first > 0:
+            begun_s, written_s = _begun_s(logs[first][1]), _written_s(logs[first - 1][1])
+            if begun_s is None or written_s is None or begun_s - written_s > SAME_FLIGHT_S:
+                break
+            first -= 1
+        return [path for _, path in logs[max(first, 0) :]]
+
+
+def _order(path: Path) -> tuple[str, int] | None:
+    """Return by what the logs of a recorder are ordered; None for other files."""
+    match = _NAME.fullmatch(path.name)
+    return (match[1], int(match[2] or 1)) if match else None
+
+
+def _begun_s(path: Path) -> float | None:
+    order = _order(path)
+    if order is None:
+        return None
+    return dt.datetime.strptime(order[0], "%Y%m%dT%H%M%SZ").replace(tzinfo=dt.UTC).timestamp()
+
+
+def _written_s(path: Path) -> float | None:
+    try:
+        return path.stat().st_mtime_ns / SECOND_NS
+    except OSError:
+        return None

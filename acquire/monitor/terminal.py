@@ -1,0 +1,155 @@
+"""The live view in a terminal."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Sequence
+
+from rich.console import Group, RenderableType
+from rich.rule import Rule
+from rich.table import Table
+from rich.text import Text
+
+from acquire.channels.decoded import SECOND_NS
+from acquire.monitor.chart import Layer
+from acquire.monitor.picture import CameraRow, LinkRow, Picture, ReceiverRow, Word
+from acquire.monitor.sketch import sketch
+from acquire.monitor.state import Alarm
+
+# Sign and word differ as well as the colour.
+_SIGNS = {"good": "✓", "warn": "▲", "bad": "✕", "off": "·", "note": "–"}
+_STYLES = {"good": "bold green", "warn": "bold black on yellow", "bad": "bold white on red"}
+_LEAST_WITH_MAP, _MAP_SHARE, _LEAST_MAP = 76, 0.32, 22
+
+
+def render(picture: Picture, layers: Sequence[Layer], width: int, height: int) -> RenderableType:
+    """Return the view for a window.
+
+    Parameters
+    ----------
+    picture : Picture
+        The figures.
+    layers : sequence of Layer
+        The map; it is left out where there is no room.
+    width, height : int
+        The window in cells.
+    """
+    map_width = max(_LEAST_MAP, round(_MAP_SHARE * width)) if width >= _LEAST_WITH_MAP else 0
+    left = width - map_width - (2 if map_width else 0)
+    sections = _sections(picture, left)
+    used = 1 + len(sections)
+    room = max(height - used - 2, 1)
+    figures = Group(*sections, Rule("alarms (UTC)", align="left", style="dim"), _alarms(picture.alarms, room))
+    if not map_width:
+        return Group(_head(picture), figures)
+    both = Table.grid(padding=(0, 2, 0, 0))
+    both.add_column(width=left)
+    both.add_column(width=map_width)
+    both.add_row(figures, sketch(layers, map_width, height - 1))
+    return Group(_head(picture), both)
+
+
+def _sections(picture: Picture, width: int) -> list[RenderableType]:
+    """Return headings and lines, each one line high."""
+    found: list[RenderableType] = []
+    groups: dict[str, Sequence[str | Text]] = {
+        "fix": [_receiver(row) for row in picture.receivers] or ["no receiver has spoken yet"],
+        "pictures": [_camera(row) for row in picture.cameras] or ["no picture yet"],
+        "links": [_link(row) for row in picture.links] or ["no link has spoken yet"],
+        "computer and vehicle": _rest(picture),
+    }
+    for heading, lines in groups.items():
+        found.append(Rule(heading, align="left", style="dim"))
+        found += [_cut(line, width) for line in lines]
+    return found
+
+
+def _head(picture: Picture) -> RenderableType:
+    line = Table.grid(expand=True)
+    line.add_column(ratio=1, no_wrap=True, overflow="ellipsis")
+    line.add_column(justify="right", no_wrap=True)
+    name = Text.assemble(_word(picture.recording), "  ", picture.file)
+    line.add_row(name, Text(duration(picture.duration_s), style="bold"))
+    return line
+
+
+def _receiver(row: ReceiverRow) -> Text:
+    parts = [_name(row.name), _word(row.fix)]
+    if row.satellites is not None:
+        parts.append(Text(f"  {row.satellites} sat"))
+    if row.horizontal_m is not None:
+        near = row.horizontal_m < 1
+        parts.append(Text(f"  {row.horizontal_m * 100:.1f} cm" if near else f"  {row.horizontal_m:.1f} m"))
+    if row.correction_age_s is not None:
+        parts += [Text("  corr. "), _word(row.correction)]
+    return Text.assemble(*parts)
+
+
+def _camera(row: CameraRow) -> Text:
+    counts = f"  {row.triggered} triggered, {row.reported} feedback" if row.triggered else ""
+    marks = f"  {row.time_marks} marks" if row.triggered and row.time_marks else ""
+    return Text.assemble(_name(row.link), _word(row.state), counts, marks)
+
+
+def _link(row: LinkRow) -> Text:
+    gaps = f"  {row.gaps} gaps to {row.longest_gap_s:.0f} s" if row.gaps else "  no gaps"
+    damage = f"  {size(row.damage_bytes)} damaged" if row.damage_bytes else ""
+    rates = f"  {row.frames_per_s:.1f}/s  {size(row.bytes_per_s)}/s"
+    return Text.assemble(_name(row.name), _word(row.state), rates, gaps, damage)
+
+
+def _rest(picture: Picture) -> list[Text]:
+    lines = [Text.assemble(_name("disk"), _word(picture.disk.state), f"  log {size(picture.bytes)}")]
+    batteries = {row.link: row for row in picture.batteries}
+    clocks = {row.link: row for row in picture.clocks}
+    for link in sorted({*batteries, *clocks}):
+        parts: list[str | Text] = [_name(link)]
+        if link in clocks:
+            parts += ["clock ", _word(clocks[link].state), "  "]
+        if link in batteries:
+            battery = batteries[link]
+            parts += ["battery", "" if battery.voltage_v is None else f" {battery.voltage_v:.1f} V"]
+            parts += ["" if battery.percent is None else f" {battery.percent} %"]
+        lines.append(Text.assemble(*parts))
+    return lines
+
+
+def _alarms(alarms: Sequence[Alarm], room: int) -> RenderableType:
+    if not alarms:
+        return Text("none", style="dim")
+    lines = []
+    for alarm in alarms[: -room - 1 : -1]:
+        time = dt.datetime.fromtimestamp(alarm.time_ns / SECOND_NS, dt.UTC).strftime("%H:%M:%S ")
+        text = f"{alarm.link}: {alarm.text}" if alarm.link else alarm.text
+        line = Text.assemble((time, "dim"), _word(Word(text, alarm.level)))
+        line.no_wrap, line.overflow = True, "ellipsis"
+        lines.append(line)
+    return Group(*lines)
+
+
+def _name(text: str) -> Text:
+    return Text(f"{text:<10} ", style="bold")
+
+
+def _word(word: Word) -> Text:
+    return Text(f"{_SIGNS[word.level]} {word.text}", style=_STYLES.get(word.level, ""))
+
+
+def _cut(line: str | Text, width: int) -> Text:
+    text = Text(line, style="dim") if isinstance(line, str) else line
+    text.truncate(width, overflow="ellipsis")
+    return text
+
+
+def duration(seconds: float) -> str:
+    """Return hours, minutes and seconds: ``"1:02:03"``."""
+    whole = max(int(seconds), 0)
+    return f"{whole // 3600}:{whole // 60 % 60:02}:{whole % 60:02}"
+
+
+def size(count: float) -> str:
+    """Return a size in bytes with its decimal unit."""
+    for unit, limit in (("B", 1e3), ("kB", 1e6), ("MB", 1e9)):
+        if count < limit:
+            return f"{count / (limit / 1e3):.{0 if unit == 'B' else 1}f} {unit}"
+    return f"{count / 1e9:.1f} GB"
