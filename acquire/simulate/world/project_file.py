@@ -29,10 +29,10 @@ def write_project(world: World, site: Path) -> None:
     block = given.level is Level.BLOCK
     crs, height = ("local", "local") if block else (given.place.crs, "ellipsoidal")
     sections: list[tuple[str, dict[str, Any]]] = []
-    if block:
-        sections.append(("", {"block": "block"}))
     sections.append(("[project]", {"name": given.name, "crs": crs, "height": height, "output": "work"}))
-    if not block:
+    if block:
+        sections.append(("[measurements]", {"block": "block"}))
+    else:
         notes = take_notes(world, world.place.to_projected(world.targets.surveyed_m))
         _write_control(world, notes, site / "control.csv")
         sections += _flight(world, notes)

@@ -26,13 +26,13 @@ def write_truth(world: World, folder: Path, observed: Observations | None, proje
     ----------
     world : World
     folder : Path
-        Is made.
+        Is made where it is not there yet.
     observed : Observations or None
         Its tie points go into `points.csv`.
     projected : bool
         Whether coordinates are also given in the projected system.
     """
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
     (folder / "truth.json").write_text(json.dumps(_figures(world), indent=2) + "\n", encoding="utf-8")
     _write_exposures(world, folder / "exposures.csv", projected)
     _write_points(world, folder / "points.csv", observed, projected)

@@ -95,7 +95,7 @@ def test_the_frame_is_that_of_pyproj(world: World) -> None:
     local = np.column_stack(to_local.transform(*place.to_geocentric(points).T))
     assert np.abs(local - points).max() < 1e-6
     there = Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
-    longitude, latitude, height = there.transform(*place.to_geocentric(points).T)
+    longitude, latitude, height = np.array(there.transform(*place.to_geocentric(points).T))
     ours = geodetic(place.to_geocentric(points))
     assert np.abs(np.degrees(ours[:, :2]) - np.column_stack([latitude, longitude])).max() < 1e-9
     # WGS 84 and GRS 80 differ by 0.1 mm at the poles.

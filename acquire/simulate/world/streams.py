@@ -1,0 +1,118 @@
+"""The streams of the three devices of a flight: autopilot, rover, base."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.simulate.gnss.antenna import Antenna
+from acquire.simulate.gnss.navigation_solution import OwnPosition
+from acquire.simulate.gnss.session import Session, simulate
+from acquire.simulate.gnss.settings import BASE, ROVER, Faults
+from acquire.simulate.gnss.streams import Stream, base_rtcm, base_ubx, rover_ubx
+from acquire.simulate.gnss.time_marks import Events
+from acquire.simulate.world import telemetry
+from acquire.simulate.world.block_folder import telemetry_gap
+from acquire.simulate.world.configuration import Fault
+from acquire.simulate.world.exposures import antenna_at, antenna_velocity
+from acquire.simulate.world.survey import BASE_ERROR_M
+from acquire.simulate.world.wires import Wire, carry
+from acquire.simulate.world.world import World
+
+Floats = NDArray[np.float64]
+
+# Of every signal: after a slip a new ambiguity has hardly been fixed when the next one comes.
+_SLIPS_PER_HOUR = 360.0
+PULSE_S = 0.02
+
+
+@dataclass(frozen=True)
+class Streams:
+    """What the recording receives over each link."""
+
+    vehicle: Wire
+    rover: Wire
+    base: Wire
+
+    def links(self) -> dict[str, Wire]:
+        """Give the links by name."""
+        return {"vehicle": self.vehicle, "rover": self.rover, "base": self.base}
+
+
+def make_streams(world: World) -> Streams:
+    """Let the devices of a flight send.
+
+    Parameters
+    ----------
+    world : World
+
+    Returns
+    -------
+    Streams
+    """
+    given = world.configuration
+    random = world.random("wires")
+    sent = telemetry.messages(world)
+    vehicle = carry(
+        np.array([one.time_s for one in sent]),
+        telemetry.frames(sent),
+        random,
+        latency_s=given.telemetry.latency_s,
+        loss=given.wires.vehicle_loss,
+        damage=given.wires.vehicle_damage,
+        gap_s=telemetry_gap(world),
+    )
+    session, chance = _session(world)
+    own = OwnPosition(geoid_m=given.place.geoid_m)
+    rover = rover_ubx(session, _events(world), own, rng=chance)
+    base = base_ubx(session) if given.gnss.base_protocol == "ubx" else base_rtcm(session)
+    return Streams(
+        vehicle,
+        _carried(world, rover, random, given.wires.rover_loss, given.wires.rover_damage),
+        _carried(world, base, random, 0.0, 0.0),
+    )
+
+
+def _carried(world: World, stream: Stream, random: np.random.Generator, loss: float, damage: float) -> Wire:
+    return carry(world.seconds(stream.time_gps_ns), stream.frames, random, loss=loss, damage=damage)
+
+
+def _session(world: World) -> tuple[Session, np.random.Generator]:
+    given, chance = world.configuration.gnss, world.random("sky")
+    slips = _SLIPS_PER_HOUR if world.has(Fault.CYCLE_SLIPS) else None
+    shift = BASE_ERROR_M if world.has(Fault.BASE_OFF) else np.zeros(3)
+    east, north, up = shift.tolist()
+    session = simulate(
+        _rover(world),
+        Antenna.still(world.place.to_geocentric(world.base_antenna_m[None])[0]),
+        world.start_gps_ns,
+        int(world.gps_ns(np.array(world.motion.duration_s))),
+        rng=chance,
+        rover_model=replace(ROVER, interval_s=given.rover_interval_s),
+        base_model=replace(BASE, interval_s=given.base_interval_s),
+        faults=Faults(base_shift_m=(east, north, up), rover_slips_per_hour=slips, base_slips_per_hour=slips),
+    )
+    return session, chance
+
+
+def _rover(world: World) -> Antenna:
+    def position(time_gps_ns: NDArray[np.int64]) -> Floats:
+        local = antenna_at(world.motion, world.rig, world.seconds(time_gps_ns))
+        return world.place.to_geocentric(local)
+
+    def velocity(time_gps_ns: NDArray[np.int64]) -> Floats:
+        local = antenna_velocity(world.motion, world.rig, world.seconds(time_gps_ns))
+        return np.asarray(local @ world.place.axes)
+
+    return Antenna(position, velocity)
+
+
+def _events(world: World) -> Events:
+    rising = world.gps_ns(world.exposures.event_s)
+    falling = world.gps_ns(world.exposures.event_s + PULSE_S)
+    if world.has(Fault.EVENT_TIME_BASE):
+        # The receiver was set to mark in UTC and says GNSS.
+        return Events(rising, falling, time_base="gnss", stamped_in="utc")
+    return Events(rising, falling)

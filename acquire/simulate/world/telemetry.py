@@ -1,0 +1,295 @@
+"""What the autopilot sends: its filter's view of the flight, by its own clock, as MAVLink messages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
+
+from acquire.simulate.world.exposures import antenna_at, antenna_velocity
+from acquire.simulate.world.world import World
+from drivers.mavlink.dialect import ardupilotmega
+from drivers.mavlink.encode import encode
+
+Floats = NDArray[np.float64]
+Fields = Mapping[str, Any]
+
+AUTOPILOT, RADIO = (1, 1), (51, 68)
+LABEL = "SIMULATED FLIGHT, made by photocal"
+# From the autopilot's trigger to the pulse of the camera's hot shoe.
+TRIGGER_LEAD_S = 0.065
+# How long an error of the filter stays; exposures are farther apart.
+CORRELATION_S = 0.8
+_POSITION_SIGMA_M = np.array([0.6, 0.6, 1.0])
+_CLOCK_JITTER_S = 0.0003
+_WAYPOINT, _TAKE_OFF, _LAND = 16, 22, 21
+_GLOBAL_RELATIVE = 6
+
+
+@dataclass(frozen=True)
+class Sent:
+    """A message: when it leaves the autopilot (s since the start), who sends it, what it says."""
+
+    time_s: float
+    source: tuple[int, int]
+    name: str
+    fields: Fields
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The clock of the autopilot: it counts from its start, a little fast or slow."""
+
+    boot_s: float
+    drift: float
+
+    def since_boot(self, time_s: Any) -> Any:
+        """Give seconds since the autopilot's start."""
+        return self.boot_s + time_s * (1 + self.drift)
+
+
+@dataclass(frozen=True)
+class Filter:
+    """Where the autopilot believes to be: the truth a little late, with errors that come and go."""
+
+    world: World
+    position_error_m: Floats
+    angle_error: Floats
+    step_s: float
+
+    def place(self, time_s: Floats) -> tuple[Floats, Floats]:
+        """Give latitude, longitude (rad), height (m), and velocity east, north, up."""
+        late = time_s - self.world.configuration.telemetry.lag_s
+        local = antenna_at(self.world.motion, self.world.rig, late) + self._error(
+            self.position_error_m, time_s
+        )
+        velocity = antenna_velocity(self.world.motion, self.world.rig, late)
+        return self.world.place.to_geodetic(local), velocity
+
+    def angles(self, time_s: Floats) -> Floats:
+        """Give roll, pitch, yaw, rad."""
+        late = time_s - self.world.configuration.telemetry.lag_s
+        return np.asarray(self.world.motion.angles(late) + self._error(self.angle_error, time_s))
+
+    def _error(self, values: Floats, time_s: Floats) -> Floats:
+        at = np.arange(len(values)) * self.step_s
+        return np.column_stack([np.interp(time_s, at, axis) for axis in values.T])
+
+
+def make_filter(world: World) -> Filter:
+    """Draw the errors of the autopilot's filter."""
+    random, step = world.random("telemetry"), 0.05
+    count = int(world.motion.duration_s / step) + 2
+    sigma = np.radians(world.configuration.rig.attitude_sigma_deg)
+    positions = _wander(count, step / 30.0, random) * _POSITION_SIGMA_M
+    return Filter(world, positions, _wander(count, step / CORRELATION_S, random) * sigma, step)
+
+
+def _wander(count: int, share: float, random: np.random.Generator) -> Floats:
+    """Give a first-order Gauss-Markov sequence of unit variance, shape (count, 3)."""
+    keep = np.exp(-share)
+    kicks = random.standard_normal((count, 3)) * np.sqrt(1 - keep**2)
+    kicks[0] /= np.sqrt(1 - keep**2)
+    return np.asarray(lfilter([1.0], [1.0, -keep], kicks, axis=0))
+
+
+def messages(world: World) -> list[Sent]:
+    """Give all messages of a flight in the order of sending."""
+    given = world.configuration.telemetry
+    clock = Clock(given.boot_s, given.clock_drift_ppm * 1e-6)
+    view = make_filter(world)
+    parts = [
+        _status(world, clock),
+        _attitudes(world, clock, view),
+        _positions(world, clock, view),
+        _pictures(world, view),
+        _mission(world),
+    ]
+    return sorted((sent for part in parts for sent in part), key=lambda sent: sent.time_s)
+
+
+def frames(sent: list[Sent]) -> list[bytes]:
+    """Give the frames of messages; every source numbers its own."""
+    dialect = ardupilotmega()
+    numbers = {name: dialect.number(name) for name in {one.name for one in sent}}
+    counts: dict[tuple[int, int], int] = {}
+    made = []
+    for one in sent:
+        sequence = counts.get(one.source, 0)
+        counts[one.source] = sequence + 1
+        system, component = one.source
+        made.append(
+            encode(
+                dialect,
+                numbers[one.name],
+                dict(one.fields),
+                sequence=sequence,
+                system=system,
+                component=component,
+            )
+        )
+    return made
+
+
+def _every(world: World, rate_hz: float, phase_s: float) -> Floats:
+    return np.asarray(np.arange(phase_s, world.motion.duration_s, 1 / rate_hz))
+
+
+def _rows(name: str, time_s: Floats, columns: Mapping[str, Any]) -> Iterator[Sent]:
+    values = [np.broadcast_to(column, len(time_s)).tolist() for column in columns.values()]
+    for moment, *row in zip(time_s.tolist(), *values, strict=True):
+        yield Sent(moment, AUTOPILOT, name, dict(zip(columns, row, strict=True)))
+
+
+def _whole(values: Any) -> NDArray[np.int64]:
+    return np.asarray(np.rint(values), dtype=np.int64)
+
+
+def _boot_ms(clock: Clock, time_s: Floats) -> NDArray[np.int64]:
+    return _whole(clock.since_boot(time_s) * 1e3)
+
+
+def _status(world: World, clock: Clock) -> Iterator[Sent]:
+    random = world.random("telemetry")
+    yield Sent(0.0, AUTOPILOT, "STATUSTEXT", {"severity": 6, "text": LABEL.encode()})
+    time = _every(world, 1.0, 0.01)
+    flying = (time > world.configuration.plan.on_ground_s).tolist()
+    # Armed with a mode of its own, active; or standing by.
+    state = {"base_mode": np.where(flying, 209, 81), "system_status": np.where(flying, 4, 3)}
+    fixed = {"type": 2, "autopilot": 3, "custom_mode": 3, "mavlink_version": 3}
+    yield from _rows("HEARTBEAT", time, {**fixed, **state})
+    read = time + random.standard_normal(len(time)) * _CLOCK_JITTER_S
+    utc_us = world.utc_ns(read) // 1000
+    yield from _rows(
+        "SYSTEM_TIME", time + 0.003, {"time_unix_usec": utc_us, "time_boot_ms": _boot_ms(clock, time)}
+    )
+    used = time / world.motion.duration_s
+    battery = {
+        "voltage_battery": _whole(16_600 - 1_500 * used),
+        "current_battery": np.where(flying, 1_430, 90),
+        "battery_remaining": _whole(98 - 55 * used),
+        "load": 312,
+    }
+    yield from _rows("SYS_STATUS", time + 0.006, battery)
+    yield from _rows("TIMESYNC", time + 0.009, {"tc1": 0, "ts1": _whole(clock.since_boot(time) * 1e9)})
+    for moment in time.tolist():
+        radio = {"rssi": 190, "remrssi": 185, "txbuf": 100, "noise": 60, "remnoise": 62}
+        yield Sent(moment + 0.4, RADIO, "RADIO_STATUS", radio)
+
+
+def _attitudes(world: World, clock: Clock, view: Filter) -> Iterator[Sent]:
+    rate = world.configuration.telemetry.attitude_hz
+    time = _every(world, rate, 0.02)
+    angles = view.angles(time)
+    speed = np.gradient(angles, time, axis=0)
+    rates = {name: speed[:, k] for k, name in enumerate(("rollspeed", "pitchspeed", "yawspeed"))}
+    turned = np.remainder(angles + np.pi, 2 * np.pi) - np.pi
+    named = {name: turned[:, k] for k, name in enumerate(("roll", "pitch", "yaw"))}
+    yield from _rows("ATTITUDE", time, {"time_boot_ms": _boot_ms(clock, time), **named, **rates})
+    slow = time[::4] + 0.001
+    quaternions = Rotation.from_euler("ZYX", view.angles(slow)[:, ::-1]).as_quat(scalar_first=True)
+    parts = {f"q{k + 1}": quaternions[:, k] for k in range(4)}
+    yield from _rows("ATTITUDE_QUATERNION", slow, {"time_boot_ms": _boot_ms(clock, slow), **parts})
+
+
+def _positions(world: World, clock: Clock, view: Filter) -> Iterator[Sent]:
+    rate, geoid = world.configuration.telemetry.position_hz, world.configuration.place.geoid_m
+    time = _every(world, rate, 0.03)
+    place, velocity = view.place(time)
+    yaw = view.angles(time)[:, 2]
+    home = world.place.height_m + world.motion.ground_m
+    where = {"lat": _whole(np.degrees(place[:, 0]) * 1e7), "lon": _whole(np.degrees(place[:, 1]) * 1e7)}
+    yield from _rows(
+        "GLOBAL_POSITION_INT",
+        time,
+        {
+            "time_boot_ms": _boot_ms(clock, time),
+            **where,
+            "alt": _whole((place[:, 2] - geoid) * 1e3),
+            "relative_alt": _whole((place[:, 2] - home) * 1e3),
+            "vx": _whole(velocity[:, 1] * 100),
+            "vy": _whole(velocity[:, 0] * 100),
+            "vz": _whole(-velocity[:, 2] * 100),
+            "hdg": _whole(np.degrees(yaw) % 360 * 100) % 36_000,
+        },
+    )
+    later = time + 0.05
+    place, velocity = view.place(later)
+    yield from _rows(
+        "GPS_RAW_INT",
+        later,
+        {
+            "time_usec": _whole(clock.since_boot(later) * 1e6),
+            "fix_type": 4,
+            "lat": _whole(np.degrees(place[:, 0]) * 1e7),
+            "lon": _whole(np.degrees(place[:, 1]) * 1e7),
+            "alt": _whole((place[:, 2] - geoid) * 1e3),
+            "alt_ellipsoid": _whole(place[:, 2] * 1e3),
+            "eph": 70,
+            "epv": 110,
+            "vel": _whole(np.hypot(velocity[:, 0], velocity[:, 1]) * 100),
+            "cog": _whole(np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1])) % 360 * 100) % 36_000,
+            "satellites_visible": 21,
+            "h_acc": 600,
+            "v_acc": 1000,
+        },
+    )
+
+
+def _pictures(world: World, view: Filter) -> Iterator[Sent]:
+    event, geoid = world.exposures.event_s, world.configuration.place.geoid_m
+    trigger = event - TRIGGER_LEAD_S
+    numbers = np.arange(1, len(event) + 1)
+    yield from _rows("CAMERA_TRIGGER", trigger, {"time_usec": world.utc_ns(trigger) // 1000, "seq": numbers})
+    place, _ = view.place(event)
+    angles = np.degrees(view.angles(event))
+    home = world.place.height_m + world.motion.ground_m
+    yield from _rows(
+        "CAMERA_FEEDBACK",
+        event + 0.015,
+        {
+            "time_usec": world.utc_ns(event) // 1000,
+            "img_idx": numbers,
+            "lat": _whole(np.degrees(place[:, 0]) * 1e7),
+            "lng": _whole(np.degrees(place[:, 1]) * 1e7),
+            "alt_msl": place[:, 2] - geoid,
+            "alt_rel": place[:, 2] - home,
+            "roll": angles[:, 0],
+            "pitch": angles[:, 1],
+            "yaw": (angles[:, 2] + 180) % 360 - 180,
+            "completed_captures": numbers,
+        },
+    )
+
+
+def _mission(world: World) -> Iterator[Sent]:
+    """Give the plan as it is told before the take-off, and how it is followed."""
+    strips = world.motion.strip
+    ends = np.array([moment for _, begin, end in strips for moment in (begin, end)])
+    place = world.place.to_geodetic(world.motion.position(ends))
+    home = world.place.to_geodetic(world.motion.position(np.zeros(1)))
+    route = np.vstack([home, place, home])
+    commands = [_TAKE_OFF, *([_WAYPOINT] * len(place)), _LAND]
+    yield Sent(5.0, AUTOPILOT, "MISSION_COUNT", {"count": len(route), "target_system": 255})
+    for number, (where, command) in enumerate(zip(route.tolist(), commands, strict=True)):
+        item = {
+            "target_system": 255,
+            "seq": number,
+            "frame": _GLOBAL_RELATIVE,
+            "command": command,
+            "autocontinue": 1,
+            "x": round(np.degrees(where[0]) * 1e7),
+            "y": round(np.degrees(where[1]) * 1e7),
+            "z": where[2] - float(home[0, 2]),
+        }
+        yield Sent(5.1 + 0.05 * number, AUTOPILOT, "MISSION_ITEM_INT", item)
+    for number, moment in enumerate(ends.tolist(), 1):
+        yield Sent(moment, AUTOPILOT, "MISSION_ITEM_REACHED", {"seq": number})
+    for moment in np.arange(6.5, world.motion.duration_s, 2.0).tolist():
+        following = int(np.searchsorted(ends, moment)) + 1
+        yield Sent(moment, AUTOPILOT, "MISSION_CURRENT", {"seq": following})
