@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +15,30 @@ from numpy.typing import NDArray
 from acquire.simulate.gnss import inav, lnav
 from acquire.simulate.gnss.observations import Observations
 from acquire.simulate.gnss.settings import SkySettings
-from acquire.simulate.gnss.signals import GPS, UBX_SYSTEM
+from acquire.simulate.gnss.signals import GALILEO, GPS, UBX_SYSTEM
 from drivers.gnsstime import SECOND_NS
 
 KIND = 0x0213
 # Travel time of the signal and the work of the receiver.
 _LATENCY_NS = 120_000_000
-_L1CA, _E1B, _E5BI = 0, 1, 5
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A signal with data: place among those tracked, `sigId`, length of its parts, their shift in time."""
+
+    band: str
+    number: int
+    ubx: int
+    length_s: int
+    shift_s: int
+
+
+_SOURCES = {
+    GPS: (_Source("L1CA", 0, 0, lnav.SUBFRAME_S, 0),),
+    # Pages of E1B begin a second after those of E5b.
+    GALILEO: (_Source("E1B", 0, 1, inav.PAGE_S, 1), _Source("E5b", 1, 5, inav.PAGE_S, 0)),
+}
 
 
 def messages(
@@ -37,48 +55,43 @@ def messages(
     sky : SkySettings
         What subframe 4 tells to all.
     """
-    start, stop = (-(-t // SECOND_NS) for t in span_gps_ns)
-    seconds = (observations.clock.tag_gps_ns - start * SECOND_NS) / SECOND_NS
-    sources = (
-        (0, lnav.SUBFRAME_S, 0, _L1CA),
-        (1, inav.PAGE_S, 1, _E1B),
-        (1, inav.PAGE_S, 0, _E5BI),
-    )
+    seconds = (observations.clock.tag_gps_ns - span_gps_ns[0]) / SECOND_NS
+    almanacs = tuple(s.truth for s in observations.satellites if s.system == GPS)
+    broadcast = lnav.Broadcast(sky.klobuchar, sky.leap_s, almanacs)
     for index, satellite in enumerate(observations.satellites):
-        for galileo, length, shift, signal in sources:
-            if (satellite.system == GPS) == bool(galileo):
-                continue
-            number = int(signal == _E5BI)
-            rows = observations.rows
-            mine = (rows["satellite"] == index) & (rows["signal"] == number)
-            held = np.zeros(len(seconds) + 1, np.int64)
-            held[rows["epoch"][mine] + 1] = 1
-            if not held.any():
-                continue
-            begin = -(-(start - shift) // length) * length + shift
-            for gps_s in range(begin, stop - length + 1, length):
-                if not _whole(np.cumsum(held), seconds, gps_s - start, length):
+        for source in _SOURCES[satellite.system]:
+            count = _tracked(observations, index, source.number)
+            for gps_s in _beginnings(source, span_gps_ns):
+                if not _whole(count, seconds, gps_s - span_gps_ns[0] / SECOND_NS, source.length_s):
                     continue
                 sent = satellite.transmitted(gps_s * SECOND_NS)
-                if signal == _L1CA:
-                    words = lnav.subframe(sent, gps_s, _broadcast(observations, sky, gps_s))
+                if sent.system == GPS:
+                    words = lnav.subframe(sent, gps_s, broadcast)
                 else:
-                    words = inav.page(sent, gps_s, "E1B" if signal == _E1B else "E5b", sky.leap_s)
+                    words = inav.page(sent, gps_s, source.band, sky.leap_s)
                 head = struct.pack(
-                    "8B", UBX_SYSTEM[sent.system], sent.number, signal, 0, len(words), index % 60, 2, 0
+                    "8B", UBX_SYSTEM[sent.system], sent.number, source.ubx, 0, len(words), index % 60, 2, 0
                 )
-                yield (
-                    (gps_s + length) * SECOND_NS + _LATENCY_NS,
-                    head + struct.pack(f"<{len(words)}I", *words),
-                )
+                received = (gps_s + source.length_s) * SECOND_NS + _LATENCY_NS
+                yield received, head + struct.pack(f"<{len(words)}I", *words)
+
+
+def _tracked(observations: Observations, satellite: int, signal: int) -> NDArray[np.int64]:
+    """Return at how many epochs before each one a signal was there; int64 (n + 1,)."""
+    rows = observations.rows
+    there = np.zeros(len(observations.clock) + 1, np.int64)
+    there[rows["epoch"][(rows["satellite"] == satellite) & (rows["signal"] == signal)] + 1] = 1
+    return np.cumsum(there)
+
+
+def _beginnings(source: _Source, span_gps_ns: tuple[int, int]) -> range:
+    """Return when parts begin that lie within the session, GPS seconds."""
+    start, stop = -(-span_gps_ns[0] // SECOND_NS), span_gps_ns[1] // SECOND_NS
+    first = start + (source.shift_s - start) % source.length_s
+    return range(first, stop - source.length_s + 1, source.length_s)
 
 
 def _whole(count: NDArray[np.int64], seconds: NDArray[np.float64], begin: float, length: float) -> bool:
     """Tell whether the signal was tracked at all epochs of a stretch, of which there must be one."""
     first, after = np.searchsorted(seconds, [begin, begin + length])
     return bool(after > first and count[after] - count[first] == after - first)
-
-
-def _broadcast(observations: Observations, sky: SkySettings, gps_s: int) -> lnav.Broadcast:
-    almanacs = tuple(s.transmitted(gps_s * SECOND_NS) for s in observations.satellites if s.system == GPS)
-    return lnav.Broadcast(sky.klobuchar, sky.leap_s, almanacs)
