@@ -48,7 +48,9 @@ def run(app: typer.Typer) -> None:
     try:
         app()
     except PhotocalError as failure:
-        sys.stderr.write(f"error: {failure}\n")
+        sys.stderr.write(
+            "".join(f"{line}\n" for line in (f"error: {failure}", *map("  ".__add__, failure.details)))
+        )
         sys.exit(failure.exit_code)
     except BrokenPipeError:
         # The reader of our output went away (`| head`): nothing is left to say.

@@ -14,13 +14,18 @@ class PhotocalError(Exception):
         File, line, image or point that is concerned.
     remedy : str, optional
         What to do about it.
+    details : tuple of str, optional
+        Figures for those who want to know more, a line each.
     """
 
     exit_code = 1
 
-    def __init__(self, what: str, *, where: object = None, remedy: str = "") -> None:
+    def __init__(
+        self, what: str, *, where: object = None, remedy: str = "", details: tuple[str, ...] = ()
+    ) -> None:
         super().__init__(what)
         self.what = what
+        self.details = details
         self.where = "" if where is None else str(where)
         self.remedy = remedy
 

@@ -15,9 +15,9 @@ from photocal.adjustment.kernels.ray import element_address
 from photocal.adjustment.kernels.statistics import statistics
 from photocal.adjustment.normal import Problem, other_equations, values_of
 from photocal.adjustment.rank import explain_singular, require_determined
-from photocal.adjustment.solution import Group, Solution
+from photocal.adjustment.solution import Group, PhotoVariant, Solution
 from photocal.adjustment.solver import Minimum
-from photocal.adjustment.state import turn_basis
+from photocal.adjustment.state import State, turn_basis
 from photocal.compiled import compiled
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
@@ -93,6 +93,7 @@ def complete(problem: Problem, minimum: Minimum) -> Solution:
         residuals,
         redundancy,
         _common_covariance(problem, inverse),
+        _photo_variant(problem, state, inverse),
         state,
     )
 
@@ -186,6 +187,33 @@ def _common_covariance(problem: Problem, inverse: Floats) -> Floats:
         own = blocks(columns[unknown][None, :], problem.structure, inverse)[0]
         covariance[np.ix_(unknown, unknown)] = own
     return covariance
+
+
+def _photo_variant(problem: Problem, state: State, inverse: Floats) -> PhotoVariant:
+    """Values of the photo-variant parameters: that of the camera and the image's deviation."""
+    network, own = problem.network, problem.layout.own_columns
+    image, place = np.nonzero(own >= 0)
+    varied = [np.flatnonzero(camera.deviation_sigma > 0) for camera in network.cameras]
+    camera = network.exposures.camera[image]
+    parameter = np.array([varied[k][n] for k, n in zip(camera, place, strict=True)], dtype=np.int64)
+    column = own[image, place]
+    deviation = blocks(column[:, None], problem.structure, inverse)[:, 0, 0]
+    common = np.full((len(network.cameras), len(PARAMETERS)), -1)
+    for k, (active, columns) in enumerate(problem.layout.camera_columns):
+        common[k, active] = columns
+    shared = common[camera, parameter]
+    variance = deviation.copy()
+    both = shared >= 0
+    pairs = blocks(np.column_stack([column[both], shared[both]]), problem.structure, inverse)
+    variance[both] = pairs.sum(axis=(1, 2))
+    return PhotoVariant(
+        image,
+        parameter,
+        state.cameras[camera, parameter] + state.deviations[image, place],
+        np.sqrt(variance),
+        state.deviations[image, place],
+        np.sqrt(deviation),
+    )
 
 
 def _exposure_covariance(problem: Problem, minimum: Minimum, own: Floats, angles: Floats) -> Floats:

@@ -224,20 +224,39 @@ def correction(problem: Problem, normal: Normal, bare_normal: Normal, state: Sta
     right[chosen] = points[chosen]
     spread, point_spread = np.empty_like(reduced), np.empty_like(points)
     for k in range(reduced.shape[1]):
-        spread[:, k], point_spread[:, :, k] = _solved(problem, normal, right[:, :, k])
+        of_kept = np.zeros(problem.layout.size)
+        of_kept[problem.layout.point_columns] = right[problem.layout.kept_points, :, k]
+        spread[:, k], point_spread[:, :, k] = full_solution(problem, normal, of_kept, right[:, :, k])
     # Columns of held unknowns and unknowns that are kept stand in both parts; G counts each point once.
     constraint = np.einsum("nak,nal->kl", right, points)
     own = np.einsum("nak,nal->kl", right, point_spread)
     return Correction(reduced, spread, points, point_spread, np.linalg.inv(constraint), own)
 
 
-def _solved(problem: Problem, normal: Normal, right: Floats) -> tuple[Floats, Floats]:
-    """Solve the full normal equations for a right-hand side at the points, shape (points, 3)."""
-    right = np.ascontiguousarray(right)
+def full_solution(
+    problem: Problem, normal: Normal, reduced_right: Floats, point_right: Floats
+) -> tuple[Floats, Floats]:
+    """Solve the full normal equations.
+
+    Parameters
+    ----------
+    problem : Problem
+    normal : Normal
+        Factorised.
+    reduced_right : ndarray, shape (layout.size,)
+        Right-hand side of the reduced system's unknowns, points that are kept among them.
+    point_right : ndarray, shape (points, 3)
+        That of the eliminated points; what stands at kept points is not looked at.
+
+    Returns
+    -------
+    reduced, points
+        The solution; kept points have theirs in both.
+    """
+    right = np.ascontiguousarray(point_right)
     layout = problem.layout
-    reduced = np.zeros(layout.size)
+    reduced = np.array(reduced_right)
     reduce_right(problem.design, problem.structure, right, normal.kept, reduced)
-    reduced[layout.point_columns] += right[layout.kept_points]
     reduced[problem.held] = 0.0
     step = solve(layout.envelope, normal.matrix, reduced)
     points = np.zeros_like(right)

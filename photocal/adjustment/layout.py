@@ -14,12 +14,11 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from photocal.adjustment.envelope import Envelope, envelope
+from photocal.adjustment.kernels.data import POSE, WIDTHS
 from photocal.adjustment.network import Network
 from photocal.compiled import compiled
 
 Integers = NDArray[np.int64]
-
-POSE = 6
 
 
 @dataclass(frozen=True)
@@ -30,6 +29,8 @@ class Layout:
     ----------
     image_columns : ndarray of int, shape (images, 6)
         Columns of the three rotation unknowns and of X, Y, Z of each image.
+    own_columns : ndarray of int, shape (images, n)
+        Columns of the photo-variant parameters of each image; -1 for those that it does not have.
     camera_columns : tuple of (ndarray, ndarray)
         For each camera the positions of its estimated parameters and their columns.
     common_columns : ndarray of int, shape (k,)
@@ -42,15 +43,19 @@ class Layout:
         Structure of the matrix.
     size : int
         Number of columns.
+    width : int
+        Columns of each image, one of `WIDTHS`.
     """
 
     image_columns: Integers
+    own_columns: Integers
     camera_columns: tuple[tuple[Integers, Integers], ...]
     common_columns: Integers
     kept_points: Integers
     point_columns: Integers
     envelope: Envelope
     size: int
+    width: int
 
 
 def layout(network: Network, ray_start: Integers) -> Layout:
@@ -72,9 +77,18 @@ def layout(network: Network, ray_start: Integers) -> Layout:
     order = reverse_cuthill_mckee(csr_array(together), symmetric_mode=True)
     position = np.empty(count, dtype=np.int64)
     position[order] = np.arange(count)
-    image_columns = POSE * position[:, None] + np.arange(POSE)
+    varied = [np.flatnonzero(camera.deviation_sigma > 0) for camera in network.cameras]
+    most = max((len(parameters) for parameters in varied), default=0)
+    width = next(width for width in WIDTHS if width >= POSE + most)
+    image_columns = width * position[:, None] + np.arange(POSE)
+    own_columns = np.full((count, most), -1)
+    for k, parameters in enumerate(varied):
+        mine = network.exposures.camera == k
+        own_columns[mine, : len(parameters)] = (
+            width * position[mine, None] + POSE + np.arange(len(parameters))
+        )
     camera_columns = []
-    column = POSE * count
+    column = width * count
     for camera in network.cameras:
         active = np.flatnonzero(camera.estimated)
         camera_columns.append((active, column + np.arange(len(active))))
@@ -92,9 +106,17 @@ def layout(network: Network, ray_start: Integers) -> Layout:
     sorted_together = together[order][:, order]
     last = count - 1 - np.argmax(sorted_together[:, ::-1], axis=1) if count else np.zeros(0, dtype=np.int64)
     last = np.maximum(last, np.arange(count))
-    structure = envelope(POSE * (last + 1), POSE, column - POSE * count)
+    structure = envelope(width * (last + 1), width, column - width * count)
     return Layout(
-        image_columns, tuple(camera_columns), common_columns, kept_points, point_columns, structure, column
+        image_columns,
+        own_columns,
+        tuple(camera_columns),
+        common_columns,
+        kept_points,
+        point_columns,
+        structure,
+        column,
+        width,
     )
 
 

@@ -9,17 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.adjustment.equations import Equations, add_equations
-from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values
+from photocal.adjustment.kernels.data import WIDTHS, Design, Eliminated, Structure, Values
 from photocal.adjustment.kernels.elimination import accumulate
-from photocal.adjustment.layout import POSE, Layout, layout
+from photocal.adjustment.layout import Layout, layout
 from photocal.adjustment.network import Network
 from photocal.adjustment.observations import (
     camera_equations,
+    deviation_equations,
     exposure_equations,
     mounting_equations,
     relation_equations,
 )
-from photocal.adjustment.state import State, turn_basis
+from photocal.adjustment.state import State, lenses, turn_basis
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.lens import optics
 
@@ -93,30 +94,43 @@ def prepare(network: Network) -> Problem:
     ray_start = np.searchsorted(rays.point, np.arange(len(points.values) + 1))
     where = layout(network, ray_start)
     cameras = len(network.cameras)
+    varied = [np.flatnonzero(camera.deviation_sigma > 0) for camera in network.cameras]
+    own = np.zeros((cameras, where.own_columns.shape[1]), dtype=np.int64)
+    for k, parameters in enumerate(varied):
+        own[k, : len(parameters)] = parameters
+    own_count = np.array([len(parameters) for parameters in varied], dtype=np.int64)
+    # Images share the lens of their camera, unless it varies from image to image.
+    shared = not own.shape[1]
+    camera_of = np.arange(cameras) if shared else exposures.camera
     active = np.zeros((cameras, len(PARAMETERS)), dtype=np.int64)
     for k, (positions, _) in enumerate(where.camera_columns):
         active[k, : len(positions)] = positions
     count = np.array([len(positions) for positions, _ in where.camera_columns], dtype=np.int64)
     point_column = np.full(len(points.values), -1)
-    point_column[where.kept_points] = where.point_columns[:, 0] - POSE * len(network.image_names)
+    point_column[where.kept_points] = where.point_columns[:, 0] - where.envelope.band
     # Threads only wait for each other in small networks.
     threads = min(numba.get_num_threads(), 1 + len(rays.image) // RAYS_PER_THREAD)
-    shares = np.linspace(0, len(rays.image), threads + 1)
-    pieces = np.searchsorted(ray_start, shares)
+    order = _along_flight(where, rays.image, ray_start)
+    passed = np.concatenate([[0], np.cumsum(np.diff(ray_start)[order])])
+    pieces = np.searchsorted(passed, np.linspace(0, len(rays.image), threads + 1))
     pieces[0], pieces[-1] = 0, len(points.values)
     arrays = Design(
         pieces=pieces,
+        point_order=order,
         ray_start=ray_start,
         ray_image=rays.image,
         plane=rays.plane,
         weight=rays.sigma**-2.0,
-        image_camera=exposures.camera,
+        width=np.zeros((1,) * (1 + WIDTHS.index(where.width))),
+        image_lens=exposures.camera if shared else np.arange(len(exposures.camera)),
         image_column=where.image_columns[:, 0],
         pose_free=(exposures.sigma != 0).astype(float),
-        optics=np.array([optics(camera) for camera in network.cameras]),
-        active=active,
-        active_count=count,
-        active_column=np.cumsum(count) - count,
+        own=own[camera_of],
+        own_count=own_count[camera_of],
+        optics=np.array([optics(camera) for camera in network.cameras])[camera_of],
+        active=active[camera_of],
+        active_count=count[camera_of],
+        active_column=(np.cumsum(count) - count)[camera_of],
         point_column=point_column,
         point_free=(~points.held).astype(float),
         prior_points=points.values,
@@ -137,14 +151,32 @@ def prepare(network: Network) -> Problem:
         int(count.sum()),
     )
     held = np.zeros(where.size, dtype=np.bool_)
-    held[where.image_columns[exposures.sigma == 0]] = True
+    held[: where.envelope.band] = True
+    held[where.image_columns[exposures.sigma != 0]] = False
+    held[where.own_columns[where.own_columns >= 0]] = False
     held[where.point_columns[points.held[where.kept_points]]] = True
     return Problem(network, where, design, structure, held, np.zeros(0, dtype=np.int64))
 
 
+def _along_flight(
+    where: Layout, ray_image: NDArray[np.int64], ray_start: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Points by the first column, in the reduced system, that their rays touch."""
+    first = np.full(len(ray_start) - 1, where.size)
+    point = np.repeat(np.arange(len(first)), np.diff(ray_start))
+    np.minimum.at(first, point, where.image_columns[ray_image, 0])
+    return np.argsort(first, kind="stable")
+
+
 def values_of(problem: Problem, state: State) -> Values:
     """Arrange a state for the kernels."""
-    arrays = (state.cameras, state.rotation, turn_basis(problem.network, state), state.centre, state.points)
+    arrays = (
+        lenses(problem.network, state),
+        state.rotation,
+        turn_basis(problem.network, state),
+        state.centre,
+        state.points,
+    )
     # One memory layout, or the kernels would be compiled anew for each.
     return Values(*(np.ascontiguousarray(array) for array in arrays))
 
@@ -153,6 +185,7 @@ def other_equations(problem: Problem, state: State) -> dict[str, Equations]:
     """Observations beside the rays and the points, by group."""
     return {
         "camera": camera_equations(problem.network, problem.layout, state),
+        "photo-variant": deviation_equations(problem.network, problem.layout, state),
         "exposure": exposure_equations(problem.network, problem.layout, state),
         **relation_equations(problem.network, problem.layout, state),
         **mounting_equations(problem.network, problem.layout, state),
@@ -181,7 +214,7 @@ def normal_equations(
     design, structure, where = problem.design, problem.structure, problem.layout
     threads, points = len(design.pieces) - 1, len(design.point_free)
     kept = room or Eliminated(
-        np.empty((len(design.ray_image), 3, 6)),
+        np.empty((len(design.ray_image), 3, where.width)),
         np.empty((points, 3, structure.lens)),
         np.empty((points, 3, 3)),
         np.empty((points, 3)),

@@ -33,6 +33,18 @@ def camera_equations(network: Network, layout: Layout, state: State) -> Equation
     )
 
 
+def deviation_equations(network: Network, layout: Layout, state: State) -> Equations:
+    """Photo-variant parameters: each image's deviation from its camera observed as zero."""
+    sigma = np.full(state.deviations.shape, np.inf)
+    for k, camera in enumerate(network.cameras):
+        own = camera.deviation_sigma[camera.deviation_sigma > 0]
+        sigma[network.exposures.camera == k, : len(own)] = own
+    weighted = np.isfinite(sigma)
+    column = layout.own_columns[weighted]
+    start = np.arange(len(column) + 1)
+    return Equations(start, column, np.ones(len(column)), state.deviations[weighted], sigma[weighted] ** -2.0)
+
+
 def exposure_equations(network: Network, layout: Layout, state: State) -> Equations:
     """Exterior orientation elements as observations, where they have a sigma."""
     sigma = network.exposures.sigma

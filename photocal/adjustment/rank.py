@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import qr
 
 from drivers.errors import IllPosedError
 from photocal.adjustment.datum import similarity_moves
 from photocal.adjustment.envelope import dense
 from photocal.adjustment.normal import Normal, Problem, normal_equations
 from photocal.adjustment.state import State
-from photocal.geometry.camera import PARAMETERS
+from photocal.adjustment.unknowns import Unknown, unknowns
 
 Floats = NDArray[np.float64]
 
@@ -39,7 +41,8 @@ SUSPECT = Limits(1e-4, 1e-7)
 MOSTLY = 0.5
 # A standard deviation of this share of the value itself: the linearisation no longer means anything.
 LOST_POINT, LOST_CAMERA = 0.5, 0.1
-POSE_NAMES = ("omega", "phi", "kappa", "X", "Y", "Z")
+# Unknowns that are printed of a null vector.
+MOST_SHOWN = 12
 DATUM_NAMES = (
     "position in X",
     "position in Y",
@@ -90,14 +93,16 @@ def explain_singular(problem: Problem, state: State, limits: Limits = SINGULAR) 
     if not null.shape[1]:
         return
     datum, other = _datum_part(problem, state, scale, scaled, null)
+    named = unknowns(problem)
     parts = []
     if datum:
         parts.append(f"nothing fixes the datum ({', '.join(datum)})")
     if other.shape[1]:
-        parts.append("the observations do not separate " + _loaded(problem, other))
+        parts.append("the observations do not separate " + _loaded(problem, named, other))
     raise IllPosedError(
         f"the network is singular (rank defect {null.shape[1]}): " + "; ".join(parts),
         remedy="add control points, weighted positions or prior sigmas, or hold what cannot be determined",
+        details=_null_vectors(named, null, scale),
     )
 
 
@@ -172,19 +177,50 @@ def _datum_part(
     return [name for name, hit in zip(DATUM_NAMES, named, strict=True) if hit], null[:, ~explained]
 
 
-def _loaded(problem: Problem, null: Floats) -> str:
+def _loaded(problem: Problem, named: Sequence[Unknown | None], null: Floats) -> str:
     """Name the unknowns that take part in what is undetermined."""
     load = np.linalg.norm(null, axis=1)
     strong = load > 0.2 * load.max()
+    taking = [one for one, hit in zip(named, strong, strict=True) if one is not None and hit]
     found = []
-    for camera, (active, columns) in zip(problem.network.cameras, problem.layout.camera_columns, strict=True):
-        named = [PARAMETERS[p] for p, c in zip(active, columns, strict=True) if strong[c]]
-        if named:
-            found.append(f"{', '.join(named)} of camera {camera.id}")
-    per_image = strong[problem.layout.image_columns]
-    names = [name for name, hit in zip(POSE_NAMES, per_image.any(axis=0), strict=True) if hit]
-    if names:
-        images = [problem.network.image_names[i] for i in np.flatnonzero(per_image.any(axis=1))]
-        which = ", ".join(images[:5]) + (f" and {len(images) - 5} more" if len(images) > 5 else "")
-        found.append(f"{', '.join(names)} of image(s) {which}")
+    for camera in problem.network.cameras:
+        own = [one.parameter for one in taking if one.kind == "camera" and one.of == camera.id]
+        if own:
+            found.append(f"{', '.join(own)} of camera {camera.id}")
+    for kind, plural in (("image", "image(s)"), ("point", "point(s)")):
+        parameters = list(dict.fromkeys(one.parameter for one in taking if one.kind == kind))
+        if parameters:
+            owners = list(dict.fromkeys(one.of for one in taking if one.kind == kind))
+            which = ", ".join(owners[:5]) + (f" and {len(owners) - 5} more" if len(owners) > 5 else "")
+            found.append(f"{', '.join(parameters)} of {plural} {which}")
+    found += [one.parameter for one in taking if one.kind == "mounting"]
     return " and ".join(found)
+
+
+def _null_vectors(named: Sequence[Unknown | None], null: Floats, scale: Floats) -> tuple[str, ...]:
+    """Print what may change together without changing any observation, a line for each null vector.
+
+    The basis is turned so that each vector moves one leading unknown by 1 and not those of the others.
+    """
+    loads = null * np.array([one is not None for one in named])[:, None]
+    _, _, order = qr(loads.T, mode="economic", pivoting=True)
+    leading = np.sort(order[: null.shape[1]])
+    loads = loads @ np.linalg.inv(loads[leading])
+    lines = []
+    for number, (lead, load) in enumerate(zip(leading.tolist(), loads.T, strict=True), start=1):
+        # Equal loads, but for rounding, keep the order of the unknowns.
+        rest = np.argsort(-np.round(np.abs(load), 6), kind="stable").tolist()
+        shown = [lead] + [k for k in rest if k != lead and abs(load[k]) > 0.02 * np.abs(load).max()]
+        change = load / scale
+        parts = [_part(named[k], change[k], named[lead], change[lead]) for k in shown[:MOST_SHOWN]]
+        more = f" and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""
+        lines.append(f"null vector {number}: {', '.join(parts)}{more}")
+    return tuple(lines)
+
+
+def _part(one: Unknown | None, change: float, lead: Unknown | None, unit: float) -> str:
+    """Print the change of an unknown per unit of the leading one."""
+    if one is None or lead is None:
+        return ""
+    figure = f"{change * one.scale / (unit * lead.scale):+.4g}"
+    return f"{figure} {one.unit} {one.name}" if one.unit else f"{figure} {one.name}"

@@ -7,22 +7,19 @@ finds with a stated power (Baarda 1968); external reliability the effect of such
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special, stats
 
-from photocal.adjustment.datum import correction, with_datum
-from photocal.adjustment.envelope import factorise, selected_inverse, solve
+from photocal.adjustment.envelope import selected_inverse
+from photocal.adjustment.factored import Factored, covariance_column, factored
 from photocal.adjustment.kernels.statistics import statistics
-from photocal.adjustment.kernels.substitution import back_substitute
 from photocal.adjustment.network import Network
-from photocal.adjustment.normal import Normal, Problem, normal_equations, prepare, values_of
-from photocal.adjustment.rank import explain_singular
+from photocal.adjustment.normal import values_of
 from photocal.adjustment.sensitivity import along, point_effects
 from photocal.adjustment.solution import Solution
-from photocal.adjustment.state import State
 from photocal.geometry.camera import PARAMETERS
 
 Floats = NDArray[np.float64]
@@ -137,14 +134,14 @@ def reliability(
     Reliability
     """
     delta0 = noncentrality(significance, power)
-    factored = _factored(network, solution.state)
+    at = factored(network, solution.state)
     with np.errstate(divide="ignore", invalid="ignore"):
         bias = minimal_detectable_bias(network.rays.sigma, solution.redundancy, delta0)
         external = external_reliability(solution.redundancy, delta0)
         control, control_external = _control_reliability(network, solution, delta0)
-        directions = [_direction_of_c(factored, k) for k in range(len(network.cameras))]
-        on_c = _on_c(factored, directions) * bias
-        effect = _on_own_points(factored) * bias[..., None]
+        directions = [_direction_of_c(at, k) for k in range(len(network.cameras))]
+        on_c = _on_c(at, directions) * bias
+        effect = _on_own_points(at) * bias[..., None]
         control_on_c = np.full(control.shape, 0.0 if directions else np.nan)
         for _, points in directions:
             moved = np.einsum("na,nab->nb", points, network.points.weight) * control
@@ -177,82 +174,55 @@ def _control_reliability(network: Network, solution: Solution, delta0: float) ->
     return bias, np.where(observed, external, np.nan)
 
 
-@dataclass(frozen=True)
-class _Factored:
-    """Normal equations at the adjusted state, as matrix and as factor."""
-
-    problem: Problem
-    state: State
-    bare: Normal
-    factor: Normal
-
-
-def _factored(network: Network, state: State) -> _Factored:
-    problem = with_datum(prepare(network), state)
-    normal = normal_equations(problem, state)
-    bare = replace(normal, matrix=normal.matrix.copy())
-    if factorise(problem.layout.envelope, normal.matrix) >= 0:
-        explain_singular(problem, state)
-    return _Factored(problem, state, bare, normal)
-
-
-def _direction_of_c(factored: _Factored, camera: int) -> tuple[Floats, Floats]:
+def _direction_of_c(at: Factored, camera: int) -> tuple[Floats, Floats]:
     """Column of the covariance that belongs to a principal distance: reduced part and points.
 
     Zero when it is held.
     """
-    problem, kept = factored.problem, factored.factor.kept
-    active, columns = problem.layout.camera_columns[camera]
-    right, points = np.zeros(problem.layout.size), np.zeros_like(factored.state.points)
+    layout = at.problem.layout
+    active, columns = layout.camera_columns[camera]
+    right, points = np.zeros(layout.size), np.zeros_like(at.state.points)
     right[columns[active == PARAMETERS.index("c")]] = 1.0
-    if not right.any():
-        return right, points
-    step = solve(problem.layout.envelope, factored.factor.matrix, right)
-    still = kept._replace(gradient=np.zeros_like(kept.gradient))
-    back_substitute(
-        problem.design, problem.structure, step, still, points, np.zeros(len(problem.design.pieces) - 1)
-    )
-    points[problem.layout.kept_points] = step[problem.layout.point_columns]
-    return step, points
+    return covariance_column(at, right, points) if right.any() else (right, points)
 
 
-def _change_along(factored: _Factored, step: Floats, points: Floats) -> Floats:
+def _change_along(at: Factored, step: Floats, points: Floats) -> Floats:
     """Weighted change of all image coordinates along a direction, shape (rays, 2)."""
-    problem = factored.problem
+    problem = at.problem
     change = np.zeros(problem.design.weight.shape)
     arrays = np.ascontiguousarray(step), np.ascontiguousarray(points)
-    along(problem.design, values_of(problem, factored.state), problem.structure, *arrays, change)
+    along(problem.design, values_of(problem, at.state), problem.structure, *arrays, change)
     return np.asarray(change * problem.design.weight)
 
 
-def _on_c(factored: _Factored, directions: list[tuple[Floats, Floats]]) -> Floats:
+def _on_c(at: Factored, directions: list[tuple[Floats, Floats]]) -> Floats:
     """Change of the own camera's principal distance per unit of each image coordinate, (rays, 2)."""
-    design = factored.problem.design
-    camera = design.image_camera[design.ray_image]
+    design = at.problem.design
+    camera = at.problem.network.exposures.camera[design.ray_image]
     effect = np.zeros(design.weight.shape)
     for k, direction in enumerate(directions):
-        effect = np.where((camera == k)[:, None], _change_along(factored, *direction), effect)
+        effect = np.where((camera == k)[:, None], _change_along(at, *direction), effect)
     return effect
 
 
-def _on_own_points(factored: _Factored) -> Floats:
+def _on_own_points(at: Factored) -> Floats:
     """Change of a ray's own point per unit of each image coordinate, shape (rays, 2, 3)."""
-    problem, factor, state = factored.problem, factored.factor, factored.state
+    problem, normal, state = at.problem, at.normal, at.state
     design, structure = problem.design, problem.structure
     values = values_of(problem, state)
-    inverse = selected_inverse(problem.layout.envelope, factor.matrix)
+    inverse = selected_inverse(problem.layout.envelope, normal.matrix)
     covariance = np.zeros((len(state.points), 3, 3))
     spare = np.empty((2, *design.weight.shape))
-    statistics(design, values, structure, inverse, factor.kept, covariance, spare[0], spare[1])
+    statistics(design, values, structure, inverse, normal.kept, covariance, spare[0], spare[1])
     effect = np.zeros((*design.weight.shape, 3))
-    point_effects(design, values, structure, inverse, factor.kept, covariance, effect)
-    if not len(problem.stiffened):
+    point_effects(design, values, structure, inverse, normal.kept, covariance, effect)
+    datum = at.datum
+    if datum is None:
         return effect
     # S-transformation to inner constraints: what all datum points moved on the average is taken back.
-    datum = correction(problem, factor, factored.bare, state)
     common = np.stack(
         [
-            _change_along(factored, datum.spread[:, k], datum.point_spread[:, :, k])
+            _change_along(at, datum.spread[:, k], datum.point_spread[:, :, k])
             for k in range(datum.spread.shape[1])
         ],
         axis=-1,

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values
+from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns
 from photocal.adjustment.kernels.ray import ray_rows
 from photocal.adjustment.kernels.statistics import gather, most_rays
 from photocal.compiled import compiled, compiled_parallel
@@ -31,13 +31,13 @@ def along_piece(
     for j in range(design.pieces[piece], design.pieces[piece + 1]):
         for r in range(design.ray_start[j], design.ray_start[j + 1]):
             i = design.ray_image[r]
-            k = design.image_camera[i]
+            k = design.image_lens[i]
             ray_rows(design, values, r, i, j, room)
             column, border = design.image_column[i], structure.band + design.active_column[k]
             for a in range(2):
                 total = 0.0
-                for b in range(6):
-                    total += room.by_pose[a, b] * step[column + b]
+                for b in range(columns(design)):
+                    total += room.by_image[a, b] * step[column + b]
                 for b in range(3):
                     total += room.by_point[a, b] * point_step[j, b]
                 for s in range(design.active_count[k]):
@@ -62,7 +62,7 @@ def along(
         Receives A d.
     """
     for piece in numba.prange(len(design.pieces) - 1):
-        along_piece(design, values, structure, piece, step, point_step, change, scratch())
+        along_piece(design, values, structure, piece, step, point_step, change, scratch(columns(design)))
 
 
 @compiled
@@ -78,7 +78,7 @@ def cross_covariance(
 ) -> None:
     """Covariance -V^-1 W' Q between a point and all that its rays touch, shape (3, m)."""
     begin, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
-    edge, stays = 6 * n, design.point_column[j]
+    edge, stays = columns(design) * n, design.point_column[j]
     for a in range(3):
         for c in range(m):
             mixed[a, c] = 0.0
@@ -86,8 +86,8 @@ def cross_covariance(
         for b in range(3):
             q = kept.inverse[j, a, b]
             for r in range(n):
-                for c in range(6):
-                    mixed[a, 6 * r + c] += q * kept.mixed[begin + r, b, c]
+                for c in range(columns(design)):
+                    mixed[a, columns(design) * r + c] += q * kept.mixed[begin + r, b, c]
             for c in range(structure.lens):
                 mixed[a, edge + c] += q * kept.mixed_border[j, b, c]
         if stays < 0:
@@ -102,14 +102,14 @@ def ray_effect(
 ) -> None:
     """Effect of ray r, whose derivatives are in the scratch room, on its point."""
     i = design.ray_image[r]
-    k = design.image_camera[i]
+    k = design.image_lens[i]
     for a in range(2):
         for d in range(3):
             total = 0.0
             for b in range(3):
                 total += own[d, b] * room.by_point[a, b]
-            for b in range(6):
-                total += cross[d, first + b] * room.by_pose[a, b]
+            for b in range(columns(design)):
+                total += cross[d, first + b] * room.by_image[a, b]
             for s in range(design.active_count[k]):
                 total += cross[d, at + s] * room.by_camera[a, design.active[k, s]]
             effect[r, a, d] = total * design.weight[r, a]
@@ -145,8 +145,8 @@ def point_effects_piece(
         for r in range(begin, end):
             i = design.ray_image[r]
             ray_rows(design, values, r, i, j, room)
-            at = 6 * (end - begin) + design.active_column[design.image_camera[i]]
-            ray_effect(design, r, at, 6 * (r - begin), own, cross, room, effect)
+            at = columns(design) * (end - begin) + design.active_column[design.image_lens[i]]
+            ray_effect(design, r, at, columns(design) * (r - begin), own, cross, room, effect)
 
 
 @compiled_parallel
@@ -171,7 +171,7 @@ def point_effects(
         Receives Q_p a p: rows of Q A'P.
     """
     for piece in numba.prange(len(design.pieces) - 1):
-        size = 6 * most_rays(design, piece) + structure.border
+        size = columns(design) * most_rays(design, piece) + structure.border
         point_effects_piece(
             design,
             values,
@@ -181,7 +181,7 @@ def point_effects(
             kept,
             covariance,
             effect,
-            scratch(),
+            scratch(columns(design)),
             np.zeros((3, size)),
             np.zeros((3, size)),
             np.zeros((size, size)),

@@ -12,6 +12,7 @@ from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import State
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,28 @@ class GlobalTest:
 
 
 @dataclass(frozen=True)
+class PhotoVariant:
+    """Parameters whose values vary from image to image, one row for each.
+
+    Attributes
+    ----------
+    image, parameter : ndarray of int, shape (n,)
+        Image, and position among the camera's parameters.
+    values, sigma : ndarray, shape (n,)
+        Of the image's own lens.
+    deviations, deviation_sigma : ndarray, shape (n,)
+        From the value of the camera.
+    """
+
+    image: Integers
+    parameter: Integers
+    values: Floats
+    sigma: Floats
+    deviations: Floats
+    deviation_sigma: Floats
+
+
+@dataclass(frozen=True)
 class Solution:
     """Result of an adjustment; covariances are scaled by the a priori unit variance 1.
 
@@ -81,6 +104,7 @@ class Solution:
         Computed minus measured, in the image plane; redundancy numbers.
     common_covariance : ndarray, shape (k, k)
         Of the common values of the mounting; zero for those that are held.
+    photo_variant : PhotoVariant
     state : State
         The values as the adjustment holds them.
     timing_s : dict
@@ -102,6 +126,7 @@ class Solution:
     residuals: Floats
     redundancy: Floats
     common_covariance: Floats
+    photo_variant: PhotoVariant
     state: State
     timing_s: dict[str, float] = field(default_factory=dict)
 

@@ -28,6 +28,8 @@ class State:
     points : ndarray, shape (points, 3)
     common : ndarray, shape (k,)
         Common values of the mounting.
+    deviations : ndarray, shape (images, n)
+        How far each image's photo-variant parameters are from those of its camera.
     """
 
     cameras: Floats
@@ -35,6 +37,7 @@ class State:
     centre: Floats
     points: Floats
     common: Floats
+    deviations: Floats
 
 
 def start_state(network: Network) -> State:
@@ -46,7 +49,35 @@ def start_state(network: Network) -> State:
         exposures.values[:, 3:].copy(),
         network.points.values.copy(),
         network.mounting.values.copy(),
+        np.zeros((len(exposures.values), most_varied(network))),
     )
+
+
+def most_varied(network: Network) -> int:
+    """Largest number of photo-variant parameters of a camera."""
+    return max((int(np.sum(camera.deviation_sigma > 0)) for camera in network.cameras), default=0)
+
+
+def lenses(network: Network, state: State) -> Floats:
+    """Parameters of every lens: those of the cameras or, where some are photo-variant, of each image.
+
+    Parameters
+    ----------
+    network : Network
+    state : State
+
+    Returns
+    -------
+    ndarray, shape (cameras or images, 13)
+    """
+    if not state.deviations.shape[1]:
+        return state.cameras
+    values = state.cameras[network.exposures.camera]
+    for k, camera in enumerate(network.cameras):
+        varied = np.flatnonzero(camera.deviation_sigma > 0)
+        mine = np.flatnonzero(network.exposures.camera == k)
+        values[np.ix_(mine, varied)] += state.deviations[mine, : len(varied)]
+    return values
 
 
 def turn_basis(network: Network, state: State) -> Floats:
@@ -90,4 +121,6 @@ def moved_exposures(network: Network, layout: Layout, state: State, step: Floats
         row[active] += step[columns]
     common, unknown = state.common.copy(), layout.common_columns >= 0
     common[unknown] += step[layout.common_columns[unknown]]
-    return State(cameras, rotation, state.centre + pose[:, 3:], state.points, common)
+    own = layout.own_columns
+    deviations = state.deviations + np.where(own >= 0, step[own], 0.0)
+    return State(cameras, rotation, state.centre + pose[:, 3:], state.points, common, deviations)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -15,6 +15,8 @@ Affinity = Literal["additive", "before", "after"]
 AffinityForm = Literal["fraser", "canon-elph", "tank"]
 
 PARAMETERS = ("c", "x0", "y0", "K1", "K2", "K3", "K4", "P1", "P2", "P3", "P4", "B1", "B2")
+# Millimetres in a metre: c is given in them, distances in metres.
+MM = 1000.0
 MODELS: tuple[Model, ...] = ("brown-observed", "brown-ideal")
 AFFINITIES: tuple[Affinity, ...] = ("additive", "before", "after")
 AFFINITY_FORMS: tuple[AffinityForm, ...] = ("fraser", "canon-elph", "tank")
@@ -56,6 +58,12 @@ class Camera:
         Where the affinity acts.
     affinity_form : {"fraser", "canon-elph", "tank"}
         Which terms B1 and B2 stand for.
+    deviation_sigma : ndarray, shape (13,)
+        Photo-variant parameters: standard deviation by which the value of each image deviates from that
+        of the camera, infinite for one that is free; 0 for block-invariant parameters.
+    focus_m : float
+        Distance at which the distortion holds, that to which the lens is focused: it then varies with
+        the distance of the object; 0 where it is the same at all distances.
     """
 
     id: str
@@ -69,6 +77,8 @@ class Camera:
     reference_radius: float = 0.0
     affinity: Affinity = "additive"
     affinity_form: AffinityForm = "fraser"
+    deviation_sigma: Floats = field(default_factory=lambda: np.zeros(len(PARAMETERS)))
+    focus_m: float = 0.0
 
     def value(self, name: str) -> float:
         """Value of one parameter by its name."""
@@ -92,12 +102,14 @@ def camera(
     reference_radius: float = 0.0,
     affinity: Affinity = "additive",
     affinity_form: AffinityForm = "fraser",
+    photo_variant: dict[str, float] | None = None,
+    focus_m: float = 0.0,
 ) -> Camera:
     """Make a camera from named parameters; those not named are zero and held.
 
     Parameters
     ----------
-    camera_id, model, unit, size_px, pitch, reference_radius, affinity, affinity_form
+    camera_id, model, unit, size_px, pitch, reference_radius, affinity, affinity_form, focus_m
         As the attributes of `Camera`.
     parameters : dict
         Values by the names of `PARAMETERS`.
@@ -105,6 +117,8 @@ def camera(
         Names of the parameters to estimate.
     prior_sigma : dict, optional
         Standard deviations of values that are observations too.
+    photo_variant : dict, optional
+        Standard deviations of the images' deviations, see `Camera.deviation_sigma`.
 
     Returns
     -------
@@ -125,6 +139,9 @@ def camera(
         estimated[index[name]] = True
     for name, value in (prior_sigma or {}).items():
         sigma[index[name]] = value
+    deviation = np.zeros(len(PARAMETERS))
+    for name, value in (photo_variant or {}).items():
+        deviation[index[name]] = value
     return Camera(
         camera_id,
         model,
@@ -137,6 +154,8 @@ def camera(
         reference_radius,
         affinity,
         affinity_form,
+        deviation,
+        focus_m,
     )
 
 

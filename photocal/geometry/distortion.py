@@ -3,16 +3,64 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.geometry.camera import AFFINITY_MATRICES, Camera
+from photocal.geometry.camera import AFFINITY_MATRICES, MM, Camera
 
 Floats = NDArray[np.float64]
 
 
-def polynomial_distortion(camera: Camera, plane: Floats) -> Floats:
+def scale_ratio(camera: Camera, distance_m: Floats) -> Floats:
+    """Image scale at the distance of focus over that at the object's: what makes distortion vary.
+
+    Parameters
+    ----------
+    camera : Camera
+    distance_m : ndarray, shape (n,)
+        Of the object along the optical axis.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        g = (1 - c/s) / (1 - c/s') (Brown 1971); ones for a camera without `focus_m`.
+    """
+    if not camera.focus_m:
+        return np.ones_like(distance_m)
+    c = camera.values[0] / MM
+    return np.asarray((1 - c / camera.focus_m) / (1 - c / distance_m))
+
+
+def focused(near: Camera, far: Camera, focus_m: float) -> Camera:
+    """Camera focused to a distance, its radial distortion from calibrations at two others.
+
+    Parameters
+    ----------
+    near, far : Camera
+        The calibrations, each with its `focus_m`; that of `far` may be infinite.
+    focus_m : float
+
+    Returns
+    -------
+    Camera
+        `near` with K1 to K4 and `focus_m` of that focus: each divided by (1 - c/s)^(2n+1) varies with
+        the weight a = (s2 - s)/(s2 - s1) (s1 - c)/(s - c) (Brown 1971; Fryer 1988).
+    """
+    c = near.values[0] / MM
+    a = (near.focus_m - c) / (focus_m - c)
+    if np.isfinite(far.focus_m):
+        a *= (far.focus_m - focus_m) / (far.focus_m - near.focus_m)
+    power = 2 * np.arange(1, 5) + 1
+    first = near.values[3:7] / (1 - c / near.focus_m) ** power
+    second = far.values[3:7] / (1 - c / far.focus_m) ** power
+    values = near.values.copy()
+    values[3:7] = (1 - c / focus_m) ** power * (a * first + (1 - a) * second)
+    return replace(near, values=values, focus_m=focus_m)
+
+
+def polynomial_distortion(camera: Camera, plane: Floats, ratio: Floats | float = 1.0) -> Floats:
     """Radial and decentering distortion, without the affinity.
 
     Parameters
@@ -21,6 +69,8 @@ def polynomial_distortion(camera: Camera, plane: Floats) -> Floats:
     plane : ndarray, shape (n, 2)
         Points from the principal point, in the camera's unit: measured ones for `brown-observed`, ideal
         ones for `brown-ideal`.
+    ratio : ndarray, shape (n,), or float
+        From `scale_ratio`; 1 at the distance of focus.
 
     Returns
     -------
@@ -30,8 +80,8 @@ def polynomial_distortion(camera: Camera, plane: Floats) -> Floats:
     k1, k2, k3, k4, p1, p2, p3, p4 = camera.values[3:11]
     x, y = plane[:, 0], plane[:, 1]
     r2, s = x * x + y * y, camera.reference_radius**2
-    radial = sum(k * (r2**n - s**n) for n, k in enumerate((k1, k2, k3, k4), start=1))
-    swell = 1 + p3 * r2 + p4 * r2 * r2
+    radial = sum(k * ratio ** (2 * n) * (r2**n - s**n) for n, k in enumerate((k1, k2, k3, k4), start=1))
+    swell = ratio * (1 + p3 * r2 + p4 * r2 * r2)
     dx = x * radial + (p1 * (r2 + 2 * x * x) + 2 * p2 * x * y) * swell
     dy = y * radial + (p2 * (r2 + 2 * y * y) + 2 * p1 * x * y) * swell
     return np.column_stack([dx, dy])
@@ -49,7 +99,7 @@ def _through(matrix: Floats, plane: Floats) -> Floats:
     return np.asarray(plane @ matrix.T, dtype=np.float64)
 
 
-def undistorted(camera: Camera, measured: Floats) -> Floats:
+def undistorted(camera: Camera, measured: Floats, ratio: Floats | float = 1.0) -> Floats:
     """Correct measured image coordinates to those of a perfect central projection.
 
     Parameters
@@ -57,6 +107,8 @@ def undistorted(camera: Camera, measured: Floats) -> Floats:
     camera : Camera
     measured : ndarray, shape (n, 2)
         Image plane coordinates in the camera's unit.
+    ratio : ndarray, shape (n,), or float
+        From `scale_ratio`.
 
     Returns
     -------
@@ -67,20 +119,20 @@ def undistorted(camera: Camera, measured: Floats) -> Floats:
     affine = np.asarray(np.eye(2) + affinity_matrix(camera), dtype=np.float64)
     if camera.model == "brown-observed":
         if camera.affinity == "additive":
-            return xb - polynomial_distortion(camera, xb) - xb @ (affine - np.eye(2)).T
+            return xb - polynomial_distortion(camera, xb, ratio) - xb @ (affine - np.eye(2)).T
         if camera.affinity == "before":
             bent = _through(affine, xb)
-            return np.asarray(bent - polynomial_distortion(camera, bent))
-        return (xb - polynomial_distortion(camera, xb)) @ affine.T
+            return np.asarray(bent - polynomial_distortion(camera, bent, ratio))
+        return (xb - polynomial_distortion(camera, xb, ratio)) @ affine.T
     if camera.affinity == "before":
         xb = _through(affine, xb)
     elif camera.affinity == "after":
         xb = _through(np.asarray(np.linalg.inv(affine), dtype=np.float64), xb)
     extra = affine - np.eye(2) if camera.affinity == "additive" else np.zeros((2, 2))
-    return _solve(lambda p: p + polynomial_distortion(camera, p) + p @ extra.T, xb)
+    return _solve(lambda p: p + polynomial_distortion(camera, p, ratio) + p @ extra.T, xb)
 
 
-def distorted(camera: Camera, ideal: Floats) -> Floats:
+def distorted(camera: Camera, ideal: Floats, ratio: Floats | float = 1.0) -> Floats:
     """Image coordinates at which the camera records ideal ones, the inverse of `undistorted`.
 
     Parameters
@@ -88,6 +140,8 @@ def distorted(camera: Camera, ideal: Floats) -> Floats:
     camera : Camera
     ideal : ndarray, shape (n, 2)
         p = -c (u, v)/w, from the principal point.
+    ratio : ndarray, shape (n,), or float
+        From `scale_ratio`.
 
     Returns
     -------
@@ -97,9 +151,9 @@ def distorted(camera: Camera, ideal: Floats) -> Floats:
     """
     principal = camera.values[1:3]
     if camera.model == "brown-observed":
-        return _solve(lambda x: undistorted(camera, x + principal), ideal) + principal
+        return _solve(lambda x: undistorted(camera, x + principal, ratio), ideal) + principal
     affine = np.asarray(np.eye(2) + affinity_matrix(camera), dtype=np.float64)
-    xb = np.asarray(ideal + polynomial_distortion(camera, ideal), dtype=np.float64)
+    xb = np.asarray(ideal + polynomial_distortion(camera, ideal, ratio), dtype=np.float64)
     if camera.affinity == "additive":
         xb = xb + ideal @ (affine - np.eye(2)).T
     elif camera.affinity == "after":
@@ -126,7 +180,7 @@ def projected(camera: Camera, q: Floats) -> Floats:
     with np.errstate(divide="ignore", invalid="ignore"):
         ideal = -camera.values[0] * q[:, :2] / q[:, 2:]
     ideal[q[:, 2] >= 0] = np.nan
-    return distorted(camera, ideal)
+    return distorted(camera, ideal, scale_ratio(camera, -q[:, 2]))
 
 
 def radial_profile(camera: Camera, radius: Floats) -> Floats:

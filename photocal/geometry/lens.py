@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.compiled import allocating, inlined
-from photocal.geometry.camera import AFFINITIES, AFFINITY_MATRICES, MODELS, PARAMETERS, Camera
+from photocal.geometry.camera import AFFINITIES, AFFINITY_MATRICES, MM, MODELS, PARAMETERS, Camera
 
 Floats = NDArray[np.float64]
 
@@ -20,6 +20,7 @@ COUNT = len(PARAMETERS)
 # Positions in the parameter vector.
 _C, _X0, _K1, _P1, _B1 = (PARAMETERS.index(name) for name in ("c", "x0", "K1", "P1", "B1"))
 _OBSERVED, _IDEAL = MODELS.index("brown-observed"), MODELS.index("brown-ideal")
+_FOCUS = 11
 _ADDITIVE, _BEFORE, _AFTER = (AFFINITIES.index(name) for name in ("additive", "before", "after"))
 
 
@@ -32,12 +33,13 @@ def optics(camera: Camera) -> Floats:
 
     Returns
     -------
-    ndarray, shape (11,)
-        Code of the model, code of the affinity's place, R0, and the two affinity matrices row by row.
+    ndarray, shape (12,)
+        Code of the model, code of the affinity's place, R0, the two affinity matrices row by row, and the
+        focus distance in mm.
     """
     first, second = AFFINITY_MATRICES[camera.affinity_form]
     head = [MODELS.index(camera.model), AFFINITIES.index(camera.affinity), camera.reference_radius]
-    return np.array([*head, *np.ravel(first), *np.ravel(second)], dtype=float)
+    return np.array([*head, *np.ravel(first), *np.ravel(second), MM * camera.focus_m], dtype=float)
 
 
 class Scratch(NamedTuple):
@@ -45,8 +47,9 @@ class Scratch(NamedTuple):
 
     Attributes
     ----------
-    by_pose, by_point, by_camera : ndarray, shape (2, 6), (2, 3), (2, 13)
-        Derivatives of the residual with respect to exposure, object point and camera.
+    by_image, by_point, by_camera : ndarray, shape (2, n), (2, 3), (2, 13)
+        Derivatives of the residual with respect to the image's own unknowns (exterior orientation and
+        photo-variant parameters), object point and camera.
     by_q : ndarray, shape (2, 3)
         With respect to the object point in camera axes.
     depth : ndarray, shape (1,)
@@ -57,7 +60,7 @@ class Scratch(NamedTuple):
         Derivatives of the distortion with respect to K1..K4, P1..P4.
     """
 
-    by_pose: Floats
+    by_image: Floats
     by_point: Floats
     by_camera: Floats
     by_q: Floats
@@ -67,10 +70,10 @@ class Scratch(NamedTuple):
 
 
 @allocating
-def scratch() -> Scratch:
-    """Make room for the derivatives of one ray."""
+def scratch(unknowns: int) -> Scratch:
+    """Make room for the derivatives of one ray of an image with so many unknowns of its own."""
     return Scratch(
-        np.zeros((2, 6)),
+        np.zeros((2, unknowns)),
         np.zeros((2, 3)),
         np.zeros((2, COUNT)),
         np.zeros((2, 3)),
@@ -83,7 +86,14 @@ def scratch() -> Scratch:
 # Arrays are passed whole, with an index: a view for every ray would cost more than its arithmetic.
 @inlined
 def polynomial(
-    cameras: Floats, k: int, reference_radius: float, x: float, y: float, slope: Floats, terms: Floats
+    cameras: Floats,
+    k: int,
+    reference_radius: float,
+    g: float,
+    x: float,
+    y: float,
+    slope: Floats,
+    terms: Floats,
 ) -> tuple[float, float]:
     """Radial and decentering distortion at a point (Brown 1971).
 
@@ -98,6 +108,8 @@ def polynomial(
         Which camera.
     reference_radius : float
         R0.
+    g : float
+        Factor of the object's distance: K1 to K4 act times g^2 to g^8, P1 and P2 times g (Brown 1971).
     x, y : float
         Where to evaluate, from the principal point.
     slope, terms : ndarray
@@ -112,6 +124,11 @@ def polynomial(
     p1, p2, p3, p4 = cameras[k, _P1], cameras[k, _P1 + 1], cameras[k, _P1 + 2], cameras[k, _P1 + 3]
     s = reference_radius * reference_radius
     r2 = x * x + y * y
+    q = g * g
+    q2 = q * q
+    q3, q4 = q2 * q, q2 * q2
+    k1, k2, k3, k4 = q * k1, q2 * k2, q3 * k3, q4 * k4
+    p1, p2 = g * p1, g * p2
     e1, e2 = r2 - s, r2 * r2 - s * s
     e3, e4 = r2 * r2 * r2 - s * s * s, r2 * r2 * r2 * r2 - s * s * s * s
     radial = k1 * e1 + k2 * e2 + k3 * e3 + k4 * e4
@@ -125,10 +142,11 @@ def polynomial(
     slope[1] = x * y * radial_slope + mixed + ax * swell_slope * y
     slope[2] = x * y * radial_slope + mixed + ay * swell_slope * x
     slope[3] = radial + y * y * radial_slope + (6.0 * p2 * y + 2.0 * p1 * x) * swell + ay * swell_slope * y
+    e1, e2, e3, e4, lens = q * e1, q2 * e2, q3 * e3, q4 * e4, g * swell
     terms[0, 0], terms[0, 1], terms[0, 2], terms[0, 3] = x * e1, x * e2, x * e3, x * e4
     terms[1, 0], terms[1, 1], terms[1, 2], terms[1, 3] = y * e1, y * e2, y * e3, y * e4
-    terms[0, 4], terms[0, 5], terms[0, 6], terms[0, 7] = gx * swell, cross * swell, ax * r2, ax * r2 * r2
-    terms[1, 4], terms[1, 5], terms[1, 6], terms[1, 7] = cross * swell, gy * swell, ay * r2, ay * r2 * r2
+    terms[0, 4], terms[0, 5], terms[0, 6], terms[0, 7] = gx * lens, cross * lens, ax * r2, ax * r2 * r2
+    terms[1, 4], terms[1, 5], terms[1, 6], terms[1, 7] = cross * lens, gy * lens, ay * r2, ay * r2 * r2
     return x * radial + ax * swell, y * radial + ay * swell
 
 
@@ -150,14 +168,14 @@ def ray_residual(
     ----------
     cameras : ndarray, shape (cameras, 13)
         Camera parameters.
-    optics_of : ndarray, shape (cameras, 11)
+    optics_of : ndarray, shape (cameras, 12)
         From `optics`.
     k : int
         Which camera.
     x, y : float
         Measured coordinates in the image plane.
     u, v, w : float
-        Object point in camera axes.
+        Object point in camera axes, m.
     room : Scratch
         Its `by_q` and `by_camera` receive the derivatives.
 
@@ -180,6 +198,8 @@ def ray_residual(
     ux, uy = -u / w, -v / w
     px, py = c * ux, c * uy
     bx, by = x - x0, y - y0
+    focus = optics_of[k, _FOCUS]
+    g = 1.0 if focus == 0.0 else (1.0 - c / focus) / (1.0 + c / (MM * w))
     # Each case sets: the residual (vx, vy); a: d/dp; z: d/d(x0, y0); m: what multiplies the polynomial's
     # terms; (sx, sy): the vector that the affinity acts on, t: what multiplies it.
     if optics_of[k, 0] == _OBSERVED:
@@ -187,14 +207,14 @@ def ray_residual(
         if place == _BEFORE:
             sx, sy = bx, by
             ex, ey = bx + f00 * bx + f01 * by, by + f10 * bx + f11 * by
-            dx, dy = polynomial(cameras, k, r0, ex, ey, slope, terms)
+            dx, dy = polynomial(cameras, k, r0, g, ex, ey, slope, terms)
             vx, vy = px + dx - ex, py + dy - ey
             t00, t01, t10, t11 = slope[0] - 1.0, slope[1], slope[2], slope[3] - 1.0
             z00, z01 = -(t00 * (1.0 + f00) + t01 * f10), -(t00 * f01 + t01 * (1.0 + f11))
             z10, z11 = -(t10 * (1.0 + f00) + t11 * f10), -(t10 * f01 + t11 * (1.0 + f11))
             m00, m01, m10, m11 = 1.0, 0.0, 0.0, 1.0
         else:
-            dx, dy = polynomial(cameras, k, r0, bx, by, slope, terms)
+            dx, dy = polynomial(cameras, k, r0, g, bx, by, slope, terms)
             if place == _ADDITIVE:
                 sx, sy = bx, by
                 vx, vy = px + dx + f00 * bx + f01 * by - bx, py + dy + f10 * bx + f11 * by - by
@@ -211,7 +231,7 @@ def ray_residual(
                 z00, z01 = m00 * h00 + m01 * h10, m00 * h01 + m01 * h11
                 z10, z11 = m10 * h00 + m11 * h10, m10 * h01 + m11 * h11
     else:
-        dx, dy = polynomial(cameras, k, r0, px, py, slope, terms)
+        dx, dy = polynomial(cameras, k, r0, g, px, py, slope, terms)
         z00, z01, z10, z11 = 1.0, 0.0, 0.0, 1.0
         m00, m01, m10, m11 = 1.0, 0.0, 0.0, 1.0
         t00, t01, t10, t11 = 1.0, 0.0, 0.0, 1.0
@@ -247,4 +267,26 @@ def ray_residual(
         gy = optics_of[k, 5 + 4 * n] * sx + optics_of[k, 6 + 4 * n] * sy
         by_camera[0, _B1 + n] = t00 * gx + t01 * gy
         by_camera[1, _B1 + n] = t10 * gx + t11 * gy
+    if focus != 0.0:
+        vary_with_distance(cameras, k, focus, g, w, room)
     return vx, vy
+
+
+@inlined
+def vary_with_distance(cameras: Floats, k: int, focus: float, g: float, w: float, room: Scratch) -> None:
+    """Add what the distortion's dependence on c and on the object's distance gives to the derivatives.
+
+    g = (1 - c/s) / (1 - c/s'), the ratio of the image scales at focus s and object distance s' = -w.
+    """
+    by_q, by_camera = room.by_q, room.by_camera
+    c, depth = cameras[k, _C], -MM * w
+    near = 1.0 - c / depth
+    by_c = (1.0 / depth - 1.0 / focus) / (near * near)
+    by_w = MM * g / near * c / (depth * depth)
+    for a in range(2):
+        by_g = 0.0
+        for n in range(4):
+            by_g += 2.0 * (n + 1) * cameras[k, _K1 + n] * by_camera[a, _K1 + n]
+        by_g += cameras[k, _P1] * by_camera[a, _P1] + cameras[k, _P1 + 1] * by_camera[a, _P1 + 1]
+        by_camera[a, _C] += by_g / g * by_c
+        by_q[a, 2] += by_g / g * by_w

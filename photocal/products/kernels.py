@@ -86,7 +86,7 @@ def look_up(
     chosen : ndarray of int, shape (n,)
         Receives the image; -1 for none.
     """
-    room = scratch()
+    room = scratch(0)
     found = np.zeros(2)
     count = len(candidates)
     score = np.zeros(count)

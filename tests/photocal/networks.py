@@ -41,6 +41,8 @@ def lens(
     prior_sigma: dict[str, float] | None = None,
     affinity: Affinity = "additive",
     affinity_form: AffinityForm = "fraser",
+    photo_variant: dict[str, float] | None = None,
+    focus_m: float = 0.0,
     **changes: float,
 ) -> Camera:
     """A camera with the values of `LENS`, changed by name."""
@@ -55,6 +57,8 @@ def lens(
         prior_sigma=prior_sigma,
         affinity=affinity,
         affinity_form=affinity_form,
+        photo_variant=photo_variant,
+        focus_m=focus_m,
     )
 
 

@@ -56,6 +56,13 @@ def residual(own: Camera, values: Numbers, measured: Numbers, q: Numbers) -> tup
     """Computed minus measured of points in camera axes, by the definition of each model."""
     c, x0, y0 = values[:3]
     b1, b2 = values[11:]
+    if own.focus_m:
+        # Brown 1971: coefficients of r^(2n) vary with the power 2n of the scale, P with the first.
+        g = (1 - c / (1000 * own.focus_m)) / (1 - c / (-1000 * q[2]))
+        one = g**0
+        k1, k2, k3, k4, p1, p2, p3, p4 = values[3:11]
+        scaled = [k1 * g**2, k2 * g**4, k3 * g**6, k4 * g**8, p1 * g, p2 * g, p3 * one, p4 * one]
+        values = np.array([c * one, x0 * one, y0 * one, *scaled, b1 * one, b2 * one])
     r0, form = own.reference_radius, own.affinity_form
     px, py = -c * q[0] / q[2], -c * q[1] / q[2]
     x, y = measured[0] - x0, measured[1] - y0
@@ -114,6 +121,7 @@ class Result:
     exposures: Floats
     points: Floats
     common: Floats
+    deviations: Floats
     covariance: Floats
     column: dict[tuple[str, int, int], int]
     residuals: Floats
@@ -139,6 +147,8 @@ def _columns(network: Network) -> dict[tuple[str, int, int], int]:
         names += [("camera", k, n) for n in range(len(PARAMETERS)) if own.estimated[n]]
     sigma = network.exposures.sigma
     names += [("exposure", i, n) for i in range(len(sigma)) for n in range(6) if sigma[i, n] != 0]
+    for i, k in enumerate(network.exposures.camera):
+        names += [("deviation", i, int(n)) for n in np.flatnonzero(network.cameras[k].deviation_sigma)]
     held = network.points.held
     names += [("point", j, n) for j in range(len(held)) for n in range(3) if not held[j, n]]
     if len(network.positions.image) or len(network.attitudes.image):
@@ -152,6 +162,7 @@ def _start(network: Network) -> dict[str, Floats]:
         "exposure": network.exposures.values,
         "point": network.points.values,
         "common": network.mounting.values[None],
+        "deviation": np.zeros((len(network.exposures.values), len(PARAMETERS))),
     }
 
 
@@ -169,9 +180,9 @@ def _residuals(network: Network, values: dict[str, Numbers]) -> Numbers:
     away = values["point"][rays.point] - values["exposure"][rays.image, 3:]
     q = np.einsum("nij,nj->in", matrices[rays.image], away)
     seen = np.empty((len(rays.image), 2), dtype=q.dtype)
-    for k, own in enumerate(network.cameras):
-        mine = network.exposures.camera[rays.image] == k
-        seen[mine] = np.column_stack(residual(own, values["camera"][k], rays.plane[mine].T, q[:, mine]))
+    for i, k in enumerate(network.exposures.camera):
+        mine, lens = rays.image == i, values["camera"][k] + values["deviation"][i]
+        seen[mine] = np.column_stack(residual(network.cameras[k], lens, rays.plane[mine].T, q[:, mine]))
     out = list(np.ravel(seen / rays.sigma))
     for j, weight in enumerate(network.points.weight):
         known = np.flatnonzero(np.diag(weight))
@@ -181,6 +192,9 @@ def _residuals(network: Network, values: dict[str, Numbers]) -> Numbers:
     for k, own in enumerate(network.cameras):
         for n in np.flatnonzero(own.estimated & np.isfinite(own.prior_sigma)):
             out.append((values["camera"][k, n] - own.values[n]) / own.prior_sigma[n])
+    for i, k in enumerate(network.exposures.camera):
+        by = network.cameras[k].deviation_sigma
+        out += [values["deviation"][i, n] / by[n] for n in np.flatnonzero(np.isfinite(by) & (by > 0))]
     sigma = network.exposures.sigma
     for i, n in zip(*np.nonzero(np.isfinite(sigma) & (sigma > 0)), strict=True):
         out.append((values["exposure"][i, n] - network.exposures.values[i, n]) / sigma[i, n])
@@ -255,6 +269,7 @@ def adjust_densely(network: Network, iterations: int = 40, defect: int = 0) -> R
         values["exposure"],
         values["point"],
         values["common"][0],
+        values["deviation"],
         inverse,
         column,
         np.asarray(v[:rays].reshape(-1, 2) * network.rays.sigma, dtype=float),

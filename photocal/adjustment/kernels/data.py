@@ -7,8 +7,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from photocal.compiled import inlined
+from photocal.geometry.camera import PARAMETERS
+
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
+
+
+# Columns that an image may have: its exterior orientation, and room for photo-variant parameters. Kernels
+# are compiled for each of them, for loops of a known length are much faster.
+POSE = 6
+WIDTHS = (POSE, POSE + 3, POSE + len(PARAMETERS))
 
 
 class Design(NamedTuple):
@@ -17,21 +26,28 @@ class Design(NamedTuple):
     Attributes
     ----------
     pieces : ndarray of int, shape (threads + 1,)
-        First point of each thread's piece.
+        Where each thread's piece of `point_order` begins.
+    point_order : ndarray of int, shape (points,)
+        The points along the flight: neighbours touch the same part of the reduced matrix.
     ray_start : ndarray of int, shape (points + 1,)
         First ray of each point.
     ray_image : ndarray of int, shape (rays,)
     plane, weight : ndarray, shape (rays, 2)
         Measured coordinates and their weights 1 / sigma^2.
-    image_camera, image_column : ndarray of int, shape (images,)
-        Camera and first column of each image.
+    width : ndarray
+        Its number of axes, which the compiler knows, tells the columns of an image: see `columns`.
+    image_lens, image_column : ndarray of int, shape (images,)
+        Lens and first column of each image. Images share the lens of their camera; with photo-variant
+        parameters each image has its own.
     pose_free : ndarray, shape (images, 6)
         1 where a pose unknown is free, else 0.
-    optics : ndarray, shape (cameras, 11)
+    own, own_count : ndarray of int, shape (lenses, n) and (lenses,)
+        Positions of the photo-variant parameters, the first `own_count` of each row.
+    optics : ndarray, shape (lenses, 12)
         From `lens.optics`.
-    active : ndarray of int, shape (cameras, 13)
+    active : ndarray of int, shape (lenses, 13)
         Positions of the estimated parameters, the first `active_count` of each row.
-    active_count, active_column : ndarray of int, shape (cameras,)
+    active_count, active_column : ndarray of int, shape (lenses,)
         Number of estimated parameters and the first of their columns within the border.
     point_column : ndarray of int, shape (points,)
         First column, within the border, of a point that is not eliminated; -1 for all others.
@@ -42,13 +58,17 @@ class Design(NamedTuple):
     """
 
     pieces: Integers
+    point_order: Integers
     ray_start: Integers
     ray_image: Integers
     plane: Floats
     weight: Floats
-    image_camera: Integers
+    width: Floats
+    image_lens: Integers
     image_column: Integers
     pose_free: Floats
+    own: Integers
+    own_count: Integers
     optics: Floats
     active: Integers
     active_count: Integers
@@ -64,14 +84,14 @@ class Values(NamedTuple):
 
     Attributes
     ----------
-    cameras : ndarray, shape (cameras, 13)
+    lenses : ndarray, shape (lenses, 13)
     rotation, basis : ndarray, shape (images, 3, 3)
         Object to camera axes; the turn that each rotation unknown makes.
     centre : ndarray, shape (images, 3)
     points : ndarray, shape (points, 3)
     """
 
-    cameras: Floats
+    lenses: Floats
     rotation: Floats
     basis: Floats
     centre: Floats
@@ -98,8 +118,8 @@ class Eliminated(NamedTuple):
 
     Attributes
     ----------
-    mixed : ndarray, shape (rays, 3, 6)
-        Normal matrix between the point and the exposure of each ray.
+    mixed : ndarray, shape (rays, 3, columns of an image)
+        Normal matrix between the point and the image of each ray.
     mixed_border : ndarray, shape (points, 3, lens)
         Between each point and the cameras.
     inverse : ndarray, shape (points, 3, 3)
@@ -111,3 +131,9 @@ class Eliminated(NamedTuple):
     mixed_border: Floats
     inverse: Floats
     gradient: Floats
+
+
+@inlined
+def columns(design: Design) -> int:
+    """Columns of an image, a constant of the compiled kernel."""
+    return WIDTHS[design.width.ndim - 1]

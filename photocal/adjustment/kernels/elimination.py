@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values
+from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns
 from photocal.adjustment.kernels.ray import inverse3, ray_rows
 from photocal.compiled import compiled, compiled_parallel, inlined
 from photocal.geometry.lens import Scratch, scratch
@@ -53,9 +53,9 @@ def add_ray(
     side: Floats,
 ) -> None:
     """Add one ray to the normal equations of its exposure, camera and point."""
-    by_pose, by_point, by_camera = room.by_pose, room.by_point, room.by_camera
+    by_image, by_point, by_camera = room.by_image, room.by_point, room.by_camera
     panel, band, border, width = structure.panel, structure.band, structure.border, structure.width
-    k = design.image_camera[i]
+    k = design.image_lens[i]
     px, py = design.weight[r, 0], design.weight[r, 1]
     column = design.image_column[i]
     home = column // panel
@@ -63,18 +63,18 @@ def add_ray(
     step = width[home]
     corner = structure.offset[home] + (column - top) * step + column - top
     foot = structure.offset[home] + (structure.last[home] - top) * step + column - top
-    for a in range(6):
-        ax, ay = px * by_pose[0, a], py * by_pose[1, a]
+    for a in range(columns(design)):
+        ax, ay = px * by_image[0, a], py * by_image[1, a]
         gradient[column + a] += ax * vx + ay * vy
         for b in range(a + 1):
-            matrix[corner + a * step + b] += ax * by_pose[0, b] + ay * by_pose[1, b]
+            matrix[corner + a * step + b] += ax * by_image[0, b] + ay * by_image[1, b]
     for a in range(3):
         ax, ay = px * by_point[0, a], py * by_point[1, a]
         side[a] += ax * vx + ay * vy
         for b in range(3):
             block[a, b] += ax * by_point[0, b] + ay * by_point[1, b]
-        for b in range(6):
-            kept.mixed[r, a, b] = ax * by_pose[0, b] + ay * by_pose[1, b]
+        for b in range(columns(design)):
+            kept.mixed[r, a, b] = ax * by_image[0, b] + ay * by_image[1, b]
     at = design.active_column[k]
     own = structure.offset[len(width) - 1] + at * (border + 1)
     for s in range(design.active_count[k]):
@@ -82,8 +82,8 @@ def add_ray(
         cx, cy = px * by_camera[0, n], py * by_camera[1, n]
         gradient[band + at + s] += cx * vx + cy * vy
         row = foot + (at + s) * step
-        for b in range(6):
-            matrix[row + b] += cx * by_pose[0, b] + cy * by_pose[1, b]
+        for b in range(columns(design)):
+            matrix[row + b] += cx * by_image[0, b] + cy * by_image[1, b]
         for b in range(3):
             kept.mixed_border[j, b, at + s] += cx * by_point[0, b] + cy * by_point[1, b]
         row = own + s * border
@@ -125,13 +125,13 @@ def eliminate(
     for r in range(begin, end):
         column = design.image_column[design.ray_image[r]]
         for a in range(3):
-            for b in range(6):
+            for b in range(columns(design)):
                 scaled[a, b] = (
                     inverse[j, a, 0] * mixed[r, 0, b]
                     + inverse[j, a, 1] * mixed[r, 1, b]
                     + inverse[j, a, 2] * mixed[r, 2, b]
                 )
-        for b in range(6):
+        for b in range(columns(design)):
             gradient[column + b] -= scaled[0, b] * g0 + scaled[1, b] * g1 + scaled[2, b] * g2
         home = column // panel
         top = home * panel
@@ -140,7 +140,7 @@ def eliminate(
         for s in range(lens):
             m0, m1, m2 = mixed_border[j, 0, s], mixed_border[j, 1, s], mixed_border[j, 2, s]
             row = foot + s * step
-            for b in range(6):
+            for b in range(columns(design)):
                 matrix[row + b] -= m0 * scaled[0, b] + m1 * scaled[1, b] + m2 * scaled[2, b]
         start = structure.offset[home] + column - top
         for t in range(begin, end):
@@ -148,10 +148,10 @@ def eliminate(
             if other < column:
                 continue
             corner = start + (other - top) * step
-            for a in range(6):
+            for a in range(columns(design)):
                 m0, m1, m2 = mixed[t, 0, a], mixed[t, 1, a], mixed[t, 2, a]
                 row = corner + a * step
-                for b in range(6):
+                for b in range(columns(design)):
                     matrix[row + b] -= m0 * scaled[0, b] + m1 * scaled[1, b] + m2 * scaled[2, b]
 
 
@@ -182,7 +182,7 @@ def retain(
             home = column // panel
             top = home * panel
             foot = structure.offset[home] + (structure.last[home] - top + at + a) * width[home] + column - top
-            for b in range(6):
+            for b in range(columns(design)):
                 matrix[foot + b] += kept.mixed[r, a, b]
         for b in range(3):
             kept.inverse[j, a, b] = 0.0
@@ -207,7 +207,8 @@ def accumulate_piece(
 ) -> float:
     """Normal equations of one thread's points; returns their v'Pv, infinite for a point behind a camera."""
     total = 0.0
-    for j in range(design.pieces[piece], design.pieces[piece + 1]):
+    for nth in range(design.pieces[piece], design.pieces[piece + 1]):
+        j = design.point_order[nth]
         total += own_block(design, values, j, block, side)
         for a in range(3):
             for s in range(structure.lens):
@@ -272,9 +273,9 @@ def accumulate(
             gradients[piece],
             kept,
             singular,
-            scratch(),
+            scratch(columns(design)),
             np.zeros((3, 3)),
             np.zeros(3),
-            np.zeros((3, 6)),
+            np.zeros((3, columns(design))),
             np.zeros((3, max(structure.lens, 1))),
         )

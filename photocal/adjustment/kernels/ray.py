@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.adjustment.kernels.data import Design, Structure, Values
+from photocal.adjustment.kernels.data import Design, Structure, Values, columns
 from photocal.compiled import inlined
 from photocal.geometry.lens import Scratch, ray_residual
 
@@ -16,15 +16,15 @@ Floats = NDArray[np.float64]
 def ray_rows(design: Design, values: Values, r: int, i: int, j: int, room: Scratch) -> tuple[float, float]:
     """Residual of ray r from image i to point j; its derivatives are put into the scratch room."""
     points, centre, rotation, basis = values.points, values.centre, values.rotation, values.basis
-    k = design.image_camera[i]
+    k = design.image_lens[i]
     dx, dy, dz = points[j, 0] - centre[i, 0], points[j, 1] - centre[i, 1], points[j, 2] - centre[i, 2]
     u = rotation[i, 0, 0] * dx + rotation[i, 0, 1] * dy + rotation[i, 0, 2] * dz
     v = rotation[i, 1, 0] * dx + rotation[i, 1, 1] * dy + rotation[i, 1, 2] * dz
     w = rotation[i, 2, 0] * dx + rotation[i, 2, 1] * dy + rotation[i, 2, 2] * dz
     vx, vy = ray_residual(
-        values.cameras, design.optics, k, design.plane[r, 0], design.plane[r, 1], u, v, w, room
+        values.lenses, design.optics, k, design.plane[r, 0], design.plane[r, 1], u, v, w, room
     )
-    by_q, by_pose, by_point = room.by_q, room.by_pose, room.by_point
+    by_q, by_image, by_point = room.by_q, room.by_image, room.by_point
     for a in range(2):
         g0, g1, g2 = by_q[a, 0], by_q[a, 1], by_q[a, 2]
         # A small turn t moves q by t x q.
@@ -32,9 +32,11 @@ def ray_rows(design: Design, values: Values, r: int, i: int, j: int, room: Scrat
         for n in range(3):
             turn = t0 * basis[i, 0, n] + t1 * basis[i, 1, n] + t2 * basis[i, 2, n]
             along = g0 * rotation[i, 0, n] + g1 * rotation[i, 1, n] + g2 * rotation[i, 2, n]
-            by_pose[a, n] = turn * design.pose_free[i, n]
-            by_pose[a, 3 + n] = -along * design.pose_free[i, 3 + n]
+            by_image[a, n] = turn * design.pose_free[i, n]
+            by_image[a, 3 + n] = -along * design.pose_free[i, 3 + n]
             by_point[a, n] = along * design.point_free[j, n]
+        for n in range(columns(design) - 6):
+            by_image[a, 6 + n] = room.by_camera[a, design.own[k, n]] if n < design.own_count[k] else 0.0
     return vx, vy
 
 

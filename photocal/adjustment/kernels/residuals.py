@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.adjustment.kernels.data import Design, Values
+from photocal.adjustment.kernels.data import Design, Values, columns
 from photocal.adjustment.kernels.ray import ray_rows
 from photocal.compiled import compiled, compiled_parallel
 from photocal.geometry.lens import Scratch, scratch
@@ -19,7 +19,8 @@ def evaluate_piece(
     design: Design, values: Values, piece: int, room: Scratch, residuals: Floats, depth: Floats
 ) -> None:
     """Residuals of one thread's points, see `evaluate`."""
-    for j in range(design.pieces[piece], design.pieces[piece + 1]):
+    for nth in range(design.pieces[piece], design.pieces[piece + 1]):
+        j = design.point_order[nth]
         for r in range(design.ray_start[j], design.ray_start[j + 1]):
             residuals[r, 0], residuals[r, 1] = ray_rows(design, values, r, design.ray_image[r], j, room)
             depth[r] = room.depth[0]
@@ -39,4 +40,4 @@ def evaluate(design: Design, values: Values, residuals: Floats, depth: Floats) -
         Receives how far each point lies in front of the camera, m.
     """
     for piece in numba.prange(len(design.pieces) - 1):
-        evaluate_piece(design, values, piece, scratch(), residuals, depth)
+        evaluate_piece(design, values, piece, scratch(columns(design)), residuals, depth)

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values
+from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns
 from photocal.adjustment.kernels.ray import ray_rows
 from photocal.compiled import compiled, compiled_parallel, inlined
 from photocal.geometry.lens import Scratch, scratch
@@ -18,7 +18,8 @@ Floats = NDArray[np.float64]
 def most_rays(design: Design, piece: int) -> int:
     """Largest number of rays of a point among one thread's points, at least 1."""
     most = 1
-    for j in range(design.pieces[piece], design.pieces[piece + 1]):
+    for nth in range(design.pieces[piece], design.pieces[piece + 1]):
+        j = design.point_order[nth]
         most = max(most, design.ray_start[j + 1] - design.ray_start[j])
     return most
 
@@ -30,7 +31,7 @@ def gather(design: Design, structure: Structure, j: int, inverse: Floats, local:
     # Only a point that stays among the unknowns has columns behind those of the cameras.
     reach = border if design.point_column[j] >= 0 else structure.lens
     begin, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
-    edge = 6 * n
+    edge = columns(design) * n
     for r in range(n):
         column = design.image_column[design.ray_image[begin + r]]
         home = column // panel
@@ -42,17 +43,17 @@ def gather(design: Design, structure: Structure, j: int, inverse: Floats, local:
             if other < column:
                 continue
             corner = start + (other - top) * step
-            for a in range(6):
-                for b in range(6):
+            for a in range(columns(design)):
+                for b in range(columns(design)):
                     z = inverse[corner + a * step + b]
-                    local[6 * t + a, 6 * r + b] = z
-                    local[6 * r + b, 6 * t + a] = z
+                    local[columns(design) * t + a, columns(design) * r + b] = z
+                    local[columns(design) * r + b, columns(design) * t + a] = z
         foot = start + (structure.last[home] - top) * step
         for s in range(reach):
-            for b in range(6):
+            for b in range(columns(design)):
                 z = inverse[foot + s * step + b]
-                local[edge + s, 6 * r + b] = z
-                local[6 * r + b, edge + s] = z
+                local[edge + s, columns(design) * r + b] = z
+                local[columns(design) * r + b, edge + s] = z
     own = structure.offset[len(width) - 1]
     for s in range(reach):
         for t in range(s + 1):
@@ -80,16 +81,17 @@ def statistics_piece(
     cov: Floats,
 ) -> None:
     """Statistics of one thread's points, see `statistics`."""
-    for j in range(design.pieces[piece], design.pieces[piece + 1]):
+    for nth in range(design.pieces[piece], design.pieces[piece + 1]):
+        j = design.point_order[nth]
         begin, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
-        edge = 6 * n
+        edge = columns(design) * n
         m = gather(design, structure, j, inverse, local)
         # mixed = V^-1 W' and spread = V^-1 W' Q_uu: Q_pu = -spread, Q_pp = V^-1 + spread W V^-1.
         for a in range(3):
             q0, q1, q2 = kept.inverse[j, a, 0], kept.inverse[j, a, 1], kept.inverse[j, a, 2]
             for r in range(n):
-                for b in range(6):
-                    mixed[a, 6 * r + b] = (
+                for b in range(columns(design)):
+                    mixed[a, columns(design) * r + b] = (
                         q0 * kept.mixed[begin + r, 0, b]
                         + q1 * kept.mixed[begin + r, 1, b]
                         + q2 * kept.mixed[begin + r, 2, b]
@@ -126,9 +128,9 @@ def statistics_piece(
                 point_covariance[j, a, b] = cov[a, b]
         for r in range(begin, begin + n):
             i = design.ray_image[r]
-            k = design.image_camera[i]
+            k = design.image_lens[i]
             residuals[r, 0], residuals[r, 1] = ray_rows(design, values, r, i, j, room)
-            at, first = edge + design.active_column[k], 6 * (r - begin)
+            at, first = edge + design.active_column[k], columns(design) * (r - begin)
             count = design.active_count[k]
             for a in range(2):
                 b0, b1, b2 = room.by_point[a, 0], room.by_point[a, 1], room.by_point[a, 2]
@@ -137,15 +139,15 @@ def statistics_piece(
                     variance += room.by_point[a, b] * (cov[b, 0] * b0 + cov[b, 1] * b1 + cov[b, 2] * b2)
                 for s in range(count):
                     row[s] = room.by_camera[a, design.active[k, s]]
-                for b in range(6):
+                for b in range(columns(design)):
                     part = -2.0 * (
                         spread[0, first + b] * b0 + spread[1, first + b] * b1 + spread[2, first + b] * b2
                     )
-                    for c in range(6):
-                        part += local[first + b, first + c] * room.by_pose[a, c]
+                    for c in range(columns(design)):
+                        part += local[first + b, first + c] * room.by_image[a, c]
                     for s in range(count):
                         part += 2.0 * local[first + b, at + s] * row[s]
-                    variance += room.by_pose[a, b] * part
+                    variance += room.by_image[a, b] * part
                 for b in range(count):
                     part = -2.0 * (spread[0, at + b] * b0 + spread[1, at + b] * b1 + spread[2, at + b] * b2)
                     for s in range(count):
@@ -180,7 +182,7 @@ def statistics(
         Receive the results. r = 1 - p a Q a' with a the row of the design matrix (Foerstner 1979).
     """
     for piece in numba.prange(len(design.pieces) - 1):
-        size = 6 * most_rays(design, piece) + structure.border
+        size = columns(design) * most_rays(design, piece) + structure.border
         statistics_piece(
             design,
             values,
@@ -191,7 +193,7 @@ def statistics(
             point_covariance,
             residuals,
             redundancy,
-            scratch(),
+            scratch(columns(design)),
             np.zeros((3, size)),
             np.zeros((3, size)),
             np.zeros((size, size)),

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.adjustment.kernels.data import Design, Eliminated, Structure
+from photocal.adjustment.kernels.data import Design, Eliminated, Structure, columns
 from photocal.compiled import compiled, compiled_parallel
 
 Floats = NDArray[np.float64]
@@ -18,12 +18,13 @@ def back_substitute_piece(
 ) -> float:
     """Move one thread's points; returns g'V^-1 g, see `back_substitute`."""
     decrease, band = 0.0, structure.band
-    for j in range(design.pieces[piece], design.pieces[piece + 1]):
+    for nth in range(design.pieces[piece], design.pieces[piece + 1]):
+        j = design.point_order[nth]
         g0, g1, g2 = kept.gradient[j, 0], kept.gradient[j, 1], kept.gradient[j, 2]
         c0, c1, c2 = g0, g1, g2
         for r in range(design.ray_start[j], design.ray_start[j + 1]):
             column = design.image_column[design.ray_image[r]]
-            for b in range(6):
+            for b in range(columns(design)):
                 c0 += kept.mixed[r, 0, b] * step[column + b]
                 c1 += kept.mixed[r, 1, b] * step[column + b]
                 c2 += kept.mixed[r, 2, b] * step[column + b]
@@ -87,7 +88,7 @@ def reduce_right(
                 continue
             for r in range(design.ray_start[j], design.ray_start[j + 1]):
                 column = design.image_column[design.ray_image[r]]
-                for b in range(6):
+                for b in range(columns(design)):
                     reduced[column + b] -= kept.mixed[r, a, b] * x
             for s in range(structure.lens):
                 reduced[band + s] -= kept.mixed_border[j, a, s] * x

@@ -54,6 +54,16 @@ def same(network: Network, tolerance: float = 1e-5, defect: int = 0) -> None:
                 kind,
                 index,
             )
+    own = ours.photo_variant
+    for row, (image, n) in enumerate(zip(own.image.tolist(), own.parameter.tolist(), strict=True)):
+        k = network.exposures.camera[image]
+        at, common = plain.column["deviation", image, n], plain.column.get(("camera", int(k), n))
+        both = [at] if common is None else [at, common]
+        sigma = np.sqrt(plain.covariance[at, at])
+        assert own.deviations[row] == pytest.approx(plain.deviations[image, n], abs=2e-3 * sigma)
+        assert own.values[row] == pytest.approx(plain.cameras[k, n] + plain.deviations[image, n])
+        assert own.deviation_sigma[row] == pytest.approx(sigma, rel=tolerance)
+        assert own.sigma[row] == pytest.approx(np.sqrt(plain.covariance[np.ix_(both, both)].sum()), rel=1e-4)
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -79,6 +89,35 @@ def test_several_cameras_of_different_models() -> None:
         networks.lens("c", estimate=()),
     )
     same(networks.observe(networks.convergent(cameras, images=6, points=15), np.random.default_rng(5)))
+
+
+@pytest.mark.parametrize(
+    ("photo_variant", "estimate"),
+    [
+        ({"x0": 0.02, "y0": 0.03}, ("c", "x0", "y0", "K1")),
+        ({"c": 0.05, "x0": 0.02, "K1": 1e-6, "B1": 1e-4}, ("c", "x0", "y0", "K1")),
+        ({"c": INF}, ("x0", "y0", "K1")),
+    ],
+    ids=["weighted", "more than three", "free"],
+)
+def test_photo_variant_parameters(photo_variant: dict[str, float], estimate: tuple[str, ...]) -> None:
+    cameras = (
+        networks.lens("a", estimate=estimate, photo_variant=photo_variant),
+        networks.lens("b", "brown-ideal", estimate=("c", "x0", "K1"), c=24.0),
+    )
+    sigma = np.full((16, 3), 0.003)
+    same(
+        networks.observe(
+            networks.convergent(cameras, images=6, points=16), np.random.default_rng(15), point_sigma=sigma
+        )
+    )
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_distortion_that_varies_with_the_distance(model: Model) -> None:
+    own = networks.lens(model=model, focus_m=9.0, estimate=ALL)
+    scene = networks.convergent((own,), images=5, points=14)
+    same(networks.observe(scene, np.random.default_rng(16)))
 
 
 def test_weighted_exposures_and_tie_points() -> None:

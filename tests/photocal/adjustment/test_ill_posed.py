@@ -64,6 +64,23 @@ def test_flat_vertical_block_does_not_give_the_principal_distance() -> None:
     assert "Z" in said.partition("separate")[2]
 
 
+def test_null_vectors_are_given_in_units() -> None:
+    """A camera over a plane: 1 mm of c goes with the flying height over c, of the height of every image."""
+    sigma = np.full((6, 6), INF)
+    sigma[:, :3] = 0.0
+    network = networks.observe(nadir(0.0), None, point_sigma=0.0, exposure_sigma=sigma, disturb=0.0)
+    with pytest.raises(IllPosedError) as failure:
+        adjust(network)
+    # x0 goes with X and y0 with Y, each alone.
+    assert len(failure.value.details) == 3
+    (vector,) = (line for line in failure.value.details if "c of camera" in line)
+    parts = {part.split(" ", 2)[2]: float(part.split()[0]) for part in vector.split(": ")[1].split(", ")}
+    c = parts["c of camera main"]
+    heights = np.array([parts[f"Z of image i{i}"] for i in range(6)])
+    # 100 m above the plane with 20 mm: what the images fix is the ratio of the two.
+    assert heights / c == pytest.approx(np.full(6, 100.0 / 20.0), rel=1e-3)
+
+
 def test_all_images_from_one_place() -> None:
     scene = networks.convergent()
     exposures = scene.exposures.copy()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -49,7 +50,7 @@ def rays(draw: st.DrawFn) -> tuple[dict[str, float], float, Floats, Floats]:
 
 
 def evaluate(own: Camera, measured: Floats, q: Floats) -> tuple[Floats, Any]:
-    room = scratch()
+    room = scratch(0)
     (x, y), (a, b, c) = measured.tolist(), q.tolist()
     v = ray_residual(own.values[None], optics(own)[None], 0, x, y, a, b, c, room)
     return np.array(v), room
@@ -87,6 +88,32 @@ def test_residual_and_derivatives(
     assert room.by_camera == pytest.approx(by_camera, rel=1e-10, abs=1e-10)
     assert room.by_q == pytest.approx(by_q, rel=1e-10, abs=1e-11)
     assert room.depth[0] == -q[2]
+
+
+@pytest.mark.parametrize("kind", KINDS, ids="-".join)
+@settings(max_examples=15, deadline=None)
+@given(ray=rays(), focus_m=st.floats(0.3, 20.0), distance=st.floats(0.3, 20.0))
+def test_distortion_that_varies_with_the_distance(
+    kind: tuple[Model, Affinity, AffinityForm],
+    ray: tuple[dict[str, float], float, Floats, Floats],
+    focus_m: float,
+    distance: float,
+) -> None:
+    parameters, r0, measured, q = ray
+    own = replace(made(kind, parameters, r0), focus_m=focus_m)
+    q = q * distance / -q[2]
+    v, room = evaluate(own, measured, q)
+    assert v == pytest.approx(oracle.residual(own, own.values, measured, q), abs=1e-10)
+    for n in range(len(PARAMETERS)):
+        moved = own.values.astype(complex)
+        moved[n] += 1e-30j
+        numerical = np.array(oracle.residual(own, moved, measured, q)).imag / 1e-30
+        assert room.by_camera[:, n] == pytest.approx(numerical, rel=1e-9, abs=1e-9)
+    for n in range(3):
+        place = q.astype(complex)
+        place[n] += 1e-30j
+        numerical = np.array(oracle.residual(own, own.values, measured, place)).imag / 1e-30
+        assert room.by_q[:, n] == pytest.approx(numerical, rel=1e-9, abs=1e-9)
 
 
 def test_derivatives_against_differences_of_the_residual_itself() -> None:

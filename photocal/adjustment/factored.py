@@ -1,0 +1,92 @@
+"""The normal equations of an adjusted network, factorised: what single columns of the covariance need."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.adjustment.datum import Correction, correction, full_solution, with_datum
+from photocal.adjustment.envelope import factorise
+from photocal.adjustment.network import Network
+from photocal.adjustment.normal import Normal, Problem, normal_equations, prepare
+from photocal.adjustment.rank import explain_singular
+from photocal.adjustment.state import State
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Factored:
+    """Normal equations at the adjusted state.
+
+    Attributes
+    ----------
+    problem : Problem
+    state : State
+    normal : Normal
+        Its matrix is the Cholesky factor.
+    datum : Correction or None
+        Of a free network: what leads to inner constraints.
+    """
+
+    problem: Problem
+    state: State
+    normal: Normal
+    datum: Correction | None
+
+
+def factored(network: Network, state: State) -> Factored:
+    """Set up and factorise the normal equations at an adjusted state.
+
+    Parameters
+    ----------
+    network : Network
+    state : State
+        Of its solution.
+
+    Returns
+    -------
+    Factored
+
+    Raises
+    ------
+    IllPosedError
+        When they are singular.
+    """
+    problem = with_datum(prepare(network), state)
+    normal = normal_equations(problem, state)
+    bare = replace(normal, matrix=normal.matrix.copy()) if len(problem.stiffened) else normal
+    if factorise(problem.layout.envelope, normal.matrix) >= 0:
+        explain_singular(problem, state)
+    datum = correction(problem, normal, bare, state) if len(problem.stiffened) else None
+    return Factored(problem, state, normal, datum)
+
+
+def covariance_column(at: Factored, reduced: Floats, points: Floats) -> tuple[Floats, Floats]:
+    """Covariance of all unknowns with one linear function of them.
+
+    Parameters
+    ----------
+    at : Factored
+    reduced : ndarray, shape (layout.size,)
+        Coefficients of the unknowns of the reduced system.
+    points : ndarray, shape (points, 3)
+        Coefficients of the points; those that are kept in the reduced system have theirs there.
+
+    Returns
+    -------
+    reduced, points
+        The covariances, in the same arrangement; kept points have theirs in both.
+    """
+    step, moved = full_solution(at.problem, at.normal, reduced, points)
+    if at.datum is None:
+        return step, moved
+    datum = at.datum
+    # Columns of S Q S' with S = I - A (G'A)^-1 G' (Baarda 1973).
+    along = datum.inverse.T @ (datum.moves.T @ reduced + np.einsum("nak,na->k", datum.point_moves, points))
+    on_datum = datum.spread.T @ reduced + np.einsum("nak,na->k", datum.point_spread, points)
+    back = datum.inverse @ (on_datum - datum.own @ along)
+    step = step - datum.spread @ along - datum.moves @ back
+    return step, moved - datum.point_spread @ along - datum.point_moves @ back

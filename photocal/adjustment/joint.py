@@ -1,0 +1,107 @@
+"""Joint covariance of chosen unknowns: the cross-blocks that are not kept for all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError
+from photocal.adjustment.factored import Factored, covariance_column
+from photocal.adjustment.state import turn_basis
+from photocal.adjustment.unknowns import XYZ, Unknown, unknowns
+from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class JointCovariance:
+    """Covariance matrix of chosen unknowns.
+
+    Attributes
+    ----------
+    unknowns : tuple of Unknown
+    covariance : ndarray, shape (n, n)
+        In the units of the adjustment (rad, m, unit of the camera); a priori unit variance 1.
+    """
+
+    unknowns: tuple[Unknown, ...]
+    covariance: Floats
+
+
+def joint_covariance(at: Factored, chosen: Sequence[tuple[str, str]]) -> JointCovariance:
+    """Covariance of all unknowns of chosen images, cameras, points and of the mounting.
+
+    Parameters
+    ----------
+    at : Factored
+    chosen : sequence of (kind, name)
+        Kind `image`, `camera`, `point` or `mounting` (whose name is empty).
+
+    Returns
+    -------
+    JointCovariance
+
+    Raises
+    ------
+    ConfigurationError
+        For what is no unknown of the network.
+    """
+    named, rows = list[Unknown](), list[tuple[Floats, Floats]]()
+    columns = unknowns(at.problem)
+    for kind, name in dict.fromkeys(chosen):
+        found = _functions(at, columns, kind, name)
+        if not found:
+            raise ConfigurationError(
+                f"{kind} {name} is no unknown of this adjustment".replace("  ", " "),
+                remedy="name image:NAME, camera:ID, point:NAME or mounting",
+            )
+        named += [unknown for unknown, _, _ in found]
+        rows += [(reduced, points) for _, reduced, points in found]
+    covariance = np.empty((len(rows), len(rows)))
+    for k, (reduced, points) in enumerate(rows):
+        step, moved = covariance_column(at, reduced, points)
+        covariance[:, k] = [step @ other + np.sum(moved * place) for other, place in rows]
+    return JointCovariance(tuple(named), (covariance + covariance.T) / 2)
+
+
+def _functions(
+    at: Factored, columns: list[Unknown | None], kind: str, name: str
+) -> list[tuple[Unknown, Floats, Floats]]:
+    """Unknowns of one thing as linear functions of the columns and of the eliminated points."""
+    size, none = at.problem.layout.size, np.zeros_like(at.state.points)
+    mine = [k for k, one in enumerate(columns) if one is not None and (one.kind, one.of) == (kind, name)]
+    result = []
+    turns = _angle_rows(at, name) if kind == "image" and mine else {}
+    for k in mine:
+        one = columns[k]
+        assert one is not None  # noqa: S101 - chosen above
+        row = np.zeros(size)
+        row[k] = 1.0
+        result.append((one, turns.get(one.parameter, row), none))
+    if kind == "point" and not mine and name in at.problem.network.point_names:
+        j = at.problem.network.point_names.index(name)
+        for a, axis in enumerate(XYZ):
+            if not at.problem.network.points.held[j, a]:
+                place = np.zeros_like(at.state.points)
+                place[j, a] = 1.0
+                result.append((Unknown("point", name, axis, "m"), np.zeros(size), place))
+    return result
+
+
+def _angle_rows(at: Factored, name: str) -> dict[str, Floats]:
+    """Omega, phi and kappa of an image as functions of its three turns."""
+    network, layout = at.problem.network, at.problem.layout
+    i = network.image_names.index(name)
+    angles = angles_from_matrix(at.state.rotation[i : i + 1])
+    per_turn = np.linalg.solve(turn_per_angle(angles), turn_basis(network, at.state)[i : i + 1])[0]
+    rows = {}
+    for k, angle in enumerate(("omega", "phi", "kappa")):
+        row = np.zeros(layout.size)
+        row[layout.image_columns[i, :3]] = per_turn[k]
+        row[at.problem.held] = 0.0
+        rows[angle] = row
+    return rows

@@ -1,0 +1,99 @@
+"""What the unknowns of the reduced system are called, and in which unit a person reads them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from photocal.adjustment.mounting import BORESIGHT, COMMON, STRIPS, TIME
+from photocal.adjustment.network import Network
+from photocal.adjustment.normal import Problem
+from photocal.geometry.camera import PARAMETERS
+
+POSE_NAMES = ("omega", "phi", "kappa", "X", "Y", "Z")
+XYZ = ("X", "Y", "Z")
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One unknown.
+
+    Attributes
+    ----------
+    kind : {"image", "camera", "mounting", "point"}
+    of : str
+        Name of the image, camera or point; empty for the mounting.
+    parameter : str
+    unit : str
+        In which it is printed; empty for coefficients of distortion.
+    scale : float
+        That unit per unit of the adjustment.
+    """
+
+    kind: str
+    of: str
+    parameter: str
+    unit: str
+    scale: float = 1.0
+
+    @property
+    def name(self) -> str:
+        """Such as `Z of image 12`."""
+        return f"{self.parameter} of {self.kind} {self.of}" if self.of else self.parameter
+
+
+def unknowns(problem: Problem) -> list[Unknown | None]:
+    """Name the columns of the reduced system; None for those that are no unknowns.
+
+    Parameters
+    ----------
+    problem : Problem
+
+    Returns
+    -------
+    list
+        One entry for each column.
+    """
+    network, layout = problem.network, problem.layout
+    found: list[Unknown | None] = [None] * layout.size
+    for i, image in enumerate(network.image_names):
+        for column, parameter in zip(layout.image_columns[i], POSE_NAMES, strict=True):
+            angle = parameter not in XYZ
+            found[column] = Unknown(
+                "image", image, parameter, "deg" if angle else "m", np.degrees(1.0) if angle else 1.0
+            )
+        camera = network.cameras[network.exposures.camera[i]]
+        varied = np.flatnonzero(camera.deviation_sigma > 0)
+        for column, k in zip(layout.own_columns[i], varied, strict=False):
+            found[column] = Unknown("image", image, PARAMETERS[k], _lens_unit(camera.unit, PARAMETERS[k]))
+    for camera, (active, columns) in zip(network.cameras, layout.camera_columns, strict=True):
+        for k, column in zip(active, columns, strict=True):
+            unit = _lens_unit(camera.unit, PARAMETERS[k])
+            found[column] = Unknown("camera", camera.id, PARAMETERS[k], unit)
+    for column, common in zip(layout.common_columns, common_unknowns(network), strict=True):
+        if column >= 0:
+            found[column] = common
+    for j, columns in zip(layout.kept_points, layout.point_columns, strict=True):
+        for column, parameter in zip(columns, XYZ, strict=True):
+            found[column] = Unknown("point", network.point_names[j], parameter, "m")
+    return [None if held else one for one, held in zip(found, problem.held, strict=True)]
+
+
+def common_unknowns(network: Network) -> list[Unknown]:
+    """Name the common values of the mounting, in their order."""
+    found = []
+    for k in range(len(network.mounting.values)):
+        if k < STRIPS:
+            angle = BORESIGHT.start <= k < BORESIGHT.stop
+            unit, scale = ("deg", np.degrees(1.0)) if angle else ("s" if k == TIME else "m", 1.0)
+            found.append(Unknown("mounting", "", COMMON[k], unit, scale))
+            continue
+        strip, place = divmod(k - STRIPS, 6)
+        what, unit = ("shift", "m") if place < 3 else ("drift", "m/s")
+        found.append(Unknown("mounting", "", f"{what}_{'xyz'[place % 3]}[{strip}]", unit))
+    return found
+
+
+def _lens_unit(unit: str, parameter: str) -> str:
+    return unit if parameter in ("c", "x0", "y0") else ""
