@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from acquire.console import application, run
+from acquire.console import application
+from acquire.console import run as run_application
 from photocal.commands import (
     adjust,
     analyse,
@@ -15,12 +16,14 @@ from photocal.commands import (
     ortho,
     plan,
     ppk,
+    run,
     survey,
     verify,
     volume,
 )
 
 app = application("From flight log, images and control points to a calibrated camera and its certificate.")
+app.command()(run.run)
 app.command()(measure.measure)
 app.command()(adjust.adjust)
 app.command()(certificate.certificate)
@@ -39,4 +42,4 @@ app.command()(ortho.ortho)
 
 def main() -> None:
     """Run the command line."""
-    run(app)
+    run_application(app)

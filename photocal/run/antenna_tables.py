@@ -1,0 +1,101 @@
+"""`positions.csv` and `attitudes.csv` of a block, from exposures at the antenna."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.block.mounting import ATTITUDE_COLUMNS, POSITION_COLUMNS, POSITION_EXTRAS
+from photocal.navigation.exposure_files import projected, with_images
+from photocal.navigation.exposures import Exposures
+
+Floats = NDArray[np.float64]
+
+# A strip ends with a turn of the track, or a pause.
+_TURN_DEG = 30.0
+_PAUSE = 4.0
+
+
+def write_positions(path: Path, antenna: Exposures, crs: str) -> None:
+    """Write where the antenna was.
+
+    Parameters
+    ----------
+    path : Path
+    antenna : Exposures
+        At the antenna; those with position and image are written.
+    crs : str
+        System of X, Y, Z.
+    """
+    rows = with_images(antenna)
+    p = antenna.placed
+    xyz, turn = projected(p.lat_deg[rows], p.lon_deg[rows], p.height_m[rows], crs)
+    covariance = turn @ p.covariance_m2[rows] @ np.swapaxes(turn, 1, 2)
+    velocity = np.einsum("nab,nb->na", turn, p.velocity_m_s[rows])
+    seconds = (antenna.time.ns[rows] - antenna.time.ns[rows[0]]) / 1e9
+    strip, elapsed = strips(seconds, velocity)
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    lines = []
+    for k, row in enumerate(rows.tolist()):
+        cells = [f"{v:.4f}" for v in xyz[k]] + [f"{v:.5f}" for v in sigma[k]]
+        cells += [f"{covariance[k][a, b]:.4e}" for a, b in ((0, 1), (0, 2), (1, 2))]
+        cells += [f"{v:.4f}" for v in velocity[k]] + [f"strip {strip[k] + 1}", f"{elapsed[k]:.3f}"]
+        lines += [[name, *cells] for name in antenna.image[row].split()]
+    _write(path, (*POSITION_COLUMNS, *POSITION_EXTRAS), lines)
+
+
+def write_attitudes(path: Path, antenna: Exposures) -> None:
+    """Write how the vehicle was turned, degrees; exposures without attitude are left out.
+
+    Parameters
+    ----------
+    path : Path
+    antenna : Exposures
+        At the antenna, with the standard deviations of its angles.
+    """
+    lines = []
+    for row in with_images(antenna).tolist():
+        angles, sigma = antenna.angles[row], antenna.angle_sigma[row]
+        if np.isfinite(angles).all():
+            cells = [f"{v:.6f}" for v in np.degrees([*angles, *sigma])]
+            lines += [[name, *cells] for name in antenna.image[row].split()]
+    _write(path, ATTITUDE_COLUMNS, lines)
+
+
+def strips(seconds: Floats, velocity: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """Tell strips by the turns and pauses between exposures.
+
+    Parameters
+    ----------
+    seconds : ndarray, shape (n,)
+        Times of the exposures, increasing.
+    velocity : ndarray, shape (n, 3)
+        Along X, Y, Z, m/s.
+
+    Returns
+    -------
+    strip : ndarray of int, shape (n,)
+    elapsed : ndarray, shape (n,)
+        Seconds since the middle of the strip.
+    """
+    heading = np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1]))
+    turned = np.abs((np.diff(heading) + 180.0) % 360.0 - 180.0) > _TURN_DEG
+    wait = np.diff(seconds)
+    paused = wait > _PAUSE * np.median(wait) if len(wait) else turned
+    strip = np.concatenate([[0], np.cumsum(turned | paused)]).astype(np.int64)
+    first = np.full(strip[-1] + 1, np.inf)
+    last = np.full(strip[-1] + 1, -np.inf)
+    np.minimum.at(first, strip, seconds)
+    np.maximum.at(last, strip, seconds)
+    return strip, np.asarray(seconds - ((first + last) / 2)[strip])
+
+
+def _write(path: Path, columns: tuple[str, ...], lines: Iterable[list[str]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(lines)

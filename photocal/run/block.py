@@ -1,0 +1,66 @@
+"""Stage `block`: what was measured in the images and what GNSS and inertial unit observed, in one folder."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+from drivers.errors import InputNotFoundError
+from photocal.block.setup import MountingKeys
+from photocal.project import Project
+from photocal.run.stage import Progress, Stage
+
+_FROM_EXPOSURES = ("positions.csv", "attitudes.csv")
+
+
+def block_stage(project: Project, exposures: Path, measurements: Path) -> Stage:
+    """Describe the stage, which follows the two whose folders are given."""
+
+    def make(folder: Path, _: Progress) -> None:
+        for path in sorted(measurements.iterdir()):
+            if path.name != "stage.json":
+                shutil.copyfile(path, folder / path.name)
+        with (folder / "images.csv").open(newline="", encoding="utf-8") as stream:
+            images = {row["image"] for row in csv.DictReader(stream)}
+        for name in _FROM_EXPOSURES:
+            _copy_rows(exposures / name, folder / name, images)
+        setup = folder / "block.toml"
+        text = setup.read_text(encoding="utf-8") + "\n" + mounting_text(project.rig.mounting())
+        setup.write_text(text, encoding="utf-8")
+
+    settings = {"rig": project.rig.mounting().model_dump(mode="json")}
+    return Stage("block", "the block", make, {}, settings, (exposures, measurements))
+
+
+def _copy_rows(source: Path, target: Path, images: set[str]) -> None:
+    """Copy the rows of images that take part, for some had no usable points; a table without rows is none."""
+    with source.open(newline="", encoding="utf-8") as given:
+        reader = csv.DictReader(given)
+        rows = [row for row in reader if row["image"] in images]
+    if not rows:
+        return
+    with target.open("w", newline="", encoding="utf-8") as taken:
+        writer = csv.DictWriter(taken, reader.fieldnames or (), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def given_block_stage(source: Path) -> Stage:
+    """Describe the stage that takes a ready block folder over."""
+
+    def make(folder: Path, _: Progress) -> None:
+        if not (source / "block.toml").is_file():
+            raise InputNotFoundError(
+                "has no block.toml", where=source, remedy="name a block folder in [measurements]"
+            )
+        shutil.copytree(source, folder, dirs_exist_ok=True)
+
+    return Stage("block", "the block", make, {"block": source})
+
+
+def mounting_text(keys: MountingKeys) -> str:
+    """Write the section `[mounting]` of a `block.toml`."""
+    values = keys.model_dump(mode="json", exclude_unset=True)
+    return "[mounting]\n" + "".join(f"{name} = {json.dumps(value)}\n" for name, value in values.items())

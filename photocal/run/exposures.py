@@ -1,0 +1,70 @@
+"""Stage `exposures`: antenna position and attitude of every exposure, matched to its image."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from drivers.errors import IllPosedError
+from photocal.project import Project
+from photocal.run.ppk import FIGURES as PPK_FIGURES
+from photocal.run.ppk import TRAJECTORY
+from photocal.run.stage import Progress, Stage
+
+FIGURES = "exposures.json"
+
+
+def exposures_stage(project: Project, ppk: Path) -> Stage:
+    """Describe the stage, which follows the one whose folder is `ppk`."""
+    flight, images = project.flight, project.images
+    inputs = {f"log {k + 1}": path for k, path in enumerate(flight.logs)}
+    inputs["images"] = images.folder or images.times or Path()
+    settings = {
+        "flight": flight.model_dump(
+            mode="json", include={"vehicle", "rover", "base", "edge", "delay_s", "clock_offset_s"}
+        ),
+        "rig": project.rig.model_dump(mode="json"),
+        "crs": project.crs,
+        "height": project.height,
+        "camera": project.camera.id,
+    }
+    return Stage(
+        "exposures",
+        "exposures and their images",
+        lambda out, show: _make(project, ppk, out, show),
+        inputs,
+        settings,
+        (ppk,),
+    )
+
+
+def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
+    from photocal.navigation.exposure_files import (
+        with_images,
+        write_block_images,
+        write_exposures,
+        write_geo_txt,
+    )
+    from photocal.navigation.exposure_plot import plot_exposures
+    from photocal.navigation.exposure_run import place_exposures
+    from photocal.navigation.project_choices import choices_of_project
+    from photocal.run.antenna_tables import write_attitudes, write_positions
+    from photocal.run.trajectory_file import kept_trajectory
+
+    trajectory = kept_trajectory(ppk / TRAJECTORY)
+    figures_of_ppk = json.loads((ppk / PPK_FIGURES).read_text(encoding="utf-8"))
+    with show("exposures and their images", None):
+        run = place_exposures(choices_of_project(project), trajectory, figures_of_ppk)
+    if not len(with_images(run.antenna)):
+        raise IllPosedError(
+            "no image has an exposure with a position",
+            where=project.path,
+            remedy="check clock_offset_s, the images and the log with `photocal exposures`",
+        )
+    write_exposures(folder / "exposures.csv", run.exposures)
+    write_block_images(folder / "images.csv", run.exposures, project.camera.id, None, project.crs)
+    write_geo_txt(folder / "geo.txt", run.exposures)
+    write_positions(folder / "positions.csv", run.antenna, project.crs)
+    write_attitudes(folder / "attitudes.csv", run.antenna)
+    (folder / FIGURES).write_text(json.dumps(run.figures, indent=2) + "\n", encoding="utf-8")
+    plot_exposures(run, folder / "exposures.png")

@@ -1,0 +1,91 @@
+"""Stage `georeferencing`: direct, integrated and indirect, judged at the check points."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from photocal.project import Project
+from photocal.run.stage import Progress, Stage
+
+if TYPE_CHECKING:
+    from photocal.accuracy.georeferencing.calibrated import Calibration
+    from photocal.block.model import Block
+
+FIGURES = "check.json"
+
+
+def georeferencing_stage(project: Project, block: Path) -> Stage:
+    """Describe the stage, which follows the one whose folder is `block`."""
+    return Stage(
+        "georeferencing",
+        "three georeferencings at the check points",
+        lambda out, show: _make(project, block, out, show),
+        {f"standard {name}": Path(name) for name in _files(project)},
+        project.contents.judgement.model_dump(mode="json"),
+        (block,),
+    )
+
+
+def _files(project: Project) -> list[str]:
+    return [name for name in project.contents.judgement.standards if name.endswith(".toml")]
+
+
+def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
+    from photocal.accuracy.assessment import Question
+    from photocal.accuracy.geopackage import reference_system
+    from photocal.accuracy.georeferencing.as_json import to_json
+    from photocal.accuracy.georeferencing.comparison import check_block
+    from photocal.accuracy.georeferencing.methods import METHODS
+    from photocal.accuracy.georeferencing.output import write_check
+    from photocal.accuracy.map_scale import parse_scale
+    from photocal.accuracy.standard_file import SHIPPED, load_standard
+    from photocal.block.folder import read_block
+
+    asked = project.contents.judgement
+    question = Question(
+        None if asked.scale is None else parse_scale(asked.scale),
+        asked.contour_interval_m,
+        survey_horizontal_m=asked.survey_horizontal_m,
+        survey_vertical_m=asked.survey_vertical_m,
+    )
+    standards = tuple(load_standard(name) for name in asked.standards or SHIPPED)
+    block = read_block(source)
+    with show("three georeferencings", len(METHODS) + 2) as done:
+        result = check_block(
+            block, standards, question, done=lambda _: done(1), calibration=own_calibration(block)
+        )
+    system = reference_system(None if block.frame == "local" else block.frame)
+    changed = datetime.fromtimestamp((source / "points.csv").stat().st_mtime, UTC)
+    content = to_json(result)
+    write_check(result, content, folder, system, f"{changed:%Y-%m-%dT%H:%M:%S}.000Z")
+    (folder / FIGURES).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def own_calibration(block: Block) -> Calibration | None:
+    """Calibrate camera and mounting on the job, for direct georeferencing of the very flight.
+
+    Parameters
+    ----------
+    block : Block
+
+    Returns
+    -------
+    Calibration or None
+        None when the block has no antenna positions with attitudes, or cannot be adjusted: the
+        integrated method says why.
+    """
+    from drivers.errors import PhotocalError
+    from photocal.accuracy.georeferencing.calibrated import calibrate
+    from photocal.accuracy.georeferencing.local import in_local_frame
+    from photocal.accuracy.georeferencing.methods import checkable, without_weak_images
+    from photocal.accuracy.georeferencing.mounted import with_attitude_angles
+
+    if not len(block.positions.image) or not len(block.attitudes.image):
+        return None
+    try:
+        return calibrate(without_weak_images(with_attitude_angles(checkable(in_local_frame(block))))[0])
+    except PhotocalError:
+        return None

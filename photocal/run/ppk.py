@@ -1,0 +1,52 @@
+"""Stage `ppk`: the trajectory of the rover's antenna."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from photocal.project import Project
+from photocal.run.stage import Progress, Stage
+
+TRAJECTORY = "trajectory.npz"
+FIGURES = "ppk.json"
+
+
+def ppk_stage(project: Project) -> Stage:
+    """Describe the stage."""
+    flight = project.flight
+    inputs = {f"log {k + 1}": path for k, path in enumerate(flight.logs)}
+    inputs |= {f"navigation {k + 1}": path for k, path in enumerate(flight.navigation)}
+    named = {"rover_rinex": flight.rover_rinex, "base_rinex": flight.base_rinex}
+    inputs |= {name: path for name, path in named.items() if path is not None}
+    settings = flight.model_dump(
+        mode="json",
+        include={"rover", "base", "base_position", "base_antenna_height_m", "rover_antenna_height_m"},
+    )
+    return Stage(
+        "ppk", "positions of the antenna", lambda out, show: _make(project, out, show), inputs, settings
+    )
+
+
+def _make(project: Project, folder: Path, show: Progress) -> None:
+    import tempfile
+
+    from photocal.navigation.engine import Rtklib
+    from photocal.navigation.ppk import options_for, process
+    from photocal.navigation.ppk_inputs import gather_inputs
+    from photocal.navigation.ppk_report import plot_ppk, ppk_figures
+    from photocal.navigation.project_choices import choices_of_project
+    from photocal.navigation.trajectory import write_trajectory
+    from photocal.run.trajectory_file import keep_trajectory
+
+    engine = Rtklib()
+    sources = choices_of_project(project).sources
+    with show("positions of the antenna", None), tempfile.TemporaryDirectory() as scratch:
+        inputs, remarks = gather_inputs(sources, engine, Path(scratch))
+        options = options_for(inputs.rover, inputs.base, sources.rover_antenna_m, sources.base_antenna_m)
+        result = process(inputs, options, "kinematic", engine, Path(scratch))
+    figures = ppk_figures(result, remarks)
+    write_trajectory(folder / "trajectory.csv", result.trajectory)
+    (folder / FIGURES).write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    plot_ppk(result, folder / "ppk.png")
+    keep_trajectory(folder / TRAJECTORY, result.trajectory)

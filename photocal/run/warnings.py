@@ -1,0 +1,139 @@
+"""What the stages found doubtful, in one list: it is shown at the end and stands in the certificate."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+LEAST_FIXED_PERCENT = 95.0
+_NAMED = 5
+_NOTES = ("not-separated", "not-determined")
+_UNMATCHED = (
+    (
+        "unmatched_images",
+        "image",
+        "images-without-event",
+        "without an event: no mark was recorded when they were taken, or it was lost.",
+    ),
+    ("ambiguous_images", "image", "images-ambiguous", "that may belong to several events: left out."),
+    (
+        "unmatched_events",
+        "event",
+        "events-without-image",
+        "without an image: images are missing from the folder, or were never written.",
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Warning:  # noqa: A001 - the word of the field; the built-in one is a class of exceptions
+    """One thing that a person must look at.
+
+    Attributes
+    ----------
+    stage : str
+        Which found it.
+    code : str
+        Its name, for programs.
+    text : str
+        What was found, with its figures.
+    """
+
+    stage: str
+    code: str
+    text: str
+
+    @property
+    def note(self) -> bool:
+        """Whether it tells a limit of the flight, not a fault."""
+        return self.code in _NOTES
+
+    def as_json(self) -> dict[str, str]:
+        """Give it as a JSON value."""
+        return {"kind": "note" if self.note else "warning", **vars(self)}
+
+
+def gather(work: Path) -> tuple[Warning, ...]:
+    """Collect the warnings of all stages that are there, in the order of the stages.
+
+    Parameters
+    ----------
+    work : Path
+        Work folder.
+
+    Returns
+    -------
+    tuple of Warning
+        Each code and text once.
+    """
+    found: dict[tuple[str, str], Warning] = {}
+    for stage, name, read in _SOURCES:
+        figures = read_json(work / stage / name)
+        for code, text in read(figures) if figures is not None else ():
+            found.setdefault((code, text), Warning(stage, code, text))
+    return tuple(found.values())
+
+
+def read_json(path: Path) -> dict[str, Any] | None:
+    """Read the figures of a stage; None when it was not made."""
+    if not path.is_file():
+        return None
+    content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return content
+
+
+def _of_ppk(figures: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    fixed = float(figures["fixed_percent"])
+    if fixed < LEAST_FIXED_PERCENT:
+        text = (
+            f"{fixed:.1f} % of the epochs have fixed ambiguities, {figures['float']} are float and "
+            f"{figures['single']} single: positions there are decimetres, not centimetres."
+        )
+        yield "ppk-not-fixed", text
+    yield from _told(figures)
+
+
+def _of_exposures(figures: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    for camera in figures["cameras"]:
+        for key, noun, code, text in _UNMATCHED:
+            if camera[key]:
+                yield code, f"{_listed(camera[key], noun)} {text}"
+    for event in figures["not_placed"][:_NAMED]:
+        yield "exposure-not-placed", f"event {event['event']} has no position: {event['reason']}."
+    without = int(figures["placed"]) - int(figures["with_attitude"])
+    if without > 0:
+        yield "exposures-without-attitude", f"{without} exposures have no attitude: telemetry is missing."
+    for check in figures.get("checks", ()):
+        if check["verdict"] == "failed":
+            yield check["code"], check["text"]
+    yield from _told(figures)
+
+
+def _of_measurements(record: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    for left in record.get("left_out", ())[:_NAMED]:
+        yield "image-left-out", f"image {left['image']} takes no part: {left['reason']}."
+    yield from _told(record)
+    for text in record.get("warnings", ()):
+        yield "measurement", str(text)
+
+
+def _told(figures: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    for finding in figures.get("findings", ()):
+        yield finding["code"], finding["text"]
+
+
+def _listed(names: list[Any], noun: str) -> str:
+    shown = ", ".join(str(name) for name in names[:_NAMED])
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return f"{len(names)} {noun}{'s' if len(names) > 1 else ''} ({shown}{more})"
+
+
+_SOURCES: tuple[tuple[str, str, Callable[[dict[str, Any]], Iterator[tuple[str, str]]]], ...] = (
+    ("ppk", "ppk.json", _of_ppk),
+    ("exposures", "exposures.json", _of_exposures),
+    ("measurements", "measurement.json", _of_measurements),
+    ("georeferencing", "check.json", _told),
+)

@@ -1,0 +1,113 @@
+"""The stages of a project, in their order."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Callable
+
+from drivers.errors import ConfigurationError
+from photocal.project import Project
+from photocal.run.block import block_stage, given_block_stage
+from photocal.run.calibration import analysis_stage, calibration_stage
+from photocal.run.certificate import certificate_stage
+from photocal.run.digests import Digests
+from photocal.run.exposures import exposures_stage
+from photocal.run.folders import alone
+from photocal.run.georeferencing import georeferencing_stage
+from photocal.run.measurements import measurements_stage
+from photocal.run.ppk import ppk_stage
+from photocal.run.stage import Made, Progress, Stage, bring
+
+_MEMORY = ".digests.json"
+
+
+def stages(project: Project, day: dt.date) -> tuple[Stage, ...]:
+    """List the stages of a project.
+
+    Parameters
+    ----------
+    project : Project
+    day : date
+        Of a certificate that is made now.
+
+    Returns
+    -------
+    tuple of Stage
+
+    Raises
+    ------
+    ConfigurationError
+        When the project lacks a section.
+    """
+    work = project.output
+    block, calibration = work / "block", work / "calibration"
+    given = project.contents.measurements
+    if given is not None and given.block is not None:
+        first: tuple[Stage, ...] = (given_block_stage(given.block),)
+    else:
+        ppk, exposures, measurements = (work / name for name in ("ppk", "exposures", "measurements"))
+        first = (
+            ppk_stage(project),
+            exposures_stage(project, ppk),
+            measurements_stage(project, exposures),
+            block_stage(project, exposures, measurements),
+        )
+    made = (
+        *first,
+        calibration_stage(block),
+        georeferencing_stage(project, block),
+        analysis_stage(block, calibration),
+    )
+    return (*made, certificate_stage(project, work, day, tuple(work / one.name for one in made)))
+
+
+def run_project(
+    project: Project,
+    day: dt.date,
+    progress: Progress,
+    until: str | None = None,
+    again: str | None = None,
+    told: Callable[[Made], None] = lambda _: None,
+) -> tuple[Made, ...]:
+    """Bring the stages of a project up to date.
+
+    Parameters
+    ----------
+    project : Project
+    day : date
+        Of a certificate that is made now.
+    progress : callable
+        Shows what goes on.
+    until : str, optional
+        Last stage.
+    again : str, optional
+        A stage that is made even when nothing has changed.
+    told : callable
+        Told of each stage that is done.
+
+    Returns
+    -------
+    tuple of Made
+
+    Raises
+    ------
+    PhotocalError
+        As the first stage that fails does; what was done before is kept.
+    """
+    wanted = stages(project, day)
+    names = [stage.name for stage in wanted]
+    for option, name in (("--until", until), ("--again", again)):
+        if name is not None and name not in names:
+            raise ConfigurationError(
+                f"{name!r} is no stage of this project", where=option, remedy=f"take {', '.join(names)}"
+            )
+    with alone(project.output):
+        digests = Digests(project.output / _MEMORY)
+        made: list[Made] = []
+        try:
+            for stage in wanted[: None if until is None else names.index(until) + 1]:
+                made.append(bring(stage, project.output, digests, progress, again=stage.name == again))
+                told(made[-1])
+        finally:
+            digests.keep()
+    return tuple(made)
