@@ -190,7 +190,7 @@ def _alarm(state: State, part: Messages) -> State:
     for row, time_ns in _rows(part):
         kind, name, text = row["kind"], row["link"], row["text"]
         if name and kind in _TROUBLE | _RELIEF:
-            link = replace(state.links.get(name, Link()), trouble=text if kind in _TROUBLE else "")
+            link = replace(state.links.get(name, Link()), trouble=kind if kind in _TROUBLE else "")
             state = replace(state, links=_with(state.links, name, link))
         state = raised(state, _LEVELS.get(kind, "note"), name, text, time_ns)
     return state

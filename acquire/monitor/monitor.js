@@ -67,14 +67,15 @@ function card(name, state, lines) {
 }
 
 function receiver(row) {
-  const line = facts([
-    ["satellites", row.satellites],
-    ["accuracy", metres(row.horizontal_m)],
-  ]);
-  line.append(make("span", "", `for ${duration(row.for_s)}`));
-  const corrections = make("div", "facts");
-  corrections.append("corrections ", word(row.correction));
-  return card(row.name, row.fix, [line, corrections]);
+  const line = facts([["satellites", row.satellites], ["accuracy", metres(row.horizontal_m)]]);
+  if (row.correction_age_s !== null) {
+    const corrections = make("span", "", "corrections ");
+    corrections.append(word(row.correction));
+    line.append(corrections);
+  }
+  const shown = card(row.name, row.fix, [line]);
+  shown.querySelector(".name").append(make("span", "since", ` for ${duration(row.for_s)}`));
+  return shown;
 }
 
 function camera(row) {
@@ -186,13 +187,13 @@ const alarms = {
 
   draw() {
     const banner = $("banner");
-    const lines = this.lost ? [this.lost] : this.open.slice(-3).map(sentence);
+    const lines = this.lost ? [this.lost] : this.open.slice(-3).reverse().map(sentence);
     banner.hidden = !lines.length;
     banner.dataset.level = this.lost || this.open.some((a) => a.level === "bad") ? "bad" : "warn";
     banner.dataset.lost = String(Boolean(this.lost));
     const more = this.lost ? 0 : this.open.length - lines.length;
     const shown = $("banner-list");
-    const texts = more > 0 ? [...lines, `and ${more} more`] : lines;
+    const texts = more > 0 ? [...lines, `and ${more} before`] : lines;
     if (texts.join("\n") !== shown.dataset.texts) {
       shown.dataset.texts = texts.join("\n");
       shown.replaceChildren(...texts.map((text) => make("li", "", text)));
@@ -329,6 +330,8 @@ const map = {
     const order = ["track", "picture", "station", "missed"];
     const sorted = [...this.layers.values()].sort((a, b) => order.indexOf(a.kind) - order.indexOf(b.kind));
     for (const layer of sorted) DRAW[layer.kind](pen, layer, at);
+    // No line may cross a name.
+    for (const layer of sorted) NAME[layer.kind]?.(pen, layer, at);
     if (this.origin) scaleBar(pen, height, step, step * this.scale);
     northArrow(pen, width);
     for (const item of document.querySelectorAll(".legend li")) {
@@ -409,7 +412,6 @@ const DRAW = {
     pen.arc(x, y, 7, 0, 2 * Math.PI);
     pen.fill();
     pen.stroke();
-    label(pen, layer.name, x + 11, y, colour("track"));
   },
 
   picture(pen, layer, at) {
@@ -424,7 +426,7 @@ const DRAW = {
   },
 
   missed(pen, layer, at) {
-    layer.places.forEach((place, row) => {
+    layer.places.forEach((place) => {
       const [x, y] = at(place);
       for (const [width, stroke] of [[7, colour("paper")], [3.5, colour("bad")]]) {
         pen.lineWidth = width;
@@ -436,7 +438,6 @@ const DRAW = {
         pen.lineTo(x - 6, y + 6);
         pen.stroke();
       }
-      label(pen, layer.labels[row] ?? "", x + 10, y, colour("bad"));
     });
   },
 
@@ -452,9 +453,24 @@ const DRAW = {
     pen.closePath();
     pen.fill();
     pen.stroke();
-    label(pen, layer.name, x + 12, y, colour("good"));
   },
 };
+
+const NAME = {
+  track(pen, layer, at) {
+    if (layer.places.length) beside(pen, layer.name, at(layer.places.at(-1)), colour("track"));
+  },
+  missed(pen, layer, at) {
+    layer.places.forEach((place, row) => beside(pen, layer.labels[row] ?? "", at(place), colour("bad")));
+  },
+  station(pen, layer, at) {
+    beside(pen, layer.name, at(layer.places[0]), colour("good"));
+  },
+};
+
+function beside(pen, text, [x, y], fill) {
+  label(pen, text, x + 12, y, fill);
+}
 
 function label(pen, text, x, y, fill) {
   pen.font = "700 14px system-ui, sans-serif";

@@ -21,6 +21,7 @@ _CLOCK_LIMIT_S = 1.0
 _GB = 1e9
 _LITTLE_ROOM, _NO_ROOM = (2 * _GB, 2.0), (0.5 * _GB, 0.5)
 _UNHEARD_TRIGGERS = 3
+_LISTED_MISSED = 4
 
 
 @dataclass(frozen=True)
@@ -178,10 +179,10 @@ def _link(name: str, link: Link, state: State, now_ns: int) -> LinkRow:
     ]
     over_s = max(min(RATE_OVER_S, end - link.first_ns // SECOND_NS), 1)
     silent_s = _seconds(now_ns - link.last_ns) if link.last_ns else None
-    if link.trouble:
-        word = Word(link.trouble, "bad")
-    elif silent_s is None:
-        word = Word("not heard yet", "warn")
+    if silent_s is None:
+        word = Word(link.trouble or "not heard yet", "bad" if link.trouble else "warn")
+    elif link.trouble:
+        word = Word(f"{link.trouble} for {silent_s:.0f} s", "bad")
     elif silent_s > _SILENT_S:
         word = Word(f"silent for {silent_s:.0f} s", "warn")
     else:
@@ -240,7 +241,7 @@ def _camera(name: str, state: State) -> CameraRow:
     missed = numbers(counted.unreported)
     count = len(counted.unreported)
     if count:
-        word = Word(f"{count} missed: {missed}", "bad")
+        word = Word(f"{count} missed: {_shortened(missed)}", "bad")
     elif not counted.feedbacks:
         # A camera without feedback is no failure, but nobody knows whether it takes pictures.
         level = "warn" if counted.triggers >= _UNHEARD_TRIGGERS else "good"
@@ -248,6 +249,11 @@ def _camera(name: str, state: State) -> CameraRow:
     else:
         word = Word("all reported", "good")
     return CameraRow(name, word, counted.triggers, counted.feedbacks, count, missed, marks)
+
+
+def _shortened(missed: str) -> str:
+    parts = missed.split(", ")
+    return missed if len(parts) <= _LISTED_MISSED else "…, " + ", ".join(parts[-_LISTED_MISSED:])
 
 
 def _clock(name: str, offset_s: float) -> ClockRow:
@@ -269,7 +275,7 @@ def _disk(state: State) -> Disk:
     level = "bad" if below(_NO_ROOM) else "warn" if below(_LITTLE_ROOM) else "good"
     text = f"{free / _GB:.1f} GB free"
     if hours is not None:
-        text += f", {hours:.0f} h" if hours < 100 else ", more than 100 h"
+        text += f", {hours:.1f} h" if hours < 10 else f", {hours:.0f} h" if hours < 100 else ", over 100 h"
     return Disk(Word(text, level), free, speed, hours)
 
 

@@ -54,7 +54,7 @@ class Link:
     longest_gap_ns : int
         The longest of them.
     trouble : str
-        What the recorder says against it; empty when nothing.
+        What the recorder says of it: ``lost`` or ``silent``; empty when all is well.
     corrected_ns : int
         When a correction was sent to its device last, UTC; 0 for never.
     clock_offset_s : float or None

@@ -19,7 +19,10 @@ from acquire.monitor.state import Alarm
 # Sign and word differ as well as the colour.
 _SIGNS = {"good": "✓", "warn": "▲", "bad": "✕", "off": "·", "note": "–"}
 _STYLES = {"good": "bold green", "warn": "bold black on yellow", "bad": "bold white on red"}
-_LEAST_WITH_MAP, _MAP_SHARE, _LEAST_MAP = 76, 0.32, 22
+# What has been is quieter than what is.
+_PAST = {"warn": "yellow", "bad": "bold red"}
+_LEAST_WITH_MAP, _MAP_SHARE, _LEAST_MAP = 76, 0.27, 20
+_LONGEST_NAME = 12
 
 
 def render(picture: Picture, layers: Sequence[Layer], width: int, height: int) -> RenderableType:
@@ -39,7 +42,7 @@ def render(picture: Picture, layers: Sequence[Layer], width: int, height: int) -
     sections = _sections(picture, left)
     used = 1 + len(sections)
     room = max(height - used - 2, 1)
-    figures = Group(*sections, Rule("alarms (UTC)", align="left", style="dim"), _alarms(picture.alarms, room))
+    figures = Group(*sections, _heading("alarms (UTC)"), _alarms(picture.alarms, room))
     if not map_width:
         return Group(_head(picture), figures)
     both = Table.grid(padding=(0, 2, 0, 0))
@@ -52,14 +55,16 @@ def render(picture: Picture, layers: Sequence[Layer], width: int, height: int) -
 def _sections(picture: Picture, width: int) -> list[RenderableType]:
     """Return headings and lines, each one line high."""
     found: list[RenderableType] = []
+    names = [row.name for row in picture.receivers] + [row.name for row in picture.links]
+    wide = min(max(map(len, ["disk", *names])), _LONGEST_NAME)
     groups: dict[str, Sequence[str | Text]] = {
-        "fix": [_receiver(row) for row in picture.receivers] or ["no receiver has spoken yet"],
-        "pictures": [_camera(row) for row in picture.cameras] or ["no picture yet"],
-        "links": [_link(row) for row in picture.links] or ["no link has spoken yet"],
-        "computer and vehicle": _rest(picture),
+        "fix": [_receiver(row, wide) for row in picture.receivers] or ["no receiver has spoken yet"],
+        "pictures": [_camera(row, wide) for row in picture.cameras] or ["no picture yet"],
+        "links": [_link(row, wide) for row in picture.links] or ["no link has spoken yet"],
+        "computer and vehicle": _rest(picture, wide),
     }
     for heading, lines in groups.items():
-        found.append(Rule(heading, align="left", style="dim"))
+        found.append(_heading(heading))
         found += [_cut(line, width) for line in lines]
     return found
 
@@ -73,8 +78,8 @@ def _head(picture: Picture) -> RenderableType:
     return line
 
 
-def _receiver(row: ReceiverRow) -> Text:
-    parts = [_name(row.name), _word(row.fix)]
+def _receiver(row: ReceiverRow, wide: int) -> Text:
+    parts = [_name(row.name, wide), _word(row.fix)]
     if row.satellites is not None:
         parts.append(Text(f"  {row.satellites} sat"))
     if row.horizontal_m is not None:
@@ -85,25 +90,25 @@ def _receiver(row: ReceiverRow) -> Text:
     return Text.assemble(*parts)
 
 
-def _camera(row: CameraRow) -> Text:
+def _camera(row: CameraRow, wide: int) -> Text:
     counts = f"  {row.triggered} triggered, {row.reported} feedback" if row.triggered else ""
     marks = f"  {row.time_marks} marks" if row.triggered and row.time_marks else ""
-    return Text.assemble(_name(row.link), _word(row.state), counts, marks)
+    return Text.assemble(_name(row.link, wide), _word(row.state), counts, marks)
 
 
-def _link(row: LinkRow) -> Text:
+def _link(row: LinkRow, wide: int) -> Text:
     gaps = f"  {row.gaps} gaps to {row.longest_gap_s:.0f} s" if row.gaps else "  no gaps"
     damage = f"  {size(row.damage_bytes)} damaged" if row.damage_bytes else ""
     rates = f"  {row.frames_per_s:.1f}/s  {size(row.bytes_per_s)}/s"
-    return Text.assemble(_name(row.name), _word(row.state), rates, gaps, damage)
+    return Text.assemble(_name(row.name, wide), _word(row.state), rates, gaps, damage)
 
 
-def _rest(picture: Picture) -> list[Text]:
-    lines = [Text.assemble(_name("disk"), _word(picture.disk.state), f"  log {size(picture.bytes)}")]
+def _rest(picture: Picture, wide: int) -> list[Text]:
+    lines = [Text.assemble(_name("disk", wide), _word(picture.disk.state), f"  log {size(picture.bytes)}")]
     batteries = {row.link: row for row in picture.batteries}
     clocks = {row.link: row for row in picture.clocks}
     for link in sorted({*batteries, *clocks}):
-        parts: list[str | Text] = [_name(link)]
+        parts: list[str | Text] = [_name(link, wide)]
         if link in clocks:
             parts += ["clock ", _word(clocks[link].state), "  "]
         if link in batteries:
@@ -121,14 +126,19 @@ def _alarms(alarms: Sequence[Alarm], room: int) -> RenderableType:
     for alarm in alarms[: -room - 1 : -1]:
         time = dt.datetime.fromtimestamp(alarm.time_ns / SECOND_NS, dt.UTC).strftime("%H:%M:%S ")
         text = f"{alarm.link}: {alarm.text}" if alarm.link else alarm.text
-        line = Text.assemble((time, "dim"), _word(Word(text, alarm.level)))
+        line = Text.assemble((time, "dim"), (f"{_SIGNS[alarm.level]} {text}", _PAST.get(alarm.level, "")))
         line.no_wrap, line.overflow = True, "ellipsis"
         lines.append(line)
     return Group(*lines)
 
 
-def _name(text: str) -> Text:
-    return Text(f"{text:<10} ", style="bold")
+def _heading(text: str) -> Rule:
+    return Rule(Text(text), align="left", style="dim")
+
+
+def _name(text: str, width: int) -> Text:
+    short = text if len(text) <= width else f"{text[: width - 1]}…"
+    return Text(f"{short:<{width}} ", style="bold")
 
 
 def _word(word: Word) -> Text:
