@@ -14,10 +14,11 @@ from drivers.errors import ConfigurationError
 if TYPE_CHECKING:
     from photocal.exchange.geographic import Origin
     from photocal.exchange.orientation_tables import Angle
+    from photocal.exchange.reconstruction import Reconstruction
 
 FORMATS = (
-    "colmap, colmap-binary, opencv, opensfm, metashape, metashape-csv, jaicov, pix4d, patb, inpho, "
-    "geojson, kml, geopackage"
+    "colmap, colmap-binary, opencv, opensfm, odm, metashape, metashape-csv, pix4d, opf, photomodeler, dbat, "
+    "jaicov, micmac, patb, inpho, geojson, kml, geopackage"
 )
 
 
@@ -41,19 +42,23 @@ def export(
     Example: `photocal export run --format colmap -o colmap`
     """
     from acquire.outputs import output_folder
+    from photocal.exchange.formats import export as write
+    from photocal.exchange.formats import named
     from photocal.exchange.reconstruction import read_run
-    from photocal.exchange.writers import Choices, writer
+    from photocal.exchange.writers import Choices
 
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.000Z")
     choices = Choices(_angle_unit(angle_unit), _origin(origin), now)
-    write = writer(form)
+    chosen = named(form)
     given = read_run(run)
     with output_folder(output) as aside:
-        conversions = write(aside, given, choices)
+        conversions = write(chosen, aside, given, choices)
         files = sorted(str(path.relative_to(aside)) for path in aside.rglob("*") if path.is_file())
     result = {
         "schema": "photocal.export/1",
         "format": form,
+        "frame": "local" if chosen.space == "cartesian" else given.frame,
+        "origin": _origin_of(given) if chosen.space == "cartesian" else None,
         "files": files,
         "cameras": [
             {"camera": made.camera.id, "rms_px": made.rms_px, "largest_px": made.largest_px}
@@ -61,6 +66,16 @@ def export(
         ],
     }
     answer(as_json, lambda: result, lambda: _text(result, output))
+
+
+def _origin_of(given: Reconstruction) -> dict[str, Any] | None:
+    """Where the frame of a Cartesian format has its origin, for a block in a reference system."""
+    if given.frame == "local":
+        return None
+    from photocal.exchange.cartesian import middle
+
+    x, y, z = middle(given).tolist()
+    return {"frame": given.frame, "height": given.height, "x": x, "y": y, "z": z}
 
 
 def _angle_unit(text: str) -> Angle | None:
@@ -90,6 +105,10 @@ def _origin(text: str) -> Origin | None:
 
 def _text(result: dict[str, Any], output: Path) -> str:
     lines = [f"{result['format']}: {', '.join(result['files'])} written to {output}"]
+    if result["origin"]:
+        place = result["origin"]
+        at = f"{place['x']:.3f}, {place['y']:.3f}, {place['z']:.3f} of {place['frame']}"
+        lines.append(f"coordinates: east, north, up in m from {at} ({place['height']} height)")
     for camera in result["cameras"]:
         cost = (
             f"fitted, {camera['rms_px']:.2g} px rms, {camera['largest_px']:.2g} px at most"

@@ -19,6 +19,7 @@ from photocal.exchange.colmap_binary import read_binary_model, write_binary_mode
 from photocal.exchange.colmap_content import MODELS, NO_POINT, NUMBERS, Content, Lens, Shot
 from photocal.exchange.colmap_text import read_text_model, write_text_model
 from photocal.exchange.convert import Conversion
+from photocal.exchange.parts import whole_numbers
 from photocal.exchange.pinhole import (
     LARGEST,
     Pinhole,
@@ -144,8 +145,7 @@ def write_colmap(folder: Path, given: Reconstruction, *, binary: bool = False) -
 
 def _point_keys(names: tuple[str, ...]) -> Integers:
     """Numbers of the points: their names where all are numbers, else counted from 1."""
-    plain = all(name.isdecimal() and str(int(name)) == name and len(name) < 18 for name in names)
-    return np.array([int(name) for name in names] if plain else range(1, len(names) + 1), dtype=np.int64)
+    return np.array([int(name) for name in whole_numbers(names)], dtype=np.int64)
 
 
 def _parameters(pinhole: Pinhole) -> tuple[float, ...]:

@@ -151,14 +151,40 @@ def converted(
     return _fitted(own, model, affinity, allowed)
 
 
+def apart_px(own: Camera, other: Camera) -> tuple[float, float]:
+    """How far apart two cameras record the same rays, over the whole image of the first.
+
+    Parameters
+    ----------
+    own, other : Camera
+        Of one unit and size.
+
+    Returns
+    -------
+    tuple of float
+        Root mean square and largest distance, px.
+    """
+    measured = _grid(own)
+    rays = undistorted(own, measured) / own.values[0]
+    seen = np.isfinite(rays).all(axis=1)
+    apart = np.hypot(*((distorted(other, other.values[0] * rays[seen]) - measured[seen]) / own.pitch).T)
+    return float(np.sqrt(np.mean(apart**2))), float(apart.max())
+
+
+def _grid(own: Camera) -> Floats:
+    """Image points over the whole image, in its plane."""
+    side = [
+        np.linspace(-0.5, 0.5, GRID) * extent * pitch
+        for extent, pitch in zip(own.size_px, own.pitch, strict=True)
+    ]
+    return np.stack(np.meshgrid(*side), axis=-1).reshape(-1, 2)
+
+
 def _fitted(own: Camera, model: Model, affinity: Affinity, terms: Sequence[str]) -> Conversion:
     from scipy.optimize import least_squares
 
     size = np.array(own.size_px)
-    side = [
-        np.linspace(-0.5, 0.5, GRID) * extent * pitch for extent, pitch in zip(size, own.pitch, strict=True)
-    ]
-    measured = np.stack(np.meshgrid(*side), axis=-1).reshape(-1, 2)
+    measured = _grid(own)
     rays = undistorted(own, measured) / own.values[0]
     seen = np.isfinite(rays).all(axis=1)
     measured, rays = measured[seen], rays[seen]
@@ -183,9 +209,7 @@ def _fitted(own: Camera, model: Model, affinity: Affinity, terms: Sequence[str])
 
     found = least_squares(miss, np.zeros(len(index)), xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac")
     result = filled(found.x)
-    image = distorted(result, result.values[0] * rays) - measured
-    apart = np.hypot(*(image / own.pitch).T)
-    return Conversion(result, float(np.sqrt(np.mean(apart**2))), float(apart.max()))
+    return Conversion(result, *apart_px(own, result))
 
 
 def require_no_skew(own: Camera, program: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from xml.etree.ElementTree import Element, SubElement, indent, tostring
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from drivers.errors import InputMalformedError
 from photocal.block.model import Block, ObjectPoints
 from photocal.exchange.convert import unbalanced
 from photocal.exchange.dbat_camera import to_dbat
+from photocal.exchange.markup import write_xml
 from photocal.geometry.camera import PARAMETERS, Camera, plane_to_pixel
 
 Floats = NDArray[np.float64]
@@ -79,9 +80,8 @@ def write_dbat(folder: Path, block: Block) -> Path:
     SubElement(SubElement(given, "image_pts"), "file", format="id,im,x,y,sx,sy").text = "marks.txt"
     _camera(SubElement(SubElement(given, "cameras"), "camera"), own)
     _operations(SubElement(root, "operations"), own)
-    indent(root)
     path = folder / "setup.xml"
-    path.write_bytes(b'<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, encoding="utf-8") + b"\n")
+    write_xml(path, root)
     return path
 
 

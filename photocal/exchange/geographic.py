@@ -13,12 +13,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, SubElement, indent, tostring
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
+from photocal.exchange.markup import write_xml
 from photocal.exchange.pinhole import to_vision
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.distortion import undistorted
@@ -118,8 +119,7 @@ def write_kml(path: Path, given: Reconstruction, to_geographic: ToGeographic) ->
         for key, value in properties.items():
             SubElement(SubElement(data, "Data", name=key), "value").text = str(value)
         _kml_geometry(place, geometry)
-    indent(root)
-    path.write_bytes(b'<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root) + b"\n")
+    write_xml(path, root)
 
 
 def footprints(given: Reconstruction, height_m: float) -> Floats:

@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import InputMalformedError
+from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.exchange.parts import require_unique
+from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import Line, number, numbers, read_lines
 
 Floats = NDArray[np.float64]
@@ -126,8 +127,7 @@ def write_gcp_list(path: Path, crs: str, marks: Sequence[GroundMark]) -> None:
     """
     for mark in marks:
         for name in (mark.image, mark.point):
-            if any(letter.isspace() for letter in name):
-                raise InputMalformedError(f"the name {name!r} has blanks", remedy="rename it")
+            _require_no_blanks(name)
     rows = (
         " ".join([*(repr(float(v)) for v in (*mark.xyz, mark.column, mark.row)), mark.image, mark.point])
         for mark in marks
@@ -186,6 +186,62 @@ def write_geo(path: Path, crs: str, positions: Sequence[ImagePosition]) -> None:
         last = max((k for k, value in enumerate(values) if not np.isnan(value)), default=1)
         rows.append(" ".join([position.image, *(repr(float(value)) for value in values[: last + 1])]))
     path.write_text("\n".join([crs, *rows]) + "\n", encoding="utf-8", newline="\n")
+
+
+def write_odm(folder: Path, given: Reconstruction) -> None:
+    """Write gcp_list.txt of the control points and geo.txt of the images.
+
+    Parameters
+    ----------
+    folder : Path
+        Exists.
+    given : Reconstruction
+        In a coordinate reference system. The lists do not state the kind of the heights: it is the block's.
+
+    Raises
+    ------
+    ConfigurationError
+        For a local frame, which ODM cannot place.
+    InputMalformedError
+        For names with blanks.
+    """
+    if given.frame == "local":
+        raise ConfigurationError(
+            "the block is in a local frame, but ODM's lists name a coordinate reference system",
+            remedy='adjust in one, for example frame = "EPSG:31982"',
+        )
+    # A compound name has the heights' system behind a plus.
+    crs = given.frame.split("+")[0]
+    control = {j for j, role in enumerate(given.roles) if role == "control"}
+    marks = [
+        GroundMark(given.point_names[j], (x, y, z), column, row, given.image_names[i], "")
+        for i, j, (column, row), (x, y, z) in zip(
+            given.image.tolist(),
+            given.point.tolist(),
+            given.pixels.tolist(),
+            given.xyz[given.point].tolist(),
+            strict=True,
+        )
+        if j in control
+    ]
+    if marks:
+        write_gcp_list(folder / "gcp_list.txt", crs, marks)
+    nan = float("nan")
+    sigma = given.pose_sigma[:, 3:] if len(given.pose_sigma) else np.full((len(given.poses), 3), np.nan)
+    positions = [
+        ImagePosition(name, (x, y, z), (nan, nan, nan), (float(np.hypot(sx, sy)), sz))
+        for name, (x, y, z), (sx, sy, sz) in zip(
+            given.image_names, given.poses[:, 3:].tolist(), sigma.tolist(), strict=True
+        )
+    ]
+    for position in positions:
+        _require_no_blanks(position.image)
+    write_geo(folder / "geo.txt", crs, positions)
+
+
+def _require_no_blanks(name: str) -> None:
+    if any(letter.isspace() for letter in name):
+        raise InputMalformedError(f"the name {name!r} has blanks", remedy="rename it")
 
 
 def _head(path: Path) -> tuple[str, list[Line]]:

@@ -3,7 +3,8 @@
 Image coordinates in mm, x right, y up, from the middle of the sensor. The distortion is added to the
 projection (`brown-ideal`), balanced by R0; A1..A3, B1, B2 and C1, C2 are our K1..K3, P1, P2 and B1, B2 with
 the same sign (C additive); the principal distance Ck is negative. Orientation as X, Y, Z (mm), omega, phi,
-kappa (rad) of our own rotation. Object space in mm, in the block in m. Standard deviations in the .obc and
+kappa (rad) of our own rotation. Object space in mm, in the block in m. Several cameras stand one after the
+other in the .ior file, five lines each. Standard deviations in the .obc and
 .phc files are results: the a priori one of the image coordinates stands in the report (.htm). Which
 parameters of the camera were estimated is not in the files: all but A3, C1 and C2 are.
 """
@@ -11,7 +12,6 @@ parameters of the camera were estimated is not in the files: all but A3, C1 and 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,8 +22,6 @@ from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.adjustment.network import RELATIONS, Relations
 from photocal.block.model import Block
 from photocal.exchange import parts
-from photocal.exchange.convert import Conversion, converted
-from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import (
     Line,
     fingerprint,
@@ -33,7 +31,7 @@ from photocal.exchange.source import (
     read_lines,
     require_readable,
 )
-from photocal.geometry.camera import Camera, camera, pixel_to_plane
+from photocal.geometry.camera import Camera, camera
 
 Floats = NDArray[np.float64]
 
@@ -86,13 +84,15 @@ def read_jaicov(path: Path, sigma_mm: float | None = None, *, switched_off: bool
     """
     files = {suffix: path.with_suffix(suffix) for suffix in SUFFIXES}
     sigma = _a_priori(path.with_suffix(".htm")) if sigma_mm is None else sigma_mm
-    own = _camera(read_lines(files[".ior"]))
-    names, poses = _orientations(read_lines(files[".eor"]), own.id)
+    cameras = _cameras(read_lines(files[".ior"]), files[".ior"])
+    names, which, poses = _orientations(read_lines(files[".eor"]), [own.id for own in cameras])
     points, xyz = _objects(read_lines(files[".obc"]))
     marks = _marks(read_lines(files[".phc"]), set(names), set(points), sigma, switched_off)
     bars = files[".phc"].with_suffix(".scale")
     scale = read_scale_bars(bars) if bars.exists() else ()
-    read = [*files.values(), *([bars] if bars.exists() else [])]
+    # The report is an input where it tells the standard deviation.
+    told = [path.with_suffix(".htm")] if sigma_mm is None else []
+    read = [*files.values(), *([bars] if bars.exists() else []), *told]
     entries = [parts.PointEntry(name, "tie", row) for name, row in zip(points, xyz, strict=True)]
     return Block(
         path.stem,
@@ -100,89 +100,13 @@ def read_jaicov(path: Path, sigma_mm: float | None = None, *, switched_off: bool
         "",
         "free",
         (),
-        (own,),
-        parts.images(names, [0] * len(names), poses),
+        cameras,
+        parts.images(names, which, poses),
         parts.object_points(entries),
         parts.observations(marks, names, points, "mm", "photo"),
         tuple(fingerprint(file) for file in read),
         _distances(scale, points, bars),
     )
-
-
-def write_jaicov(stem: Path, given: Reconstruction) -> Conversion:
-    """Write .ior, .eor, .obc and .phc files.
-
-    Parameters
-    ----------
-    stem : Path
-        Path of the files without suffix.
-    given : Reconstruction
-        With one camera in mm; image and point names must be whole numbers in this format, others are
-        counted from 1.
-
-    Returns
-    -------
-    Conversion
-        What the change of model cost.
-
-    Raises
-    ------
-    InputMalformedError
-        For several cameras, or a camera in px.
-    """
-    if len(given.cameras) != 1 or given.cameras[0].unit != "mm":
-        raise InputMalformedError(
-            "only blocks with one camera, in mm, can be written as JAICOV files",
-            remedy="give the pixel pitch",
-        )
-    conversion = converted(
-        given.cameras[0], "brown-ideal", "additive", ("K1", "K2", "K3", "P1", "P2", "B1", "B2")
-    )
-    own = conversion.camera
-    images, points = (_whole_names(names) for names in (given.image_names, given.point_names))
-    size = np.array(own.size_px) * own.pitch
-    v = own.value
-    ior: list[list[str | float]] = [
-        ["1", "-999", -v("c"), v("x0"), v("y0"), v("K1"), v("K2"), own.reference_radius],
-        [v("K3")],
-        [v("P1"), v("P2")],
-        [v("B1"), v("B2")],
-        [*size.tolist(), *(str(side) for side in own.size_px)],
-    ]
-    _write(stem.with_suffix(".ior"), ior)
-    eor = [
-        [name, "1", *(pose[3:] / MM).tolist(), *pose[:3].tolist(), "0", "0", "3"]
-        for name, pose in zip(images, given.poses, strict=True)
-    ]
-    _write(stem.with_suffix(".eor"), eor)
-    rays = np.bincount(given.point, minlength=len(points))
-    sigma = given.xyz_sigma / MM if len(given.xyz_sigma) else np.zeros(given.xyz.shape)
-    obc = [
-        [name, *(xyz / MM).tolist(), *s.tolist(), str(count), "1", "1", "0"]
-        for name, xyz, s, count in zip(points, given.xyz, sigma, rays, strict=True)
-    ]
-    _write(stem.with_suffix(".obc"), obc)
-    plane = pixel_to_plane(own.size_px, own.pitch, given.pixels)
-    residuals = np.zeros(plane.shape)
-    if len(given.residuals_px):
-        residuals = given.residuals_px * own.pitch * [1.0, -1.0]
-    phc = [
-        [images[i], points[j], *xy.tolist(), 0.0, 0.0, *r.tolist(), "1", "1", "1"]
-        for i, j, xy, r in zip(given.image, given.point, plane, residuals, strict=True)
-    ]
-    _write(stem.with_suffix(".phc"), phc)
-    return conversion
-
-
-def _whole_names(names: tuple[str, ...]) -> list[str]:
-    if all(name.isdecimal() and str(int(name)) == name for name in names):
-        return list(names)
-    return [str(k) for k in range(1, len(names) + 1)]
-
-
-def _write(path: Path, rows: Sequence[Sequence[str | float]]) -> None:
-    lines = (" ".join(cell if isinstance(cell, str) else repr(float(cell)) for cell in row) for row in rows)
-    path.write_text("\n".join(lines) + "\n", encoding="ascii", newline="\n")
 
 
 def read_scale_bars(path: Path) -> tuple[ScaleBar, ...]:
@@ -249,13 +173,17 @@ def _a_priori(report: Path) -> float:
     )
 
 
-def _camera(lines: list[Line]) -> Camera:
-    if len(lines) != 5:
+def _cameras(lines: list[Line], path: Path) -> tuple[Camera, ...]:
+    if not lines or len(lines) % 5:
         raise InputMalformedError(
-            f"has {len(lines)} lines where one camera has 5",
-            where=lines[0].path if lines else None,
-            remedy="only projects with one camera are read",
+            f"has {len(lines)} lines where every camera has 5", where=path, remedy="is the file cut?"
         )
+    cameras = tuple(_camera(lines[k : k + 5]) for k in range(0, len(lines), 5))
+    parts.require_unique([own.id for own in cameras], "camera", path)
+    return cameras
+
+
+def _camera(lines: list[Line]) -> Camera:
     head, third, decentering, affinity, sensor = (
         numbers(line.text, line.place, "interior orientation", count)
         for line, count in zip(lines, (8, 1, 2, 2, 4), strict=True)
@@ -278,18 +206,19 @@ def _camera(lines: list[Line]) -> Camera:
     )
 
 
-def _orientations(lines: list[Line], camera_id: str) -> tuple[list[str], Floats]:
-    names, poses = [], []
+def _orientations(lines: list[Line], cameras: list[str]) -> tuple[list[str], list[int], Floats]:
+    names, which, poses = [], [], []
     for line in lines:
         row = numbers(line.text, line.place, "exterior orientation", 11)
-        if str(int(row[1])) != camera_id:
+        if f"{row[1]:g}" not in cameras:
             raise InputMalformedError(
                 f"has camera {row[1]:g}, which is not in the .ior file", where=line.place
             )
         names.append(str(int(row[0])))
+        which.append(cameras.index(f"{row[1]:g}"))
         poses.append([*row[5:8], *(value * MM for value in row[2:5])])
     parts.require_unique(names, "image", lines[0].path if lines else None)
-    return names, np.array(poses).reshape(-1, 6)
+    return names, which, np.array(poses).reshape(-1, 6)
 
 
 def _objects(lines: list[Line]) -> tuple[list[str], Floats]:

@@ -1,9 +1,9 @@
-"""Reading XML safely: no entities, no external references, bounded size, errors in one line."""
+"""XML: read safely (no entities, no external references, bounded size, errors in one line), and written."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from xml.etree.ElementTree import Element, ParseError
+from xml.etree.ElementTree import Element, ParseError, indent, tostring
 
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
@@ -111,3 +111,15 @@ def text_of(element: Element, path: str, place: object) -> str:
 def number_of(element: Element, path: str, place: object) -> float:
     """Number in an element that must be there; parameters as in `child`."""
     return number(text_of(element, path, place), place, path.rsplit("/", 1)[-1])
+
+
+def write_xml(path: Path, root: Element) -> None:
+    """Write a document as indented UTF-8.
+
+    Parameters
+    ----------
+    path : Path
+    root : Element
+    """
+    indent(root)
+    path.write_bytes(b'<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, encoding="utf-8") + b"\n")

@@ -13,14 +13,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree.ElementTree import Element, SubElement, indent, tostring
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError
+from photocal.block.model import Role
 from photocal.exchange.convert import Conversion, converted, in_pixels
-from photocal.exchange.markup import child, read_xml
+from photocal.exchange.markup import child, read_xml, write_xml
 from photocal.exchange.pinhole import from_vision, require_credible, to_vision
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import image_size, number, numbers
@@ -48,6 +49,13 @@ class Marker:
     xyz: tuple[float, float, float]
     sigma: tuple[float, float, float]
     enabled: bool
+
+    @property
+    def role(self) -> Role:
+        """Role in a block; what has no surveyed coordinates is a tie point."""
+        if any(np.isnan(self.xyz)):
+            return "tie"
+        return "control" if self.enabled else "check"
 
 
 @dataclass(frozen=True)
@@ -133,6 +141,8 @@ def chunk_of(root: Element, path: Path) -> Chunk:
         table[:, 0].astype(np.int64),
         table[:, 1].astype(np.int64),
         table[:, 2:] - 0.5,
+        tuple(marker.role for marker in markers.values()),
+        xyz_sigma=np.array([marker.sigma for marker in markers.values()], dtype=float).reshape(-1, 3),
     )
     crs = (chunk.findtext("reference") or "").strip()
     return Chunk(reconstruction, tuple(markers.values()), "" if crs.startswith("LOCAL_CS") else crs)
@@ -179,8 +189,7 @@ def write_metashape(path: Path, given: Reconstruction) -> tuple[Conversion, ...]
     _write_markers(chunk, given)
     crs = 'LOCAL_CS["Local Coordinates (m)",LOCAL_DATUM["Local Datum",0],UNIT["metre",1]]'
     SubElement(chunk, "reference").text = crs
-    indent(root)
-    path.write_bytes(b'<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root) + b"\n")
+    write_xml(path, root)
     return tuple(made)
 
 
@@ -321,6 +330,8 @@ def _write_markers(chunk: Element, given: Reconstruction) -> None:
     for key, k in enumerate(surveyed):
         marker = SubElement(markers, "marker", id=str(key), label=given.point_names[k])
         xyz = {axis: repr(value) for axis, value in zip("xyz", given.xyz[k].tolist(), strict=True)}
+        if len(given.xyz_sigma) and np.isfinite(given.xyz_sigma[k]).all():
+            xyz |= {f"s{axis}": repr(s) for axis, s in zip("xyz", given.xyz_sigma[k].tolist(), strict=True)}
         SubElement(marker, "reference", {**xyz, "enabled": str(given.roles[k] == "control").lower()})
         rays = SubElement(seen, "marker", marker_id=str(key))
         for ray in np.flatnonzero(given.point == k):

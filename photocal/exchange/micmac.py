@@ -27,7 +27,7 @@ from photocal.geometry.camera import Camera, camera
 
 Floats = NDArray[np.float64]
 
-_CONVENTION = "eConvApero_DistM2C"
+CONVENTION = "eConvApero_DistM2C"
 
 
 @dataclass(frozen=True)
@@ -273,9 +273,9 @@ def _vector(element: Element, path_in: str, path: Path, count: int) -> list[floa
 
 def _require_convention(element: Element, path: Path) -> None:
     found = text_of(element, "KnownConv", path)
-    if found != _CONVENTION:
+    if found != CONVENTION:
         raise InputMalformedError(
-            f"has the convention {found}", where=path, remedy=f"convert it to {_CONVENTION}"
+            f"has the convention {found}", where=path, remedy=f"convert it to {CONVENTION}"
         )
 
 

@@ -11,9 +11,9 @@ has the rotation vector and translation from object to camera axes. Object space
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from drivers.errors import InputMalformedError
 from photocal.exchange.convert import Conversion
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, to_pinhole, to_vision
-from photocal.exchange.reconstruction import Reconstruction, read_json
-from photocal.exchange.source import image_size
+from photocal.exchange.reconstruction import Reconstruction, read_json, structured
+from photocal.exchange.source import image_size, number, read_lines
 from photocal.geometry.camera import Camera
 
 Floats = NDArray[np.float64]
-T = TypeVar("T")
+_WHAT = "an OpenSfM file"
 
 
 def read_cameras(path: Path) -> tuple[Camera, ...]:
@@ -45,7 +45,7 @@ def read_cameras(path: Path) -> tuple[Camera, ...]:
     InputNotFoundError, InputMalformedError
     """
     return tuple(
-        _checked(path, lambda: [_camera(name, keys, path) for name, keys in read_json(path).items()])
+        structured(path, _WHAT, lambda: [_camera(name, keys, path) for name, keys in read_json(path).items()])
     )
 
 
@@ -59,7 +59,8 @@ def read_reconstruction(path: Path) -> Reconstruction:
     Returns
     -------
     Reconstruction
-        Measurements are not in this file (see tracks.csv): there are no rays.
+        With the measurements of tracks.csv (`tracks_X.csv` for `reconstruction_X.json`) where it lies beside;
+        of images and points that are not reconstructed they are left out.
 
     Raises
     ------
@@ -89,7 +90,33 @@ def read_reconstruction(path: Path) -> Reconstruction:
             np.empty((0, 2)),
         )
 
-    return _checked(path, made)
+    found = structured(path, _WHAT, made)
+    tracks = path.with_name(path.name.replace("reconstruction", "tracks", 1)).with_suffix(".csv")
+    return _with_tracks(found, tracks) if tracks != path and tracks.is_file() else found
+
+
+def _with_tracks(found: Reconstruction, path: Path) -> Reconstruction:
+    image = {name: k for k, name in enumerate(found.image_names)}
+    point = {name: k for k, name in enumerate(found.point_names)}
+    rays = []
+    for line in read_lines(path, comment=""):
+        cells = line.text.split("\t")
+        if len(cells) == 1 and cells[0].startswith("OPENSFM_TRACKS_VERSION"):
+            continue
+        if len(cells) < 5:
+            raise InputMalformedError(
+                f"has {len(cells)} cells where a track has image, track, feature, x, y",
+                where=line.place,
+                remedy="is the file cut?",
+            )
+        if cells[0] in image and cells[1] in point:
+            x, y = (number(cell, line.place, "track") for cell in cells[3:5])
+            rays.append((image[cells[0]], point[cells[1]], x, y))
+    table = np.array(rays, dtype=float).reshape(-1, 4)
+    which = table[:, 0].astype(np.int64)
+    size = np.array([own.size_px for own in found.cameras], dtype=float)[found.image_camera[which]]
+    pixels = table[:, 2:] * size.max(axis=1, initial=1.0, keepdims=True) + size / 2 - 0.5
+    return replace(found, image=which, point=table[:, 1].astype(np.int64), pixels=pixels)
 
 
 def write_opensfm(folder: Path, given: Reconstruction) -> tuple[Conversion, ...]:
@@ -190,16 +217,6 @@ def _camera(name: str, keys: dict[str, Any], path: Path) -> Camera:
         **distortion,
     )
     return from_pinhole(pinhole, name, path)
-
-
-def _checked(path: Path, read: Callable[[], T]) -> T:
-    """Turn what a wrong structure raises into one line."""
-    try:
-        return read()
-    except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as failure:
-        raise InputMalformedError(
-            f"has not the structure of an OpenSfM file ({type(failure).__name__}: {failure})", where=path
-        ) from failure
 
 
 def _rotations(vectors: Floats) -> Floats:

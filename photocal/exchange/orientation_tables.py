@@ -1,15 +1,14 @@
-"""Tables of exterior orientations: PATB style (angles or rotation matrix) and Inpho project blocks.
+"""Tables of exterior orientations in PATB's style: angles or rotation matrix.
 
 Object coordinates X, Y, Z in m; angles omega, phi, kappa of our own rotation, in the unit that the caller
 names: degrees or gon (400 to a circle). The rotation matrix goes from camera (x right, y up, z backwards)
-to object axes, by rows. PATB style: one line an image, `name X Y Z omega phi kappa`, or `name X Y Z r11 r12
-r13 r21 ... r33`. Inpho (.prj): `$PHOTO` blocks with `$PHOTO_NUM` and `$EXT_ORI`, under which stand the
-principal distance (mm) with X, Y, Z and the matrix in three lines.
+to object axes, by rows. One line an image: `name X Y Z omega phi kappa`, or `name X Y Z r11 r12 r13 r21 ...
+r33`. In a map projection X and Y are map coordinates and the angles refer to the map's axes at the image.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -17,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError
-from photocal.exchange.parts import require_unique
-from photocal.exchange.source import Line, numbers, read_lines
-from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
+from photocal.exchange.parts import poses_of_matrices, require_unique
+from photocal.exchange.source import numbers, read_lines
+from photocal.geometry.rotation import matrix_from_angles
 
 Floats = NDArray[np.float64]
 Angle = Literal["deg", "gon"]
@@ -78,7 +77,8 @@ def read_matrices(path: Path) -> tuple[tuple[str, ...], Floats]:
         Also when a matrix is no rotation to the digits given.
     """
     names, values = _table(path, 12)
-    return names, _poses(values[:, :3], values[:, 3:].reshape(-1, 3, 3), names, path)
+    to_object = values[:, 3:].reshape(-1, 3, 3)
+    return names, poses_of_matrices(values[:, :3], np.swapaxes(to_object, -1, -2), names, path)
 
 
 def write_matrices(path: Path, names: Sequence[str], poses: Floats) -> None:
@@ -86,63 +86,6 @@ def write_matrices(path: Path, names: Sequence[str], poses: Floats) -> None:
     to_object = np.swapaxes(matrix_from_angles(poses[:, :3]), -1, -2).reshape(-1, 9)
     rows = np.hstack([poses[:, 3:], to_object])
     _write(path, "# image X Y Z [m] rotation matrix camera to object, by rows", names, rows)
-
-
-def read_inpho(path: Path) -> tuple[tuple[str, ...], Floats]:
-    """Read the exterior orientations of an Inpho project; result as of `read_angles`.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
-    names, places, matrices = [], [], []
-    lines = iter(read_lines(path, comment=""))
-    name = ""
-    for line in lines:
-        key, _, value = line.text.strip().partition(":")
-        if key.strip() == "$PHOTO":
-            name = ""
-        elif key.strip() == "$PHOTO_NUM":
-            name = value.strip()
-        elif key.strip().startswith("$EXT_ORI"):
-            if not name:
-                raise InputMalformedError("an $EXT_ORI stands before its $PHOTO_NUM", where=line.place)
-            places.append(_next(lines, path, 4)[1:])
-            matrices.append([_next(lines, path, 3) for _ in range(3)])
-            names.append(name)
-    if not names:
-        raise InputMalformedError("has no $EXT_ORI", where=path, remedy="is it an Inpho project?")
-    require_unique(names, "image", path)
-    return tuple(names), _poses(np.array(places), np.array(matrices), tuple(names), path)
-
-
-def write_inpho(
-    path: Path, names: Sequence[str], poses: Floats, principal_distances_mm: Sequence[float]
-) -> None:
-    """Write `$PHOTO` blocks of an Inpho project; the inverse of `read_inpho`.
-
-    Parameters
-    ----------
-    path : Path
-    names : sequence of str
-    poses : ndarray, shape (n, 6)
-    principal_distances_mm : sequence of float
-        Of the camera of each image.
-    """
-    to_object = np.swapaxes(matrix_from_angles(poses[:, :3]), -1, -2)
-    blocks = []
-    for name, pose, matrix, c in zip(names, poses, to_object, principal_distances_mm, strict=True):
-        rows = [_text([c, *pose[3:]]), *(_text(row) for row in matrix)]
-        body = "\n".join(f"    {row}" for row in rows)
-        blocks.append(f"$PHOTO\n  $PHOTO_NUM : {name}\n  $EXT_ORI :\n{body}\n$END\n")
-    path.write_text("".join(blocks), encoding="utf-8", newline="\n")
-
-
-def _next(lines: Iterator[Line], path: Path, count: int) -> list[float]:
-    line = next(lines, None)
-    if line is None:
-        raise InputMalformedError("ends inside an $EXT_ORI", where=path, remedy="was it written completely?")
-    return numbers(line.text, line.place, "$EXT_ORI", count)
 
 
 def _table(path: Path, count: int) -> tuple[tuple[str, ...], Floats]:
@@ -155,14 +98,6 @@ def _table(path: Path, count: int) -> tuple[tuple[str, ...], Floats]:
         raise InputMalformedError("has no exterior orientation", where=path)
     require_unique(names, "image", path)
     return tuple(names), np.array(rows).reshape(-1, count)
-
-
-def _poses(places: Floats, to_object: Floats, names: tuple[str, ...], path: Path) -> Floats:
-    error = np.abs(to_object @ np.swapaxes(to_object, -1, -2) - np.eye(3)).max(axis=(1, 2))
-    bad = np.flatnonzero((error > 1e-4) | (np.linalg.det(to_object) < 0))
-    if len(bad):
-        raise InputMalformedError(f"the matrix of image {names[bad[0]]} is no rotation", where=path)
-    return np.hstack([angles_from_matrix(np.swapaxes(to_object, -1, -2)), places])
 
 
 def _write(path: Path, head: str, names: Sequence[str], values: Floats) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError
 from photocal.block.model import ROLES, Images, ObjectPoints, Observations, Role
+from photocal.geometry.rotation import angles_from_matrix
 
 Floats = NDArray[np.float64]
 
@@ -188,3 +189,64 @@ def require_unique(names: Sequence[str], what: str, place: object) -> None:
         raise InputMalformedError(
             f"{what} {twice} is listed twice", where=place, remedy="keep one of the rows"
         )
+
+
+def require_file_name(name: str) -> None:
+    """Complain when a name cannot be that of a file inside a folder.
+
+    Parameters
+    ----------
+    name : str
+
+    Raises
+    ------
+    InputMalformedError
+    """
+    if not name or name in (".", "..") or any(letter in '/\\\0:*?"<>|' for letter in name):
+        raise InputMalformedError(f"the name {name!r} cannot be that of a file", remedy="rename it")
+
+
+def whole_numbers(names: Sequence[str]) -> list[str]:
+    """Give points or images whole numbers: their names where all are, else counted from 1.
+
+    Parameters
+    ----------
+    names : sequence of str
+
+    Returns
+    -------
+    list of str
+    """
+    if all(name.isdecimal() and str(int(name)) == name and len(name) < 18 for name in names):
+        return list(names)
+    return [str(k) for k in range(1, len(names) + 1)]
+
+
+def poses_of_matrices(places: Floats, rotation: Floats, names: Sequence[str], path: object) -> Floats:
+    """Exterior orientations from rotation matrices as a file prints them.
+
+    Parameters
+    ----------
+    places : ndarray, shape (n, 3)
+        Projection centres, m.
+    rotation : ndarray, shape (n, 3, 3)
+        From object to camera axes (x right, y up, z backwards).
+    names : sequence of str
+    path : object
+        For messages.
+
+    Returns
+    -------
+    ndarray, shape (n, 6)
+        omega, phi, kappa in radians, X, Y, Z.
+
+    Raises
+    ------
+    InputMalformedError
+        When a matrix is no rotation to the digits given.
+    """
+    error = np.abs(rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)).max(axis=(1, 2))
+    bad = np.flatnonzero(~(error < 1e-4) | (np.linalg.det(rotation) < 0))
+    if len(bad):
+        raise InputMalformedError(f"the matrix of image {names[bad[0]]} is no rotation", where=path)
+    return np.hstack([angles_from_matrix(rotation), places])

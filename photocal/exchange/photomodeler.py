@@ -96,7 +96,7 @@ def block_from_export(
     positions : dict, optional
         From `read_positions`, in the frame of the control; they become observations.
     own_camera : Camera, optional
-        Instead of the exported interior orientation, which is held.
+        Of all photos, instead of the exported interior orientations, which are held.
 
     Returns
     -------
@@ -105,7 +105,7 @@ def block_from_export(
     Raises
     ------
     InputMalformedError
-        For photos of several cameras, object points without marks, or names that do not fit together.
+        For object points without marks, or names that do not fit together.
     """
     place = export.file.path
     shift = _shift(export, control, place)
@@ -134,14 +134,19 @@ def block_from_export(
             raise InputMalformedError(f"position of image {name}, which is not in the export", where=place)
         values[names.index(name), 3:] = xyz
         sigma[names.index(name), 3:] = accuracy
+    interiors = list(dict.fromkeys(photo.interior for photo in export.photos))
+    cameras = tuple(
+        _camera(export, interior, f"camera{k}", place) for k, interior in enumerate(interiors, start=1)
+    )
+    which = [interiors.index(photo.interior) for photo in export.photos]
     return Block(
         export.title or place,
         "local",
         "",
         "control",
         (),
-        (own_camera or _camera(export, place),),
-        parts.images(names, [0] * len(names), values, sigma),
+        cameras if own_camera is None else (own_camera,),
+        parts.images(names, which if own_camera is None else [0] * len(names), values, sigma),
         parts.object_points(points),
         parts.observations(export.marks, names, [point.name for point in points], "px", "pixel"),
         (export.file,),
@@ -204,20 +209,17 @@ def _shift(export: Export, control: dict[str, tuple[Floats, Floats]], place: str
     return np.asarray(np.mean([control[name][0] - export.control[name] for name in common], axis=0))
 
 
-def _camera(export: Export, place: str) -> Camera:
-    interiors = {photo.interior for photo in export.photos}
-    if len(interiors) != 1:
-        raise InputMalformedError("has photos of several cameras", where=place, remedy="export them apart")
-    own = interiors.pop()
+def _camera(export: Export, own: tuple[float, ...], name: str, place: str) -> Camera:
     # The photos' c and principal point are printed to 1 um, their coefficients to five decimals; the head has
     # the same values with more digits.
     rounding = [0.51e-3] * 3 + [0.51e-5] * 7
     same = all(abs(a - b) <= most for a, b, most in zip(own, export.interior, rounding, strict=True))
-    c, px, py, width, height, k1, k2, k3, p1, p2 = export.interior if same else own
+    only = len({photo.interior for photo in export.photos}) == 1
+    c, px, py, width, height, k1, k2, k3, p1, p2 = export.interior if same and only else own
     if not (c > 0 and width > 0 and height > 0):
         raise InputMalformedError("principal distance or format is not positive", where=place)
     return camera(
-        "camera1",
+        name,
         "brown-observed",
         "mm",
         export.size_px,

@@ -160,6 +160,26 @@ def to_pinhole(own: Camera, program: str) -> tuple[Pinhole, Conversion]:
     ), conversion
 
 
+def require_one_focal_length(pinhole: Pinhole, camera_id: str, program: str) -> None:
+    """Complain when fx and fy differ and a format has one focal length.
+
+    Parameters
+    ----------
+    pinhole : Pinhole
+    camera_id, program : str
+        For the message.
+
+    Raises
+    ------
+    InputMalformedError
+    """
+    if abs(pinhole.fx / pinhole.fy - 1) > 1e-12:
+        raise InputMalformedError(
+            f"camera {camera_id} has an affinity (B1), which {program} cannot hold",
+            remedy="adjust without B1",
+        )
+
+
 def to_vision(pose: Floats) -> tuple[Floats, Floats]:
     """Turn exterior orientations into rotation and translation from object to vision camera axes.
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from drivers.errors import InputMalformedError
 from photocal.exchange.convert import Conversion
-from photocal.exchange.pinhole import Pinhole, from_pinhole, to_pinhole
+from photocal.exchange.pinhole import Pinhole, from_pinhole, require_one_focal_length, to_pinhole
 from photocal.exchange.source import number, read_lines
 from photocal.geometry.camera import Camera
 
@@ -103,10 +103,7 @@ def write_pix4d(path: Path, own: Camera) -> Conversion:
         For a skew, or an affinity: the format has one focal length.
     """
     pinhole, conversion = to_pinhole(own, "Pix4D")
-    if abs(pinhole.fx / pinhole.fy - 1) > 1e-12:
-        raise InputMalformedError(
-            f"camera {own.id} has an affinity (B1), which a .cam file cannot hold", remedy="adjust without B1"
-        )
+    require_one_focal_length(pinhole, own.id, "a .cam file")
     pixel = own.pitch[0] if own.unit == "mm" else 1e-3
     width, height = (side * pixel for side in pinhole.size_px)
     rows = [

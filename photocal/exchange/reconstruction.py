@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,8 @@ from photocal.geometry.camera import PARAMETERS, Camera, camera, plane_to_pixel
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+T = TypeVar("T")
+
 _SCHEMA = "photocal.adjustment/"
 
 
@@ -32,7 +35,7 @@ class Reconstruction:
     cameras : tuple of Camera
     image_names : tuple of str
     image_camera : ndarray of int, shape (images,)
-        Index into the cameras.
+        Index into the cameras; -1 when a file does not say.
     poses : ndarray, shape (images, 6)
         omega, phi, kappa in radians, X, Y, Z in m.
     point_names : tuple of str
@@ -45,6 +48,9 @@ class Reconstruction:
         control, check or tie for each point; empty when not known.
     pose_sigma, xyz_sigma, residuals_px
         Like `poses` (radians, m), `xyz` and `pixels`; residuals computed minus measured. Empty when unknown.
+    frame, height : str
+        "local", or a coordinate reference system with the kind of its heights, as in a block folder.
+    name : str
     """
 
     cameras: tuple[Camera, ...]
@@ -60,14 +66,18 @@ class Reconstruction:
     pose_sigma: Floats = field(default_factory=lambda: np.empty((0, 6)))
     xyz_sigma: Floats = field(default_factory=lambda: np.empty((0, 3)))
     residuals_px: Floats = field(default_factory=lambda: np.empty((0, 2)))
+    frame: str = "local"
+    height: str = ""
+    name: str = "block"
 
 
 def as_block(given: Reconstruction, name: str, sigma_px: float, inputs: tuple[InputFile, ...]) -> Block:
-    """Make a block of a reconstruction: orientations and points as start values, datum free.
+    """Make a block of a reconstruction: orientations and points as start values.
 
     Parameters
     ----------
     given : Reconstruction
+        Control points with standard deviations carry the datum; without any the datum is free.
     name : str
     sigma_px : float
         Standard deviation of an image coordinate, which these formats do not have.
@@ -78,24 +88,67 @@ def as_block(given: Reconstruction, name: str, sigma_px: float, inputs: tuple[In
     Block
     """
     count = len(given.point_names)
+    roles = given.roles or ("tie",) * count
+    role = np.array([ROLES.index(own) for own in roles], dtype=np.int64)
+    sigma = np.full((count, 3), np.inf)
+    surveyed = (role != ROLES.index("tie")) & np.isfinite(given.xyz).all(axis=1)
+    if len(given.xyz_sigma):
+        known = surveyed & np.isfinite(given.xyz_sigma).all(axis=1)
+        sigma[known] = given.xyz_sigma[known]
+    # What is called control without a standard deviation holds nothing.
+    bare = (role == ROLES.index("control")) & ~np.isfinite(sigma).all(axis=1)
+    role[bare] = ROLES.index("tie")
     return Block(
         name,
-        "local",
-        "",
-        "free",
+        given.frame,
+        given.height,
+        "control" if (role == ROLES.index("control")).any() else "free",
         (),
         given.cameras,
         images(given.image_names, given.image_camera.tolist(), given.poses),
-        ObjectPoints(
-            given.point_names,
-            given.xyz,
-            np.full((count, 3), np.inf),
-            np.full(count, ROLES.index("tie"), dtype=np.int64),
-        ),
+        ObjectPoints(given.point_names, given.xyz, sigma, role),
         Observations(
             "px", "pixel", given.image, given.point, given.pixels, np.full(given.pixels.shape, sigma_px)
         ),
         inputs,
+    )
+
+
+def of_block(block: Block) -> Reconstruction:
+    """Take what other programs know out of a block, the inverse of `as_block`.
+
+    Parameters
+    ----------
+    block : Block
+
+    Returns
+    -------
+    Reconstruction
+        Measurements in px; standard deviations of control points.
+    """
+    given, own = block.observations, block.images.camera[block.observations.image]
+    pitch = np.array([camera.pitch for camera in block.cameras])[own]
+    size = np.array([camera.size_px for camera in block.cameras], dtype=float)[own]
+    values = given.values
+    if given.axes == "photo":
+        values = plane_to_pixel(size, pitch if given.unit == "mm" else np.ones_like(pitch), values)
+    elif given.unit == "mm":
+        values = values / pitch
+    return Reconstruction(
+        block.cameras,
+        block.images.names,
+        block.images.camera,
+        block.images.values,
+        block.points.names,
+        block.points.values,
+        given.image,
+        given.point,
+        values,
+        tuple(ROLES[k] for k in block.points.role),
+        xyz_sigma=np.where(np.isfinite(block.points.sigma), block.points.sigma, np.nan),
+        frame=block.frame,
+        height=block.height,
+        name=block.name,
     )
 
 
@@ -126,7 +179,9 @@ def read_run(folder: Path) -> Reconstruction:
         raise InputMalformedError("is not the result of an adjustment", where=place)
     try:
         cameras = tuple(_camera(name, keys) for name, keys in result["cameras"].items())
-        unit = result["block"]["observation_unit"], result["block"]["observation_axes"]
+        block = result["block"]
+        unit = block["observation_unit"], block["observation_axes"]
+        frame, height, title = (str(block[key]) for key in ("frame", "height", "name"))
     except (KeyError, TypeError, AttributeError, ValueError) as failure:
         raise InputMalformedError(
             f"lacks {failure}", where=place, remedy="adjust the block again"
@@ -138,6 +193,13 @@ def read_run(folder: Path) -> Reconstruction:
     image_names = table.unique_names("image")
     which, camera_names = table.names("camera")
     known = {own.id: k for k, own in enumerate(cameras)}
+    lost = [name for name in camera_names if name not in known]
+    if lost:
+        raise InputMalformedError(
+            f"names camera {lost[0]}, which is not in result.json",
+            where=folder / "images.csv",
+            remedy="adjust the block again",
+        )
     image_camera = np.array([known[name] for name in camera_names], dtype=np.int64)[which]
     poses = _pose_columns(table, pose_columns[3:] + pose_columns[:3])
     pose_sigma = _pose_columns(table, ("so", "sp", "sk", "sX", "sY", "sZ"))
@@ -173,6 +235,25 @@ def read_run(folder: Path) -> Reconstruction:
         pose_sigma,
         np.column_stack([points.numbers("s" + axis, empty=np.nan) for axis in "XYZ"]),
         residuals,
+        frame,
+        height,
+        title,
+    )
+
+
+def cameras_alone(cameras: Sequence[Camera]) -> Reconstruction:
+    """What a file of cameras holds: no images, no points."""
+    none = np.empty(0, dtype=np.int64)
+    return Reconstruction(
+        tuple(cameras), (), none, np.empty((0, 6)), (), np.empty((0, 3)), none, none, np.empty((0, 2))
+    )
+
+
+def orientations_alone(names: Sequence[str], poses: Floats) -> Reconstruction:
+    """What a table of exterior orientations holds: images of unknown cameras."""
+    nothing = cameras_alone(())
+    return replace(
+        nothing, image_names=tuple(names), image_camera=np.full(len(names), -1, dtype=np.int64), poses=poses
     )
 
 
@@ -191,6 +272,32 @@ def read_json(path: Path) -> Any:
             f"is no valid JSON ({failure})", where=path, remedy="was it written completely?"
         ) from failure
     return content
+
+
+def structured(path: Path, what: str, read: Callable[[], T]) -> T:
+    """Read something of a JSON file; turn what a wrong structure raises into one line.
+
+    Parameters
+    ----------
+    path : Path
+    what : str
+        What the file should be.
+    read : callable
+
+    Returns
+    -------
+    What `read` gives.
+
+    Raises
+    ------
+    InputMalformedError
+    """
+    try:
+        return read()
+    except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError, IndexError) as failure:
+        raise InputMalformedError(
+            f"has not the structure of {what} ({type(failure).__name__}: {str(failure)[:80]})", where=path
+        ) from failure
 
 
 def _refuse_constant(name: str) -> float:

@@ -10,13 +10,18 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError
 from photocal.exchange.parts import require_unique
 from photocal.exchange.source import number, read_text
+
+Floats = NDArray[np.float64]
 
 _SYSTEM = "#CoordinateSystem:"
 _COORDINATES = (("x", "easting", "longitude"), ("y", "northing", "latitude"), ("z", "altitude", "height"))
@@ -94,6 +99,28 @@ def read_references(path: Path) -> tuple[str, tuple[Reference, ...]]:
         found.append(Reference(cells[0], (x, y, z), (sx, sy, sz)))
     require_unique([row.label for row in found], "label", path)
     return crs, tuple(found)
+
+
+def references(names: Sequence[str], places: Floats, sigmas: Floats) -> list[Reference]:
+    """Make rows of arrays.
+
+    Parameters
+    ----------
+    names : sequence of str
+    places : ndarray, shape (n, 3)
+        m.
+    sigmas : ndarray, shape (n, 3)
+        m; NaN, or an empty array, when not known.
+
+    Returns
+    -------
+    list of Reference
+    """
+    known = sigmas if len(sigmas) else np.full((len(names), 3), np.nan)
+    return [
+        Reference(name, (x, y, z), (sx, sy, sz))
+        for name, (x, y, z), (sx, sy, sz) in zip(names, places.tolist(), known.tolist(), strict=True)
+    ]
 
 
 def write_references(path: Path, crs: str, references: Iterable[Reference]) -> None:

@@ -1,4 +1,4 @@
-"""What a run can be exported to: one writer for each format."""
+"""What a run can be exported to: one function for each format, all of one shape."""
 
 from __future__ import annotations
 
@@ -6,12 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from drivers.errors import ConfigurationError
 from photocal.exchange.convert import Conversion
-from photocal.exchange.geographic import Origin
+from photocal.exchange.geographic import Origin, ToGeographic, topocentric
 from photocal.exchange.orientation_tables import Angle
 from photocal.exchange.reconstruction import Reconstruction
 
@@ -35,48 +32,110 @@ class Choices:
     changed_utc: str = "1970-01-01T00:00:00.000Z"
 
 
-Floats = NDArray[np.float64]
 Writer = Callable[[Path, Reconstruction, Choices], tuple[Conversion, ...]]
 
 
-def _colmap(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+def colmap(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """cameras.txt, images.txt, points3D.txt."""
     from photocal.exchange.colmap import write_colmap
 
     return write_colmap(folder, given)
 
 
-def _colmap_binary(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+def colmap_binary(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """cameras.bin, images.bin, points3D.bin."""
     from photocal.exchange.colmap import write_colmap
 
     return write_colmap(folder, given, binary=True)
 
 
-def _opencv(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+def opencv(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """A YAML file for each camera."""
     from photocal.exchange.opencv import write_opencv
 
-    return tuple(write_opencv(folder / f"{_file_name(own.id)}.yml", own) for own in given.cameras)
+    return tuple(write_opencv(folder / f"{file_name(own.id)}.yml", own) for own in given.cameras)
 
 
-def _opensfm(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+def opensfm(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """cameras.json, reconstruction.json, tracks.csv."""
     from photocal.exchange.opensfm import write_opensfm
 
     return write_opensfm(folder, given)
 
 
-def _metashape(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+def odm(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """gcp_list.txt of the control points, geo.txt of the images."""
+    from photocal.exchange.ground_points import write_odm
+
+    write_odm(folder, given)
+    return ()
+
+
+def metashape(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """A camera XML."""
     from photocal.exchange.metashape import write_metashape
 
     return write_metashape(folder / "cameras.xml", given)
 
 
-def _pix4d(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+def metashape_csv(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """Reference tables of the images and of the points."""
+    from photocal.exchange.reference_table import references, write_references
+
+    crs = "" if given.frame == "local" else _wkt(given.frame)
+    cameras = references(given.image_names, given.poses[:, 3:], given.pose_sigma[:, 3:])
+    write_references(folder / "cameras.csv", crs, cameras)
+    write_references(folder / "markers.csv", crs, references(given.point_names, given.xyz, given.xyz_sigma))
+    return ()
+
+
+def pix4d(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """A .cam file for each camera."""
     from photocal.exchange.pix4d import write_pix4d
 
     name = "_pix4d_calibrated_internal_camera_parameters.cam"
-    return tuple(write_pix4d(folder / (_file_name(own.id) + name), own) for own in given.cameras)
+    return tuple(write_pix4d(folder / (file_name(own.id) + name), own) for own in given.cameras)
 
 
-def _patb(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
+def opf(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """project.opf and its JSON files."""
+    from photocal.exchange.opf_writer import write_opf
+
+    return write_opf(folder, given)
+
+
+def photomodeler(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """A text export and its table of control points."""
+    from photocal.exchange.photomodeler_writer import write_photomodeler
+
+    return write_photomodeler(folder / "block.txt", given)
+
+
+def dbat(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """A set-up and its tables."""
+    from photocal.exchange.dbat_writer import write_dbat
+    from photocal.exchange.reconstruction import as_block
+
+    write_dbat(folder, as_block(given, given.name, 1.0, ()))
+    return tuple(Conversion(own) for own in given.cameras)
+
+
+def jaicov(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """block.ior, block.eor, block.obc, block.phc."""
+    from photocal.exchange.jaicov_writer import write_jaicov
+
+    return write_jaicov(folder / "block", given)
+
+
+def micmac(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """Ori-photocal, Ground-Pts3D.xml, GroundMeasure.xml."""
+    from photocal.exchange.micmac_writer import write_micmac
+
+    return write_micmac(folder, given)
+
+
+def patb(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
+    """A table of angles and one of rotation matrices."""
     from photocal.exchange.orientation_tables import write_angles, write_matrices
 
     if choices.angle_unit is None:
@@ -90,113 +149,65 @@ def _patb(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conver
     return ()
 
 
-def _inpho(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
-    from photocal.exchange.orientation_tables import write_inpho
+def inpho(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """Cameras and photos of a project."""
+    from photocal.exchange.inpho import write_inpho
 
-    for own in given.cameras:
-        if own.unit != "mm":
-            raise ConfigurationError(
-                f"camera {own.id} is in px, but the format has the principal distance in mm",
-                remedy="give the camera in mm with its pixel pitch",
-            )
-    distances = [given.cameras[k].value("c") for k in given.image_camera.tolist()]
-    write_inpho(folder / "orientations.prj", given.image_names, given.poses, distances)
+    return write_inpho(folder / "orientations.prj", given)
+
+
+def geojson(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
+    """One collection of features."""
+    from photocal.exchange.geographic import write_geojson
+
+    write_geojson(folder / "block.geojson", *_geographic(given, choices))
     return ()
 
 
-def _jaicov(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
-    from photocal.exchange.jaicov import write_jaicov
+def kml(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
+    """One document."""
+    from photocal.exchange.geographic import write_kml
 
-    return (write_jaicov(folder / "block", given),)
-
-
-def _references(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
-    from photocal.exchange.reference_table import Reference, write_references
-
-    def rows(names: tuple[str, ...], places: Floats, sigmas: Floats) -> list[Reference]:
-        return [
-            Reference(name, (x, y, z), (sx, sy, sz))
-            for name, (x, y, z), (sx, sy, sz) in zip(names, places.tolist(), sigmas.tolist(), strict=True)
-        ]
-
-    write_references(
-        folder / "cameras.csv", "", rows(given.image_names, given.poses[:, 3:], given.pose_sigma[:, 3:])
-    )
-    write_references(folder / "markers.csv", "", rows(given.point_names, given.xyz, given.xyz_sigma))
+    write_kml(folder / "block.kml", *_geographic(given, choices))
     return ()
 
 
-def _geojson(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
-    from photocal.exchange.geographic import topocentric, write_geojson
-
-    write_geojson(folder / "block.geojson", given, topocentric(_origin(choices)))
-    return ()
-
-
-def _geopackage(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
-    from photocal.exchange.geographic import topocentric
+def geopackage(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
+    """A layer for each kind of thing."""
     from photocal.exchange.geopackage import write_geopackage
 
-    turn = None if choices.origin is None else topocentric(choices.origin)
+    turn: ToGeographic | None = None
+    if choices.origin is not None or given.frame != "local":
+        given, turn = _geographic(given, choices)
     write_geopackage(folder / "block.gpkg", given, turn, choices.changed_utc)
     return ()
 
 
-def _kml(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
-    from photocal.exchange.geographic import topocentric, write_kml
+def _geographic(given: Reconstruction, choices: Choices) -> tuple[Reconstruction, ToGeographic]:
+    """A Cartesian block, and the way from its coordinates to longitude, latitude and height."""
+    if given.frame != "local":
+        if choices.origin is not None:
+            raise ConfigurationError(
+                f"the block lies in {given.frame}, which tells where it is", remedy="leave out --origin"
+            )
+        from photocal.exchange.cartesian import to_cartesian, to_wgs84
 
-    write_kml(folder / "block.kml", given, topocentric(_origin(choices)))
-    return ()
-
-
-WRITERS: dict[str, Writer] = {
-    "colmap": _colmap,
-    "colmap-binary": _colmap_binary,
-    "opencv": _opencv,
-    "opensfm": _opensfm,
-    "metashape": _metashape,
-    "metashape-csv": _references,
-    "jaicov": _jaicov,
-    "pix4d": _pix4d,
-    "patb": _patb,
-    "inpho": _inpho,
-    "geojson": _geojson,
-    "kml": _kml,
-    "geopackage": _geopackage,
-}
-
-
-def writer(name: str) -> Writer:
-    """Find the writer of a format.
-
-    Parameters
-    ----------
-    name : str
-
-    Returns
-    -------
-    callable
-
-    Raises
-    ------
-    ConfigurationError
-        For a format that is not known.
-    """
-    if name not in WRITERS:
-        raise ConfigurationError(f"format {name!r} is not known", remedy=f"use {', '.join(WRITERS)}")
-    return WRITERS[name]
-
-
-def _origin(choices: Choices) -> Origin:
+        return to_cartesian(given), to_wgs84(given)
     if choices.origin is None:
         raise ConfigurationError(
             "where the local frame lies is not given",
             remedy="name its origin: --origin LATITUDE,LONGITUDE,HEIGHT (deg, m above the ellipsoid)",
         )
-    return choices.origin
+    return given, topocentric(choices.origin)
 
 
-def _file_name(name: str) -> str:
+def _wkt(frame: str) -> str:
+    from pyproj import CRS
+
+    return " ".join(CRS.from_user_input(frame).to_wkt("WKT1_GDAL").split())
+
+
+def file_name(name: str) -> str:
     """A name that stays inside the folder: letters, digits and a few signs."""
     kept = "".join(letter if letter.isalnum() or letter in "-_. " else "_" for letter in name)
     return kept.strip(". ") or "camera"

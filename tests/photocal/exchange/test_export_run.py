@@ -17,9 +17,11 @@ from photocal.block.run import summary, write_run
 from photocal.cli import app
 from photocal.commands.export import FORMATS
 from photocal.exchange.colmap import read_colmap
+from photocal.exchange.formats import FORMATS as ALL
+from photocal.exchange.formats import export, named
 from photocal.exchange.metashape import read_metashape
 from photocal.exchange.reconstruction import Reconstruction, as_block, read_run
-from photocal.exchange.writers import WRITERS, Choices, writer
+from photocal.exchange.writers import Choices
 
 TIMING = {"read": 0.0, "solve": 0.0, "covariance": 0.0}
 
@@ -63,7 +65,7 @@ def test_run_folder_gives_what_was_adjusted(run: Path, vision: Reconstruction) -
 @pytest.mark.parametrize("form", ["colmap", "colmap-binary", "metashape"])
 def test_residuals_survive_the_export(run: Path, tmp_path: Path, form: str) -> None:
     given = read_run(run)
-    assert all(made.largest_px == 0 for made in writer(form)(tmp_path, given, Choices()))
+    assert all(made.largest_px == 0 for made in export(named(form), tmp_path, given, Choices()))
     if form == "metashape":
         again = read_metashape(tmp_path / "cameras.xml").reconstruction
     else:
@@ -79,23 +81,23 @@ def test_observations_in_mm_become_pixels(run_in_mm: Path, photogrammetric: Reco
     np.testing.assert_allclose(read_run(run_in_mm).pixels, photogrammetric.pixels, atol=1e-9)
 
 
-@pytest.mark.parametrize("form", sorted(WRITERS))
+@pytest.mark.parametrize("form", [form.name for form in ALL if form.name != "odm"])
 def test_every_format_by_command(run: Path, run_in_mm: Path, tmp_path: Path, form: str) -> None:
-    # Two formats hold no affinity, or want mm.
-    folder = run_in_mm if form in ("pix4d", "inpho", "jaicov") else run
+    # Some formats hold no affinity, or want mm.
+    wants_mm = ("pix4d", "opf", "inpho", "jaicov", "photomodeler", "dbat")
+    folder = run_in_mm if form in wants_mm else run
     arguments = ["export", str(folder), "--format", form, "-o", str(tmp_path / "out"), "--json"]
     arguments += ["--angle-unit", "gon", "--origin", "47.5,8.25,500"]
     result = CliRunner().invoke(app, arguments, catch_exceptions=False)
     assert result.exit_code == 0
     answer = json.loads(result.stdout)
     assert answer["files"]
-    assert {str(p.relative_to(tmp_path / "out")) for p in (tmp_path / "out").iterdir()} == set(
-        answer["files"]
-    )
+    written = {str(p.relative_to(tmp_path / "out")) for p in (tmp_path / "out").rglob("*") if p.is_file()}
+    assert written == set(answer["files"])
 
 
 def test_help_names_every_format() -> None:
-    assert FORMATS.split(", ") == list(WRITERS)
+    assert FORMATS.split(", ") == [form.name for form in ALL]
 
 
 def test_text_says_what_the_conversion_costs(run_in_mm: Path, tmp_path: Path) -> None:
@@ -115,6 +117,8 @@ def test_text_says_what_the_conversion_costs(run_in_mm: Path, tmp_path: Path) ->
         (["--format", "kml", "--origin", "147.5,8,0"], "not on the Earth"),
         (["--format", "inpho"], "is in px"),
         (["--format", "pix4d"], "affinity"),
+        (["--format", "opf"], "affinity"),
+        (["--format", "odm"], "name a coordinate reference system"),
     ],
 )
 def test_wrong_choices(run: Path, tmp_path: Path, extra: list[str], message: str) -> None:

@@ -1,0 +1,227 @@
+"""Open Photogrammetry Format (OPF 1.0): a project file, and JSON files for cameras and control points.
+
+Pixels: x right, y down, (0, 0) is the upper-left corner of the upper-left pixel for marks and principal
+points, half a pixel more than ours. The distortion is added to the normalised projection (`brown-ideal`):
+radial R1 to R3 and tangential T1, T2 as k1, k2, k3, p1, p2 of OpenCV, with one focal length in px. Camera
+axes x right, y up, z backwards and omega, phi, kappa (deg) as ours. Object space: the project's processing
+frame, Cartesian, whose shift against the reference system stands in the file and is left alone. Every point
+is a control point here: surveyed ones "gcps", others "mtps" (manual tie points) with calibrated
+coordinates; tie points of a glTF point cloud are not read. Source: OPF specification, "Calibrated cameras",
+"Control points".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputMalformedError
+from photocal.exchange.parts import require_unique
+from photocal.exchange.pinhole import LARGEST, Pinhole, from_pinhole
+from photocal.exchange.reconstruction import Reconstruction, read_json, structured
+from photocal.exchange.source import beside, image_size
+from photocal.geometry.camera import Camera
+
+Floats = NDArray[np.float64]
+
+VERSION = "1.0"
+HALF = 0.5
+LOCAL_CRS = (
+    'ENGCRS["Local Cartesian frame",EDATUM["Origin of the block"],CS[Cartesian,3],AXIS["easting (X)",east,'
+    'ORDER[1]],AXIS["northing (Y)",north,ORDER[2]],AXIS["up (Z)",up,ORDER[3]],LENGTHUNIT["metre",1.0]]'
+)
+
+
+def format_name(kind: str) -> str:
+    """Name of a resource format, for example `application/opf-camera-list+json`."""
+    return f"application/opf-{kind}+json"
+
+
+@dataclass(frozen=True)
+class _Resources:
+    """The files of a project by their kind."""
+
+    path: Path
+    files: dict[str, Path]
+
+    def load(self, kind: str) -> dict[str, Any]:
+        if kind not in self.files:
+            raise InputMalformedError(
+                f"names no {kind.replace('-', ' ')}", where=self.path, remedy="export a calibrated project"
+            )
+        content: dict[str, Any] = read_json(self.files[kind])
+        if content["format"] != format_name(kind):
+            raise InputMalformedError(
+                f"is {content['format']!r}, not {format_name(kind)!r}", where=self.files[kind]
+            )
+        _require_version(content, self.files[kind])
+        return content
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Control points and where they are seen."""
+
+    names: tuple[str, ...]
+    roles: tuple[str, ...]
+    rays: list[tuple[int, int, float, float]]
+
+
+def read_opf(path: Path) -> Reconstruction:
+    """Read a calibrated project.
+
+    Parameters
+    ----------
+    path : Path
+        project.opf; the files that it names lie in its folder.
+
+    Returns
+    -------
+    Reconstruction
+        Calibrated images; coordinates of the processing frame. Marks of other images are left out.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        Also for cameras that are not perspective, and rolling shutters.
+    """
+    return structured(path, "an OPF project", lambda: _read(path))
+
+
+def _read(path: Path) -> Reconstruction:
+    resources = _resources(path)
+    inputs, calibrated = resources.load("input-cameras"), resources.load("calibrated-cameras")
+    cameras = dict(_cameras(inputs, calibrated, resources.files["calibrated-cameras"]))
+    files = {int(row["id"]): _file_name(row["uri"]) for row in resources.load("camera-list")["cameras"]}
+    shots = calibrated["cameras"]
+    where = resources.files["calibrated-cameras"]
+    lost = [int(shot["id"]) for shot in shots if int(shot["id"]) not in files]
+    strange = [int(shot["sensor_id"]) for shot in shots if int(shot["sensor_id"]) not in cameras]
+    if lost or strange:
+        what = f"camera {lost[0]}, which is not in the camera list" if lost else f"sensor {strange[0]}"
+        raise InputMalformedError(f"has the unknown {what}", where=where)
+    rolling = [files[int(shot["id"])] for shot in shots if any(shot.get("rolling_shutter") or ())]
+    if rolling:
+        raise InputMalformedError(
+            f"image {rolling[0]} has a rolling shutter, for which there is no equivalent",
+            where=where,
+            remedy="calibrate with a global shutter",
+        )
+    names = tuple(files[int(shot["id"])] for shot in shots)
+    require_unique(names, "image", path)
+    order = {key: k for k, key in enumerate(cameras)}
+    seen = _control_points(resources, {int(shot["id"]): k for k, shot in enumerate(shots)})
+    xyz, sigma = _coordinates(resources, seen.names)
+    table = np.array(seen.rays, dtype=float).reshape(-1, 4)
+    poses = np.hstack(
+        [
+            np.radians(_triples([shot["orientation_deg"] for shot in shots])),
+            _triples([shot["position"] for shot in shots]),
+        ]
+    )
+    if not max(np.abs(poses).max(initial=0), np.abs(np.nan_to_num(xyz)).max(initial=0)) < LARGEST:
+        raise InputMalformedError("has coordinates beyond 1e9 m", where=path, remedy="is it damaged?")
+    return Reconstruction(
+        tuple(cameras.values()),
+        names,
+        np.array([order[int(shot["sensor_id"])] for shot in shots], dtype=np.int64),
+        poses,
+        seen.names,
+        xyz,
+        table[:, 0].astype(np.int64),
+        table[:, 1].astype(np.int64),
+        table[:, 2:] - HALF,
+        seen.roles,
+        xyz_sigma=sigma,
+        name=str(read_json(path)["name"]),
+    )
+
+
+def _resources(path: Path) -> _Resources:
+    project = read_json(path)
+    if project["format"] != format_name("project"):
+        raise InputMalformedError("is no OPF project", where=path, remedy="name the file project.opf")
+    _require_version(project, path)
+    files: dict[str, Path] = {}
+    for item in project["items"]:
+        for resource in item["resources"]:
+            kind = resource["format"].removeprefix("application/opf-").removesuffix("+json")
+            if format_name(kind) == resource["format"] and kind not in files:
+                files[kind] = beside(path.parent, unquote(resource["uri"]), path)
+    return _Resources(path, files)
+
+
+def _require_version(content: dict[str, Any], path: Path) -> None:
+    if str(content["version"]).split(".")[0] != VERSION.split(".")[0]:
+        raise InputMalformedError(
+            f"has version {content['version']}", where=path, remedy=f"export version {VERSION}"
+        )
+
+
+def _file_name(uri: str) -> str:
+    return unquote(uri).replace("\\", "/").rsplit("/", 1)[-1]
+
+
+def _cameras(inputs: dict[str, Any], calibrated: dict[str, Any], path: Path) -> Iterator[tuple[int, Camera]]:
+    known = {int(sensor["id"]): sensor for sensor in inputs["sensors"]}
+    for sensor in calibrated["sensors"]:
+        key = int(sensor["id"])
+        if key not in known:
+            raise InputMalformedError(f"sensor {key} is not among the input cameras", where=path)
+        width, height = known[key]["image_size_px"]
+        given = sensor["internals"]
+        if given["type"] != "perspective":
+            raise InputMalformedError(
+                f"sensor {known[key]['name']} is {given['type']!r}, which has no equivalent", where=path
+            )
+        f = float(given["focal_length_px"])
+        cx, cy = given["principal_point_px"]
+        k1, k2, k3 = given["radial_distortion"]
+        p1, p2 = given["tangential_distortion"]
+        size = image_size(float(width), float(height), path)
+        pinhole = Pinhole(size, f, f, float(cx) - HALF, float(cy) - HALF, k1, k2, k3, p1, p2)
+        yield key, from_pinhole(pinhole, str(known[key]["name"]) or str(key), path)
+
+
+def _control_points(resources: _Resources, images: dict[int, int]) -> _Seen:
+    if "input-control-points" not in resources.files:
+        return _Seen((), (), [])
+    given = resources.load("input-control-points")
+    points = [(point, "check" if point["is_checkpoint"] else "control") for point in given["gcps"]]
+    points += [(point, "tie") for point in given["mtps"]]
+    names = tuple(str(point["id"]) for point, _ in points)
+    require_unique(names, "control point", resources.files["input-control-points"])
+    rays = []
+    for j, (point, _) in enumerate(points):
+        for mark in point["marks"]:
+            x, y = mark["position_px"]
+            if int(mark["camera_id"]) in images:
+                rays.append((images[int(mark["camera_id"])], j, float(x), float(y)))
+    return _Seen(names, tuple(role for _, role in points), rays)
+
+
+def _coordinates(resources: _Resources, names: tuple[str, ...]) -> tuple[Floats, Floats]:
+    """Coordinates, calibrated before surveyed, and standard deviations; NaN when not given."""
+    position = {name: j for j, name in enumerate(names)}
+    xyz, sigma = np.full((len(names), 3), np.nan), np.full((len(names), 3), np.nan)
+    for kind, key in (
+        ("projected-control-points", "projected_gcps"),
+        ("calibrated-control-points", "points"),
+    ):
+        rows = resources.load(kind)[key] if kind in resources.files else []
+        rows = [row for row in rows if row["id"] in position]
+        index = [position[row["id"]] for row in rows]
+        xyz[index] = _triples([row["coordinates"] for row in rows])
+        if key == "projected_gcps":
+            sigma[index] = _triples([row["sigmas"] for row in rows])
+    return xyz, sigma
+
+
+def _triples(rows: list[Any]) -> Floats:
+    return np.array([[float(value) for value in row] for row in rows], dtype=float).reshape(-1, 3)

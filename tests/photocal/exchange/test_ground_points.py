@@ -1,0 +1,81 @@
+"""ODM's gcp_list.txt and geo.txt."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.errors import InputMalformedError
+from photocal.exchange.ground_points import (
+    GroundMark,
+    ImagePosition,
+    read_gcp_list,
+    read_geo,
+    write_gcp_list,
+    write_geo,
+)
+
+NAME = st.text(st.characters(categories=("L", "N")), min_size=1, max_size=8)
+FLOAT = st.floats(-1e7, 1e7, allow_nan=False)
+
+
+@given(
+    st.lists(
+        st.tuples(st.tuples(FLOAT, FLOAT, FLOAT), FLOAT, FLOAT),
+        max_size=8,
+        unique_by=lambda row: tuple(v + 0.0 for v in row[0]),
+    )
+)
+@settings(max_examples=30, deadline=None)
+def test_gcp_list_round_trip(tmp_path_factory: pytest.TempPathFactory, rows: list) -> None:  # type: ignore[type-arg]
+    path = tmp_path_factory.mktemp("gcp") / "gcp_list.txt"
+    marks = [GroundMark(f"p{k}", xyz, x, y, "a.jpg", "") for k, (xyz, x, y) in enumerate(rows)]
+    write_gcp_list(path, "EPSG:32632", marks)
+    crs, again = read_gcp_list(path)
+    assert crs == "EPSG:32632"
+    assert [(m.point, m.xyz, m.column, m.row, m.image) for m in again] == [
+        (m.point, m.xyz, m.column, m.row, m.image) for m in marks
+    ]
+
+
+@pytest.mark.shared
+def test_recorded_gcp_list(shared: Path) -> None:
+    crs, marks = read_gcp_list(shared / "data" / "rtk-mrk-gcp-helenenschacht" / "gcp_list.txt")
+    assert crs == "EPSG:4326"
+    assert len(marks) == 35
+    assert len({mark.point for mark in marks}) == 5
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1 2 3 4 5 a.jpg\n", "not with a coordinate system"),
+        ("EPSG:4326\n1 2 3 4 a.jpg\n", "has 5 cells"),
+        ("EPSG:4326\n1,5 2 3 4 5 a.jpg\n", "decimal comma"),
+        ("EPSG:4326\n1 2 nan 4 5 a.jpg\n", "not finite"),
+        ("EPSG:4326\n1 2 3 4 5 a.jpg p\n1 2 3 4 5 b.jpg q\n", "same coordinates"),
+        ("EPSG:4326\n1 2 3 4 5 a.jpg p\n1 2 4 4 5 b.jpg p\n", "listed twice"),
+        ("EPSG:4326\n1 2 3 4 5 a.jpg p\n1 2 3 4 6 a.jpg p\n", "listed twice"),
+    ],
+)
+def test_bad_gcp_list(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "gcp_list.txt").write_text(text)
+    with pytest.raises(InputMalformedError, match=message):
+        read_gcp_list(tmp_path / "gcp_list.txt")
+
+
+def test_geo_round_trip(tmp_path: Path) -> None:
+    nan = math.nan
+    given_ = [
+        ImagePosition("a.jpg", (8.5, 47.25, 500.125), (10.0, -90.0, 0.5), (0.02, 0.04)),
+        ImagePosition("b.jpg", (8.5, 47.25, nan), (nan,) * 3, (nan, nan)),
+        ImagePosition("c.jpg", (8.5, 47.25, 501.0), (nan,) * 3, (0.02, 0.04)),
+    ]
+    write_geo(tmp_path / "geo.txt", "EPSG:4326", given_)
+    crs, again = read_geo(tmp_path / "geo.txt")
+    assert crs == "EPSG:4326"
+    assert repr(again) == repr(tuple(given_))

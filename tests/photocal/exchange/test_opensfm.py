@@ -1,0 +1,79 @@
+"""OpenSfM: its own normalised coordinates, its published example, damaged files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.errors import InputMalformedError
+from photocal.exchange.opensfm import read_cameras, read_reconstruction, write_opensfm
+from photocal.exchange.pinhole import to_vision
+from photocal.exchange.reconstruction import Reconstruction
+from photocal.geometry.camera import plane_to_pixel
+from photocal.geometry.distortion import projected
+
+
+def test_opensfm_round_trip(tmp_path: Path, vision: Reconstruction) -> None:
+    named = replace(vision, cameras=tuple(replace(own, id=f"v{k}") for k, own in enumerate(vision.cameras)))
+    assert all(made.largest_px == 0 for made in write_opensfm(tmp_path, named))
+    again = read_reconstruction(tmp_path / "reconstruction.json")
+    np.testing.assert_allclose(again.poses, vision.poses, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(again.xyz, vision.xyz, rtol=1e-12)
+    for own, other in zip(vision.cameras, read_cameras(tmp_path / "cameras.json"), strict=True):
+        np.testing.assert_allclose(other.values, own.values, rtol=1e-9, atol=1e-15)
+
+
+def test_opensfm_normalised_coordinates(tmp_path: Path, vision: Reconstruction) -> None:
+    """OpenSfM's own definition: (column + 0.5 - width / 2) / larger side."""
+    write_opensfm(tmp_path, vision)
+    rows = [line.split("\t") for line in (tmp_path / "tracks.csv").read_text().splitlines()[1:]]
+    x = np.array([float(row[3]) for row in rows])
+    np.testing.assert_allclose(x * 4608 - 0.5 + 4608 / 2, vision.pixels[:, 0], atol=1e-9)
+
+
+@pytest.mark.shared
+def test_opensfm_example(shared: Path) -> None:
+    """Berlin: the published reconstruction reprojects into its published tracks."""
+    folder = shared / "data" / "opensfm-berlin-gcp"
+    found = read_reconstruction(folder / "reconstruction_example.json")
+    point = {name: k for k, name in enumerate(found.point_names)}
+    image = {name: k for k, name in enumerate(found.image_names)}
+    own = found.cameras[0]
+    miss = []
+    for line in (folder / "tracks_example.csv").read_text().splitlines()[1:]:
+        name, track, _, x, y = line.split("\t")[:5]
+        if track in point and name in image:
+            rotation, translation = to_vision(found.poses[image[name]])
+            q = rotation @ found.xyz[point[track]] + translation
+            pixel = plane_to_pixel(own.size_px, own.pitch, projected(own, (q * [1, -1, -1])[None]))[0]
+            miss.append(pixel - [float(x) * 3264 + 3264 / 2 - 0.5, float(y) * 3264 + 2448 / 2 - 0.5])
+    assert len(miss) > 1000
+    # A few tenths of a per mille of the image; wrong axes or signs would give hundreds of pixels.
+    assert np.sqrt(np.median(np.square(miss))) < 2
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[]", "no reconstruction"),
+        ("[{}]", "not the structure"),
+        (
+            '[{"cameras": {"a": {"projection_type": "fisheye", "width": 10, "height": 10}}, "shots": {}}]',
+            "fisheye",
+        ),
+        (
+            '[{"cameras": {"a": {"projection_type": "brown", "width": 1e12, "height": 10}}, "shots": {}}]',
+            "impossible",
+        ),
+        ('[{"cameras": {"a": 5}, "shots": {}}]', "not the structure"),
+        ('[{"cameras": {}, "shots": {"i": {"rotation": [0, 0, Infinity]}}}]', "not finite"),
+        ('[{"cameras": {}, ', "no valid JSON"),
+    ],
+)
+def test_bad_reconstruction(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "r.json").write_text(text)
+    with pytest.raises(InputMalformedError, match=message):
+        read_reconstruction(tmp_path / "r.json")
