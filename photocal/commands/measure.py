@@ -104,14 +104,30 @@ def _ties_text(record: dict[str, Any], output: Path) -> str:
     lines = [
         f"{len(record['images'])} images in one block",
         f"pairs by {pairs['rule']}: {pairs['examined']} examined, {pairs['verified']} verified",
-        f"tracks: {tracks['all']}, {tracks['three_and_more_rays']} of three and more rays",
-        f"tracks with conflicts, taken out: {tracks['conflicts_removed']}",
+        f"tracks of features: {tracks['of_features']}; {tracks['conflicts_removed']} in conflict, not used",
+        f"verified by matching: {tracks['all']}, {tracks['three_and_more_rays']} of three and more rays",
         f"points kept: {record['points']}, {share:.0f} % with four and more rays",
         f"observations rejected: {record['rejected_observations']} of {record['observations']}",
         f"sigma of an image coordinate: {record['sigma_px']:.2f} px; rms {record['rms_px']:.2f} px",
         f"c from: {', '.join(record['principal_distance_from'])}",
-        "c, x0 and y0 are held: a level block fixes them weakly; to calibrate, name them under estimate",
+        *(line for own in record["cameras"] for line in _camera_lines(own)),
         *(f"left out: {entry['image']}: {entry['reason']}" for entry in record["left_out"]),
         f"block folder: {output}; next: photocal adjust {output} -o RUN",
     ]
     return "\n".join(lines)
+
+
+def _camera_lines(own: dict[str, Any]) -> list[str]:
+    released = own["released"]
+    if not own["held"]:
+        return []
+    lines = [f"camera {own['camera']}: {', '.join(own['held'])} held; to calibrate, name them under estimate"]
+    if released is None:
+        return lines
+    says = (
+        f"released, c becomes {released['c']:.1f} +- {released['sigma']:.1f} px "
+        f"({100 * released['change']:+.1f} %); the relief is {100 * released['relief']:.0f} % of the distance"
+    )
+    if not released["credible"]:
+        says += ": not credible, what the model lacks goes into it; oblique or crossed views determine c"
+    return [*lines, says]

@@ -33,6 +33,14 @@ def combined_key(*parts: object) -> str:
     return hashlib.sha256("\0".join(map(str, parts)).encode()).hexdigest()
 
 
+def array_key(*arrays: NDArray[Any]) -> str:
+    """SHA-256 of the content of arrays."""
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).data)
+    return digest.hexdigest()
+
+
 def cached(folder: Path, key: str, names: tuple[str, ...], make: Callable[[], Arrays]) -> Arrays:
     """Give arrays from the cache, or make and keep them.
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,18 +11,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputNotFoundError, PhotocalError
+from photocal.block.model import Block
 from photocal.measurement.geographic import local_places
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.match_images import MatchingPlan, detect_all, match_all
+from photocal.measurement.oriented_ties import Progress, figures, orient_ties
 from photocal.measurement.pair_selection import footprints, select_pairs
+from photocal.measurement.refine import Source
+from photocal.measurement.released import camera_figures
+from photocal.measurement.start_block import POSITION_SIGMA_M, position_sigma, start_block
 from photocal.measurement.start_camera import principal_distance_px
-from photocal.measurement.tie_block import TieBlock, make_tie_block
-from photocal.measurement.tracks import Tracks, thin
 
-Progress = Callable[[str, float | None], AbstractContextManager[Callable[[float], None]]]
 
-# Points wanted in each cell of an image, and cells along its longer side.
-CELLS, IN_A_CELL = 20, 6
+@dataclass(frozen=True)
+class TieBlock:
+    """A block of tie points.
+
+    Attributes
+    ----------
+    block : Block
+    record : dict
+        Figures for `measurement.json`.
+    """
+
+    block: Block
+    record: dict[str, Any]
 
 
 def measure_ties(paths: Sequence[Path], name: str, plan: MatchingPlan, progress: Progress) -> TieBlock:
@@ -63,29 +75,41 @@ def measure_ties(paths: Sequence[Path], name: str, plan: MatchingPlan, progress:
     pairs, rule = select_pairs(_footprints(facts, places), len(facts))
     with progress("matching pairs of images", len(pairs)) as done:
         tracks, counts = match_all(keys, pairs, plan, done)
-    sizes = np.array([f.size_px for f in facts], dtype=float)
-    chosen = _strong(tracks, sizes)
-    made = make_tie_block(facts, chosen, places, name)
+    start = start_block(facts, places, name)
+    sources = [Source(readable[k], key, plan.cache) for k, key in zip(good, keys, strict=True)]
+    found = orient_ties(start, sources, tracks, pairs, plan.processes, progress)
+    left_out += found.left_out
+    block = found.adjusted.block
+    sigma = position_sigma(facts)
+    stated = sum(np.isfinite(f.position_sigma_m).all() for f in facts if f.has_position)
     record = {
         "schema": "photocal.measurement/1",
         "kind": "tie points",
-        "images": [f.name for f in facts],
+        "images": list(block.images.names),
         "turned_by_exif": [f.name for f in facts if f.orientation != 1],
         "left_out": left_out,
         "pairs": {"rule": rule, "examined": len(pairs), "verified": int(np.count_nonzero(counts))},
         "tracks": {
-            "all": tracks.count,
-            "three_and_more_rays": int(np.count_nonzero(tracks.rays >= 3)),
+            "of_features": tracks.count,
             "conflicts_removed": tracks.conflicts,
+            "all": found.verified.count,
+            "three_and_more_rays": int(np.count_nonzero(found.verified.rays >= 3)),
         },
         "principal_distance_from": sorted({principal_distance_px(f)[1] for f in facts}),
+        "positions": {
+            "images": sum(f.has_position for f in facts),
+            "sigma_from_image": int(stated),
+            "sigma_m": np.sqrt(np.mean(sigma**2, axis=0)).tolist(),
+            "sigma_assumed_m": list(POSITION_SIGMA_M),
+        },
         "origin": None
         if np.isnan(origin[0])
         else {"latitude_deg": origin[0], "longitude_deg": origin[1], "height_m": origin[2]},
         "pixel_origin": "centre of the upper-left stored pixel is (0, 0); EXIF orientation is not applied",
-        **made.record,
+        **figures(found),
+        "cameras": camera_figures(found.adjusted),
     }
-    return replace(made, record=record)
+    return TieBlock(block, record)
 
 
 def _readable(paths: Sequence[Path]) -> tuple[list[Path], list[ImageFacts], list[dict[str, str]]]:
@@ -107,11 +131,3 @@ def _footprints(facts: Sequence[ImageFacts], places: NDArray[np.float64]) -> Any
         np.array([f.size_px for f in facts], dtype=float),
         np.array([principal_distance_px(f)[0] for f in facts]),
     )
-
-
-def _strong(tracks: Tracks, sizes: NDArray[np.float64]) -> Tracks:
-    """Points with three and more rays, evenly spread; those with two only where an image lacks others."""
-    many = tracks.some((tracks.rays >= 3)[tracks.track])
-    seen = np.bincount(many.image, minlength=len(sizes))
-    enough = (seen >= 30).all()
-    return thin(many if enough else tracks, sizes, CELLS, IN_A_CELL)

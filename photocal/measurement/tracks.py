@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ class Tracks:
     track, image : ndarray of int, shape (n,)
     pixels : ndarray, shape (n, 2)
     scale : ndarray, shape (n,)
-        Diameter of the feature, px.
+        What its precision depends on: diameter of the feature, or sigma of the match, px.
     conflicts : int
         Tracks that were taken out because they had two places in one image.
     """
@@ -95,6 +95,48 @@ def join_tracks(features: Sequence[Features], pairs: Integers, matches: Sequence
     bad = np.unique(track[twice])
     found = Tracks(track, image, pixels[order], scale[order], len(bad))
     return found.some(~np.isin(track, bad))
+
+
+def without_twins(tracks: Tracks, apart_px: float) -> Tracks:
+    """Take out tracks that show a place again that a track with more rays shows.
+
+    Parameters
+    ----------
+    tracks : Tracks
+    apart_px : float
+        Side of the cells within which places are one.
+
+    Returns
+    -------
+    Tracks
+    """
+    rank = np.empty(tracks.count, dtype=np.int64)
+    rank[np.argsort(-tracks.rays, kind="stable")] = np.arange(tracks.count)
+    cell = np.column_stack([tracks.image, np.floor(tracks.pixels / apart_px).astype(np.int64)])
+    _, inverse = np.unique(cell, axis=0, return_inverse=True)
+    cell = np.ravel(inverse)
+    first = np.full(int(cell.max(initial=-1)) + 1, tracks.count, dtype=np.int64)
+    np.minimum.at(first, cell, rank[tracks.track])
+    twin = np.zeros(tracks.count, dtype=np.bool_)
+    twin[tracks.track[first[cell] < rank[tracks.track]]] = True
+    return tracks.some(~twin[tracks.track])
+
+
+def of_images(tracks: Tracks, keep: NDArray[np.bool_]) -> Tracks:
+    """Rays in some of the images only, which are numbered anew.
+
+    Parameters
+    ----------
+    tracks : Tracks
+    keep : ndarray of bool, shape (images,)
+
+    Returns
+    -------
+    Tracks
+        Those with two rays and more.
+    """
+    left = tracks.some(keep[tracks.image])
+    return replace(left, image=(np.cumsum(keep) - 1)[left.image])
 
 
 def thin(tracks: Tracks, sizes: Floats, cells: int, in_a_cell: int) -> Tracks:

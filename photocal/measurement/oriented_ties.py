@@ -1,0 +1,214 @@
+"""From tracks to an oriented block: oriented by features, measured again by matching, adjusted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import IllPosedError
+from photocal.block.model import Block
+from photocal.block.network import block_frame
+from photocal.measurement.refine import Source, refine
+from photocal.measurement.start_block import without_images
+from photocal.measurement.tie_adjustment import GROSS, Adjusted, adjust_ties
+from photocal.measurement.tie_block import orient
+from photocal.measurement.tracks import Tracks, of_images, thin, without_twins
+from photocal.measurement.views import Views, intersected, misses, views_of
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Integers = NDArray[np.int64]
+# A title and an amount of work give a context in which the work done is told.
+Progress = Callable[[str, float | None], AbstractContextManager[Callable[[float], None]]]
+
+# Points wanted in each cell of an image, and cells along its longer side.
+CELLS, IN_A_CELL = 20, 6
+# An image with fewer tie points is not oriented by them.
+FEWEST_TIES = 12
+# Images with fewer points of three and more rays also take those of two.
+ENOUGH_STRONG = 30
+# Tracks that cannot be placed to so many pixels by the first orientation are mismatches.
+FIRST_MISS_PX = 8.0
+# Matched patches nearer than this show one place.
+TWIN_PX = 4.0
+
+
+@dataclass(frozen=True)
+class Oriented:
+    """A block oriented by tie points.
+
+    Attributes
+    ----------
+    adjusted : Adjusted
+    verified : Tracks
+        All tracks that fit the final orientation, before they were thinned.
+    left_out : tuple of dict
+        Images that could not be oriented, with the reason.
+    """
+
+    adjusted: Adjusted
+    verified: Tracks
+    left_out: tuple[dict[str, str], ...]
+
+
+def orient_ties(
+    start: Block,
+    sources: Sequence[Source],
+    tracks: Tracks,
+    pairs: Integers,
+    processes: int,
+    progress: Progress,
+) -> Oriented:
+    """Orient a block by tracks of features and measure its tie points precisely.
+
+    Parameters
+    ----------
+    start : Block
+        Images, cameras, and marked points if there are any; no tie points.
+    sources : sequence of Source
+        The images.
+    tracks : Tracks
+        Joined from matches of features.
+    pairs : ndarray of int, shape (k, 2)
+        Images that may overlap.
+    processes : int
+    progress : callable
+
+    Returns
+    -------
+    Oriented
+
+    Raises
+    ------
+    IllPosedError
+        When fewer than two images can be oriented.
+    """
+    names = start.images.names
+    start, tracks, kept, left_out = _connected(start, tracks)
+    sizes = np.array([own.size_px for own in start.cameras], dtype=float)[start.images.camera]
+    poses, tracks, start, more, sizes, kept = _reached(start, tracks, sizes, kept)
+    left_out += more
+    first = adjust_ties(start, poses, _strong(tracks, sizes))
+    views = _views(first)
+    tracks, points = _placed(views, tracks)
+    partners = _partners(pairs, kept, len(names))
+    chosen = [sources[k] for k in kept]
+    with progress("matching tie points precisely", 2 * len(kept)) as done:
+        matched = refine(chosen, views, tracks, points, partners, processes, done)
+    matched = without_twins(matched, TWIN_PX)
+    camera_kept = replace(start, cameras=first.block.cameras)
+    final = adjust_ties(camera_kept, first.values, _strong(matched, sizes))
+    return Oriented(final, _verified(final, matched), tuple(left_out))
+
+
+def _connected(start: Block, tracks: Tracks) -> tuple[Block, Tracks, Integers, list[dict[str, str]]]:
+    """Take out images with too few tie points."""
+    kept = np.arange(len(start.images.names))
+    left_out: list[dict[str, str]] = []
+    while True:
+        seen = np.bincount(tracks.image, minlength=len(kept))
+        few = seen < FEWEST_TIES
+        if not few.any():
+            return start, tracks, kept, left_out
+        left_out += [
+            {
+                "image": start.images.names[k],
+                "reason": f"shares only {seen[k]} tie points with the other images",
+            }
+            for k in np.flatnonzero(few)
+        ]
+        _require_two(~few, left_out)
+        start, tracks, kept = without_images(start, few), of_images(tracks, ~few), kept[~few]
+
+
+def _reached(
+    start: Block, tracks: Tracks, sizes: Floats, kept: Integers
+) -> tuple[Floats, Tracks, Block, list[dict[str, str]], Floats, Integers]:
+    """Orient the images; those that are not reached are taken out."""
+    poses = orient(start, _strong(tracks, sizes)).images.values
+    lost: Flags = np.asarray(np.isnan(poses).any(axis=1))
+    left_out = [
+        {
+            "image": start.images.names[k],
+            "reason": "its tie points do not orient it to the other images",
+        }
+        for k in np.flatnonzero(lost)
+    ]
+    _require_two(~lost, left_out)
+    if lost.any():
+        start, tracks = without_images(start, lost), of_images(tracks, ~lost)
+    return poses[~lost], tracks, start, left_out, sizes[~lost], kept[~lost]
+
+
+def _require_two(keep: Flags, left_out: list[dict[str, str]]) -> None:
+    if keep.sum() < 2:
+        reasons = "; ".join(f"{entry['image']} {entry['reason']}" for entry in left_out[:3])
+        raise IllPosedError(
+            f"the images cannot be oriented by tie points: {reasons}",
+            remedy="take images that overlap by 60 % and more, from different places",
+        )
+
+
+def _strong(tracks: Tracks, sizes: Floats) -> Tracks:
+    """Points with three and more rays, evenly spread; those with two only where an image lacks others."""
+    many = tracks.some((tracks.rays >= 3)[tracks.track])
+    seen = np.bincount(many.image, minlength=len(sizes))
+    return thin(many if (seen >= ENOUGH_STRONG).all() else tracks, sizes, CELLS, IN_A_CELL)
+
+
+def _views(adjusted: Adjusted) -> Views:
+    block = replace(adjusted.block, images=replace(adjusted.block.images, values=adjusted.values))
+    return views_of(block, block_frame(adjusted.block))
+
+
+def _placed(views: Views, tracks: Tracks) -> tuple[Tracks, Floats]:
+    """Tracks whose rays meet, and where."""
+    points = intersected(views, tracks)
+    with np.errstate(invalid="ignore"):
+        tracks = tracks.some(misses(views, tracks, points) < FIRST_MISS_PX)
+    points = intersected(views, tracks)
+    met: Flags = np.asarray(np.isfinite(points).all(axis=1))
+    return tracks.some(met[tracks.track]), points[met]
+
+
+def _partners(pairs: Integers, kept: Integers, count: int) -> list[Integers]:
+    place = np.full(count, -1)
+    place[kept] = np.arange(len(kept))
+    both = place[pairs]
+    both = both[(both >= 0).all(axis=1)]
+    return [np.unique(np.r_[both[both[:, 0] == k, 1], both[both[:, 1] == k, 0]]) for k in range(len(kept))]
+
+
+def _verified(final: Adjusted, tracks: Tracks) -> Tracks:
+    """All tracks whose rays fit the final orientation."""
+    views = _views(final)
+    sigma = float(np.sqrt(np.mean(final.block.observations.sigma[-len(final.tracks.track) :] ** 2)))
+    points = intersected(views, tracks)
+    with np.errstate(invalid="ignore"):
+        return tracks.some(misses(views, tracks, points) < GROSS * np.sqrt(2) * sigma)
+
+
+def figures(oriented: Oriented) -> dict[str, Any]:
+    """Figures of the tie points for `measurement.json`."""
+    final, verified = oriented.adjusted, oriented.verified
+    rays = final.tracks.rays
+    ties = slice(-len(final.tracks.track), None)
+    residuals = np.empty_like(final.solution.residuals)
+    residuals[final.assembly.rays] = final.solution.residuals
+    return {
+        "verified_tracks": verified.count,
+        "verified_three_and_more_rays": int(np.count_nonzero(verified.rays >= 3)),
+        "points": final.tracks.count,
+        "observations": len(final.tracks.track),
+        "rejected_observations": final.rejected,
+        "points_by_rays": {str(n): int(c) for n, c in enumerate(np.bincount(rays)) if c},
+        "share_of_four_and_more": float(np.mean(rays >= 4)),
+        "rms_px": float(np.sqrt(np.mean(residuals[ties] ** 2))),
+        "sigma_px": float(np.sqrt(np.mean(final.block.observations.sigma[ties] ** 2))),
+        "variance_factor": float(final.solution.variance_factor),
+    }

@@ -1,0 +1,197 @@
+"""Least squares matching of many small patches with one image, compiled."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.compiled import allocating
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+
+_ITERATIONS = 20
+_SETTLED_PX = 0.01
+# Offset of the place and affinity of the surroundings.
+_UNKNOWNS = 6
+# A patch without contrast (length of its grey values) or with edges in one direction only has no place.
+_FLAT, _STRAIGHT = 1e-3, 1e-6
+# A step that shrinks the patch more than this has gone astray.
+_LEAST_AREA = 0.2
+
+
+@allocating
+def match_patches(
+    patches: Floats32,
+    image: Floats32,
+    place: Floats,
+    affinity: Floats,
+    farthest: float,
+    found: Floats,
+    likeness: Floats,
+    covariance: Floats,
+) -> None:
+    """Match each patch with the image from a start value: offset, affinity, contrast and brightness.
+
+    Gauss-Newton with the patch's own derivatives, so that the normal matrix is made once (inverse
+    compositional: Baker and Matthews 2004, section 3.2; least squares matching: Ackermann 1984, Gruen 1985).
+
+    Parameters
+    ----------
+    patches : ndarray of float32, shape (n, side, side)
+        Side odd; the place is the middle.
+    image : ndarray of float32, shape (height, width)
+    place : ndarray, shape (n, 2)
+        Start column and row in the image, px.
+    affinity : ndarray, shape (n, 2, 2)
+        From offsets in the patch to offsets in the image.
+    farthest : float
+        From the start value, px.
+    found : ndarray, shape (n, 2)
+        Receives column and row; NaN where it does not settle.
+    likeness : ndarray, shape (n,)
+        Receives the correlation coefficient.
+    covariance : ndarray, shape (n, 2, 2)
+        Receives that of column and row from the remaining noise, px squared.
+    """
+    count, side, _ = patches.shape
+    size = (side - 2) ** 2
+    template, sample = np.empty(size), np.empty(size)
+    jacobian = np.empty((size, _UNKNOWNS))
+    state = np.empty(_UNKNOWNS)
+    for k in range(count):
+        found[k, :] = np.nan
+        likeness[k] = 0.0
+        length = _prepare(patches[k], template, jacobian)
+        normal = jacobian.T @ jacobian
+        determinant = normal[0, 0] * normal[1, 1] - normal[0, 1] ** 2
+        if length < _FLAT or not determinant > _STRAIGHT * (normal[0, 0] + normal[1, 1]) ** 2:
+            continue
+        for i in range(_UNKNOWNS):
+            normal[i, i] *= 1 + 1e-9
+        inverse = np.linalg.inv(normal)
+        state[0], state[1] = place[k, 0], place[k, 1]
+        state[2], state[3] = affinity[k, 0, 0], affinity[k, 0, 1]
+        state[4], state[5] = affinity[k, 1, 0], affinity[k, 1, 1]
+        alike, squares = _settle(
+            image, side // 2, template, length, jacobian, inverse, farthest, sample, state
+        )
+        if not alike > 0:
+            continue
+        likeness[k] = alike
+        found[k, 0], found[k, 1] = state[0], state[1]
+        variance = squares / (size - _UNKNOWNS - 2)
+        turn = state[2:].copy().reshape(2, 2)
+        covariance[k] = turn @ (inverse[:2, :2].copy() * variance) @ turn.T
+
+
+@allocating
+def _prepare(patch: Floats32, template: Floats, jacobian: Floats) -> float:
+    """Fill the template and its derivatives to offset and affinity; return its length.
+
+    Brightness and contrast are eliminated: all are made orthogonal to them.
+    """
+    side = len(patch)
+    half = side // 2
+    n = 0
+    for r in range(1, side - 1):
+        for c in range(1, side - 1):
+            gx = 0.5 * (patch[r, c + 1] - patch[r, c - 1])
+            gy = 0.5 * (patch[r + 1, c] - patch[r - 1, c])
+            x, y = float(c - half), float(r - half)
+            template[n] = patch[r, c]
+            jacobian[n, 0], jacobian[n, 1] = gx, gy
+            jacobian[n, 2], jacobian[n, 3] = gx * x, gx * y
+            jacobian[n, 4], jacobian[n, 5] = gy * x, gy * y
+            n += 1
+    template -= template.mean()
+    squares = np.sum(template * template)
+    for j in range(_UNKNOWNS):
+        column = jacobian[:, j]
+        column -= column.mean()
+        if squares > 0:
+            column -= template * (np.sum(template * column) / squares)
+    return float(np.sqrt(squares))
+
+
+@allocating
+def _settle(
+    image: Floats32,
+    half: int,
+    template: Floats,
+    length: float,
+    jacobian: Floats,
+    inverse: Floats,
+    farthest: float,
+    sample: Floats,
+    state: Floats,
+) -> tuple[float, float]:
+    """Improve place and affinity; return likeness and squares of the misfit, (0, 0) if it does not settle."""
+    x, y = state[0], state[1]
+    right = np.empty(_UNKNOWNS)
+    settled = False
+    for _ in range(_ITERATIONS):
+        power = _sampled(image, half, state, sample)
+        if power < _FLAT * _FLAT:
+            return 0.0, 0.0
+        scale = length / np.sqrt(power)
+        squares, product = 0.0, 0.0
+        right[:] = 0.0
+        for m in range(len(sample)):
+            product += sample[m] * template[m]
+            miss = sample[m] * scale - template[m]
+            squares += miss * miss
+            for j in range(_UNKNOWNS):
+                right[j] += jacobian[m, j] * miss
+        # One look more than steps, so that likeness and misfit belong to the last place.
+        if settled:
+            return product / (length * np.sqrt(power)), squares
+        moved = _composed(state, inverse @ right)
+        if moved < 0 or (state[0] - x) ** 2 + (state[1] - y) ** 2 > farthest**2:
+            return 0.0, 0.0
+        settled = moved < _SETTLED_PX**2
+    return 0.0, 0.0
+
+
+@allocating
+def _sampled(image: Floats32, half: int, state: Floats, sample: Floats) -> float:
+    """Fill the image's values under the patch, less their mean; return their squares, -1 outside."""
+    height, width = image.shape
+    px, py, a, b, d, e = state[0], state[1], state[2], state[3], state[4], state[5]
+    reach_x, reach_y = half * (abs(a) + abs(b)), half * (abs(d) + abs(e))
+    if not (px >= reach_x and py >= reach_y and px + reach_x < width - 1 and py + reach_y < height - 1):
+        return -1.0
+    n, mean = 0, 0.0
+    for r in range(1 - half, half):
+        for c in range(1 - half, half):
+            x, y = px + a * c + b * r, py + d * c + e * r
+            i, j = int(x), int(y)
+            fx, fy = x - i, y - j
+            top = image[j, i] + fx * (image[j, i + 1] - image[j, i])
+            low = image[j + 1, i] + fx * (image[j + 1, i + 1] - image[j + 1, i])
+            sample[n] = top + fy * (low - top)
+            mean += sample[n]
+            n += 1
+    mean /= n
+    power = 0.0
+    for m in range(n):
+        sample[m] -= mean
+        power += sample[m] * sample[m]
+    return power
+
+
+@allocating
+def _composed(state: Floats, step: Floats) -> float:
+    """Put the inverse of the patch's small change before the image's; return the square of the move."""
+    s, t, p, q = 1 + step[2], step[3], step[4], 1 + step[5]
+    area = s * q - t * p
+    if not area > _LEAST_AREA:
+        return -1.0
+    a, b, d, e = state[2], state[3], state[4], state[5]
+    state[2], state[3] = (a * q - b * p) / area, (b * s - a * t) / area
+    state[4], state[5] = (d * q - e * p) / area, (e * s - d * t) / area
+    x = state[2] * step[0] + state[3] * step[1]
+    y = state[4] * step[0] + state[5] * step[1]
+    state[0] -= x
+    state[1] -= y
+    return float(x * x + y * y)

@@ -1,0 +1,273 @@
+"""Tie points measured again by least squares matching, once the images are oriented.
+
+Features are found to about half a pixel of their own scale. With the orientation known, the surroundings of a
+tie point in one of its images are carried over to all images that should show it, and matched there by least
+squares on the full images: the rays become precise, and rays that the features missed are found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.measurement.cache import Arrays, array_key, cached, combined_key
+from photocal.measurement.image_file import as_eight_bit, read_grey
+from photocal.measurement.tracks import Tracks
+from photocal.measurement.views import Views
+from photocal.measurement.workers import run_tasks
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Integers = NDArray[np.int64]
+
+# Raised whenever the meaning of cached results changes.
+VERSION = 1
+# Patches of 21 x 21 pixels: their outermost ring serves the derivatives.
+HALF = 11
+# Before matching, images are smoothed: aliasing would bias the places.
+SMOOTHING_PX = 0.8
+# A match must be as like as this, and settle as near to where it was expected.
+LIKENESS = 0.8
+FARTHEST_PX = 4.0
+# Views of a surface that differ by more than 45 degrees or a factor of two do not look alike.
+_COS_APART, _ZOOM = 0.7, 2.0
+# A place is measured, not guessed, when its noise allows this sigma.
+_COARSEST_PX = 0.5
+_BORDER_PX = 2
+
+
+@dataclass(frozen=True)
+class Source:
+    """An image, the digest of its content, and where results are kept."""
+
+    path: Path
+    key: str
+    cache: Path
+
+
+@dataclass(frozen=True)
+class _Rays:
+    """Where to look for which track in which image: place and affinity from its patch, px."""
+
+    track: Integers
+    image: Integers
+    place: Floats
+    affinity: Floats
+
+    def some(self, index: NDArray[np.bool_] | Integers) -> _Rays:
+        return _Rays(self.track[index], self.image[index], self.place[index], self.affinity[index])
+
+
+def refine(
+    sources: Sequence[Source],
+    views: Views,
+    tracks: Tracks,
+    points: Floats,
+    partners: Sequence[Integers],
+    processes: int,
+    done: Callable[[float], None],
+) -> Tracks:
+    """Measure tracks again, in all images that should show them.
+
+    Parameters
+    ----------
+    sources : sequence of Source
+        The images.
+    views : Views
+        Their orientation.
+    tracks : Tracks
+    points : ndarray, shape (tracks.count, 3)
+        In the frame of the views.
+    partners : sequence of ndarray of int
+        For each image those that overlap it.
+    processes : int
+    done : callable
+        Told 1 after each image; twice the number of images in all.
+
+    Returns
+    -------
+    Tracks
+        Their rays found by matching, those of the reference image included; `scale` is the standard
+        deviation that the grey values give, px. Tracks that are found in one image only are left out.
+    """
+    reference = _reference_rays(views, tracks, points)
+    middle = np.round(tracks.pixels[reference])
+    anchor, axes = _anchors(views, tracks, points, reference, middle)
+    own = tracks.image[reference]
+    base = _jacobians(views, own, anchor, axes)
+    inside = _inside(middle, views.sizes()[own])
+    wanted = _candidates(tracks, reference, partners)
+    wanted = wanted[inside[wanted[:, 0]]]
+    rays = _expected(views, wanted, anchor, axes, base, own)
+    patches = np.zeros((tracks.count, 2 * HALF + 1, 2 * HALF + 1), dtype=np.float32)
+    images = range(len(sources))
+    tasks = [(sources[k], middle[(own == k) & inside]) for k in images]
+    for k, cut in enumerate(run_tasks(_cut_patches, tasks, processes)):
+        patches[(own == k) & inside] = cut
+        done(1)
+    found = [_Found.none()]
+    jobs = ((sources[k], part, patches[part.track]) for k in images for part in [rays.some(rays.image == k)])
+    for result in run_tasks(_match_image, jobs, processes):
+        found.append(result)
+        done(1)
+    kept = np.flatnonzero(inside)
+    return _joined(found, kept, own[kept], middle[kept], tracks.conflicts)
+
+
+@dataclass(frozen=True)
+class _Found:
+    track: Integers
+    image: Integers
+    pixels: Floats
+    sigma: Floats
+
+    @staticmethod
+    def none() -> _Found:
+        nothing = np.zeros(0, dtype=np.int64)
+        return _Found(nothing, nothing, np.zeros((0, 2)), np.zeros(0))
+
+
+def _reference_rays(views: Views, tracks: Tracks, points: Floats) -> Integers:
+    """For each track the ray nearest to the mean direction to its images."""
+    towards = _directions(views, tracks.image, points[tracks.track])
+    mean = np.column_stack([np.bincount(tracks.track, towards[:, k], tracks.count) for k in range(3)])
+    order = np.lexsort((-np.einsum("nk,nk->n", towards, mean[tracks.track]), tracks.track))
+    starts = np.r_[True, np.diff(tracks.track[order]) > 0]
+    return np.asarray(order[starts], dtype=np.int64)
+
+
+def _directions(views: Views, image: Integers, xyz: Floats) -> Floats:
+    towards = views.station[image] - xyz
+    return np.asarray(towards / np.linalg.norm(towards, axis=1)[:, None])
+
+
+def _anchors(
+    views: Views, tracks: Tracks, points: Floats, reference: Integers, middle: Floats
+) -> tuple[Floats, Floats]:
+    """Points of the surface that the reference image shows in the middle of a pixel, and axes on it.
+
+    The surface at a track is taken as square to the mean direction to its images.
+    """
+    towards = _directions(views, tracks.image, points[tracks.track])
+    normal = np.column_stack([np.bincount(tracks.track, towards[:, k], tracks.count) for k in range(3)])
+    normal = normal / np.linalg.norm(normal, axis=1)[:, None]
+    least = np.eye(3)[np.abs(normal).argmin(axis=1)]
+    first = np.cross(normal, least)
+    first = first / np.linalg.norm(first, axis=1)[:, None]
+    own = tracks.image[reference]
+    distance = np.linalg.norm(views.station[own] - points, axis=1)
+    # Steps of about a pixel or a few keep the differences within the local linearity.
+    axes = np.stack([first, np.cross(normal, first)], axis=1) * (1e-3 * distance)[:, None, None]
+    miss = middle - views.project(own, points)
+    along = np.linalg.solve(_jacobians(views, own, points, axes), miss[..., None])[..., 0]
+    return points + np.einsum("nk,nkj->nj", along, axes), axes
+
+
+def _jacobians(views: Views, image: Integers, xyz: Floats, axes: Floats) -> Floats:
+    """Pixels per step along the axes of the surface, shape (n, 2, 2)."""
+    ahead = [views.project(image, xyz + axes[:, k]) - views.project(image, xyz - axes[:, k]) for k in (0, 1)]
+    return np.stack(ahead, axis=2) / 2
+
+
+def _candidates(tracks: Tracks, reference: Integers, partners: Sequence[Integers]) -> Integers:
+    """Tracks and images that may show them, besides their reference: partners of their images."""
+    rows = []
+    for k, others in enumerate(partners):
+        mine = tracks.track[tracks.image == k]
+        near = np.r_[others, k]
+        rows.append(np.column_stack([np.repeat(mine, len(near)), np.tile(near, len(mine))]))
+    pairs = np.unique(np.concatenate(rows), axis=0)
+    return np.asarray(pairs[pairs[:, 1] != tracks.image[reference][pairs[:, 0]]])
+
+
+def _expected(
+    views: Views, wanted: Integers, anchor: Floats, axes: Floats, base: Floats, own: Integers
+) -> _Rays:
+    track, image = wanted.T
+    place = views.project(image, anchor[track])
+    with np.errstate(invalid="ignore"):
+        seen = _inside(place, views.sizes()[image])
+    apart = np.einsum(
+        "nk,nk->n",
+        _directions(views, image, anchor[track]),
+        _directions(views, own[track], anchor[track]),
+    )
+    seen &= apart > _COS_APART
+    track, image, place = track[seen], image[seen], place[seen]
+    affinity = _jacobians(views, image, anchor[track], axes[track]) @ np.linalg.inv(base[track])
+    zoom = np.sqrt(np.abs(np.linalg.det(affinity)))
+    alike = np.isfinite(affinity).all(axis=(1, 2)) & (zoom < _ZOOM) & (zoom > 1 / _ZOOM)
+    return _Rays(track, image, place, affinity).some(alike)
+
+
+def _inside(place: Floats, size: Floats) -> NDArray[np.bool_]:
+    border = HALF + _BORDER_PX
+    return np.asarray(((place >= border) & (place <= size - 1 - border)).all(axis=1))
+
+
+def _smoothed(path: Path) -> Floats32:
+    import cv2
+
+    eight = as_eight_bit(read_grey(path)).astype(np.float32)
+    return np.asarray(cv2.GaussianBlur(eight, (0, 0), SMOOTHING_PX), dtype=np.float32)
+
+
+def _cut_patches(task: tuple[Source, Floats]) -> Floats32:
+    source, middle = task
+    side = np.arange(-HALF, HALF + 1)
+    if not len(middle):
+        return np.zeros((0, len(side), len(side)), dtype=np.float32)
+    column, row = middle.astype(np.int64).T
+
+    def make() -> Arrays:
+        image = _smoothed(source.path)
+        return {"patches": image[row[:, None, None] + side[None, :, None], column[:, None, None] + side]}
+
+    key = combined_key(VERSION, "patches", source.key, array_key(middle))
+    return np.asarray(cached(source.cache, key, ("patches",), make)["patches"], dtype=np.float32)
+
+
+def _match_image(task: tuple[Source, _Rays, Floats32]) -> _Found:
+    source, rays, patches = task
+    if not len(rays.track):
+        return _Found.none()
+
+    def make() -> Arrays:
+        return _matched(_smoothed(source.path), rays, patches)
+
+    key = combined_key(VERSION, "matched", source.key, array_key(rays.place, rays.affinity, patches))
+    held = cached(source.cache, key, ("index", "pixels", "sigma"), make)
+    index = held["index"]
+    return _Found(rays.track[index], rays.image[index], held["pixels"], held["sigma"])
+
+
+def _matched(image: Floats32, rays: _Rays, patches: Floats32) -> Arrays:
+    from photocal.measurement.patch_kernel import match_patches
+
+    count = len(rays.track)
+    found, likeness, covariance = np.empty((count, 2)), np.empty(count), np.zeros((count, 2, 2))
+    match_patches(patches, image, rays.place, rays.affinity, FARTHEST_PX, found, likeness, covariance)
+    sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
+    good = np.isfinite(found).all(axis=1) & (likeness >= LIKENESS) & (sigma < _COARSEST_PX)
+    return {"index": np.flatnonzero(good), "pixels": found[good], "sigma": sigma[good]}
+
+
+def _joined(found: list[_Found], kept: Integers, own: Integers, middle: Floats, conflicts: int) -> Tracks:
+    track = np.concatenate([kept, *(f.track for f in found)])
+    image = np.concatenate([own, *(f.image for f in found)])
+    pixels = np.concatenate([middle, *(f.pixels for f in found)])
+    sigma = np.concatenate([np.full(len(kept), np.nan), *(f.sigma for f in found)])
+    # The reference ray is as sure as its matches: their median.
+    order = np.lexsort((sigma, track))
+    matched = np.bincount(track, minlength=int(track.max(initial=-1)) + 1) - 1
+    start = np.r_[0, np.cumsum(matched + 1)[:-1]]
+    usable = matched[kept] > 0
+    middle_ray = order[np.minimum(start[kept] + matched[kept] // 2, len(order) - 1)]
+    sigma[: len(kept)] = np.where(usable, sigma[middle_ray], np.inf)
+    order = np.lexsort((image, track))
+    joined = Tracks(track[order], image[order], pixels[order], sigma[order], conflicts)
+    return joined.some(np.ones(len(order), dtype=np.bool_))

@@ -1,0 +1,199 @@
+"""Adjusting a block of tie points robustly: gross errors taken out, sigmas estimated from the residuals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import IllPosedError
+from photocal.adjustment.adjust import adjust
+from photocal.adjustment.solution import Solution
+from photocal.block.model import Block, Images
+from photocal.block.network import Assembly, assemble
+from photocal.block.run import given_exposures, given_points
+from photocal.geometry.camera import Camera
+from photocal.measurement.tie_block import fitting, place, with_ties
+from photocal.measurement.tracks import Tracks
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+# A ray is wrong when its residual exceeds so many of its standard deviations.
+GROSS = 3.5
+_ROUNDS = 8
+# Rays of a kind have one sigma: classes of feature scale, or of the precision of the match.
+CLASSES = 4
+FINEST_PX = 0.02
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """An adjusted block of tie points.
+
+    Attributes
+    ----------
+    block : Block
+        With its tie points; start values are the adjusted ones, observed values stay as observed.
+    tracks : Tracks
+        The tie points that are left, in the order of the block.
+    values : ndarray, shape (images, 6)
+        Adjusted exterior orientations in the block's frame, of the observed ones too.
+    assembly : Assembly
+    solution : Solution
+    rejected : int
+        Rays that were taken out.
+    """
+
+    block: Block
+    tracks: Tracks
+    values: Floats
+    assembly: Assembly
+    solution: Solution
+    rejected: int
+
+
+def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
+    """Adjust a block with tie points and take out the rays that do not fit.
+
+    Parameters
+    ----------
+    start : Block
+        Without tie points.
+    poses : ndarray, shape (images, 6)
+        Start values of the exterior orientation in the block's frame.
+    tracks : Tracks
+
+    Returns
+    -------
+    Adjusted
+        Observations of tie points have estimated sigmas.
+
+    Raises
+    ------
+    PhotocalError
+        When the tie points do not determine the images.
+    """
+    total = len(tracks.track)
+    tracks = _placed(_oriented(start, poses), tracks)
+    sigma = np.ones(len(tracks.track))
+    for round_ in range(_ROUNDS):
+        block = _with_points(start, poses, tracks, sigma)
+        _require_rays(block)
+        # Gross errors first: they must not go into the camera.
+        assembly = assemble(block) if round_ else _with_held_cameras(assemble(block))
+        solution = adjust(assembly.network)
+        poses = given_exposures(assembly, solution)[0]
+        start = replace(start, cameras=_moved_cameras(start, solution))
+        size, redundancy = _by_ray(assembly, solution)
+        ties = slice(len(start.observations.image), None)
+        sigma = class_sigmas(tracks.scale, size[ties], redundancy[ties])
+        # A residual shows the part of the error that the redundancy number says.
+        standardised = size[ties] / (sigma * np.sqrt(2 * np.maximum(redundancy[ties], 0.05)))
+        good = standardised <= (GROSS if round_ else 2 * GROSS)
+        if round_ and good.all():
+            break
+        tracks, sigma = _with(tracks, sigma, good)
+    block = _with_points(start, poses, tracks, sigma)
+    assembly = assemble(block)
+    solution = adjust(assembly.network)
+    values = given_exposures(assembly, solution)[0]
+    points = block.points.values.copy()
+    tie = assembly.points >= len(start.points.names)
+    points[assembly.points[tie]] = given_points(assembly, solution)[0][tie]
+    block = replace(
+        block,
+        cameras=_moved_cameras(block, solution),
+        images=_kept(block, values),
+        points=replace(block.points, values=points),
+    )
+    return Adjusted(block, tracks, values, assembly, solution, total - len(tracks.track))
+
+
+def class_sigmas(scale: Floats, size: Floats, redundancy: Floats) -> Floats:
+    """Sigma of a coordinate for each ray: of its class of scale, robust against what is still wrong.
+
+    Parameters
+    ----------
+    scale : ndarray, shape (n,)
+        What the precision depends on.
+    size : ndarray, shape (n,)
+        Length of the residual, px.
+    redundancy : ndarray, shape (n,)
+        Mean of the two redundancy numbers.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    edges = np.quantile(scale, np.linspace(0, 1, CLASSES + 1)[1:-1])
+    member = np.searchsorted(edges, scale)
+    sigma = np.ones(len(scale))
+    for k in range(CLASSES):
+        mine = (member == k) & (redundancy > 0.05)
+        if mine.any():
+            # Squared lengths over 2 r are exponential in units of the variance; three sigma cut 1 % of them.
+            squares = size[mine] ** 2 / (2 * redundancy[mine])
+            good = squares <= 9 * np.median(squares) / np.log(2)
+            sigma[member == k] = np.sqrt(
+                size[mine][good] @ size[mine][good] / (2 * redundancy[mine][good].sum())
+            )
+    return np.maximum(sigma, FINEST_PX)
+
+
+def _placed(start: Block, tracks: Tracks) -> Tracks:
+    """Tracks whose rays meet and fit."""
+    values = place(start, tracks)
+    block = with_ties(start, tracks, values, np.ones(len(tracks.track)))
+    fit = fitting(block)[len(start.observations.image) :]
+    return tracks.some(fit)
+
+
+def _with(tracks: Tracks, sigma: Floats, good: Flags) -> tuple[Tracks, Floats]:
+    """Tracks and sigmas with the good rays only."""
+    left = np.bincount(tracks.track[good], minlength=tracks.count)
+    return tracks.some(good), sigma[good & (left >= 2)[tracks.track]]
+
+
+def _with_points(start: Block, poses: Floats, tracks: Tracks, sigma: Floats) -> Block:
+    """Block at its present values; observed positions and angles stay as they were observed."""
+    values = place(_oriented(start, poses), tracks)
+    return with_ties(replace(start, images=_kept(start, poses)), tracks, values, sigma)
+
+
+def _kept(start: Block, poses: Floats) -> Images:
+    images = start.images
+    return replace(images, values=np.where(np.isfinite(images.sigma), images.values, poses))
+
+
+def _oriented(block: Block, poses: Floats) -> Block:
+    return replace(block, images=replace(block.images, values=poses))
+
+
+def _moved_cameras(block: Block, solution: Solution) -> tuple[Camera, ...]:
+    return tuple(own.with_values(v) for own, v in zip(block.cameras, solution.cameras, strict=True))
+
+
+def _with_held_cameras(assembly: Assembly) -> Assembly:
+    held = tuple(replace(own, estimated=np.zeros_like(own.estimated)) for own in assembly.network.cameras)
+    return replace(assembly, network=replace(assembly.network, cameras=held))
+
+
+def _by_ray(assembly: Assembly, solution: Solution) -> tuple[Floats, Floats]:
+    """Length of the residual, px, and mean redundancy number of each observation of the block."""
+    size, redundancy = np.empty(len(assembly.rays)), np.empty(len(assembly.rays))
+    size[assembly.rays] = np.hypot(*solution.residuals.T)
+    redundancy[assembly.rays] = solution.redundancy.mean(axis=1)
+    return size, redundancy
+
+
+def _require_rays(block: Block) -> None:
+    few = np.flatnonzero(np.bincount(block.observations.image, minlength=len(block.images.names)) < 3)
+    if len(few):
+        name = block.images.names[few[0]]
+        raise IllPosedError(
+            "shares no points with the others that fit",
+            where=f"image {name}",
+            remedy="take it out, or add images that overlap it",
+        )
