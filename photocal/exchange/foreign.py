@@ -6,12 +6,14 @@ from pathlib import Path
 
 from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.block.model import Block
+from photocal.exchange import models
 from photocal.exchange.jaicov import SUFFIXES
 from photocal.exchange.markup import read_xml
 
 READABLE = (
-    "a DBAT set-up (.xml), a PhotoModeler text export, a JAICOV file (.ior, .eor, .obc, .phc), "
-    "or a PhotoScan project (.psz)"
+    "a DBAT set-up (.xml), a PhotoModeler text export, a JAICOV file (.ior, .eor, .obc, .phc), a PhotoScan "
+    "project (.psz), a Metashape camera XML, a COLMAP model (cameras.txt or .bin), an OpenSfM "
+    "reconstruction.json, or an OPF project (.opf)"
 )
 
 
@@ -46,6 +48,12 @@ def read_foreign_block(path: Path) -> Block:
         from photocal.exchange.photoscan import read_photoscan
 
         return read_photoscan(path)
+    if path.suffix.lower() == ".opf":
+        return models.read_opf_block(path)
+    if path.suffix.lower() == ".json":
+        return models.read_opensfm_block(path)
+    if path.suffix.lower() in (".txt", ".bin") and path.stem in models.COLMAP_FILES:
+        return models.read_colmap_block(path)
     if path.suffix.lower() == ".txt":
         from photocal.exchange.photomodeler import control_beside, read_photomodeler
         from photocal.exchange.photomodeler_export import looks_like_export
@@ -62,6 +70,8 @@ def _from_xml(path: Path) -> Block:
         from photocal.exchange.dbat import read_dbat
 
         return read_dbat(path)
+    if root.tag == "document":
+        return models.read_metashape_block(path)
     raise _unknown(path)
 
 

@@ -91,8 +91,13 @@ def read_reconstruction(path: Path) -> Reconstruction:
         )
 
     found = structured(path, _WHAT, made)
-    tracks = path.with_name(path.name.replace("reconstruction", "tracks", 1)).with_suffix(".csv")
-    return _with_tracks(found, tracks) if tracks != path and tracks.is_file() else found
+    tracks = tracks_beside(path)
+    return _with_tracks(found, tracks) if tracks.is_file() else found
+
+
+def tracks_beside(path: Path) -> Path:
+    """Where the tracks of a reconstruction are looked for."""
+    return path.with_name(path.stem.replace("reconstruction", "tracks", 1) + ".csv")
 
 
 def _with_tracks(found: Reconstruction, path: Path) -> Reconstruction:

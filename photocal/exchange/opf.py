@@ -94,6 +94,11 @@ def read_opf(path: Path) -> Reconstruction:
     return structured(path, "an OPF project", lambda: _read(path))
 
 
+def resource_files(path: Path) -> tuple[Path, ...]:
+    """Files that a project names and `read_opf` understands; parameters and errors as there."""
+    return structured(path, "an OPF project", lambda: tuple(_resources(path).files.values()))
+
+
 def _read(path: Path) -> Reconstruction:
     resources = _resources(path)
     inputs, calibrated = resources.load("input-cameras"), resources.load("calibrated-cameras")

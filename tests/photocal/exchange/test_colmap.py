@@ -171,3 +171,27 @@ def test_blank_in_a_name(tmp_path: Path, vision: Reconstruction) -> None:
         write_colmap(tmp_path, named)
     write_colmap(tmp_path, named, binary=True)
     assert read_colmap(tmp_path).image_names[0] == "a b.jpg"
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_pycolmap_reproduces_our_residuals(tmp_path: Path, vision: Reconstruction, binary: bool) -> None:
+    """COLMAP's own reader and projection."""
+    pycolmap = pytest.importorskip("pycolmap")
+    write_colmap(tmp_path, vision, binary=binary)
+    model = pycolmap.Reconstruction()
+    (model.read_binary if binary else model.read_text)(str(tmp_path))
+    assert model.is_valid()
+    assert (model.num_images(), model.num_cameras()) == (6, 2)
+    ours = {
+        (vision.image_names[i], int(vision.point_names[j])): v
+        for i, j, v in zip(vision.image, vision.point, vision.residuals_px, strict=True)
+    }
+    found = {}
+    for image in model.images.values():
+        for mark in image.points2D:
+            projected = image.project_point(model.points3D[mark.point3D_id].xyz)
+            found[image.name, mark.point3D_id] = projected - mark.xy
+    assert found.keys() == ours.keys()
+    assert max(np.abs(found[key] - ours[key]).max() for key in ours) < 1e-6
+    mean = np.mean([np.hypot(*v) for v in ours.values()])
+    assert model.compute_mean_reprojection_error() == pytest.approx(mean, rel=0.05)

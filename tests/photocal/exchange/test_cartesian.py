@@ -1,0 +1,129 @@
+"""A block in a map projection, exported: the geometry that was adjusted, and places on the Earth."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyproj
+import pytest
+from typer.testing import CliRunner
+
+from drivers.errors import ConfigurationError
+from photocal.adjustment.adjust import adjust
+from photocal.block.network import assemble
+from photocal.block.run import summary, write_run
+from photocal.cli import app
+from photocal.exchange.ground_points import read_gcp_list, read_geo
+from photocal.exchange.reconstruction import Reconstruction, as_block, read_run
+from photocal.geometry.camera import camera
+from photocal.geometry.frames import nearest_rotation, reference_frame
+from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
+from tests.photocal.exchange.conftest import reconstruction_of
+
+# Far from the central meridian: 1.2 degrees of convergence and a scale of 1.0006.
+PLACE = np.array([790_000.0, 7_480_000.0, 600.0])
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run in UTM 22S, adjusted from a block whose rays are straight in space."""
+    values = {"c": 20.0, "K1": -1e-5, "P1": 1e-6}
+    made = reconstruction_of((camera("1", "brown-ideal", "mm", (4608, 3456), (0.005, 0.005), values),))
+    # Ten times as large: over a kilometre the curvature of the Earth is 8 cm.
+    made = replace(made, xyz=made.xyz * 10, poses=made.poses * [1, 1, 1, 10, 10, 10])
+    frame = reference_frame("EPSG:31982", "ellipsoidal", PLACE)
+    places = frame.to_given(made.poses[:, 3:])
+    turn = nearest_rotation(frame.derivative(places))
+    angles = angles_from_matrix(matrix_from_angles(made.poses[:, :3]) @ turn)
+    given = replace(
+        made,
+        frame="EPSG:31982",
+        height="ellipsoidal",
+        poses=np.hstack([angles, places]),
+        xyz=frame.to_given(made.xyz),
+        xyz_sigma=np.full(made.xyz.shape, 0.01),
+        roles=("control",) * len(made.roles),
+    )
+    block = as_block(given, "map", 0.5, ())
+    assembly = assemble(block)
+    solution = adjust(assembly.network)
+    folder = tmp_path_factory.mktemp("run") / "run"
+    folder.mkdir()
+    timing = {"read": 0.0, "solve": 0.0, "covariance": 0.0}
+    write_run(folder, block, assembly, solution, summary(block, assembly, solution, timing))
+    return folder
+
+
+def exported(run: Path, folder: Path, *arguments: str) -> dict[str, object]:
+    result = CliRunner().invoke(
+        app, ["export", str(run), "-o", str(folder), "--json", *arguments], catch_exceptions=False
+    )
+    assert result.exit_code == 0
+    answer: dict[str, object] = json.loads(result.stdout)
+    return answer
+
+
+def residuals(given: Reconstruction) -> dict[tuple[str, str], np.ndarray]:
+    return {
+        (given.image_names[i], given.point_names[j]): v
+        for i, j, v in zip(given.image, given.point, given.residuals_px, strict=True)
+    }
+
+
+def test_pycolmap_reproduces_the_residuals_of_the_adjustment(run: Path, tmp_path: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    answer = exported(run, tmp_path, "--format", "colmap-binary")
+    origin = answer["origin"]
+    assert isinstance(origin, dict)
+    assert (origin["frame"], origin["height"]) == ("EPSG:31982", "ellipsoidal")
+    assert np.abs(np.array([origin["x"], origin["y"]]) - PLACE[:2]).max() < 500
+    ours = residuals(read_run(run))
+    model = pycolmap.Reconstruction(str(tmp_path))
+    apart = []
+    for image in model.images.values():
+        for mark in image.points2D:
+            found = image.project_point(model.points3D[mark.point3D_id].xyz) - mark.xy
+            apart.append(found - ours[image.name, str(mark.point3D_id)])
+    assert len(apart) == len(ours)
+    assert np.abs(apart).max() < 1e-6
+
+
+def test_places_on_the_earth_need_no_origin(run: Path, tmp_path: Path) -> None:
+    exported(run, tmp_path, "--format", "geojson")
+    given = read_run(run)
+    turn = pyproj.Transformer.from_crs("EPSG:31982", "EPSG:4326", always_xy=True)
+    features = json.loads((tmp_path / "block.geojson").read_text())["features"]
+    exposures = [f["geometry"]["coordinates"] for f in features if f["properties"]["kind"] == "exposure"]
+    longitude, latitude = turn.transform(given.poses[:, 3], given.poses[:, 4])
+    np.testing.assert_allclose(np.array(exposures)[:, 0], longitude, atol=1e-9)
+    np.testing.assert_allclose(np.array(exposures)[:, 1], latitude, atol=1e-9)
+    np.testing.assert_allclose(np.array(exposures)[:, 2], given.poses[:, 5], atol=1e-3)
+    with pytest.raises(ConfigurationError, match="leave out --origin"):
+        exported(run, tmp_path, "--format", "kml", "--origin", "0,0,0")
+
+
+def test_lists_and_tables_keep_map_coordinates(run: Path, tmp_path: Path) -> None:
+    given = read_run(run)
+    assert exported(run, tmp_path, "--format", "odm")["origin"] is None
+    crs, marks = read_gcp_list(tmp_path / "gcp_list.txt")
+    assert crs == "EPSG:31982"
+    assert len(marks) == len(given.pixels)
+    k = given.point_names.index(marks[0].point)
+    assert marks[0].xyz == tuple(given.xyz[k].tolist())
+    _, positions = read_geo(tmp_path / "geo.txt")
+    np.testing.assert_allclose([one.xyz for one in positions], given.poses[:, 3:], rtol=1e-15)
+    horizontal = np.hypot(*given.pose_sigma[:, 3:5].T)
+    np.testing.assert_allclose([one.accuracy_m[0] for one in positions], horizontal, rtol=1e-12)
+
+
+def test_a_system_without_geoid_is_refused(run: Path, tmp_path: Path) -> None:
+    text = (run / "result.json").read_text().replace('"ellipsoidal"', '"orthometric"')
+    for name in ("images.csv", "points.csv", "residuals.csv"):
+        (tmp_path / name).write_bytes((run / name).read_bytes())
+    (tmp_path / "result.json").write_text(text)
+    with pytest.raises(ConfigurationError, match="says nothing of a geoid"):
+        exported(tmp_path, tmp_path / "out", "--format", "colmap")
+    assert not (tmp_path / "out").exists()
