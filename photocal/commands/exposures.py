@@ -3,28 +3,47 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from acquire.console import answer
+from acquire.console import answer, progress
+
+if TYPE_CHECKING:
+    from photocal.navigation.exposure_run import Choices
 
 
 def exposures(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for exposures.csv and the rest.")],
-    flight: Annotated[Path | None, typer.Argument(help="Flight log.")] = None,
-    images: Annotated[Path | None, typer.Option(help="Folder of the images.")] = None,
+    flight: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Flight logs that follow each other, or one PROJECT.toml that names everything."),
+    ] = None,
+    images: Annotated[
+        Path | None, typer.Option(help="Folder of the images, or a table image,taken[,camera].")
+    ] = None,
     mrk: Annotated[Path | None, typer.Option(help="The vehicle's own event list (Timestamp.MRK).")] = None,
     edge: Annotated[str, typer.Option(help="Edge of the time marks: rising or falling.")] = "rising",
     delay: Annotated[float, typer.Option(help="From the event to the exposure, seconds.")] = 0.0,
+    delay_sigma: Annotated[
+        float, typer.Option(help="Its standard deviation from exposure to exposure, seconds.")
+    ] = 0.0,
     lever_arm: Annotated[
         str | None,
         typer.Option(help="X,Y,Z from the antenna to the camera, metres forward, right, down."),
     ] = None,
-    lever_arm_sigma: Annotated[str | None, typer.Option(help="Its standard deviations, metres.")] = None,
+    lever_arm_sigma: Annotated[str, typer.Option(help="Its standard deviations, metres.")] = "0.01,0.01,0.01",
     attitude_sigma: Annotated[
         str | None, typer.Option(help="Standard deviations of roll, pitch, yaw, degrees.")
     ] = None,
+    boresight: Annotated[
+        str,
+        typer.Option(help="Turn from nominal to true camera axes, about camera x, y, z, degrees."),
+    ] = "0,0,0",
+    boresight_sigma: Annotated[str, typer.Option(help="Its standard deviations, degrees.")] = "0,0,0",
+    camera_axes: Annotated[
+        str, typer.Option(help="Body directions of camera x (right), y (up in the image), z (backwards).")
+    ] = "right,forward,up",
     clock_offset: Annotated[
         float, typer.Option(help="Largest offset between the camera's clock and the log's, seconds.")
     ] = 60.0,
@@ -32,6 +51,14 @@ def exposures(
     crs: Annotated[
         str | None, typer.Option(help="System of images.csv, such as EPSG:32722; without: local.")
     ] = None,
+    oriented: Annotated[
+        Path | None,
+        typer.Option(help="Run folder of an adjustment of these images: its positions check the exposures."),
+    ] = None,
+    check_images: Annotated[
+        bool,
+        typer.Option("--check-images", help="Match neighbouring images and compare their rotations."),
+    ] = False,
     rover: Annotated[Path | None, typer.Option(help="RINEX observations of the rover.")] = None,
     base: Annotated[Path | None, typer.Option(help="RINEX observations of the base.")] = None,
     nav: Annotated[list[str] | None, typer.Option(help="RINEX navigation file; may be repeated.")] = None,
@@ -42,57 +69,68 @@ def exposures(
     base_link: Annotated[str, typer.Option(help="Link of the base in the flight log.")] = "base",
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
-    """Compute position, attitude and covariance of every exposure.
+    """Compute position and attitude of every exposure, with covariances, and check them.
 
-    Positions come from PPK where the log has raw frames of rover and base, else from the event list or the
-    autopilot; images are matched to events by the differences of their times.
+    Positions come from PPK where the log has raw frames of rover and base, else from the event list, the
+    autopilot or the images; images are matched to events by the differences of their times.
 
     Example: `photocal exposures FLIGHT.mcap --images DIR -o exposures`
     """
     import json
+    import os
     import tempfile
+    from dataclasses import replace
 
     import numpy as np
 
     from acquire.outputs import output_folder
     from drivers.errors import ConfigurationError
+    from photocal.measurement.cache import default_cache
+    from photocal.measurement.match_images import MatchingPlan
     from photocal.navigation.engine import Rtklib
-    from photocal.navigation.exposure_files import write_block_images, write_exposures, write_geo_txt
-    from photocal.navigation.exposure_plot import plot_exposures
-    from photocal.navigation.exposure_run import ELLIPSOIDAL, Choices, exposures_text, run_exposures
+    from photocal.navigation.exposure_report import exposures_text
+    from photocal.navigation.exposure_run import Choices, run_exposures
+    from photocal.navigation.exposure_write import write_run
+    from photocal.navigation.image_rotations import Neighbours
     from photocal.navigation.ppk_inputs import Sources
+    from photocal.navigation.rig import Rig
+    from photocal.navigation.rig import camera_axes as axes_of
     from photocal.navigation.triple import parse_triple
 
-    if edge not in ("rising", "falling"):
-        raise ConfigurationError(f"{edge!r} is no edge", where="--edge", remedy="rising or falling")
-    angle_sigma = parse_triple(attitude_sigma, "--attitude-sigma")
-    choices = Choices(
-        Sources(flight, rover, base, tuple(nav or ()), base_position, rover_link, base_link),
-        images,
-        mrk,
-        edge,
-        delay,
-        parse_triple(lever_arm, "--lever-arm"),
-        parse_triple(lever_arm_sigma, "--lever-arm-sigma"),
-        None if angle_sigma is None else np.radians(angle_sigma),
-        clock_offset,
-    )
+    logs = tuple(flight or ())
+    project = [path for path in logs if path.suffix == ".toml"]
+    if project and len(logs) > 1:
+        raise ConfigurationError("a project file stands for itself", where=project[0], remedy="give it alone")
+    if project:
+        choices, camera, crs = _of_project(project[0])
+    else:
+        if edge not in ("rising", "falling"):
+            raise ConfigurationError(f"{edge!r} is no edge", where="--edge", remedy="rising or falling")
+        rig = Rig(
+            None if lever_arm is None else parse_triple(lever_arm, "--lever-arm"),
+            parse_triple(lever_arm_sigma, "--lever-arm-sigma"),
+            None if attitude_sigma is None else np.radians(parse_triple(attitude_sigma, "--attitude-sigma")),
+            np.radians(parse_triple(boresight, "--boresight")),
+            np.radians(parse_triple(boresight_sigma, "--boresight-sigma")),
+            axes_of(tuple(camera_axes.split(","))),
+        )
+        sources = Sources(logs, rover, base, tuple(nav or ()), base_position, rover_link, base_link)
+        choices = Choices(sources, images, mrk, edge, delay, delay_sigma, rig, clock_offset, oriented)
+    if check_images:
+        plan = MatchingPlan(default_cache(), os.cpu_count() or 1)
+        choices = replace(choices, neighbours=Neighbours(plan, progress))
     with tempfile.TemporaryDirectory() as scratch:
         run = run_exposures(choices, Rtklib(), Path(scratch))
-    figures = run.figures
     with output_folder(output) as folder:
-        write_exposures(folder / "exposures.csv", run.exposures)
-        if images is not None:
-            if crs is not None and run.exposures.height_kind != ELLIPSOIDAL:
-                raise ConfigurationError(
-                    f"heights are {run.exposures.height_kind}: they cannot be taken to {crs}",
-                    where="--crs",
-                    remedy="leave out --crs",
-                )
-            figures["images_csv"] = write_block_images(
-                folder / "images.csv", run.exposures, camera, choices.angle_sigma, crs
-            )
-            write_geo_txt(folder / "geo.txt", run.exposures)
+        figures = write_run(folder, run, choices.rig, camera, crs)
         (folder / "exposures.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-        plot_exposures(run, folder / "exposures.png")
     answer(as_json, lambda: figures, lambda: exposures_text(figures))
+
+
+def _of_project(path: Path) -> tuple[Choices, str, str | None]:
+    """Return the choices, the camera's id and the system of a project."""
+    from photocal.navigation.project_choices import choices_of_project
+    from photocal.project import read_project
+
+    project = read_project(path)
+    return choices_of_project(project), project.camera.id, None if project.crs == "local" else project.crs

@@ -14,7 +14,9 @@ def ppk(
     output: Annotated[
         Path, typer.Option("-o", "--output", help="Folder for trajectory.csv, summary and plot.")
     ],
-    flight: Annotated[Path | None, typer.Argument(help="Flight log with raw frames of both.")] = None,
+    flight: Annotated[
+        list[Path] | None, typer.Argument(help="Flight logs with raw frames of both, that follow each other.")
+    ] = None,
     rover: Annotated[Path | None, typer.Option(help="RINEX observations of the rover.")] = None,
     base: Annotated[Path | None, typer.Option(help="RINEX observations of the base.")] = None,
     nav: Annotated[
@@ -59,7 +61,8 @@ def ppk(
     from photocal.navigation.trajectory import write_trajectory
 
     engine = Rtklib()
-    sources = Sources(flight, rover, base, tuple(nav or ()), base_position, rover_link, base_link)
+    logs = tuple(flight or ())
+    sources = Sources(logs, rover, base, tuple(nav or ()), base_position, rover_link, base_link)
     with tempfile.TemporaryDirectory() as scratch:
         inputs, remarks = gather_inputs(sources, engine, Path(scratch))
         options = options_for(inputs.rover, inputs.base, rover_antenna_height, base_antenna_height, elevation)

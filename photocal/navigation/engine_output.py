@@ -108,6 +108,7 @@ def read_solution(path: Path) -> EngineSolution:
     # The engine prints the root of a covariance, with the covariance's sign.
     for i, j, root in ((0, 1, sne), (0, 2, seu), (1, 2, sun)):
         covariance[:, i, j] = covariance[:, j, i] = np.sign(root) * root**2
+    covariance = _possible(covariance, quality)
     return EngineSolution(
         GpsTime(week * WEEK_NS + tow_ns),
         table[:, 0],
@@ -120,6 +121,26 @@ def read_solution(path: Path) -> EngineSolution:
         table[:, 12],
         velocity[:, [1, 0, 2]],
     )
+
+
+def _possible(covariance: Floats, quality: NDArray[np.int64]) -> Floats:
+    """Replace matrices that are no covariances by that of the nearest epoch of the same quality.
+
+    The engine loses digits when it fixes ambiguities: variances below zero are printed as 0, with
+    covariances beside them that no variances could have.
+    """
+    printed = np.diagonal(covariance, axis1=1, axis2=2).min(axis=1) > _LEAST_SIGMA_M**2
+    sound = printed & (np.linalg.eigvalsh(covariance)[:, 0] > _LEAST_SIGMA_M**2 / 100)
+    for value in np.unique(quality[~sound]):
+        lost, good = (np.flatnonzero((quality == value) & which) for which in (~sound, sound))
+        if not len(good):
+            # Nothing says how the errors go together; the printed sigmas are all there is.
+            covariance[lost] = covariance[lost] * np.eye(3)
+            continue
+        after = np.clip(np.searchsorted(good, lost), 1, max(len(good) - 1, 1))
+        left, right = good[after - 1], good[np.minimum(after, len(good) - 1)]
+        covariance[lost] = covariance[np.where(lost - left <= right - lost, left, right)]
+    return covariance
 
 
 def _exact_ns(text: str) -> int:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.log.reader import LogReader
 from drivers.errors import InputMalformedError
 from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS, week_to_ns
+from photocal.navigation.flight_log import messages_of
 from photocal.navigation.time import GpsTime, UtcTime
 
 Floats = NDArray[np.float64]
@@ -21,6 +20,8 @@ RISING, FALLING = "rising", "falling"
 _NEW_FALLING, _TIME_VALID, _NEW_RISING, _BASE_SHIFT = 0x04, 0x40, 0x80, 3
 _BASE_RECEIVER, _BASE_GNSS, _BASE_UTC = 0, 1, 2
 _COUNTER = 1 << 16
+_MAVLINK = ("CAMERA_FEEDBACK", "CAMERA_IMAGE_CAPTURED", "CAMERA_TRIGGER")
+_CLAIMED = ("latitude_deg", "longitude_deg", "altitude_msl_m", "roll_deg", "pitch_deg", "yaw_deg")
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,13 @@ class Events:
         Accuracy of the time that the device claims; 0 where it claims none.
     remarks : list of str
         What is odd: jumps of the counter, edges without a time.
+    claimed : float64 (n, 6) or None
+        Latitude, longitude (deg), height above sea level (m), roll, pitch, yaw (deg) that the device told
+        with each; NaN where it told none.
+    stream_ns : int64 (n,) or None
+        Last RXM-RAWX epoch before each time mark in the receiver's stream (GPS ns); -1 before the first.
+    delay_ns : int
+        Delay that is contained in the times.
     """
 
     source: str
@@ -46,17 +54,39 @@ class Events:
     number: NDArray[np.int64]
     accuracy_s: Floats
     remarks: list[str] = field(default_factory=list)
+    claimed: Floats | None = None
+    stream_ns: NDArray[np.int64] | None = None
+    delay_ns: int = 0
+
+    @property
+    def noted_ns(self) -> NDArray[np.int64]:
+        """Times as the device noted them, GPS nanoseconds."""
+        return np.asarray(self.time.ns - self.delay_ns)
 
     def __len__(self) -> int:
         return len(self.time)
 
-    def delayed(self, delay_s: float) -> Events:
-        """Return the exposures themselves, `delay_s` after what was noted (trigger, cable, shutter)."""
-        shift = np.full(len(self), round(delay_s * 1e9), np.int64)
-        return Events(self.source, self.time.shifted(shift), self.number, self.accuracy_s, self.remarks)
+    def delayed(self, delay_s: float, sigma_s: float = 0.0) -> Events:
+        """Return the exposures themselves, `delay_s` after what was noted (trigger, cable, shutter).
+
+        `sigma_s` is the standard deviation of the delay from exposure to exposure.
+        """
+        shift = round(delay_s * 1e9)
+        return replace(
+            self,
+            time=self.time.shifted(np.full(len(self), shift, np.int64)),
+            accuracy_s=np.hypot(self.accuracy_s, sigma_s),
+            delay_ns=self.delay_ns + shift,
+        )
 
 
-def time_marks(fields: NDArray[Any], edge: str, link: str, leap_s: int | None = None) -> Events:
+def time_marks(
+    fields: NDArray[Any],
+    edge: str,
+    link: str,
+    leap_s: int | None = None,
+    stream_ns: NDArray[np.int64] | None = None,
+) -> Events:
     """Return the events of one edge from RXM-TIM-TM2 messages.
 
     Parameters
@@ -69,6 +99,8 @@ def time_marks(fields: NDArray[Any], edge: str, link: str, leap_s: int | None = 
         Whose they are.
     leap_s : int, optional
         GPS time minus UTC where the table has ended.
+    stream_ns : int64 (n,), optional
+        Last epoch before each message in the stream, see `Events`.
 
     Returns
     -------
@@ -82,7 +114,8 @@ def time_marks(fields: NDArray[Any], edge: str, link: str, leap_s: int | None = 
         When the marks are in the receiver's own time, which nothing ties to GPS time.
     """
     letter, bit = ("R", _NEW_RISING) if edge == RISING else ("F", _NEW_FALLING)
-    new = fields[(fields["flags"] & bit) != 0]
+    is_new = (fields["flags"] & bit) != 0
+    new = fields[is_new]
     base = new["flags"] >> _BASE_SHIFT & 3
     valid = ((new["flags"] & _TIME_VALID) != 0) & (new[f"wn{letter}"] > 0)
     own = valid & (base == _BASE_RECEIVER)
@@ -114,6 +147,7 @@ def time_marks(fields: NDArray[Any], edge: str, link: str, leap_s: int | None = 
         number,
         accuracy,
         remarks,
+        stream_ns=None if stream_ns is None else stream_ns[is_new][order],
     )
 
 
@@ -128,38 +162,42 @@ def counter_jumps(count: NDArray[np.int64], edge: str) -> list[str]:
     ]
 
 
-def logged_exposures(path: Path) -> list[Events]:
-    """Return the exposures that autopilot or camera reported in a flight log, one `Events` per message.
+def logged_exposures(logs: tuple[Path, ...]) -> list[Events]:
+    """Return the exposures that autopilot or camera reported in flight logs, one `Events` per message.
 
     Exposures without a device time are left out and counted: the time of receipt is not that of the
-    exposure.
+    exposure. An exposure that came twice (over two links) counts once.
     """
-    found: dict[str, list[tuple[int, int, int]]] = {}
+    found: dict[str, dict[tuple[int, int], tuple[float, ...]]] = {}
     untimed: dict[str, int] = {}
-    for chunk in LogReader(path).chunks():
-        for messages in chunk:
-            if messages.channel.topic != "/camera/exposure":
+    for messages in messages_of(logs):
+        if messages.channel.topic != "/camera/exposure":
+            continue
+        rows = zip(messages.payloads, messages.log_ns.tolist(), messages.publish_ns.tolist(), strict=True)
+        for payload, log_ns, publish_ns in rows:
+            row = json.loads(payload)
+            source = str(row["source"])
+            if source == "TIM-TM2":
                 continue
-            rows = zip(messages.payloads, messages.log_ns.tolist(), messages.publish_ns.tolist(), strict=True)
-            for payload, log_ns, publish_ns in rows:
-                row = json.loads(payload)
-                source = str(row["source"])
-                if source == "TIM-TM2":
-                    continue
-                found.setdefault(source, [])
-                time = row.get("time")
-                if time is None or log_ns == publish_ns:
-                    untimed[source] = untimed.get(source, 0) + 1
-                    continue
-                ns = int(time["sec"]) * SECOND_NS + int(time["nsec"])
-                found[source].append((ns, int(row.get("sequence", -1)), int(row.get("accuracy_ns") or 0)))
+            own = found.setdefault(source, {})
+            time = row.get("time")
+            # MAVLink without a time of the device repeats the time of arrival.
+            if time is None or (log_ns == publish_ns and source in _MAVLINK):
+                untimed[source] = untimed.get(source, 0) + 1
+                continue
+            key = (int(time["sec"]) * SECOND_NS + int(time["nsec"]), int(row.get("sequence", -1)))
+            claimed = [row.get(name) for name in _CLAIMED]
+            own[key] = tuple(np.nan if v is None else float(v) for v in (row.get("accuracy_ns"), *claimed))
     return [_logged(source, rows, untimed.get(source, 0)) for source, rows in found.items()]
 
 
-def _logged(source: str, rows: Iterable[tuple[int, int, int]], untimed: int) -> Events:
-    table = np.array(sorted(rows), np.int64).reshape(-1, 3)
-    remarks = counter_jumps(table[:, 1], source)
+def _logged(source: str, rows: dict[tuple[int, int], tuple[float, ...]], untimed: int) -> Events:
+    keys = sorted(rows)
+    stamp = np.array(keys, np.int64).reshape(-1, 2)
+    told = np.array([rows[key] for key in keys]).reshape(-1, 1 + len(_CLAIMED))
+    remarks = counter_jumps(stamp[:, 1], source)
     if untimed:
         remarks.append(f"{source}: {untimed} exposures without a device time left out")
-    time = UtcTime(table[:, 0]).to_gps()
-    return Events(source, time, table[:, 1], np.asarray(table[:, 2] * 1e-9, np.float64), remarks)
+    time = UtcTime(stamp[:, 0]).to_gps()
+    accuracy = np.nan_to_num(told[:, 0], nan=0.0) * 1e-9
+    return Events(source, time, stamp[:, 1], accuracy, remarks, told[:, 1:])

@@ -9,14 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.adjustment.mounting import NADIR
-from photocal.geometry.body import object_to_body
-from photocal.geometry.rotation import angles_from_matrix
-from photocal.navigation.exposures import Exposures
-from photocal.navigation.trajectory import COLUMNS, covariance_cells, enu_axes, geocentric
+from photocal.navigation.exposures import Exposures, Orientations, orientations
+from photocal.navigation.rig import Rig
+from photocal.navigation.trajectory import COLUMNS, covariance_cells, enu_axes, enu_offsets, geocentric
 
 Floats = NDArray[np.float64]
-EVENT_COLUMNS = (*COLUMNS, "image", "roll_deg", "pitch_deg", "yaw_deg", "event", "note")
+EVENT_COLUMNS = (
+    *COLUMNS, "image", "roll_deg", "pitch_deg", "yaw_deg", "event", "note", "sroll", "spitch", "syaw",
+    "above_take_off_m",
+)  # fmt: skip
+_ORIENTATION = ("X", "Y", "Z", "omega", "phi", "kappa")
 IMAGE_COLUMNS = (
     "image", "camera", "X", "Y", "Z", "omega", "phi", "kappa", "sX", "sY", "sZ", "so", "sp", "sk",
 )  # fmt: skip
@@ -25,6 +27,8 @@ IMAGE_COLUMNS = (
 def write_exposures(path: Path, exposures: Exposures) -> None:
     """Write one row per event; what has no position says why in `note`."""
     p = exposures.placed
+    all_angles, all_sigmas = exposures.angles, np.degrees(exposures.angle_sigma)
+    second = exposures.above_take_off_m
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(EVENT_COLUMNS)
@@ -35,11 +39,13 @@ def write_exposures(path: Path, exposures: Exposures) -> None:
                 known = np.isfinite(p.covariance_m2[i]).all()
                 sigmas = covariance_cells(p.covariance_m2[i]) if known else [""] * 6
                 cells = [*position, str(p.status[i]), *sigmas]
-            angles = ["" if np.isnan(v) else f"{np.degrees(v):.5f}" for v in exposures.angles[i].tolist()]
+            angles = ["" if np.isnan(v) else f"{np.degrees(v):.5f}" for v in all_angles[i].tolist()]
             angles[2] = angles[2] and f"{float(angles[2]) % 360:.5f}"
             note = exposures.reason(i)
             row = [int(exposures.time.ns[i]), *cells, exposures.image[i], *angles]
-            writer.writerow([*row, int(exposures.number[i]), note])
+            spread = ["" if np.isnan(v) else f"{v:.5f}" for v in all_sigmas[i].tolist()]
+            above = "" if second is None or np.isnan(second[i]) else f"{second[i]:.3f}"
+            writer.writerow([*row, int(exposures.number[i]), note, *spread, above])
 
 
 def with_images(exposures: Exposures) -> NDArray[np.int64]:
@@ -49,20 +55,21 @@ def with_images(exposures: Exposures) -> NDArray[np.int64]:
 
 
 def write_block_images(
-    path: Path, exposures: Exposures, camera: str, angle_sigma: Floats | None, crs: str | None
+    path: Path, exposures: Exposures, camera: str, rig: Rig | None, crs: str | None
 ) -> dict[str, Any]:
-    """Write the block's `images.csv` and return the frame of its coordinates.
+    """Write the block's `images.csv`, the full covariances beside it; return the coordinates' frame.
 
     Parameters
     ----------
     path : Path
-        The file.
+        The file; ``covariance.parquet`` in the same folder has the lower triangle, row by row, of X, Y, Z
+        (m), omega, phi, kappa (deg) of every image, as a run folder has it.
     exposures : Exposures
         Those with position and image are written.
     camera : str
         The camera's id in the block.
-    angle_sigma : float64 (3,) or None
-        Standard deviations of roll, pitch, yaw, rad; without them the angles are start values.
+    rig : Rig or None
+        Camera axes and boresight; None: a camera that looks down, the upper edge of its image forward.
     crs : str or None
         Coordinate reference system of X, Y, Z; without: topocentric (east, north, up) about the middle.
 
@@ -84,27 +91,44 @@ def write_block_images(
     else:
         xyz, turn = projected(lat, lon, height, crs)
         frame = {"frame": crs}
-    body, _ = object_to_body(exposures.angles[rows])
-    # The camera looks down with the upper edge of the image forward; ENU axes into those of the frame.
-    rotation = NADIR @ body @ np.swapaxes(turn, 1, 2)
-    angles = np.degrees(angles_from_matrix(rotation))
-    covariance = turn @ p.covariance_m2[rows] @ np.swapaxes(turn, 1, 2)
-    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    whole = orientations(exposures, rig or Rig())
+    angles, covariance = Orientations(whole.rotation[rows], whole.covariance[rows]).in_frame(turn)
+    unit = np.array([1.0, 1.0, 1.0, *[180 / np.pi] * 3])
+    covariance = covariance * unit[:, None] * unit
+    sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
+    lines, names, kept = [], [], []
+    for k, row in enumerate(rows.tolist()):
+        place = [f"{v:.4f}" for v in xyz[k].tolist()]
+        turned = ["" if np.isnan(v) else f"{v:.6f}" for v in np.degrees(angles[k]).tolist()]
+        sigmas = ["" if np.isnan(v) else f"{v:.5f}" for v in sigma[k].tolist()]
+        for name in exposures.image[row].split():
+            lines.append([name, camera, *place, *turned, *sigmas])
+            if np.isfinite(covariance[k]).all():
+                names.append(name)
+                kept.append(covariance[k][np.tril_indices(6)])
+    _write_table(path, IMAGE_COLUMNS, lines)
+    _write_covariances(path.with_name("covariance.parquet"), names, kept)
+    return frame
+
+
+def _write_table(path: Path, columns: tuple[str, ...], lines: list[list[str]]) -> None:
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(IMAGE_COLUMNS)
-        for k, row in enumerate(rows.tolist()):
-            # Roll turns about the flight direction, pitch across it: for a nadir camera the larger of both
-            # bounds omega and phi whatever the heading.
-            tilt = "" if angle_sigma is None else f"{np.degrees(max(angle_sigma[:2])):.5f}"
-            heading = "" if angle_sigma is None else f"{np.degrees(angle_sigma[2]):.5f}"
-            turned = ["" if np.isnan(v) else f"{v:.6f}" for v in angles[k].tolist()]
-            own = ["" if np.isnan(v) else f"{v:.5f}" for v in sigma[k].tolist()]
-            place = [f"{v:.4f}" for v in xyz[k].tolist()]
-            sigmas = [tilt, tilt, heading] if turned[0] else ["", "", ""]
-            for name in exposures.image[row].split():
-                writer.writerow([name, camera, *place, *turned, *own, *sigmas])
-    return frame
+        writer.writerow(columns)
+        writer.writerows(lines)
+
+
+def _write_covariances(path: Path, names: list[str], lower: list[Floats]) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    table = {
+        "kind": pa.array(["image"] * len(names), pa.string()),
+        "id": pa.array(names, pa.string()),
+        "names": pa.array([list(_ORIENTATION)] * len(names), pa.list_(pa.string())),
+        "lower": pa.array(lower, pa.list_(pa.float64())),
+    }
+    pyarrow.parquet.write_table(pa.table(table), path)
 
 
 def projected(lat: Floats, lon: Floats, height: Floats, crs: str) -> tuple[Floats, Floats]:
@@ -121,7 +145,7 @@ def projected(lat: Floats, lon: Floats, height: Floats, crs: str) -> tuple[Float
     except ProjError as refusal:
         raise ConfigurationError(
             f"positions cannot be taken to {crs} ({refusal})",
-            where="--crs",
+            where=crs,
             remedy="name a system that covers the place, with its geoid grid installed",
         ) from refusal
     convergence = np.arctan2(east_n - east, north_n - north)
@@ -140,3 +164,51 @@ def write_geo_txt(path: Path, exposures: Exposures) -> None:
         for name in exposures.image[row].split()
     ]
     path.write_text("\n".join(["EPSG:4326", *lines]) + "\n", encoding="utf-8")
+
+
+def write_geopackage_of(path: Path, exposures: Exposures, rig: Rig, camera: str, changed_utc: str) -> None:
+    """Write the exposures with image and position for a GIS: WGS 84, angles in the topocentric frame.
+
+    Parameters
+    ----------
+    path : Path
+    exposures : Exposures
+    rig : Rig
+        Camera axes and boresight.
+    camera : str
+        Id of the camera.
+    changed_utc : str
+        See `photocal.exchange.geopackage.write_geopackage`.
+    """
+    from photocal.exchange.geographic import Origin, topocentric
+    from photocal.exchange.geopackage import write_geopackage
+    from photocal.exchange.reconstruction import Reconstruction
+    from photocal.geometry.camera import camera as nominal
+
+    rows = with_images(exposures)
+    p = exposures.placed
+    lat, lon, height = p.lat_deg[rows], p.lon_deg[rows], p.height_m[rows]
+    origin = np.array([np.mean(lat), np.mean(lon), np.mean(height)])
+    xyz = enu_offsets(lat, lon, height, origin)
+    axes = enu_axes(float(origin[0]), float(origin[1]))
+    turn = np.array([axes @ enu_axes(a, b).T for a, b in zip(lat.tolist(), lon.tolist(), strict=True)])
+    whole = orientations(exposures, rig)
+    angles, covariance = Orientations(whole.rotation[rows], whole.covariance[rows]).in_frame(turn)
+    sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))[:, [3, 4, 5, 0, 1, 2]]
+    names = [exposures.image[row].split() for row in rows.tolist()]
+    every = np.repeat(np.arange(len(rows)), [len(own) for own in names])
+    none = np.zeros(0, np.int64)
+    # Without points there are no footprints: the camera gives its name only.
+    given = Reconstruction(
+        (nominal(camera, "brown-ideal", "px", (2, 2), (1.0, 1.0), {"c": 1.0}),),
+        tuple(name for own in names for name in own),
+        np.zeros(len(every), np.int64),
+        np.hstack([angles, xyz])[every],
+        (),
+        np.zeros((0, 3)),
+        none,
+        none,
+        np.zeros((0, 2)),
+        pose_sigma=sigma[every],
+    )
+    write_geopackage(path, given, topocentric(Origin(*map(float, origin))), changed_utc)

@@ -1,31 +1,45 @@
-"""The whole way from a flight log (and images) to exposures."""
+"""The whole way from flight logs and images to exposures."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
+from photocal.navigation.attitude import Attitudes
+from photocal.navigation.check import Check
+from photocal.navigation.device_clocks import host_by_arrival
 from photocal.navigation.engine import Engine
-from photocal.navigation.events import Events, logged_exposures, time_marks
-from photocal.navigation.exposures import CameraMatch, Exposures, at_camera, match_images
-from photocal.navigation.image_metadata import ImageMetadata, read_images
-from photocal.navigation.interpolation import Placed, interpolate
-from photocal.navigation.mrk import CameraEventList, moved, read_mrk
+from photocal.navigation.events import Events
+from photocal.navigation.exposure_checks import Evidence, check_exposures, judge_positions
+from photocal.navigation.exposure_report import exposure_figures
+from photocal.navigation.exposure_sources import (
+    OF_IMAGES,
+    SEA_LEVEL,
+    attitudes_of_images,
+    attitudes_of_vehicle,
+    events_of,
+    events_of_images,
+    placed_by,
+    vehicle_positions,
+)
+from photocal.navigation.exposures import CameraMatch, Exposures, at_camera, at_events, match_images
+from photocal.navigation.flight_log import named
+from photocal.navigation.image_metadata import ImageMetadata, clock_time_s, read_images
+from photocal.navigation.image_rotations import Neighbours, compare_rotations, rotation_check
+from photocal.navigation.mrk import CameraEventList, read_mrk
+from photocal.navigation.oriented_images import oriented_positions
 from photocal.navigation.ppk import options_for, process
 from photocal.navigation.ppk_inputs import Sources, gather_inputs
 from photocal.navigation.ppk_report import ppk_figures
 from photocal.navigation.receiver_recording import ReceiverRecording, read_receivers
-from photocal.navigation.time import GpsTime, HostTime
+from photocal.navigation.rig import Rig
+from photocal.navigation.time import HostTime
 from photocal.navigation.trajectory import Trajectory
-from photocal.navigation.vehicle import VehicleTrack, attitude_at, autopilot_time, read_vehicle
-
-Floats = NDArray[np.float64]
-ELLIPSOIDAL, SEA_LEVEL = "ellipsoidal", "above mean sea level, as the autopilot computes it"
+from photocal.navigation.vehicle import VehicleTrack, autopilot_time, read_vehicle
 
 
 @dataclass(frozen=True)
@@ -37,40 +51,74 @@ class Choices:
     sources : Sources
         For the trajectory.
     images : Path or None
-        Folder of images.
+        Folder of images, or a table of their names and times.
     mrk : Path or None
         Event list of the vehicle, instead of the events of the log.
     edge : str
         ``rising`` or ``falling``.
-    delay_s : float
-        From the event to the exposure.
-    lever_m, lever_sigma_m : float64 (3,) or None
-        Antenna to camera, body axes.
-    angle_sigma : float64 (3,) or None
-        Of roll, pitch, yaw, rad.
+    delay_s, delay_sigma_s : float
+        From the event to the exposure, and its standard deviation from exposure to exposure.
+    rig : Rig
+        Lever arm, boresight, axes and their standard deviations.
     largest_offset_s : float
         Between the clocks of camera and log.
+    oriented : Path or None
+        Run folder of an adjustment of the same images, whose positions check the exposures.
+    neighbours : Neighbours or None
+        How to match neighbouring images to check their rotations; None: not at all.
     """
 
     sources: Sources
-    images: Path | None
-    mrk: Path | None
-    edge: str
-    delay_s: float
-    lever_m: Floats | None
-    lever_sigma_m: Floats | None
-    angle_sigma: Floats | None
-    largest_offset_s: float
+    images: Path | None = None
+    mrk: Path | None = None
+    edge: str = "rising"
+    delay_s: float = 0.0
+    delay_sigma_s: float = 0.0
+    rig: Rig = field(default_factory=Rig)
+    largest_offset_s: float = 60.0
+    oriented: Path | None = None
+    neighbours: Neighbours | None = None
 
 
 @dataclass(frozen=True)
 class ExposureRun:
-    """Exposures and what was noticed on the way."""
+    """Exposures and what was noticed on the way.
 
+    Parameters
+    ----------
+    antenna : Exposures
+        At the antenna, event and delay.
+    exposures : Exposures
+        At the camera: lever arm and time offset of the rig applied.
+    trajectory : Trajectory or None
+        Of PPK.
+    cameras : list of CameraMatch
+        Images and events.
+    images : list of ImageMetadata
+        What was read of the images.
+    checks : list of Check
+        What was checked, and how.
+    figures : dict
+        Ready for JSON.
+    """
+
+    antenna: Exposures
     exposures: Exposures
     trajectory: Trajectory | None
     cameras: list[CameraMatch]
+    images: list[ImageMetadata]
+    checks: list[Check]
     figures: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class _Flight:
+    """What the logs and images hold."""
+
+    receivers: dict[str, ReceiverRecording]
+    vehicle: VehicleTrack | None
+    listed: CameraEventList | None
+    images: list[ImageMetadata]
 
 
 def run_exposures(choices: Choices, engine: Engine, folder: Path) -> ExposureRun:
@@ -81,203 +129,137 @@ def run_exposures(choices: Choices, engine: Engine, folder: Path) -> ExposureRun
     ConfigurationError
         When the log has neither events nor images, or nothing that tells positions.
     """
-    flight = choices.sources.flight
-    receivers = {} if flight is None else read_receivers(flight)
-    trajectory, figures = _trajectory(choices, receivers, engine, folder)
-    return _exposures(choices, receivers, trajectory, figures)
+    sources = choices.sources
+    rover = read_receivers(sources.logs).get(sources.rover_link)
+    raw = rover is not None and bool(rover.epochs or rover.empty_epochs or rover.untimed_epochs)
+    if not raw and sources.rover is None:
+        return place_exposures(choices, None, None)
+    inputs, remarks = gather_inputs(sources, engine, folder)
+    options = options_for(inputs.rover, inputs.base, sources.rover_antenna_m, sources.base_antenna_m)
+    result = process(inputs, options, "kinematic", engine, folder)
+    return place_exposures(choices, result.trajectory, ppk_figures(result, remarks))
 
 
 def place_exposures(
     choices: Choices, trajectory: Trajectory | None, ppk: dict[str, Any] | None
 ) -> ExposureRun:
     """Do the same with a trajectory that is there already, with the figures of its PPK."""
-    flight = choices.sources.flight
-    return _exposures(choices, {} if flight is None else read_receivers(flight), trajectory, ppk)
+    sources = choices.sources
+    flight = _Flight(
+        read_receivers(sources.logs),
+        read_vehicle(sources.logs, sources.vehicle_link) if sources.logs else None,
+        None if choices.mrk is None else read_mrk(choices.mrk),
+        [] if choices.images is None else read_images(choices.images),
+    )
+    clock_sigma_s = 0.0 if flight.vehicle is None else flight.vehicle.clock_sigma_s
+    noted, others = events_of(sources, choices.edge, flight.receivers, clock_sigma_s)
+    noted = noted if flight.listed is None else flight.listed.events
+    if noted is None:
+        return _without_events(choices, flight)
+    events = noted.delayed(choices.delay_s, choices.delay_sigma_s)
+    names = [""] * len(events)
+    cameras: list[CameraMatch] = []
+    if flight.images:
+        names, cameras = match_images(flight.images, events, choices.largest_offset_s)
+    antenna = _exposures(choices, flight, events, trajectory, names)
+    rig = choices.rig
+    later = antenna
+    if rig.time_offset_s or rig.time_offset_sigma_s:
+        shifted = events.delayed(rig.time_offset_s, rig.time_offset_sigma_s)
+        later = _exposures(choices, flight, shifted, trajectory, names)
+    return _judged(choices, flight, events, others, antenna, later, trajectory, cameras, ppk)
 
 
 def _exposures(
-    choices: Choices,
-    receivers: dict[str, ReceiverRecording],
-    trajectory: Trajectory | None,
-    figures: dict[str, Any] | None,
-) -> ExposureRun:
-    flight = choices.sources.flight
-    images = [] if choices.images is None else read_images(choices.images)
-    vehicle = None if flight is None else read_vehicle(flight)
-    listed = None if choices.mrk is None else read_mrk(choices.mrk)
-    events = listed.events if listed else _events(choices, receivers)
-    if events is None:
-        return _by_arrival(images, vehicle, flight)
-    events = events.delayed(choices.delay_s)
-    placed = _placed(events, trajectory, vehicle, listed)
-    if listed is not None and trajectory is not None:
-        # The file's own offsets lead from the antenna, which PPK gives, to the camera.
-        lat, lon, height = moved(placed.lat_deg, placed.lon_deg, placed.height_m, listed.offset_enu_m)
-        placed = _replaced(placed, lat, lon, height)
-    kind = SEA_LEVEL if trajectory is None and listed is None else ELLIPSOIDAL
-    angles = np.full((len(events), 3), np.nan) if vehicle is None else attitude_at(vehicle, events.time)
-    names = [""] * len(events)
-    cameras: list[CameraMatch] = []
-    if images:
-        names, cameras = match_images(images, events, choices.largest_offset_s)
-    exposures = Exposures(events.time, events.number, placed, angles, names, kind)
-    if choices.lever_m is not None:
-        if choices.lever_sigma_m is None or choices.angle_sigma is None:
-            raise ConfigurationError(
-                "a lever arm needs its standard deviations and those of the attitude",
-                remedy="give --lever-arm-sigma and --attitude-sigma",
-            )
-        exposures = at_camera(exposures, choices.lever_m, choices.lever_sigma_m, choices.angle_sigma)
-    return ExposureRun(exposures, trajectory, cameras, _figures(exposures, events, cameras, figures))
+    choices: Choices, flight: _Flight, events: Events, trajectory: Trajectory | None, names: list[str]
+) -> Exposures:
+    placed, kind = placed_by(events, trajectory, flight.listed, flight.vehicle)
+    by_name = {image.name: image for image in flight.images}
+    shown = [by_name.get(name.split(" ")[0]) for name in names]
+    camera, vehicle, stated = attitudes_of_images(shown, choices.rig)
+    flown = attitudes_of_vehicle(flight.vehicle, events.time, choices.rig)
+    if not stated.any():
+        return at_events(events, placed, flown, events.accuracy_s, names, kind)
+    # A gimbal holds the camera: its attitude is the camera's, the lever arm turns with the vehicle.
+    carrier = flown if flown.known.any() else vehicle
+    made = at_events(events, placed, camera, events.accuracy_s, names, kind)
+    return replace(made, carrier=carrier, above_take_off_m=_above_take_off(shown))
 
 
-def _trajectory(
-    choices: Choices, receivers: dict[str, ReceiverRecording], engine: Engine, folder: Path
-) -> tuple[Trajectory | None, dict[str, Any] | None]:
-    sources = choices.sources
-    rover = receivers.get(sources.rover_link)
-    raw = rover is not None and bool(rover.epochs or rover.empty_epochs or rover.untimed_epochs)
-    if not raw and sources.rover is None:
-        return None, None
-    inputs, remarks = gather_inputs(sources, engine, folder)
-    result = process(inputs, options_for(inputs.rover, inputs.base), "kinematic", engine, folder)
-    return result.trajectory, ppk_figures(result, remarks)
-
-
-def _events(choices: Choices, receivers: dict[str, ReceiverRecording]) -> Events | None:
-    """Return the best events of the log: time marks before feedback before triggers."""
-    rover = receivers.get(choices.sources.rover_link)
-    if rover is not None:
-        marks = time_marks(rover.marks(), choices.edge, rover.link)
-        if len(marks):
-            return marks
-    if choices.sources.flight is None:
-        return None
-    logged = {events.source: events for events in logged_exposures(choices.sources.flight) if len(events)}
-    for source in ("CAMERA_FEEDBACK", "CAMERA_IMAGE_CAPTURED", "CAMERA_TRIGGER"):
-        if source in logged:
-            return logged[source]
-    return None
-
-
-def _placed(
-    events: Events,
-    trajectory: Trajectory | None,
-    vehicle: VehicleTrack | None,
-    listed: CameraEventList | None,
-) -> Placed:
-    if trajectory is not None:
-        return interpolate(trajectory, events.time, events.accuracy_s)
-    if listed is not None:
-        n = len(events)
-        covariance = listed.sigma_enu_m[:, :, None] ** 2 * np.eye(3)
-        unknown = np.full((n, 3), np.nan)
-        return Placed(
-            np.ones(n, bool), np.zeros(n), listed.lat_deg, listed.lon_deg, listed.height_m, unknown,
-            covariance, listed.status,
-        )  # fmt: skip
-    if vehicle is None or len(vehicle.position_time) < 2:
-        raise ConfigurationError(
-            "nothing tells positions: neither raw frames of a rover and a base nor an autopilot's positions",
-            remedy="give RINEX files, or a log with GLOBAL_POSITION_INT",
-        )
-    return vehicle_positions(vehicle, events.time)
-
-
-def vehicle_positions(vehicle: VehicleTrack, time: GpsTime) -> Placed:
-    """Return the autopilot's own positions at instants, between its messages; their sigma is not known."""
-    n = len(time)
-    path = Trajectory(
-        vehicle.position_time,
-        vehicle.lat_deg,
-        vehicle.lon_deg,
-        vehicle.height_msl_m,
-        np.full(len(vehicle.position_time), "single"),
-        np.full((len(vehicle.position_time), 3, 3), np.nan),
-        np.full((len(vehicle.position_time), 3), np.nan),
-        np.nan,
-    )
-    return interpolate(path, time, np.zeros(n), np.zeros((n, 3)))
-
-
-def _by_arrival(
-    images: list[ImageMetadata], vehicle: VehicleTrack | None, flight: Path | None
-) -> ExposureRun:
-    """Exposures of images that carry the recording computer's time in their names."""
-    if not images or not all(image.from_name for image in images):
+def _without_events(choices: Choices, flight: _Flight) -> ExposureRun:
+    """Exposures of images that are their own events: by the host's time in their names, or by their EXIF."""
+    images = flight.images
+    if not images or (choices.sources.logs and not all(image.from_name for image in images)):
         raise ConfigurationError(
             "has no camera events (TIM-TM2, CAMERA_FEEDBACK, CAMERA_IMAGE_CAPTURED, CAMERA_TRIGGER)",
-            where=flight,
+            where=named(choices.sources.logs) or None,
             remedy="give an event list with --mrk, or images with the time of the log in their names",
         )
-    if vehicle is None or len(vehicle.position_time) < 2:
-        raise ConfigurationError("has no positions of an autopilot", where=flight, remedy="check the log")
-    host = HostTime(np.array([round((image.time_s or 0.0) * 1e9) for image in images], np.int64))
-    time, sigma = autopilot_time(vehicle, host)
+    if not choices.sources.logs:
+        events, placed = events_of_images(images)
+        by_name = {image.name: image for image in images}
+        ordered = sorted(images, key=clock_time_s)
+        names = [image.name for image in ordered]
+        camera, vehicle, _ = attitudes_of_images([by_name[name] for name in names], choices.rig)
+        made = at_events(events, placed, camera, events.accuracy_s, names, OF_IMAGES)
+        antenna = replace(
+            made, carrier=vehicle, above_take_off_m=_above_take_off([by_name[name] for name in names])
+        )
+        return _judged(choices, flight, events, [], antenna, antenna, None, [], None)
+    vehicle_track = flight.vehicle
+    if vehicle_track is None or len(vehicle_track.position_time) < 2:
+        raise ConfigurationError(
+            "has no positions of an autopilot", where=named(choices.sources.logs), remedy="check the log"
+        )
+    host = HostTime(np.array([round(clock_time_s(image) * 1e9) for image in images], np.int64))
+    time, sigma = autopilot_time(vehicle_track, host)
     events = Events("time of receipt in file names", time, np.arange(len(images)), sigma)
-    placed = vehicle_positions(vehicle, time)
-    names = [image.name for image in images]
-    angles = attitude_at(vehicle, time)
-    exposures = Exposures(time, events.number, placed, angles, names, SEA_LEVEL)
-    return ExposureRun(exposures, None, [], _figures(exposures, events, [], None))
+    placed = vehicle_positions(vehicle_track, time)
+    flown: Attitudes = attitudes_of_vehicle(vehicle_track, time, choices.rig)
+    antenna = at_events(events, placed, flown, sigma, [image.name for image in images], SEA_LEVEL)
+    return _judged(choices, flight, events, [], antenna, antenna, None, [], None)
 
 
-def _replaced(placed: Placed, lat: Floats, lon: Floats, height: Floats) -> Placed:
-    from dataclasses import replace
-
-    return replace(placed, lat_deg=lat, lon_deg=lon, height_m=height)
-
-
-def _figures(
-    exposures: Exposures, events: Events, cameras: list[CameraMatch], ppk: dict[str, Any] | None
-) -> dict[str, Any]:
-    placed = exposures.placed
-    status = placed.status[placed.placed]
-    return {
-        "schema": "photocal.exposures/1",
-        "events": len(events),
-        "events_from": events.source,
-        "remarks": events.remarks,
-        "placed": int(placed.placed.sum()),
-        **{name: int((status == name).sum()) for name in ("fixed", "float", "single")},
-        "not_placed": [
-            {"event": int(exposures.number[i]), "time_gps": exposures.time[[i]].iso()[0],
-             "reason": exposures.reason(i)}
-            for i in np.flatnonzero(~placed.placed).tolist()
-        ],
-        "with_attitude": int(np.isfinite(exposures.angles).all(axis=1).sum()),
-        "height": exposures.height_kind,
-        "cameras": [_camera(found, events) for found in cameras],
-        "ppk": ppk,
-    }  # fmt: skip
-
-
-def _camera(found: CameraMatch, events: Events) -> dict[str, Any]:
-    m = found.matching
-    return {
-        "camera": found.camera,
-        "matched": len(m.image),
-        "unmatched_images": [found.names[i] for i in m.unmatched_images.tolist()],
-        "ambiguous_images": [found.names[i] for i in m.ambiguous_images.tolist()],
-        "unmatched_events": [int(events.number[i]) for i in m.unmatched_events.tolist()],
-        "clock_offset_s": m.offset_s,
-        "clock_offset_sigma_s": m.offset_sigma_s,
-        "clock_drift_ppm": m.drift * 1e6,
-        "clock_drift_sigma_ppm": m.drift_sigma * 1e6,
-        "residual_s": m.scatter_s,
-    }
+def _judged(
+    choices: Choices,
+    flight: _Flight,
+    events: Events,
+    others: list[Events],
+    antenna: Exposures,
+    later: Exposures,
+    trajectory: Trajectory | None,
+    cameras: list[CameraMatch],
+    ppk: dict[str, Any] | None,
+) -> ExposureRun:
+    # The file's positions are those of the camera already.
+    exposures = later if flight.listed is not None else at_camera(later, choices.rig)
+    rover = flight.receivers.get(choices.sources.rover_link)
+    clocks = [] if flight.vehicle is None else list(flight.vehicle.clocks)
+    if rover is not None:
+        epochs, arrivals = rover.epochs_and_arrivals()
+        made = host_by_arrival("recording computer by GNSS time (arrival of RXM-RAWX)", epochs, arrivals)
+        clocks += [] if made is None else [made]
+    vehicle, listed, images = flight.vehicle, flight.listed, flight.images
+    evidence = Evidence(choices.rig, events, others, antenna, trajectory, rover, vehicle, listed, images, ppk)
+    checks = check_exposures(evidence)
+    if choices.oriented is not None:
+        theirs = oriented_positions(choices.oriented, exposures.image)
+        checks.append(
+            judge_positions(
+                "positions of the adjusted images", exposures, theirs, choices.rig.lever_m, "similarity"
+            )
+        )
+    if choices.neighbours is not None:
+        pairs = compare_rotations(exposures, flight.images, choices.rig, choices.neighbours)
+        checks.append(rotation_check(exposures, pairs))
+    figures = exposure_figures(exposures, events, cameras, clocks, checks, ppk)
+    return ExposureRun(antenna, exposures, trajectory, cameras, flight.images, checks, figures)
 
 
-def exposures_text(figures: dict[str, Any]) -> str:
-    """Return the summary in words."""
-    counts = ", ".join(f"{figures[name]} {name}" for name in ("fixed", "float", "single"))
-    lines = [
-        f"{figures['events']} events from {figures['events_from']}, {figures['placed']} placed: {counts}",
-        f"heights {figures['height']}; {figures['with_attitude']} with attitude",
-        *figures["remarks"],
-    ]
-    for camera in figures["cameras"]:
-        rest = f"{len(camera['unmatched_images'])} images, {len(camera['unmatched_events'])} events"
-        lines.append(f"{camera['camera']}: {camera['matched']} matched, without a partner {rest}")
-    lines += [f"event {x['event']} at {x['time_gps']}: {x['reason']}" for x in figures["not_placed"]]
-    return "\n".join(lines)
+def _above_take_off(images: list[ImageMetadata | None]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    return np.array(
+        [
+            np.nan if image is None or image.facts is None else image.facts.relative_altitude_m
+            for image in images
+        ]
+    )

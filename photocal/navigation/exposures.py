@@ -6,14 +6,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from drivers.errors import ConfigurationError
-from photocal.geometry.body import object_to_body
+from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
+from photocal.navigation.attitude import Attitudes
 from photocal.navigation.events import Events
-from photocal.navigation.image_metadata import ImageMetadata
+from photocal.navigation.image_metadata import ImageMetadata, clock_time_s
 from photocal.navigation.interpolation import LARGEST_GAP_S, Placed
 from photocal.navigation.matching import Matching, match
 from photocal.navigation.mrk import moved
+from photocal.navigation.rig import Rig
 from photocal.navigation.time import GpsTime
 
 Floats = NDArray[np.float64]
@@ -31,23 +34,49 @@ class Exposures:
         Count of the device.
     placed : Placed
         Position (of the camera, once `at_camera` was applied), velocity, covariance, status.
-    angles : float64 (n, 3)
-        Roll, pitch, yaw of the body, rad; NaN where unknown.
+    attitude : Attitudes
+        Of the body that carries the camera, with the effect of errors of the time in the covariance.
+    cross : float64 (n, 3, 3)
+        Covariance of position (east, north, up, m) and turn of the body (rad); NaN where unknown.
     image : list of str (n,)
         Name of the image; empty where none matched.
     height_kind : str
         What the heights are above.
+    carrier : Attitudes or None
+        Of the body that the antenna is fixed to, where the camera hangs in a gimbal with an attitude of its
+        own; None: the same body.
+    above_take_off_m : float64 (n,) or None
+        Second height of the images, where they tell it.
     """
 
     time: GpsTime
     number: NDArray[np.int64]
     placed: Placed
-    angles: Floats
+    attitude: Attitudes
+    cross: Floats
     image: list[str]
     height_kind: str
+    carrier: Attitudes | None = None
+    above_take_off_m: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.time)
+
+    @property
+    def angles(self) -> Floats:
+        """Roll, pitch, yaw of the body that carries the camera, rad (n, 3); NaN where unknown."""
+        return self.attitude.angles
+
+    @property
+    def angle_sigma(self) -> Floats:
+        """Standard deviations of roll, pitch, yaw, rad (n, 3); NaN where unknown."""
+        (sr, sp, _), (cr, cp, _) = np.sin(self.angles).T, np.cos(self.angles).T
+        one, zero = np.ones_like(sp), np.zeros_like(sp)
+        # The inverse of the turn per angle of the aerospace sequence (Diebel 2006, eq. 292).
+        rows = [[one, sr * sp / cp, cr * sp / cp], [zero, cr, -sr], [zero, sr / cp, cr / cp]]
+        inverse = np.moveaxis(np.array(rows), (0, 1), (1, 2))
+        covariance = inverse @ self.attitude.covariance @ np.swapaxes(inverse, 1, 2)
+        return np.asarray(np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0)))
 
     def reason(self, row: int) -> str:
         """Return why an event has no position, empty where it has one."""
@@ -59,52 +88,150 @@ class Exposures:
         return f"epochs around it are {gap:.1f} s apart (at most {LARGEST_GAP_S:g} s)"
 
 
-def at_camera(exposures: Exposures, lever_m: Floats, lever_sigma_m: Floats, angle_sigma: Floats) -> Exposures:
+def at_events(
+    events: Events,
+    placed: Placed,
+    attitude: Attitudes,
+    time_sigma_s: Floats,
+    image: list[str],
+    height_kind: str,
+) -> Exposures:
+    """Put positions and attitudes of the same instants together.
+
+    Parameters
+    ----------
+    events : Events
+        The instants.
+    placed : Placed
+        Positions; the covariance contains the error of the time already.
+    attitude : Attitudes
+        Rotations; their covariance does not yet.
+    time_sigma_s : float64 (n,)
+        Standard deviations of the instants: an error moves the position by v dt and turns the body by w dt.
+    """
+    w = attitude.rate
+    s2 = (time_sigma_s**2)[:, None, None]
+    covariance = attitude.covariance + s2 * w[:, :, None] * w[:, None, :]
+    velocity = np.where(np.isfinite(placed.velocity_m_s), placed.velocity_m_s, 0.0)
+    cross = s2 * velocity[:, :, None] * w[:, None, :] + 0.0 * attitude.covariance
+    timed = replace(attitude, covariance=covariance)
+    return Exposures(events.time, events.number, placed, timed, cross, image, height_kind)
+
+
+def at_camera(exposures: Exposures, rig: Rig) -> Exposures:
     """Return the exposures at the camera instead of the antenna.
 
     Parameters
     ----------
     exposures : Exposures
         At the antenna.
-    lever_m, lever_sigma_m : float64 (3,)
-        From the antenna to the camera in body axes (forward, right, down) and its standard deviations.
-    angle_sigma : float64 (3,)
-        Standard deviations of roll, pitch, yaw, rad.
+    rig : Rig
+        With a lever arm; without one the positions stay where they are.
 
     Returns
     -------
     Exposures
-        With the covariance of lever arm and attitude added: C + R' S R + J A J' (law of propagation;
-        J = R' [l]x D with D the turn of the body per angle).
+        At X + R' l. By the law of propagation with J = -R' [l]x for the turns: covariance
+        C + J K' + K J' + J T J' + R' S R, cross covariance K + J T, where C, T, K are those of position, turn
+        and both, and S that of the lever arm. In a gimbal T of the carrier counts, K is zero.
 
     Raises
     ------
     ConfigurationError
         When an event that has a position has no attitude: the lever arm cannot be turned.
     """
+    if rig.lever_m is None:
+        return exposures
     there = exposures.placed.placed
-    lacking = there & ~np.isfinite(exposures.angles).all(axis=1)
+    own = exposures.carrier is None
+    body = exposures.carrier if exposures.carrier is not None else exposures.attitude
+    lacking = there & ~body.known
     if lacking.any():
         raise ConfigurationError(
             f"{int(lacking.sum())} exposures have no attitude to turn the lever arm with",
             remedy="record ATTITUDE, or give no lever arm",
         )
-    body, turn = object_to_body(np.where(np.isfinite(exposures.angles), exposures.angles, 0.0))
-    back = np.swapaxes(body, 1, 2)
+    back = np.swapaxes(np.where(body.known[:, None, None], body.rotation, np.eye(3)), 1, 2)
     p = exposures.placed
-    offset = np.einsum("nij,j->ni", back, lever_m)
+    offset = np.einsum("nij,j->ni", back, rig.lever_m)
     lat, lon, height = p.lat_deg.copy(), p.lon_deg.copy(), p.height_m.copy()
     lat[there], lon[there], height[there] = moved(lat[there], lon[there], height[there], offset[there])
-    x, y, z = lever_m
+    x, y, z = rig.lever_m
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    # R turns by exp(-[t]x): R' l changes by R' [t]x l = -R' [l]x t, t = D times the change of the angles.
-    jacobian = -back @ skew @ turn
-    covariance = p.covariance_m2 + back @ np.diag(lever_sigma_m**2) @ body
-    covariance = covariance + jacobian @ np.diag(angle_sigma**2) @ np.swapaxes(jacobian, 1, 2)
-    return replace(
-        exposures,
-        placed=replace(p, lat_deg=lat, lon_deg=lon, height_m=height, covariance_m2=covariance),
-    )
+    # The body turns by exp(-[t]x): R' l changes by R' [t]x l = -R' [l]x t.
+    jacobian = -back @ skew
+    transposed = np.swapaxes(jacobian, 1, 2)
+    covariance = p.covariance_m2 + back @ np.diag(rig.lever_sigma_m**2) @ np.swapaxes(back, 1, 2)
+    covariance = covariance + jacobian @ body.covariance @ transposed
+    cross = exposures.cross
+    if own:
+        both = cross @ transposed
+        covariance = covariance + both + np.swapaxes(both, 1, 2)
+        cross = cross + jacobian @ body.covariance
+    placed = replace(p, lat_deg=lat, lon_deg=lon, height_m=height, covariance_m2=covariance)
+    return replace(exposures, placed=placed, cross=cross)
+
+
+@dataclass(frozen=True)
+class Orientations:
+    """Exterior orientations in the axes east, north, up at each exposure.
+
+    Parameters
+    ----------
+    rotation : float64 (n, 3, 3)
+        To camera axes, boresight included; NaN where unknown.
+    covariance : float64 (n, 6, 6)
+        Of east, north, up (m) and the turns t about the camera axes, rad: true = exp([t]x) rotation.
+    """
+
+    rotation: Floats
+    covariance: Floats
+
+    def in_frame(self, turn: Floats) -> tuple[Floats, Floats]:
+        """Return omega, phi, kappa (rad) and the covariance of position and angles in other axes.
+
+        Parameters
+        ----------
+        turn : float64 (n, 3, 3)
+            From east, north, up to the frame's axes.
+
+        Returns
+        -------
+        angles : float64 (n, 3)
+        covariance : float64 (n, 6, 6)
+            m and rad.
+        """
+        angles = angles_from_matrix(self.rotation @ np.swapaxes(turn, 1, 2))
+        to_frame = np.zeros((len(angles), 6, 6))
+        to_frame[:, :3, :3] = turn
+        safe = np.where(np.isfinite(angles), angles, 0.0)
+        to_frame[:, 3:, 3:] = np.linalg.inv(turn_per_angle(safe))
+        return angles, to_frame @ self.covariance @ np.swapaxes(to_frame, 1, 2)
+
+
+def orientations(exposures: Exposures, rig: Rig) -> Orientations:
+    """Return the exterior orientations: the body's attitude through camera axes and boresight.
+
+    The boresight b turns the nominal camera axes A by exp([b]x); its own error and that of the attitude add,
+    t = J s - exp([b]x) A t_body with J the left Jacobian of the rotation group at b (Chirikjian 2012, 10.86).
+    """
+    to_camera = np.asarray(Rotation.from_rotvec(rig.boresight).as_matrix() @ rig.axes)
+    jacobian = _left_jacobian(rig.boresight)
+    own = jacobian @ np.diag(rig.boresight_sigma**2) @ jacobian.T
+    covariance = np.empty((len(exposures), 6, 6))
+    covariance[:, :3, :3] = exposures.placed.covariance_m2
+    covariance[:, 3:, 3:] = to_camera @ exposures.attitude.covariance @ to_camera.T + own
+    covariance[:, :3, 3:] = -exposures.cross @ to_camera.T
+    covariance[:, 3:, :3] = np.swapaxes(covariance[:, :3, 3:], 1, 2)
+    return Orientations(to_camera @ exposures.attitude.rotation, covariance)
+
+
+def _left_jacobian(turn: Floats) -> Floats:
+    angle = float(np.linalg.norm(turn))
+    x, y, z = turn
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    third = (angle - np.sin(angle)) / angle**3 if angle > 1e-4 else 1 / 6
+    return np.asarray(np.eye(3) + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * skew + third * skew @ skew)
 
 
 @dataclass(frozen=True)
@@ -133,19 +260,13 @@ def match_images(
     ConfigurationError
         When an image tells no time.
     """
-    timeless = [image.name for image in images if image.time_s is None]
-    if timeless:
-        raise ConfigurationError(
-            f"{len(timeless)} images tell no time, the first is {timeless[0]}",
-            remedy="take them out of the folder or write DateTimeOriginal into their EXIF",
-        )
     names = [""] * len(events)
     found = []
     event_s = (events.time.ns - events.time.ns[0]) / 1e9
     origin_s = float(events.time.to_utc().ns[0]) / 1e9
     for camera in dict.fromkeys(image.camera for image in images):
         own = [image for image in images if image.camera == camera]
-        image_s = np.array([float(image.time_s or 0.0) - origin_s for image in own])
+        image_s = np.array([clock_time_s(image) - origin_s for image in own])
         resolution = max(image.resolution_s for image in own)
         matching = match(image_s, event_s, resolution_s=resolution, largest_offset_s=largest_offset_s)
         for i, e in zip(matching.image.tolist(), matching.event.tolist(), strict=True):

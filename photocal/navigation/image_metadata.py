@@ -1,20 +1,20 @@
-"""What images say about themselves: time, camera, position and attitude (EXIF, XMP, file name)."""
+"""Images of a flight with the times of their own clock: from EXIF and XMP, file names or a table."""
 
 from __future__ import annotations
 
+import csv
 import datetime as dt
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from re import compile as pattern
-from typing import Any
 
-from drivers.errors import InputMalformedError, InputNotFoundError
+from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.measurement.image_facts import ImageFacts, read_facts
+from photocal.measurement.image_file import list_images
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
-_EXIF, _GPS = 0x8769, 0x8825
-_ORIGINAL, _SUBSECOND, _SERIAL = 36867, 37521, 42033
+# Time of the recording computer (UTC, hundredths) at the end of a file name.
 _IN_NAME = pattern(r"(\d{14})(\d{2})Z$")
-_XMP = pattern(rb'drone-dji:(\w+)(?:="|>)([^"<]*)')
 
 
 @dataclass(frozen=True)
@@ -33,14 +33,10 @@ class ImageMetadata:
         1 where only whole seconds are told.
     from_name : bool
         Whether the time is that of the recording computer in the file name (UTC).
-    lat_deg, lon_deg : float or None
-        Position in the EXIF.
-    altitude_m : float or None
-        Height in the EXIF or `AbsoluteAltitude`: its kind is the maker's, mostly above sea level.
-    relative_m : float or None
-        `RelativeAltitude`: above the take-off.
-    gimbal_deg : (float, float, float) or None
-        Roll, pitch, yaw of the gimbal; pitch -90 looks down.
+    facts : ImageFacts or None
+        What else the file says; None for a row of a table.
+    path : Path or None
+        The file.
     """
 
     name: str
@@ -48,103 +44,102 @@ class ImageMetadata:
     time_s: float | None
     resolution_s: float
     from_name: bool
-    lat_deg: float | None
-    lon_deg: float | None
-    altitude_m: float | None
-    relative_m: float | None
-    gimbal_deg: tuple[float, float, float] | None
+    facts: ImageFacts | None = None
+    path: Path | None = None
 
 
-def read_images(folder: Path) -> list[ImageMetadata]:
-    """Read the metadata of the images in a folder, by name.
+def read_images(source: Path) -> list[ImageMetadata]:
+    """Read the images in a folder, or a table of images, by name.
+
+    Parameters
+    ----------
+    source : Path
+        A folder of images, or a CSV table with columns image, taken (ISO 8601, the camera's clock) and
+        optionally camera.
 
     Raises
     ------
     InputNotFoundError
-        When the folder is missing or has no images.
+        When the folder or table is missing or has no images.
     InputMalformedError
-        When a file cannot be read as an image.
+        When a file cannot be read as an image, or a row of the table tells no time.
     """
-    if not folder.is_dir():
-        raise InputNotFoundError("is no folder", where=folder, remedy="name the folder of the images")
-    paths = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES)
-    if not paths:
-        raise InputNotFoundError("has no images", where=folder, remedy="name the folder of the images")
-    return [read_image(path) for path in paths]
+    if source.is_file():
+        return _table(source)
+    return [read_image(path) for path in list_images(source)]
 
 
 def read_image(path: Path) -> ImageMetadata:
     """Read the metadata of one image, see `read_images`."""
-    from PIL import Image
-
+    facts = read_facts(path)
+    camera = " ".join(part for part in (facts.make, facts.model, facts.serial) if part) or "unknown"
+    if facts.taken:
+        found = _parsed(facts.taken)
+        time, resolution = (None, 1.0) if found is None else found
+        return ImageMetadata(path.name, camera, time, resolution, False, facts, path)
+    stamp = _IN_NAME.search(path.stem)
+    if stamp is None:
+        return ImageMetadata(path.name, camera, None, 1.0, False, facts, path)
     try:
-        with Image.open(path) as image:
-            exif = image.getexif()
-            details, place = exif.get_ifd(_EXIF), exif.get_ifd(_GPS)
-    except (OSError, ValueError, SyntaxError) as damage:
+        moment = dt.datetime.strptime(stamp[1], "%Y%m%d%H%M%S").replace(tzinfo=dt.UTC)
+    except ValueError:
+        return ImageMetadata(path.name, camera, None, 1.0, False, facts, path)
+    return ImageMetadata(path.name, camera, moment.timestamp() + int(stamp[2]) / 100, 0.01, True, facts, path)
+
+
+def clock_time_s(image: ImageMetadata) -> float:
+    """Return the time of an image's own clock.
+
+    Raises
+    ------
+    ConfigurationError
+        When it tells none.
+    """
+    if image.time_s is None:
+        raise ConfigurationError(
+            "tells no time",
+            where=image.name,
+            remedy="take it out of the folder or write DateTimeOriginal into its EXIF",
+        )
+    return image.time_s
+
+
+def _parsed(taken: str) -> tuple[float, float] | None:
+    """Return seconds since 1970 and their resolution of ``2016-06-23T16:31:59.25``."""
+    whole, _, part = taken.rstrip("Z").replace(" ", "T").partition(".")
+    try:
+        moment = dt.datetime.fromisoformat(whole).replace(tzinfo=dt.UTC)
+    except ValueError:
+        return None
+    if part and not part.isdigit():
+        return None
+    fraction = int(part) / 10 ** len(part) if part else 0.0
+    return moment.timestamp() + fraction, 10.0 ** -len(part) if part else 1.0
+
+
+def _table(path: Path) -> list[ImageMetadata]:
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            reader = csv.DictReader(stream)
+            columns = reader.fieldnames or []
+            rows = list(reader)
+    except (OSError, UnicodeDecodeError, csv.Error) as refusal:
+        raise InputNotFoundError("cannot be read as a table", where=path, remedy="check it") from refusal
+    if not {"image", "taken"} <= set(columns):
         raise InputMalformedError(
-            "cannot be read as an image", where=path, remedy="remove it or copy it again"
-        ) from damage
-    told = (exif.get(271), exif.get(272), details.get(_SERIAL))
-    camera = " ".join(str(part).strip("\0 ") for part in told if part)
-    time, resolution, from_name = _time(path, exif, details)
-    xmp = {key.decode(): value.decode("latin-1") for key, value in _XMP.findall(path.read_bytes()[:262_144])}
-    gimbal = [_number(xmp.get(f"Gimbal{axis}Degree")) for axis in ("Roll", "Pitch", "Yaw")]
-    known = [value for value in gimbal if value is not None]
-    absolute = _number(xmp.get("AbsoluteAltitude"))
-    return ImageMetadata(
-        path.name,
-        camera or "unknown",
-        time,
-        resolution,
-        from_name,
-        _angle(place, 2, "S"),
-        _angle(place, 4, "W"),
-        absolute if absolute is not None else _height(place),
-        _number(xmp.get("RelativeAltitude")),
-        (known[0], known[1], known[2]) if len(known) == 3 else None,
-    )
-
-
-def _time(path: Path, exif: Any, details: Any) -> tuple[float | None, float, bool]:
-    stamp = details.get(_ORIGINAL) or exif.get(306)
-    if stamp:
-        try:
-            moment = dt.datetime.strptime(str(stamp).strip("\0 "), "%Y:%m:%d %H:%M:%S").replace(tzinfo=dt.UTC)
-        except ValueError:
-            return None, 1.0, False
-        part = str(details.get(_SUBSECOND, "")).strip("\0 ")
-        if part.isdigit():
-            return moment.timestamp() + int(part) / 10 ** len(part), 10.0 ** -len(part), False
-        return moment.timestamp(), 1.0, False
-    found = _IN_NAME.search(path.stem)
-    if found is None:
-        return None, 1.0, False
-    try:
-        moment = dt.datetime.strptime(found[1], "%Y%m%d%H%M%S").replace(tzinfo=dt.UTC)
-    except ValueError:
-        return None, 1.0, False
-    return moment.timestamp() + int(found[2]) / 100, 0.01, True
-
-
-def _angle(place: Any, key: int, negative: str) -> float | None:
-    parts = place.get(key)
-    if parts is None or len(parts) != 3:
-        return None
-    value = float(parts[0]) + float(parts[1]) / 60 + float(parts[2]) / 3600
-    return -value if place.get(key - 1) == negative else value
-
-
-def _height(place: Any) -> float | None:
-    value = place.get(6)
-    if value is None:
-        return None
-    below = place.get(5) in (1, b"\x01")
-    return -float(value) if below else float(value)
-
-
-def _number(text: str | None) -> float | None:
-    try:
-        return None if text is None else float(text)
-    except ValueError:
-        return None
+            "lacks the column image or taken", where=path, remedy="give image,taken[,camera]"
+        )
+    if not rows:
+        raise InputNotFoundError("has no images", where=path, remedy="give one row for each image")
+    found = []
+    for number, row in enumerate(rows, 2):
+        time = _parsed((row["taken"] or "").strip())
+        if not row["image"] or time is None or not math.isfinite(time[0]):
+            raise InputMalformedError(
+                f"{row['taken']!r} is no time",
+                where=f"{path}, line {number}",
+                remedy="write it as 2025-06-15T12:30:05.250",
+            )
+        camera = (row.get("camera") or "").strip() or "camera"
+        found.append(ImageMetadata(row["image"].strip(), camera, *time, False))
+    return sorted(found, key=lambda image: image.name)

@@ -110,13 +110,17 @@ def roughness(trials: LeftOut, time: GpsTime) -> Floats:
     if len(trials.gap_s) < _LEAST_TRIALS:
         return np.full((len(time), 3), _DEFAULT_ROUGHNESS)
     square = (trials.error_m / trials.gap_s[:, None] ** 1.5) ** 2
+    return np.asarray(np.maximum(np.sqrt(local_mean_square(trials.time, square, time)), 1e-4))
+
+
+def local_mean_square(trial: GpsTime, square: Floats, time: GpsTime) -> Floats:
+    """Return the mean of squares (n, 3) of trials within 30 s of instants, drawn to that of all."""
     total = np.mean(square, axis=0)
     sums = np.vstack([np.zeros(3), np.cumsum(square, axis=0)])
-    low = np.searchsorted(trials.time.ns, time.ns - _WINDOW_NS)
-    high = np.searchsorted(trials.time.ns, time.ns + _WINDOW_NS, side="right")
+    low = np.searchsorted(trial.ns, time.ns - _WINDOW_NS)
+    high = np.searchsorted(trial.ns, time.ns + _WINDOW_NS, side="right")
     number = (high - low)[:, None]
-    mean = (sums[high] - sums[low] + _PRIOR_TRIALS * total) / (number + _PRIOR_TRIALS)
-    return np.asarray(np.maximum(np.sqrt(mean), 1e-4))
+    return np.asarray((sums[high] - sums[low] + _PRIOR_TRIALS * total) / (number + _PRIOR_TRIALS))
 
 
 def interpolate(

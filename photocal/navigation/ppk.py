@@ -14,7 +14,7 @@ from photocal.navigation.engine_output import EngineSolution
 from photocal.navigation.fix_validation import Judgement, judge
 from photocal.navigation.rinex import ObservationFile, count_ephemerides
 from photocal.navigation.time import GpsTime
-from photocal.navigation.trajectory import Trajectory, enu_offsets, geocentric
+from photocal.navigation.trajectory import Trajectory, enu_axes, enu_offsets, geocentric, geodetic
 
 _STATUS = {1: "fixed", 2: "float"}
 _LEAST_EPOCHS = 10
@@ -69,8 +69,8 @@ class PpkResult:
         Of a kinematic run.
     trajectory : Trajectory
         The result.
-    base_off_code_m : float
-        Distance of the base's position from its own code solution.
+    base_off_code_m : ndarray, shape (3,)
+        The base's position less its own code solution, east, north, up.
     base_gaps_s : list of (GpsTime, float)
         Begin and length of the gaps of the base within the rover's time, longest first.
     """
@@ -82,7 +82,7 @@ class PpkResult:
     combined: EngineSolution
     judgement: Judgement | None
     trajectory: Trajectory
-    base_off_code_m: float
+    base_off_code_m: NDArray[np.float64]
     base_gaps_s: list[tuple[GpsTime, float]]
 
 
@@ -215,12 +215,16 @@ def parse_position(text: str) -> NDArray[np.float64]:
     return np.asarray(geocentric(np.array([lat]), np.array([lon]), np.array([height]))[0])
 
 
-def _base_off_code(inputs: Inputs, options: ProcessingOptions, engine: Engine, folder: Path) -> float:
-    """Return how far the base's position is from its own code solution; refuse a wrong one."""
+def _base_off_code(
+    inputs: Inputs, options: ProcessingOptions, engine: Engine, folder: Path
+) -> NDArray[np.float64]:
+    """Return the base's position less its own code solution (east, north, up); refuse a wrong one."""
     alone = [inputs.base.path, *inputs.navigation]
     code = engine.solve("single", "forward", alone, options, None, folder)
     middle = np.median(geocentric(code.lat_deg, code.lon_deg, code.height_m), axis=0)
-    off = float(np.linalg.norm(middle - inputs.base_m))
+    lat, lon, _ = geodetic(inputs.base_m[None])
+    apart = enu_axes(float(lat[0]), float(lon[0])) @ (inputs.base_m - middle)
+    off = float(np.linalg.norm(apart))
     if off > _BASE_LIMIT_M:
         raise IllPosedError(
             f"the base's position ({inputs.base_source}) is {off:.1f} m from its own code solution, more "
@@ -228,7 +232,7 @@ def _base_off_code(inputs: Inputs, options: ProcessingOptions, engine: Engine, f
             where=inputs.base.path.name,
             remedy="check coordinates, reference system and kind of height of the base",
         )
-    return off
+    return np.asarray(apart)
 
 
 def _differential(solution: EngineSolution, inputs: Inputs) -> EngineSolution:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, IllPosedError
 from photocal.navigation.engine import Engine, RinexFiles
+from photocal.navigation.flight_log import named
 from photocal.navigation.ppk import Inputs, parse_position
 from photocal.navigation.receiver_recording import (
     ReceiverRecording,
@@ -29,25 +30,30 @@ class Sources:
 
     Parameters
     ----------
-    flight : Path or None
-        Flight log.
+    logs : tuple of Path
+        Flight logs that follow each other; may be empty.
     rover, base : Path or None
         RINEX observation files; they go before the links of the log.
     navigation : tuple of str
         RINEX navigation files, or ``base`` for the base's own ephemerides.
     base_position : str or None
         ``LAT,LON,H``; goes before what the log says.
-    rover_link, base_link : str
-        Links of the log.
+    rover_link, base_link, vehicle_link : str or None
+        Links of the logs; no vehicle link: any.
+    rover_antenna_m, base_antenna_m : float or None
+        Antenna reference point above the mark; None: as the RINEX header has it.
     """
 
-    flight: Path | None
-    rover: Path | None
-    base: Path | None
-    navigation: tuple[str, ...]
-    base_position: str | None
+    logs: tuple[Path, ...] = ()
+    rover: Path | None = None
+    base: Path | None = None
+    navigation: tuple[str, ...] = ()
+    base_position: str | None = None
     rover_link: str = "rover"
     base_link: str = "base"
+    vehicle_link: str | None = None
+    rover_antenna_m: float | None = None
+    base_antenna_m: float | None = None
 
 
 def gather_inputs(sources: Sources, engine: Engine, folder: Path) -> tuple[Inputs, list[str]]:
@@ -60,16 +66,16 @@ def gather_inputs(sources: Sources, engine: Engine, folder: Path) -> tuple[Input
     IllPosedError
         When a recording has nothing to compute from.
     """
-    receivers = read_receivers(sources.flight) if sources.flight is not None else {}
+    receivers = read_receivers(sources.logs)
     remarks: list[str] = []
     near = None
     navigation: list[Path] = []
     rover_path = sources.rover
     if rover_path is None:
-        flight = _needed(sources.flight, "rover")
-        recording = pick(receivers, sources.rover_link, "rover", flight)
-        refuse_unusable(recording, "rover", flight)
-        _refuse_without_ephemerides(recording, sources, flight)
+        logs = _needed(sources.logs, "rover")
+        recording = pick(receivers, sources.rover_link, "rover", logs)
+        refuse_unusable(recording, "rover", logs)
+        _refuse_without_ephemerides(recording, sources)
         made = _convert(recording, engine, folder / "rover", None)
         rover_path = made.observations
         navigation.append(made.navigation)
@@ -78,9 +84,9 @@ def gather_inputs(sources: Sources, engine: Engine, folder: Path) -> tuple[Input
     near = rover.time[[0]]
     base_path, base_recording = sources.base, None
     if base_path is None:
-        flight = _needed(sources.flight, "base")
-        base_recording = pick(receivers, sources.base_link, "base", flight)
-        refuse_unusable(base_recording, "base", flight)
+        logs = _needed(sources.logs, "base")
+        base_recording = pick(receivers, sources.base_link, "base", logs)
+        refuse_unusable(base_recording, "base", logs)
         made = _convert(base_recording, engine, folder / "base", near)
         base_path = made.observations
         navigation.append(made.navigation)
@@ -96,19 +102,19 @@ def gather_inputs(sources: Sources, engine: Engine, folder: Path) -> tuple[Input
     return Inputs(rover, base, files, position, source), remarks
 
 
-def _needed(flight: Path | None, role: str) -> Path:
-    if flight is None:
+def _needed(logs: tuple[Path, ...], role: str) -> tuple[Path, ...]:
+    if not logs:
         raise ConfigurationError(
             f"the {role} is not named", remedy=f"give a flight log, or RINEX with --{role} and --nav"
         )
-    return flight
+    return logs
 
 
-def _refuse_without_ephemerides(recording: ReceiverRecording, sources: Sources, flight: Path) -> None:
+def _refuse_without_ephemerides(recording: ReceiverRecording, sources: Sources) -> None:
     if not recording.ephemeris_frames and not sources.navigation:
         raise IllPosedError(
             "the rover recorded no ephemerides (RXM-SFRBX)",
-            where=f"{flight}, link {recording.link}",
+            where=f"{named(sources.logs)}, link {recording.link}",
             remedy="give --nav FILE, or --nav base to use those that the base recorded",
         )
 

@@ -40,7 +40,8 @@ def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
             "lon_deg": lon,
             "height_m": height,
             "position_from": result.inputs.base_source,
-            "off_code_solution_m": result.base_off_code_m,
+            "off_code_solution_m": float(np.linalg.norm(result.base_off_code_m)),
+            "up_off_code_solution_m": float(result.base_off_code_m[2]),
             "gaps": len(result.base_gaps_s),
             "longest_gaps": [
                 {"from_gps": t.iso()[0], "seconds": s} for t, s in result.base_gaps_s[:_LISTED_GAPS]

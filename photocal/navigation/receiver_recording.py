@@ -9,14 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.log.reader import LogReader
 from drivers.errors import ConfigurationError, IllPosedError
 from drivers.frames import Batch, Wire
+from drivers.gnsstime import week_to_ns
 from drivers.identify import batch_of_payloads
 from drivers.mavlink.dialect import Dialect
 from drivers.rtcm3 import decode_stations
 from drivers.ubx import decode as ubx
+from photocal.navigation.flight_log import messages_of, named
+from photocal.navigation.geoid_separation import told_by_receiver
 
+Integers = NDArray[np.int64]
 _MSM_FIRST, _MSM_LAST = 1071, 1137
 _NO_DIALECT = Dialect({}, np.full(1, -1, np.int16), {})
 
@@ -43,6 +46,12 @@ class ReceiverRecording:
         Time of receipt of the first frame (UTC ns).
     time_marks : list of ndarray
         RXM-TIM-TM2 fields in the order of the file.
+    mark_epoch_ns : list of ndarray of int64
+        For each of them the last RXM-RAWX epoch before it in the stream (GPS ns); -1: none yet.
+    epoch_ns, epoch_log_ns : list of ndarray of int64
+        The epochs used (GPS ns), and their arrival (UTC ns).
+    geoid_m : list of float
+        Height above the ellipsoid less height above sea level, as NAV-PVT or GGA told it.
     """
 
     link: str
@@ -57,12 +66,18 @@ class ReceiverRecording:
     surveyed_m: NDArray[np.float64] | None = None
     first_log_ns: int = 0
     time_marks: list[NDArray[Any]] = field(default_factory=list)
+    mark_epoch_ns: list[Integers] = field(default_factory=list)
+    epoch_ns: list[Integers] = field(default_factory=list)
+    epoch_log_ns: list[Integers] = field(default_factory=list)
+    geoid_m: list[float] = field(default_factory=list)
 
-    def add(self, wire: Wire, payloads: list[bytes]) -> None:
+    def add(self, wire: Wire, payloads: list[bytes], log_ns: Integers) -> None:
         """Take the frames of one chunk of the log."""
         batch = batch_of_payloads(wire, payloads, _NO_DIALECT)
+        if wire != Wire.RTCM3:
+            self.geoid_m.extend(told_by_receiver(batch, payloads))
         if wire == Wire.UBX:
-            self._add_ubx(batch, payloads)
+            self._add_ubx(batch, payloads, log_ns)
         elif wire == Wire.RTCM3:
             self.rtcm.extend(payloads)
             self.announced_m.extend(decode_stations(batch).ecef_m)
@@ -70,7 +85,7 @@ class ReceiverRecording:
             observing = (batch.kind >= _MSM_FIRST) & (batch.kind <= _MSM_LAST)
             self.observation_frames += int((observing | np.isin(batch.kind, (1002, 1004, 1010, 1012))).sum())
 
-    def _add_ubx(self, batch: Batch, payloads: list[bytes]) -> None:
+    def _add_ubx(self, batch: Batch, payloads: list[bytes], log_ns: Integers) -> None:
         raw = ubx.decode_rawx(batch).epochs
         empty = raw.fields["numMeas"] == 0
         untimed = ~empty & ((raw.fields["week"] == 0) | ~np.isfinite(raw.fields["rcvTow"]))
@@ -88,13 +103,30 @@ class ReceiverRecording:
             last = survey[-1]
             mean = [float(last[f"mean{a}"]) * 1e-2 + float(last[f"mean{a}HP"]) * 1e-4 for a in "XYZ"]
             self.surveyed_m = np.array(mean)
-        marks = ubx.decode(batch, ubx.TIM_TM2).fields
-        if len(marks):
-            self.time_marks.append(marks)
+        used = ~empty & ~untimed
+        epoch = week_to_ns(raw.fields["week"][used], raw.fields["rcvTow"][used])
+        before = np.concatenate([[int(self.epoch_ns[-1][-1]) if self.epoch_ns else -1], epoch])
+        marks = ubx.decode(batch, ubx.TIM_TM2)
+        if len(marks.fields):
+            self.time_marks.append(marks.fields)
+            self.mark_epoch_ns.append(before[np.searchsorted(good, marks.index, side="right")])
+        if len(good):
+            self.epoch_ns.append(epoch)
+            self.epoch_log_ns.append(log_ns[good])
+
+    def epochs_and_arrivals(self) -> tuple[Integers, Integers]:
+        """Return the epochs used (GPS ns) and their arrival (UTC ns)."""
+        if not self.epoch_ns:
+            return np.empty(0, np.int64), np.empty(0, np.int64)
+        return np.concatenate(self.epoch_ns), np.concatenate(self.epoch_log_ns)
 
     def marks(self) -> NDArray[Any]:
         """Return all TIM-TM2 fields in the order of the file."""
         return np.concatenate(self.time_marks) if self.time_marks else np.empty(0, ubx.LAYOUTS[ubx.TIM_TM2])
+
+    def epochs_before_marks(self) -> Integers:
+        """Return the epoch before each TIM-TM2 message in the stream (GPS ns); -1 before the first."""
+        return np.concatenate(self.mark_epoch_ns) if self.mark_epoch_ns else np.empty(0, np.int64)
 
     def position_m(self) -> tuple[NDArray[np.float64], str] | None:
         """Return the station's position (earth-centred) and where it stands; None when nowhere.
@@ -117,13 +149,13 @@ class ReceiverRecording:
         return None if self.surveyed_m is None else (self.surveyed_m, "survey-in")
 
 
-def read_receivers(path: Path) -> dict[str, ReceiverRecording]:
-    """Read the raw frames of every receiver in a flight log.
+def read_receivers(logs: tuple[Path, ...]) -> dict[str, ReceiverRecording]:
+    """Read the raw frames of every receiver in flight logs.
 
     Parameters
     ----------
-    path : Path
-        The flight log (MCAP).
+    logs : tuple of Path
+        Flight logs (MCAP) that follow each other.
 
     Returns
     -------
@@ -131,19 +163,20 @@ def read_receivers(path: Path) -> dict[str, ReceiverRecording]:
         By link.
     """
     found: dict[str, ReceiverRecording] = {}
-    wires = {Wire.UBX.encoding: Wire.UBX, Wire.RTCM3.encoding: Wire.RTCM3}
-    for chunk in LogReader(path).chunks():
-        for messages in chunk:
-            topic, encoding = messages.channel.topic, messages.channel.encoding
-            if encoding in wires and topic.endswith("/raw"):
-                link = topic.split("/")[1]
-                recording = found.setdefault(link, ReceiverRecording(link))
-                recording.first_log_ns = recording.first_log_ns or int(messages.log_ns[0])
-                recording.add(wires[encoding], messages.payloads)
+    wires = {wire.encoding: wire for wire in (Wire.UBX, Wire.RTCM3, Wire.NMEA)}
+    for messages in messages_of(logs):
+        topic, encoding = messages.channel.topic, messages.channel.encoding
+        if encoding in wires and topic.endswith("/raw"):
+            link = topic.split("/")[1]
+            recording = found.setdefault(link, ReceiverRecording(link))
+            recording.first_log_ns = recording.first_log_ns or int(messages.log_ns[0])
+            recording.add(wires[encoding], messages.payloads, messages.log_ns)
     return found
 
 
-def pick(receivers: dict[str, ReceiverRecording], link: str, role: str, where: Path) -> ReceiverRecording:
+def pick(
+    receivers: dict[str, ReceiverRecording], link: str, role: str, logs: tuple[Path, ...]
+) -> ReceiverRecording:
     """Return the recording of a link.
 
     Raises
@@ -156,12 +189,12 @@ def pick(receivers: dict[str, ReceiverRecording], link: str, role: str, where: P
     names = ", ".join(sorted(receivers)) or "none"
     raise ConfigurationError(
         f"has no GNSS link {link!r} for the {role}; links with raw frames: {names}",
-        where=where,
+        where=named(logs),
         remedy=f"name one with --{role}-link or give RINEX files",
     )
 
 
-def refuse_unusable(recording: ReceiverRecording, role: str, where: object) -> None:
+def refuse_unusable(recording: ReceiverRecording, role: str, logs: tuple[Path, ...]) -> None:
     """Refuse a recording that no position can be computed from.
 
     Raises
@@ -171,7 +204,7 @@ def refuse_unusable(recording: ReceiverRecording, role: str, where: object) -> N
     """
     if recording.epochs or recording.observation_frames:
         return
-    place = f"{where}, link {recording.link}"
+    place = f"{named(logs)}, link {recording.link}"
     if recording.untimed_epochs:
         raise IllPosedError(
             f"all {recording.untimed_epochs} RXM-RAWX epochs of the {role} have GPS week 0: the receiver "

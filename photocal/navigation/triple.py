@@ -8,16 +8,14 @@ from numpy.typing import NDArray
 from drivers.errors import ConfigurationError
 
 
-def parse_triple(text: str | None, option: str) -> NDArray[np.float64] | None:
-    """Return three numbers; None when the option was not given.
+def parse_triple(text: str, option: str) -> NDArray[np.float64]:
+    """Return three numbers.
 
     Raises
     ------
     ConfigurationError
         When they are not three finite numbers.
     """
-    if text is None:
-        return None
     try:
         values = np.array([float(part) for part in text.split(",")])
     except ValueError:

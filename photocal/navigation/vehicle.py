@@ -2,22 +2,41 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.log.reader import LogReader
 from drivers.frames import Wire
 from drivers.identify import batch_of_payloads
 from drivers.mavlink.decode import decode
 from drivers.mavlink.dialect import ardupilotmega
+from photocal.geometry.body import object_to_body
+from photocal.navigation.attitude import AttitudeTrack, rotations_of_quaternions
+from photocal.navigation.device_clocks import (
+    AutopilotClock,
+    ComparedClocks,
+    autopilot_clock,
+    host_by_arrival,
+    host_by_timesync,
+)
+from photocal.navigation.flight_log import messages_of
 from photocal.navigation.time import GpsTime, HostTime, UtcTime
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 _STRAY_NS = 5_000_000_000
+_MILLISECOND_NS = 1_000_000
+_KINDS = (
+    "GLOBAL_POSITION_INT",
+    "ATTITUDE",
+    "ATTITUDE_QUATERNION",
+    "SYSTEM_TIME",
+    "TIMESYNC",
+    "GPS_RAW_INT",
+)
 
 
 @dataclass(frozen=True)
@@ -26,14 +45,20 @@ class VehicleTrack:
 
     Parameters
     ----------
-    position_time, attitude_time : GpsTime (n,), (m,)
+    position_time : GpsTime (n,)
         By the autopilot's clock, never by arrival.
     position_host : HostTime (n,)
         Arrival of the positions.
     lat_deg, lon_deg, height_msl_m, height_rel_m : float64 (n,)
         Height above sea level as the autopilot computes it, and above the take-off.
-    angles : float64 (m, 3)
-        Roll, pitch, yaw of the body (forward, right, down) in north, east, down; radians.
+    attitude : AttitudeTrack or None
+        Rotations; of ATTITUDE and ATTITUDE_QUATERNION the one with more messages.
+    clock_sigma_s : float
+        Standard deviation of the autopilot's UTC.
+    clocks : list of ComparedClocks
+        What is known of its clock and that of the recording computer.
+    geoid_m : float or None
+        Height above the ellipsoid less height above sea level that the autopilot's GNSS receiver tells.
     untimed : int
         Messages without a time of the autopilot, left out.
     """
@@ -44,70 +69,166 @@ class VehicleTrack:
     lon_deg: Floats
     height_msl_m: Floats
     height_rel_m: Floats
-    attitude_time: GpsTime
-    angles: Floats
-    untimed: int
+    attitude: AttitudeTrack | None
+    clock_sigma_s: float = 0.0
+    clocks: list[ComparedClocks] = field(default_factory=list)
+    geoid_m: float | None = None
+    untimed: int = 0
+
+    @property
+    def attitude_time(self) -> GpsTime:
+        """Times of the attitudes."""
+        return GpsTime(np.empty(0, np.int64)) if self.attitude is None else self.attitude.time
 
 
-def read_vehicle(path: Path) -> VehicleTrack:
-    """Read GLOBAL_POSITION_INT and ATTITUDE from the raw frames of a flight log."""
-    dialect = ardupilotmega()
-    kinds = {name: dialect.number(name) for name in ("GLOBAL_POSITION_INT", "ATTITUDE")}
-    found: dict[str, list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[Any]]]] = {k: [] for k in kinds}
-    owner: int | None = None
+@dataclass
+class _Received:
+    """Messages of one kind: fields with arrival and the device's UTC as the log has it."""
+
+    host: list[Integers] = field(default_factory=list)
+    device: list[Integers] = field(default_factory=list)
+    fields: list[NDArray[Any]] = field(default_factory=list)
+
+    def joined(self) -> tuple[Integers, Integers, NDArray[Any]] | None:
+        if not self.fields:
+            return None
+        return np.concatenate(self.host), np.concatenate(self.device), np.concatenate(self.fields)
+
+
+def read_vehicle(logs: tuple[Path, ...], link: str | None = None) -> VehicleTrack:
+    """Read positions, attitudes and clocks of the autopilot from the raw frames of flight logs.
+
+    Parameters
+    ----------
+    logs : tuple of Path
+        Flight logs that follow each other.
+    link : str, optional
+        Link of the autopilot; without: all links, the first system that tells a position.
+    """
+    found = _received(logs, link)
+    clock, clocks = _clocks(found)
     untimed = 0
-    for chunk in LogReader(path).chunks():
-        for messages in chunk:
-            if messages.channel.encoding != Wire.MAVLINK.encoding:
-                continue
-            batch = batch_of_payloads(Wire.MAVLINK, messages.payloads, dialect)
-            for name, kind in kinds.items():
-                got = decode(batch, kind, dialect)
-                if not len(got):
-                    continue
-                owner = int(got.system[0]) if owner is None else owner
-                host, device = messages.log_ns[got.index], messages.publish_ns[got.index]
-                own = got.system == owner
-                # Where the device told no time the log repeats the time of arrival.
-                timed = own & (host != device)
-                untimed += int((own & ~timed).sum())
-                found[name].append((host[timed], device[timed], got.fields[timed]))
-    host, position_utc, p = _joined(found["GLOBAL_POSITION_INT"])
-    _, attitude_utc, a = _joined(found["ATTITUDE"])
-    empty = np.empty(0)
+    tracks: dict[str, tuple[Integers, Integers, NDArray[Any]] | None] = {}
+    for name in ("GLOBAL_POSITION_INT", "ATTITUDE", "ATTITUDE_QUATERNION"):
+        tracks[name], lost = _timed(found[name], clock)
+        untimed += lost
+    p = tracks["GLOBAL_POSITION_INT"]
+    none = np.empty(0, np.int64)
     scale = {"lat": 1e-7, "lon": 1e-7, "alt": 1e-3, "relative_alt": 1e-3}
-    columns = {name: empty if p is None else p[name] * unit for name, unit in scale.items()}
-    angles = (
-        np.empty((0, 3))
-        if a is None
-        else np.stack([a[name].astype(float) for name in ("roll", "pitch", "yaw")], axis=1)
-    )
+    columns = {key: np.empty(0) if p is None else p[2][key] * unit for key, unit in scale.items()}
     return VehicleTrack(
-        UtcTime(position_utc).to_gps(),
-        HostTime(host),
+        UtcTime(none if p is None else p[1]).to_gps(),
+        HostTime(none if p is None else p[0]),
         columns["lat"],
         columns["lon"],
         columns["alt"],
         columns["relative_alt"],
-        UtcTime(attitude_utc).to_gps(),
-        angles,
+        _attitude(tracks),
+        0.0 if clock is None else clock.compared.scatter_s,
+        clocks,
+        _geoid(found["GPS_RAW_INT"]),
         untimed,
     )
 
 
-def _joined(
-    parts: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[Any]]],
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[Any] | None]:
-    if not parts:
-        return np.empty(0, np.int64), np.empty(0, np.int64), None
-    host, device, fields = (np.concatenate(column) for column in zip(*parts, strict=True))
+def _received(logs: tuple[Path, ...], link: str | None) -> dict[str, _Received]:
+    dialect = ardupilotmega()
+    kinds = {name: dialect.number(name) for name in _KINDS}
+    found = {name: _Received() for name in kinds}
+    owner: int | None = None
+    for messages in messages_of(logs):
+        channel = messages.channel
+        if channel.encoding != Wire.MAVLINK.encoding or (link and channel.topic != f"/{link}/raw"):
+            continue
+        batch = batch_of_payloads(Wire.MAVLINK, messages.payloads, dialect)
+        for name, kind in kinds.items():
+            got = decode(batch, kind, dialect)
+            if not len(got):
+                continue
+            if owner is None and name in ("GLOBAL_POSITION_INT", "ATTITUDE", "ATTITUDE_QUATERNION"):
+                owner = int(got.system[0])
+            own = np.ones(len(got), bool) if owner is None else got.system == owner
+            into = found[name]
+            into.host.append(messages.log_ns[got.index][own])
+            into.device.append(messages.publish_ns[got.index][own])
+            into.fields.append(got.fields[own])
+    return found
+
+
+def _clocks(found: dict[str, _Received]) -> tuple[AutopilotClock | None, list[ComparedClocks]]:
+    clocks: list[ComparedClocks] = []
+    clock = None
+    system = found["SYSTEM_TIME"].joined()
+    if system is not None:
+        host, _, fields = system
+        boot = fields["time_boot_ms"].astype(np.int64) * _MILLISECOND_NS
+        utc = fields["time_unix_usec"].astype(np.int64) * 1000
+        # A bit error that a checksum of 16 bits passed shows as a time of another year.
+        good = utc > 0
+        good &= np.abs(utc - np.median(utc[good])) < 86_400 * 10**9 if good.any() else False
+        clock = autopilot_clock(boot[good], utc[good], host[good])
+        arrival = host_by_arrival(
+            "recording computer by the autopilot's UTC (arrival of SYSTEM_TIME)", utc[good], host[good]
+        )
+        clocks += [c for c in (clock.compared if clock else None, arrival) if c is not None]
+    sync = found["TIMESYNC"].joined()
+    if sync is not None:
+        host, _, fields = sync
+        trip = host - fields["ts1"]
+        answered = (fields["tc1"] > 0) & (trip >= 0) & (trip < 10_000_000_000)
+        made = host_by_timesync(
+            fields["tc1"][answered].astype(np.int64), host[answered], trip[answered].astype(np.int64)
+        )
+        clocks += [] if made is None else [made]
+    return clock, clocks
+
+
+def _timed(
+    received: _Received, clock: AutopilotClock | None
+) -> tuple[tuple[Integers, Integers, NDArray[Any]] | None, int]:
+    """Return arrival, UTC and fields in the order of UTC, and how many messages had no time."""
+    joined = received.joined()
+    if joined is None:
+        return None, 0
+    host, device, fields = joined
+    # Where the device told no time the log repeats the time of arrival.
+    timed = host != device
+    host, device, fields = host[timed], device[timed], fields[timed]
     kept = np.flatnonzero(~_strays(device))
-    _, first = np.unique(device[kept], return_index=True)
-    rows = kept[first]
-    return host[rows], device[rows], fields[rows]
+    host, device, fields = host[kept], device[kept], fields[kept]
+    if clock is not None and len(host):
+        device, _ = clock.utc(fields["time_boot_ms"].astype(np.int64) * _MILLISECOND_NS, host)
+    _, first = np.unique(device, return_index=True)
+    return (host[first], device[first], fields[first]), int((~timed).sum())
 
 
-def _strays(device: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _attitude(tracks: dict[str, tuple[Integers, Integers, NDArray[Any]] | None]) -> AttitudeTrack | None:
+    made = []
+    angles = tracks["ATTITUDE"]
+    if angles is not None and len(angles[0]):
+        rpy = np.stack([angles[2][name].astype(float) for name in ("roll", "pitch", "yaw")], axis=1)
+        made.append(AttitudeTrack(UtcTime(angles[1]).to_gps(), object_to_body(rpy)[0], "ATTITUDE"))
+    quaternions = tracks["ATTITUDE_QUATERNION"]
+    if quaternions is not None and len(quaternions[0]):
+        wxyz = np.stack([quaternions[2][name].astype(float) for name in ("q1", "q2", "q3", "q4")], axis=1)
+        sound = np.abs(np.linalg.norm(wxyz, axis=1) - 1) < 0.01
+        time = UtcTime(quaternions[1][sound]).to_gps()
+        made.append(AttitudeTrack(time, rotations_of_quaternions(wxyz[sound]), "ATTITUDE_QUATERNION"))
+    return max(made, key=len, default=None)
+
+
+def _geoid(received: _Received) -> float | None:
+    joined = received.joined()
+    if joined is None or "alt_ellipsoid" not in (joined[2].dtype.names or ()):
+        return None
+    fields = joined[2]
+    told = (fields["alt_ellipsoid"] != 0) & (fields["fix_type"] >= 3)
+    if not told.any():
+        return None
+    return float(np.median(fields["alt_ellipsoid"][told].astype(float) - fields["alt"][told])) * 1e-3
+
+
+def _strays(device: Integers) -> NDArray[np.bool_]:
     """Tell which single times stand out of the order of arrival: damage that a checksum of 16 bits passed.
 
     In a sequence that grows the middle of five is its own median.
@@ -142,22 +263,3 @@ def autopilot_time(track: VehicleTrack, host: HostTime) -> tuple[GpsTime, Floats
     time = device[before] + np.rint(share * step).astype(np.int64)
     inside = (host.ns >= arrival[0]) & (host.ns <= arrival[-1])
     return GpsTime(time), np.where(inside, np.abs(step) / 4e9, np.inf)
-
-
-def attitude_at(track: VehicleTrack, time: GpsTime, largest_gap_s: float = 1.5) -> Floats:
-    """Return roll, pitch, yaw (rad) by spherical interpolation; NaN where no attitude is near (n, 3)."""
-    from scipy.spatial.transform import Rotation, Slerp
-
-    stamps = track.attitude_time.ns
-    angles = np.full((len(time), 3), np.nan)
-    if len(stamps) < 2:
-        return angles
-    after = np.clip(np.searchsorted(stamps, time.ns, side="right"), 1, len(stamps) - 1)
-    gap = (stamps[after] - stamps[after - 1]) / 1e9
-    near = (time.ns >= stamps[0]) & (time.ns <= stamps[-1]) & (gap <= largest_gap_s)
-    seconds = (stamps - stamps[0]) / 1e9
-    turns = Rotation.from_euler("ZYX", track.angles[:, ::-1])
-    if near.any():
-        between = Slerp(seconds, turns)((time.ns[near] - stamps[0]) / 1e9)
-        angles[near] = between.as_euler("ZYX")[:, ::-1]
-    return angles

@@ -62,7 +62,7 @@ def test_counter_runs_over() -> None:
 
 @pytest.mark.shared
 def test_moving_rover(moving_run: Run) -> None:
-    recording = read_receivers(moving_run.log)["rover"]
+    recording = read_receivers((moving_run.log,))["rover"]
     rising = time_marks(recording.marks(), RISING, "rover")
     assert len(rising) == 589
     assert len(time_marks(recording.marks(), FALLING, "rover")) == 589
@@ -74,7 +74,7 @@ def test_moving_rover(moving_run: Run) -> None:
 def test_static_rover(m8p: Path, import_log: ImportLog) -> None:
     log = import_log("rover-only", {"rover": m8p / "rover-20181004-1237.ubx.gz"})
     # The first message brings no rising edge yet: its week and time are 0.
-    recording = read_receivers(log)["rover"]
+    recording = read_receivers((log,))["rover"]
     assert len(recording.marks()) == 7
     assert (time_marks(recording.marks(), RISING, "rover").time.ns > 0).all()
 

@@ -12,11 +12,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
-from scipy.spatial.transform import Rotation
 
 from drivers.errors import ConfigurationError
-from photocal.navigation.exposures import Exposures, at_camera
+from photocal.block.setup import MountingKeys
+from photocal.navigation.attitude import from_angles
+from photocal.navigation.events import Events
+from photocal.navigation.exposures import Exposures, at_camera, at_events
 from photocal.navigation.interpolation import Placed
+from photocal.navigation.rig import Rig, rig_of_mounting
 from photocal.navigation.time import GpsTime, UtcTime
 from photocal.navigation.trajectory import enu_offsets
 from photocal.navigation.vehicle import read_vehicle
@@ -39,7 +42,7 @@ def stamp_images(folder: Path, utc_ns: list[int], late_s: float) -> None:
     for number, ns in enumerate(utc_ns):
         hundredths = round(ns / 1e7 - late_s * 100)
         seconds, part = divmod(hundredths, 100)
-        image, exif = Image.new("L", (8, 8)), Image.Exif()
+        image, exif = Image.new("L", (16, 16)), Image.Exif()
         moment = np.datetime64(seconds, "s").item()
         details = {36867: f"{moment:%Y:%m:%d %H:%M:%S}", 37521: f"{part:02d}"}
         exif._ifds[0x8769] = details
@@ -48,7 +51,7 @@ def stamp_images(folder: Path, utc_ns: list[int], late_s: float) -> None:
         image.save(folder / f"IMG_{number:04d}.jpg", exif=exif)
 
 
-def at_antenna(angles: Floats, covariance: Floats) -> Exposures:
+def at_antenna(angles: Floats, covariance: Floats, angle_sigma: Floats) -> Exposures:
     n = len(angles)
     one = np.ones(n)
     placed = Placed(
@@ -56,41 +59,33 @@ def at_antenna(angles: Floats, covariance: Floats) -> Exposures:
         np.broadcast_to(covariance, (n, 3, 3)), np.full(n, "fixed"),
     )  # fmt: skip
     time = GpsTime.from_week(np.full(n, 2022), np.arange(n, dtype=float))
-    return Exposures(time, np.arange(n), placed, angles, [""] * n, "ellipsoidal")
+    events = Events("test", time, np.arange(n), np.zeros(n))
+    return at_events(events, placed, from_angles(angles, angle_sigma), np.zeros(n), [""] * n, "ellipsoidal")
 
 
 def test_lever_arm_by_hand() -> None:
     # Flying east (yaw 90 degrees), level: forward is east, right is south, down is down.
     level = np.radians([[0.0, 0.0, 90.0]])
-    lever = np.array([0.5, 0.2, 0.1])
-    p = at_camera(at_antenna(level, np.eye(3) * 1e-4), lever, np.zeros(3), np.zeros(3)).placed
+    rig = Rig(np.array([0.5, 0.2, 0.1]), np.zeros(3), np.zeros(3))
+    p = at_camera(at_antenna(level, np.eye(3) * 1e-4, np.zeros(3)), rig).placed
     moved = enu_offsets(p.lat_deg, p.lon_deg, p.height_m, ORIGIN)
     assert moved[0] == pytest.approx([0.5, -0.2, -0.1], abs=1e-6)
 
 
-def test_covariance_against_simulation() -> None:
-    rng = np.random.default_rng(11)
-    angles = np.radians([[8.0, -12.0, 130.0]])
-    lever, lever_sigma = np.array([0.6, -0.3, 0.4]), np.array([0.02, 0.03, 0.01])
-    angle_sigma = np.radians([1.0, 1.5, 4.0])
-    antenna = np.array([[4e-4, 1e-4, 0.0], [1e-4, 3e-4, -1e-4], [0.0, -1e-4, 9e-4]])
-    claimed = at_camera(at_antenna(angles, antenna), lever, lever_sigma, angle_sigma)
-    n = 200_000
-    # An independent way: scipy's intrinsic yaw, pitch, roll from body to north, east, down.
-    drawn = angles + rng.normal(0, 1, (n, 3)) * angle_sigma
-    ned = Rotation.from_euler("ZYX", drawn[:, ::-1]).apply(lever + rng.normal(0, 1, (n, 3)) * lever_sigma)
-    enu = ned[:, [1, 0, 2]] * [1, 1, -1] + rng.multivariate_normal(np.zeros(3), antenna, n)
-    simulated = np.cov(enu.T)
-    sigma = np.sqrt(np.diag(claimed.placed.covariance_m2[0]))
-    assert np.sqrt(np.diag(simulated)) == pytest.approx(sigma, rel=0.05)
-    scale = np.outer(sigma, sigma)
-    assert np.abs((simulated - claimed.placed.covariance_m2[0]) / scale).max() < 0.05
+def test_projects_measure_the_lever_arm_the_other_way_round() -> None:
+    keys = MountingKeys(lever_arm_m=(0.1, -0.2, -0.3), boresight_deg=(1.0, 0.0, 0.0))
+    rig = rig_of_mounting(keys, np.radians([1.0, 1.0, 2.0]))
+    assert rig.lever_m is not None
+    assert rig.lever_m.tolist() == [-0.1, 0.2, 0.3]
+    assert np.degrees(rig.boresight[0]) == pytest.approx(1.0)
 
 
 def test_lever_arm_needs_an_attitude() -> None:
-    antenna = at_antenna(np.full((3, 3), np.nan), np.eye(3))
+    antenna = at_antenna(np.full((3, 3), np.nan), np.eye(3), np.zeros(3))
     with pytest.raises(ConfigurationError, match="no attitude"):
-        at_camera(antenna, np.ones(3), np.zeros(3), np.zeros(3))
+        at_camera(antenna, Rig(np.ones(3), np.zeros(3), np.zeros(3)))
+    with pytest.raises(ConfigurationError, match="standard deviations"):
+        Rig(np.ones(3))
 
 
 @pytest.mark.shared
@@ -140,7 +135,7 @@ def test_images_named_by_the_recording_computer(
 @pytest.mark.shared
 def test_autopilot_time_orders_the_data(shared: Path, import_log: ImportLog) -> None:
     log = import_log("dronekit", {"vehicle": shared / "data/mavlink-tlog-dronekit/flight.tlog"})
-    track = read_vehicle(log)
+    track = read_vehicle((log,))
     # Of 2833 messages 150 came before the autopilot knew the date.
     assert len(track.position_time) == 2682
     assert (np.diff(track.position_time.ns) > 0).all()

@@ -96,7 +96,7 @@ def test_left_out_epochs_of_the_moving_rover(moving_run: Run) -> None:
 
 @pytest.mark.shared
 def test_every_edge_is_placed_or_named(moving_run: Run) -> None:
-    rising = time_marks(read_receivers(moving_run.log)["rover"].marks(), RISING, "rover")
+    rising = time_marks(read_receivers((moving_run.log,))["rover"].marks(), RISING, "rover")
     found = interpolate(recorded(moving_run), rising.time, rising.accuracy_s)
     assert found.placed.sum() >= 530
     assert (found.gap_s[found.placed] <= 1.5).all()

@@ -1,0 +1,189 @@
+"""The clocks of a flight against each other: autopilot, recording computer, GNSS receiver."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import IllPosedError
+from photocal.navigation.clock_model import ClockModel, fit_clock
+
+Integers = NDArray[np.int64]
+Floats = NDArray[np.float64]
+# Telemetry overtakes itself by fractions of a second; a clock that goes back by more was started anew.
+_RESTART_NS = 5_000_000_000
+# Answers that took longer than this multiple of the shortest waited in a queue on one way.
+_SLOW_ANSWER = 3.0
+
+
+@dataclass(frozen=True)
+class ComparedClocks:
+    """One clock against another.
+
+    Parameters
+    ----------
+    name : str
+        Which two, and what told it.
+    cycles : tuple of ClockModel
+        One model for each time that the device was switched on.
+    """
+
+    name: str
+    cycles: tuple[ClockModel, ...]
+
+    @property
+    def scatter_s(self) -> float:
+        """Robust standard deviation of one reading, the largest of all stretches."""
+        return max(s.scatter_s for model in self.cycles for s in model.segments)
+
+    @property
+    def played_back(self) -> bool:
+        """Whether the two cannot both have run in real time."""
+        return any(s.played_back for model in self.cycles for s in model.segments)
+
+    def figures(self) -> dict[str, Any]:
+        """Return the figures for a summary."""
+        return {
+            "clocks": self.name,
+            "restarts": len(self.cycles) - 1,
+            "jumps_s": [jump for model in self.cycles for jump in model.jumps_s],
+            "played_back": self.played_back,
+            "stretches": [
+                {
+                    "readings": s.readings,
+                    "seconds": (s.last_ns - s.first_ns) / 1e9,
+                    "offset_sigma_s": s.offset_sigma_s,
+                    "rate": s.rate,
+                    "drift_ppm": s.drift_ppm,
+                    "drift_sigma_ppm": s.rate_sigma * 1e6,
+                    "scatter_s": s.scatter_s,
+                }
+                for model in self.cycles
+                for s in model.segments
+            ],
+        }
+
+
+@dataclass(frozen=True)
+class AutopilotClock:
+    """UTC of an autopilot's time since boot, also over restarts.
+
+    Parameters
+    ----------
+    compared : ComparedClocks
+        Boot time against UTC, from SYSTEM_TIME.
+    start_host_ns : int64 (k,)
+        Arrival of the first reading of each cycle.
+    """
+
+    compared: ComparedClocks
+    start_host_ns: Integers
+
+    def utc(self, boot_ns: Integers, host_ns: Integers) -> tuple[Integers, Floats]:
+        """Return UTC (ns since 1970) of boot times that arrived at `host_ns`, and the standard deviation (s).
+
+        The scatter of single readings is part of it: an autopilot's clock is pulled to and fro by as much.
+        """
+        cycle = np.clip(np.searchsorted(self.start_host_ns, host_ns, side="right") - 1, 0, None)
+        time, sigma = np.zeros(len(boot_ns), np.int64), np.zeros(len(boot_ns))
+        for number, model in enumerate(self.compared.cycles):
+            rows = cycle == number
+            time[rows], sigma[rows] = model.convert(boot_ns[rows])
+        return time, np.hypot(sigma, self.compared.scatter_s)
+
+
+def autopilot_clock(boot_ns: Integers, utc_ns: Integers, host_ns: Integers) -> AutopilotClock | None:
+    """Fit an autopilot's UTC to its time since boot.
+
+    Parameters
+    ----------
+    boot_ns, utc_ns, host_ns : int64 (n,)
+        Readings of SYSTEM_TIME in the order of arrival.
+
+    Returns
+    -------
+    AutopilotClock or None
+        None with too few readings.
+    """
+    # An autopilot switched on anew counts from zero: its stretches must not be mixed.
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(boot_ns) < -_RESTART_NS) + 1, [len(boot_ns)]])
+    cycles, begins = [], []
+    for a, b in zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True):
+        order = a + np.argsort(boot_ns[a:b], kind="stable")
+        try:
+            cycles.append(fit_clock(boot_ns[order], utc_ns[order]))
+        except IllPosedError:
+            continue
+        begins.append(int(host_ns[a]))
+    if not cycles:
+        return None
+    compared = ComparedClocks("autopilot's UTC by its time since boot (SYSTEM_TIME)", tuple(cycles))
+    return AutopilotClock(compared, np.array(begins, np.int64))
+
+
+def host_by_timesync(boot_ns: Integers, host_ns: Integers, round_trip_ns: Integers) -> ComparedClocks | None:
+    """Fit the recording computer's clock to the autopilot's by TIMESYNC exchanges.
+
+    Parameters
+    ----------
+    boot_ns : int64 (n,)
+        The autopilot's time in its answers.
+    host_ns : int64 (n,)
+        Arrival of the answers.
+    round_trip_ns : int64 (n,)
+        From request to answer.
+
+    Returns
+    -------
+    ComparedClocks or None
+        The answer is taken to be given half-way (Cristian 1989); exchanges that waited are left out.
+    """
+    if not len(boot_ns):
+        return None
+    quick = round_trip_ns <= _SLOW_ANSWER * max(int(round_trip_ns.min()), 1_000_000)
+    trip = round_trip_ns[quick]
+    return _compared(
+        "recording computer by the autopilot's time since boot (TIMESYNC)",
+        boot_ns[quick],
+        host_ns[quick] - trip // 2,
+        # The middle is uncertain by up to half of what goes over the shortest trip.
+        float(np.median(trip)) / 1e9,
+    )
+
+
+def host_by_arrival(name: str, device_ns: Integers, host_ns: Integers) -> ComparedClocks | None:
+    """Fit the recording computer's clock to a device's by arrivals, which are late by the way."""
+    return _compared(name, device_ns, host_ns, 1e-3)
+
+
+def _compared(
+    name: str, device_ns: Integers, host_ns: Integers, resolution_s: float
+) -> ComparedClocks | None:
+    try:
+        return ComparedClocks(name, (fit_clock(device_ns, host_ns, resolution_s),))
+    except IllPosedError:
+        return None
+
+
+def clock_sentences(clocks: list[ComparedClocks]) -> list[str]:
+    """Return what a person should know of the clocks: restarts, jumps, wrong speeds."""
+    found = []
+    for clock in clocks:
+        if len(clock.cycles) > 1:
+            found.append(f"{clock.name}: started anew {len(clock.cycles) - 1} times")
+        jumps = [jump for model in clock.cycles for jump in model.jumps_s]
+        if jumps:
+            told = ", ".join(f"{jump:+.3f} s" for jump in jumps[:5])
+            found.append(f"{clock.name}: {len(jumps)} jumps, {told}{', ...' if len(jumps) > 5 else ''}")
+        rates = [s.rate for model in clock.cycles for s in model.segments if s.played_back]
+        if rates:
+            fastest = max(rates, key=lambda rate: abs(rate - 1))
+            speed = 1 / fastest if "recording computer" in clock.name else fastest
+            found.append(
+                f"{clock.name}: not real time, played back at {speed:.2f} times the speed: "
+                "times of arrival are not used"
+            )
+    return found

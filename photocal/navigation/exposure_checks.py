@@ -1,0 +1,332 @@
+"""Checks of the exposures of a flight: what can be seen at this stage, and what cannot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import IllPosedError
+from photocal.navigation.check import Check
+from photocal.navigation.events import Events
+from photocal.navigation.exposures import Exposures, at_camera
+from photocal.navigation.image_metadata import ImageMetadata
+from photocal.navigation.interpolation import interpolate
+from photocal.navigation.mrk import CameraEventList
+from photocal.navigation.position_comparison import (
+    AXES,
+    AXIS_NAMES,
+    LEVER,
+    TIME,
+    PositionComparison,
+    PositionPairs,
+    compare_positions,
+)
+from photocal.navigation.receiver_recording import ReceiverRecording
+from photocal.navigation.rig import Rig
+from photocal.navigation.time import leap_seconds
+from photocal.navigation.trajectory import Trajectory, enu_offsets
+from photocal.navigation.vehicle import VehicleTrack
+
+Floats = NDArray[np.float64]
+# Heights above sea level of autopilots drift by metres with the air pressure.
+_PRESSURE_M = 4.0
+# Of the autopilot's attitudes: with usual turns of 20 degrees a second half of 0.1 s is a degree.
+_LATE_ATTITUDE_S = 0.05
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What checks may use.
+
+    Parameters
+    ----------
+    rig : Rig
+        As given.
+    events : Events
+        Those used, with the delay.
+    others : list of Events
+        Other events of the logs.
+    antenna : Exposures
+        At the antenna.
+    trajectory : Trajectory or None
+        Of PPK.
+    rover : ReceiverRecording or None
+    vehicle : VehicleTrack or None
+    listed : CameraEventList or None
+    images : list of ImageMetadata
+    ppk : dict or None
+        Figures of PPK.
+    """
+
+    rig: Rig
+    events: Events
+    others: list[Events]
+    antenna: Exposures
+    trajectory: Trajectory | None
+    rover: ReceiverRecording | None
+    vehicle: VehicleTrack | None
+    listed: CameraEventList | None
+    images: list[ImageMetadata]
+    ppk: dict[str, Any] | None
+
+
+def check_exposures(evidence: Evidence) -> list[Check]:
+    """Run every check that the data allow; the rest say why they are not possible."""
+    return [
+        _time_base(evidence),
+        _height_kind(evidence),
+        _autopilot_clock(evidence),
+        *_other_positions(evidence),
+        *_out_of_sight(evidence),
+    ]
+
+
+def _time_base(e: Evidence) -> Check:
+    """Hold the time marks against the epochs around them in the receiver's own stream."""
+    compared = "time of each time mark against the RXM-RAWX epoch before it in the stream"
+    stream = e.events.stream_ns
+    if stream is None or not (stream > 0).any():
+        return Check("event-time-base", "not possible", compared, "no time marks between RXM-RAWX epochs", {})
+    there = stream > 0
+    late = (e.events.noted_ns[there] - stream[there]) / 1e9
+    middle = float(np.median(late))
+    leap = float(leap_seconds(e.events.time[[0]])[0])
+    figures = {"median_s": middle, "leap_seconds": leap}
+    near = min((0.0, leap, -leap), key=lambda step: abs(middle - step))
+    if abs(middle) < leap / 2:
+        return Check(
+            "event-time-base",
+            "passed",
+            compared,
+            f"time marks come {middle:+.1f} s after their epoch",
+            figures,
+        )
+    cause = (
+        f", the {leap:.0f} leap seconds between GPS time and UTC: the receiver states the wrong time base"
+        if near
+        else ""
+    )
+    return Check(
+        "event-time-base", "failed", compared,
+        f"time marks are {middle:+.1f} s off the epochs that they came with{cause}", figures,
+    )  # fmt: skip
+
+
+def _height_kind(e: Evidence) -> Check:
+    """Hold ellipsoidal heights against heights above sea level: they must differ by the geoid."""
+    compared = "heights of the trajectory less the autopilot's heights above sea level, against the geoid"
+    code = "height-kind"
+    if e.trajectory is None:
+        return Check(code, "not possible", compared, "no trajectory of PPK", {})
+    told = [*(e.rover.geoid_m if e.rover is not None else [])]
+    if not told and e.vehicle is not None and e.vehicle.geoid_m is not None:
+        told = [e.vehicle.geoid_m]
+    if not told:
+        return Check(code, "not possible", compared, "no receiver tells the geoid's height", {})
+    geoid = float(np.median(told))
+    apart = _above_sea(e)
+    base = None if e.ppk is None else e.ppk["base"].get("up_off_code_solution_m")
+    figures = {"geoid_m": geoid, "less_sea_level_m": apart, "base_up_off_code_m": base}
+    # Two witnesses: the autopilot's height, and the base's own code solution.
+    seen = [] if apart is None else [apart]
+    seen += [] if base is None else [geoid + float(base)]
+    if not seen:
+        return Check(code, "not possible", compared, "nothing tells a height above sea level", figures)
+    if abs(geoid) < 2 * _PRESSURE_M:
+        text = f"the geoid is {geoid:+.1f} m here: too little to tell the kinds of heights apart"
+        return Check(code, "not possible", compared, text, figures)
+    value = float(np.mean(seen))
+    said = f"heights lie {value:+.1f} m above those above sea level, the geoid {geoid:+.1f} m"
+    if abs(value - geoid) < min(abs(geoid) / 2, 3 * _PRESSURE_M):
+        return Check(code, "passed", compared, said, figures)
+    cause = (
+        ": they are orthometric, not ellipsoidal; give the base's ellipsoidal height"
+        if abs(value) < abs(geoid) / 2
+        else ": check the height of the base and its antenna"
+    )
+    return Check(code, "failed", compared, said + cause, figures)
+
+
+def _above_sea(e: Evidence) -> float | None:
+    """Return by how much the trajectory lies above the autopilot's heights above sea level."""
+    if e.vehicle is None or e.trajectory is None or len(e.vehicle.position_time) < 2:
+        return None
+    v = e.vehicle
+    n = len(v.position_time)
+    ours = interpolate(e.trajectory, v.position_time, np.zeros(n), np.zeros((n, 3)))
+    if not ours.placed.any():
+        return None
+    return float(np.median((ours.height_m - v.height_msl_m)[ours.placed]))
+
+
+def _autopilot_clock(e: Evidence) -> Check:
+    """Hold the autopilot's positions against the trajectory: a time offset lies along the velocity."""
+    compared = "the autopilot's positions by its own clock against the trajectory"
+    code = "autopilot-clock"
+    if e.vehicle is None or e.trajectory is None or len(e.vehicle.position_time) < 2:
+        return Check(code, "not possible", compared, "no autopilot's positions beside a trajectory", {})
+    v = e.vehicle
+    n = len(v.position_time)
+    ours = interpolate(e.trajectory, v.position_time, np.zeros(n), np.zeros((n, 3)))
+    rows = ours.placed & (np.linalg.norm(np.nan_to_num(ours.velocity_m_s), axis=1) > 1.0)
+    if rows.sum() < 20:
+        return Check(code, "not possible", compared, "the vehicle hardly moved in the common time", {})
+    origin = np.array([np.mean(c[rows]) for c in (ours.lat_deg, ours.lon_deg, ours.height_m)])
+    here = enu_offsets(ours.lat_deg[rows], ours.lon_deg[rows], ours.height_m[rows], origin)
+    # Heights of an autopilot follow the air pressure: they say nothing of the time.
+    theirs = enu_offsets(v.lat_deg[rows], v.lon_deg[rows], ours.height_m[rows], origin)
+    unknown = np.full((int(rows.sum()), 3, 3), np.nan)
+    pairs = PositionPairs(here, theirs, ours.velocity_m_s[rows] * [1, 1, 0], unknown, None, "shift")
+    try:
+        found = compare_positions(pairs)
+    except IllPosedError as refusal:
+        return Check(code, "not possible", compared, str(refusal), {})
+    best = found.best
+    # A position that is ahead of ours was measured later than its stamp says.
+    late = 0.0 if best is None else float(best.value[0])
+    figures = {"late_s": late, "detectable_s": found.detectable_s, "rms_m": found.rms_m.tolist()}
+    if abs(late) <= _LATE_ATTITUDE_S:
+        limit = f"errors over {found.detectable_s * 1e3:.0f} ms would show"
+        return Check(
+            code, "passed", compared, f"the autopilot's clock agrees with GNSS time; {limit}", figures
+        )
+    text = (
+        f"the autopilot's clock is {abs(late) * 1e3:.0f} ms {'slow' if late > 0 else 'fast'}: "
+        "attitudes, and events that it noted, are off by as much"
+    )
+    return Check(code, "failed", compared, text, figures)
+
+
+def _other_positions(e: Evidence) -> list[Check]:
+    """Hold the exposures against every other position that was told for them."""
+    found = []
+    exposures = e.antenna if e.listed is not None else at_camera(e.antenna, e.rig)
+    for source, theirs, free, at in _sources(e):
+        ours = exposures if at == "camera" else e.antenna
+        lever = e.rig.lever_m if at == "camera" else None
+        found.append(judge_positions(source, ours, theirs, lever, free))
+    return found
+
+
+def _sources(e: Evidence) -> list[tuple[str, Floats, str, str]]:
+    """Return name, latitude/longitude/height (n, 3), what is unknown, and what was located."""
+    n = len(e.antenna)
+    sources = []
+    if e.listed is not None and e.trajectory is not None:
+        place = np.stack([e.listed.lat_deg, e.listed.lon_deg, e.listed.height_m], axis=1)
+        sources.append(("positions of the vehicle's event list", place, "shift", "camera"))
+    if e.trajectory is not None and e.events.claimed is not None:
+        sources.append((f"positions in {e.events.source}", e.events.claimed[:, :3], "shift", "antenna"))
+    by_name = {image.name: image.facts for image in e.images}
+    facts = [by_name.get(name.split(" ")[0]) for name in e.antenna.image]
+    stated = [f for f in facts if f is not None and f.has_position]
+    if stated and e.trajectory is not None:
+        place = np.full((n, 3), np.nan)
+        for row, f in enumerate(facts):
+            if f is not None:
+                place[row] = f.latitude_deg, f.longitude_deg, f.altitude_m
+        sources.append(("positions that the images state", place, "shift", "antenna"))
+    return sources
+
+
+def judge_positions(source: str, ours: Exposures, theirs: Floats, lever_m: Floats | None, free: str) -> Check:
+    """Hold exposures against positions of another source.
+
+    Parameters
+    ----------
+    source : str
+        Its name.
+    ours : Exposures
+        Exposures.
+    theirs : float64 (n, 3)
+        With ``shift``: latitude, longitude (deg), height (m); with ``similarity``: any Cartesian frame, m.
+    lever_m : float64 (3,) or None
+        Lever arm that was applied to ours.
+    free : str
+        What is unknown between the two systems, see `PositionPairs`.
+    """
+    compared = f"{source} against the exposures, less a common {free}"
+    p = ours.placed
+    known = p.placed & np.isfinite(theirs).all(axis=1)
+    if known.sum() < 8:
+        return Check("positions", "not possible", compared, f"{int(known.sum())} common exposures", {})
+    origin = np.array([np.mean(c[known]) for c in (p.lat_deg, p.lon_deg, p.height_m)])
+    here = enu_offsets(p.lat_deg[known], p.lon_deg[known], p.height_m[known], origin)
+    there = _aligned(theirs[known], here) if free == "similarity" else _offsets(theirs[known], origin)
+    body = ours.carrier if ours.carrier is not None else ours.attitude
+    if there is None:
+        return Check("positions", "not possible", compared, "the exposures lie on one line", {})
+    velocity = p.velocity_m_s[known]
+    pairs = PositionPairs(here, there, velocity, np.swapaxes(body.rotation[known], 1, 2), lever_m, free)
+    try:
+        found = compare_positions(pairs)
+    except IllPosedError as refusal:
+        return Check("positions", "not possible", compared, str(refusal), {})
+    return _verdict(found, compared, lever_m)
+
+
+def _verdict(found: PositionComparison, compared: str, lever_m: Floats | None) -> Check:
+    best = found.best
+    figures: dict[str, Any] = {
+        "exposures": found.n,
+        "rms_enu_m": found.rms_m.tolist(),
+        "shift_enu_m": found.shift_m.tolist(),
+        "detectable_time_offset_s": found.detectable_s if np.isfinite(found.detectable_s) else None,
+    }
+    rms = " ".join(f"{v:.3f}" for v in found.rms_m)
+    if best is None:
+        limit = (
+            f"a time offset over {found.detectable_s * 1e3:.1f} ms would show"
+            if np.isfinite(found.detectable_s)
+            else "a time offset cannot show: the flight has one direction"
+        )
+        return Check("positions", "passed", compared, f"differences of {rms} m rms (E N U); {limit}", figures)
+    figures |= {"explanation": best.name, "value": best.value.tolist(), "sigma": best.sigma.tolist()}
+    figures["as_good"] = list(found.same)
+    if best.name == TIME:
+        text = (
+            f"exposures are {abs(best.value[0]) * 1e3:.1f} ms (sigma {best.sigma[0] * 1e3:.1f} ms) "
+            f"{'later' if best.value[0] > 0 else 'earlier'} than stamped: check the delay"
+        )
+    elif best.name == AXES:
+        text = f"axes of the lever arm are exchanged or have a wrong sign: {best.axes} m fits"
+    else:
+        parts = ", ".join(f"{v * 1e3:+.0f} mm {name}" for v, name in zip(best.value, AXIS_NAMES, strict=True))
+        known = "the lever arm is wrong by" if lever_m is not None else "there is a lever arm of"
+        text = f"{known} {parts}"
+    names = {TIME: "a time offset", LEVER: "another lever arm", AXES: "exchanged axes of the lever arm"}
+    if found.same:
+        text += "; " + " or ".join(names[name] for name in found.same) + " would explain it as well"
+    return Check(best.name, "failed", compared, text, figures)
+
+
+def _offsets(place: Floats, origin: Floats) -> Floats:
+    return enu_offsets(place[:, 0], place[:, 1], place[:, 2], origin)
+
+
+def _aligned(theirs: Floats, ours: Floats) -> Floats | None:
+    from photocal.geometry.similarity import similarity
+
+    found = similarity(theirs, ours)
+    return None if found is None else found.applied(theirs)
+
+
+def _out_of_sight(e: Evidence) -> list[Check]:
+    """Say what nothing at this stage can show."""
+    said = [
+        (
+            "antenna-height",
+            "a wrong antenna height shifts all heights alike: it shows at control points (photocal check)",
+        )
+    ]
+    if e.rig.lever_m is not None and np.count_nonzero(e.rig.lever_m):
+        said.append(
+            (
+                "boresight",
+                "boresight and a vertical error of the lever arm show only with image observations",
+            )
+        )
+    return [Check(code, "not possible", "nothing at this stage", text, {}) for code, text in said]

@@ -1,0 +1,138 @@
+"""What a person judges exposures by: figures and sentences."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from photocal.navigation.check import Check, findings
+from photocal.navigation.device_clocks import ComparedClocks, clock_sentences
+from photocal.navigation.events import Events
+from photocal.navigation.exposures import CameraMatch, Exposures
+
+_LISTED = 12
+
+
+def exposure_figures(
+    exposures: Exposures,
+    events: Events,
+    cameras: list[CameraMatch],
+    clocks: list[ComparedClocks],
+    checks: list[Check],
+    ppk: dict[str, Any] | None,
+) -> dict[str, Any]:
+    """Return the figures of a run, ready for JSON; `findings` are the warnings among them."""
+    placed = exposures.placed
+    status = placed.status[placed.placed]
+    unmatched = _unmatched(cameras)
+    return {
+        "schema": "photocal.exposures/1",
+        "events": len(events),
+        "events_from": events.source,
+        "remarks": [*events.remarks, *clock_sentences(clocks)],
+        "placed": int(placed.placed.sum()),
+        **{name: int((status == name).sum()) for name in ("fixed", "float", "single")},
+        "not_placed": [
+            {"event": int(exposures.number[i]), "time_gps": exposures.time[[i]].iso()[0],
+             "reason": exposures.reason(i)}
+            for i in np.flatnonzero(~placed.placed).tolist()
+        ],
+        "with_attitude": int(exposures.attitude.known.sum()),
+        "height": exposures.height_kind,
+        "heights": _heights(exposures),
+        "sigma": _sigmas(exposures),
+        "cameras": [_camera(found, events) for found in cameras],
+        "clocks": [clock.figures() for clock in clocks],
+        "checks": [vars(check) for check in checks],
+        "findings": [*findings(checks), *unmatched],
+        "ppk": ppk,
+    }  # fmt: skip
+
+
+def _heights(exposures: Exposures) -> dict[str, Any]:
+    rows = exposures.placed.placed
+    kinds = {exposures.height_kind: exposures.placed.height_m[rows]}
+    if exposures.above_take_off_m is not None:
+        kinds["above the take-off, as the images state it"] = exposures.above_take_off_m
+    return {
+        kind: {"lowest_m": float(np.min(v)), "highest_m": float(np.max(v))}
+        for kind, values in kinds.items()
+        if len(v := values[np.isfinite(values)])
+    }
+
+
+def _sigmas(exposures: Exposures) -> dict[str, Any]:
+    """Return medians of the standard deviations."""
+    covariance = exposures.placed.covariance_m2[exposures.placed.placed]
+    position = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
+    angles = np.degrees(exposures.angle_sigma[exposures.attitude.known])
+    return {
+        "position_enu_m": _medians(position),
+        "roll_pitch_yaw_deg": _medians(angles),
+    }
+
+
+def _medians(values: np.ndarray[Any, np.dtype[np.float64]]) -> list[float] | None:
+    known = values[np.isfinite(values).all(axis=1)]
+    return [float(v) for v in np.median(known, axis=0)] if len(known) else None
+
+
+def _camera(found: CameraMatch, events: Events) -> dict[str, Any]:
+    m = found.matching
+    return {
+        "camera": found.camera,
+        "matched": len(m.image),
+        "unmatched_images": [found.names[i] for i in m.unmatched_images.tolist()],
+        "ambiguous_images": [found.names[i] for i in m.ambiguous_images.tolist()],
+        "unmatched_events": [int(events.number[i]) for i in m.unmatched_events.tolist()],
+        "clock_offset_s": m.offset_s,
+        "clock_offset_sigma_s": m.offset_sigma_s,
+        "clock_drift_ppm": m.drift * 1e6,
+        "clock_drift_sigma_ppm": m.drift_sigma * 1e6,
+        "residual_s": m.scatter_s,
+    }
+
+
+def _unmatched(cameras: list[CameraMatch]) -> list[dict[str, str]]:
+    found = []
+    for camera in cameras:
+        images = [camera.names[i] for i in camera.matching.unmatched_images.tolist()]
+        if images:
+            told = ", ".join(images[:5]) + (", ..." if len(images) > 5 else "")
+            text = f"{camera.camera}: {len(images)} images belong to no event: {told}"
+            found.append({"code": "unmatched-images", "text": text})
+    return found
+
+
+def exposures_text(figures: dict[str, Any]) -> str:
+    """Return the summary in words."""
+    counts = ", ".join(f"{figures[name]} {name}" for name in ("fixed", "float", "single"))
+    lines = [
+        f"{figures['events']} events from {figures['events_from']}, {figures['placed']} placed: {counts}",
+        f"{figures['with_attitude']} with attitude",
+    ]
+    for kind, span in figures["heights"].items():
+        lines.append(f"height {kind}: {span['lowest_m']:.2f} to {span['highest_m']:.2f} m")
+    sigma = figures["sigma"]
+    if sigma["position_enu_m"]:
+        lines.append("sigma (median) E N U " + " ".join(f"{v:.3f}" for v in sigma["position_enu_m"]) + " m")
+    if sigma["roll_pitch_yaw_deg"]:
+        told = " ".join(f"{v:.2f}" for v in sigma["roll_pitch_yaw_deg"])
+        lines.append(f"sigma (median) roll pitch yaw {told} deg")
+    lines += figures["remarks"]
+    for camera in figures["cameras"]:
+        rest = f"{len(camera['unmatched_images'])} images, {len(camera['unmatched_events'])} events"
+        lines.append(
+            f"{camera['camera']}: {camera['matched']} matched, without a partner {rest}; its clock is "
+            f"{camera['clock_offset_s']:+.3f} s (sigma {camera['clock_offset_sigma_s']:.3f} s) off, drift "
+            f"{camera['clock_drift_ppm']:+.0f} ppm"
+        )
+    missing = figures["not_placed"]
+    lines += [f"event {x['event']} at {x['time_gps']}: {x['reason']}" for x in missing[:_LISTED]]
+    if len(missing) > _LISTED:
+        lines.append(f"... and {len(missing) - _LISTED} more without a position: see exposures.csv")
+    lines.append("checks:")
+    words = {"passed": "ok    ", "failed": "FAILED", "not possible": "  -   "}
+    lines += [f"  {words[c['verdict']]} {c['code']}: {c['text']}" for c in figures["checks"]]
+    return "\n".join(lines)

@@ -1,0 +1,195 @@
+"""Where events, positions and attitudes of exposures come from, the best source first."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError
+from photocal.navigation.attitude import LINE_OF_SIGHT, Attitudes, at_instants, from_angles, no_attitudes
+from photocal.navigation.events import Events, logged_exposures, time_marks
+from photocal.navigation.image_metadata import ImageMetadata, clock_time_s
+from photocal.navigation.interpolation import Placed, interpolate
+from photocal.navigation.mrk import CameraEventList, moved
+from photocal.navigation.ppk_inputs import Sources
+from photocal.navigation.receiver_recording import ReceiverRecording
+from photocal.navigation.rig import Rig
+from photocal.navigation.time import GpsTime, UtcTime
+from photocal.navigation.trajectory import Trajectory
+from photocal.navigation.vehicle import VehicleTrack
+
+Floats = NDArray[np.float64]
+ELLIPSOIDAL, SEA_LEVEL = "ellipsoidal", "above mean sea level, as the autopilot computes it"
+OF_IMAGES = "as the images state it (makers mostly write the height above mean sea level)"
+# Hot shoe before the camera's own word before what the autopilot asked for.
+_LOGGED = ("CAMERA_FEEDBACK", "CAM", "CAMERA_IMAGE_CAPTURED", "CAMERA_TRIGGER", "TRIG")
+
+
+def events_of(
+    sources: Sources, edge: str, receivers: dict[str, ReceiverRecording], clock_sigma_s: float
+) -> tuple[Events | None, list[Events]]:
+    """Return the best events of the logs, and all others.
+
+    Parameters
+    ----------
+    sources : Sources
+        Logs and links.
+    edge : str
+        Of the time marks.
+    receivers : dict of str to ReceiverRecording
+        Of the logs.
+    clock_sigma_s : float
+        Standard deviation of the autopilot's clock, for events that it noted.
+    """
+    found = []
+    rover = receivers.get(sources.rover_link)
+    if rover is not None:
+        marks = time_marks(rover.marks(), edge, rover.link, stream_ns=rover.epochs_before_marks())
+        if len(marks):
+            found.append(marks)
+    logged = {events.source: events for events in logged_exposures(sources.logs) if len(events)}
+    for source in (*_LOGGED, *(name for name in logged if name not in _LOGGED)):
+        if source in logged:
+            own = logged[source]
+            found.append(replace(own, accuracy_s=np.hypot(own.accuracy_s, clock_sigma_s)))
+    return (found[0], found[1:]) if found else (None, [])
+
+
+def placed_by(
+    events: Events,
+    trajectory: Trajectory | None,
+    listed: CameraEventList | None,
+    vehicle: VehicleTrack | None,
+) -> tuple[Placed, str]:
+    """Return positions at events and their kind of height: PPK, else an event list, else the autopilot.
+
+    Raises
+    ------
+    ConfigurationError
+        When nothing tells positions.
+    """
+    if trajectory is not None:
+        placed = interpolate(trajectory, events.time, events.accuracy_s)
+        if listed is None:
+            return placed, ELLIPSOIDAL
+        # The file's own offsets lead from the antenna, which PPK gives, to the camera.
+        lat, lon, height = moved(placed.lat_deg, placed.lon_deg, placed.height_m, listed.offset_enu_m)
+        return replace(placed, lat_deg=lat, lon_deg=lon, height_m=height), ELLIPSOIDAL
+    if listed is not None:
+        return _listed(listed), ELLIPSOIDAL
+    if vehicle is None or len(vehicle.position_time) < 2:
+        raise ConfigurationError(
+            "nothing tells positions: neither raw frames of a rover and a base nor an autopilot's positions",
+            remedy="give RINEX files, or a log with GLOBAL_POSITION_INT",
+        )
+    return vehicle_positions(vehicle, events.time), SEA_LEVEL
+
+
+def _listed(listed: CameraEventList) -> Placed:
+    n = len(listed.events)
+    return Placed(
+        np.ones(n, bool),
+        np.zeros(n),
+        listed.lat_deg,
+        listed.lon_deg,
+        listed.height_m,
+        np.full((n, 3), np.nan),
+        listed.sigma_enu_m[:, :, None] ** 2 * np.eye(3),
+        listed.status,
+    )
+
+
+def vehicle_positions(vehicle: VehicleTrack, time: GpsTime) -> Placed:
+    """Return the autopilot's own positions at instants, between its messages; their sigma is not known."""
+    n, m = len(time), len(vehicle.position_time)
+    path = Trajectory(
+        vehicle.position_time,
+        vehicle.lat_deg,
+        vehicle.lon_deg,
+        vehicle.height_msl_m,
+        np.full(m, "single"),
+        np.full((m, 3, 3), np.nan),
+        np.full((m, 3), np.nan),
+        np.nan,
+    )
+    return interpolate(path, time, np.zeros(n), np.zeros((n, 3)))
+
+
+def attitudes_of_vehicle(vehicle: VehicleTrack | None, time: GpsTime, rig: Rig) -> Attitudes:
+    """Return the autopilot's attitudes at instants, with what its own clock adds to their uncertainty."""
+    if vehicle is None or vehicle.attitude is None:
+        return no_attitudes(len(time))
+    found = at_instants(vehicle.attitude, time, rig.angle_sigma)
+    turn = found.rate[:, :, None] * found.rate[:, None, :] * vehicle.clock_sigma_s**2
+    return replace(found, covariance=found.covariance + turn)
+
+
+def attitudes_of_images(
+    images: list[ImageMetadata | None], rig: Rig
+) -> tuple[Attitudes, Attitudes, NDArray[np.bool_]]:
+    """Return the attitudes that the images themselves state (XMP of gimbal and vehicle).
+
+    Parameters
+    ----------
+    images : list of ImageMetadata or None (n,)
+        One for each event.
+    rig : Rig
+        Camera axes and standard deviations of the angles.
+
+    Returns
+    -------
+    camera : Attitudes
+        Of a body that carries the camera as `rig.axes` says: the gimbal's angles turn the line of sight, so
+        that at a pitch of -90 degrees roll and yaw would mean the same.
+    vehicle : Attitudes
+        Of the vehicle.
+    stated : bool (n,)
+        Where the gimbal's angles are stated.
+    """
+    facts = [None if image is None else image.facts for image in images]
+    unknown = (np.nan, np.nan, np.nan)
+    gimbal = np.radians([unknown if f is None else f.gimbal_deg for f in facts]).reshape(-1, 3)
+    vehicle = np.radians([unknown if f is None else f.vehicle_deg for f in facts]).reshape(-1, 3)
+    line_of_sight = from_angles(gimbal, None)
+    body = line_of_sight.turned(rig.axes.T @ LINE_OF_SIGHT)
+    camera = from_angles(body.angles, rig.angle_sigma)
+    return camera, from_angles(vehicle, rig.angle_sigma), camera.known
+
+
+def events_of_images(images: list[ImageMetadata]) -> tuple[Events, Placed]:
+    """Return the events and positions that the images state by themselves.
+
+    Raises
+    ------
+    ConfigurationError
+        When an image tells no time, or none tells a position.
+    """
+    time_s = np.array([clock_time_s(image) for image in images])
+    order = np.argsort(time_s, kind="stable")
+    facts = [images[i].facts for i in order.tolist()]
+    columns = ("latitude_deg", "longitude_deg", "altitude_m")
+    place = np.array([[np.nan] * 3 if f is None else [getattr(f, c) for c in columns] for f in facts])
+    sigma = np.array([[np.nan] * 3 if f is None else f.position_sigma_m for f in facts])
+    there = np.isfinite(place).all(axis=1)
+    if not there.any():
+        raise ConfigurationError(
+            "no image states a position, and there are no events to match them to",
+            remedy="give a flight log or an event list with --mrk",
+        )
+    n = len(images)
+    time = UtcTime(np.array([round(t * 1e9) for t in time_s[order].tolist()], np.int64)).to_gps()
+    remark = "times are the camera's own clock, taken for UTC: zone and offset are not known"
+    events = Events("the images themselves", time, np.arange(n), np.zeros(n), [remark])
+    placed = Placed(
+        there,
+        np.where(there, 0.0, np.inf),
+        place[:, 0],
+        place[:, 1],
+        place[:, 2],
+        np.full((n, 3), np.nan),
+        sigma[:, :, None] ** 2 * np.eye(3),
+        np.full(n, "single"),
+    )
+    return events, placed
