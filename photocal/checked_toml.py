@@ -43,13 +43,16 @@ def read_toml(path: Path, model: type[Content], context: dict[str, Any] | None =
         For what is not TOML, an unknown key, a missing one, or an impossible value.
     """
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        content = tomllib.loads(text)
     except OSError as refusal:
         raise InputNotFoundError(_unreadable(refusal), where=path, remedy="check the path") from refusal
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as failure:
         raise ConfigurationError(
             f"is not valid TOML ({failure})", where=path, remedy="correct it"
         ) from failure
+    if not text:
+        raise InputNotFoundError("is empty", where=path, remedy="was it written completely?")
     try:
         return model.model_validate(content, context=context)
     except ValidationError as failure:

@@ -16,7 +16,8 @@ from pydantic import (
 )
 
 from drivers.errors import ConfigurationError
-from photocal.block.setup import BodyAxis, CameraKeys, MountingKeys, NonNegative, Sigma, make_camera
+from photocal.block.camera_setup import CameraKeys, NonNegative, make_camera
+from photocal.block.setup import BodyAxis, MountingKeys, Sigma
 from photocal.checked_toml import Table, read_toml
 from photocal.geometry.camera import Camera
 

@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 # Squared distance to the minimum, in units of the standard deviations, that is left after the last step.
 CONVERGED = 1e-12
 # Only between steps this short is that rate known: the first steps shrink much faster than the last.
-SHORT = 1e-9
+SHORT = 1e-8
 # A step this short that no longer lowers the sum of squares shows that rounding is reached.
 ROUNDING = 1e-6
 ITERATIONS = 50

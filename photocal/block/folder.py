@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.adjustment.network import NO_RELATIONS, RELATIONS, Relations, covariance_matrices
+from photocal.block.camera_setup import make_camera
 from photocal.block.model import ROLES, Block, Images, InputFile, ObjectPoints, Observations
 from photocal.block.mounting import make_mounting, read_attitudes, read_positions
-from photocal.block.setup import ObservationKeys, make_camera, read_setup
+from photocal.block.setup import ObservationKeys, read_setup
 from photocal.block.table import Table, known_rows, read_table, refuse, refuse_unknown
 from photocal.geometry.camera import Camera
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,16 +14,23 @@ from photocal.adjustment.adjust import adjust
 from photocal.adjustment.snooping import Test, snoop
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration
+from photocal.adjustment.variance_components import Component, estimate_components, rays_by_camera
 from photocal.block.folder import read_block
 from photocal.block.model import Block
+from photocal.block.more_tables import Wanted, more_figures, write_more
 from photocal.block.network import Assembly, assemble
-from photocal.block.run import summary, write_run
+from photocal.block.run import given_points, summary, write_run
 
+NOTHING_MORE = Wanted()
 Report = Callable[[Iteration], None]
 
 
 def adjust_block(
-    source: Path, output: Path, snooping: Test | None = None, report: Report | None = None
+    source: Path,
+    output: Path,
+    snooping: Test | None = None,
+    report: Report | None = None,
+    wanted: Wanted = NOTHING_MORE,
 ) -> dict[str, Any]:
     """Read a block, adjust it, write the results.
 
@@ -36,6 +44,8 @@ def adjust_block(
         Search for gross errors with this test.
     report : callable, optional
         Called after each iteration.
+    wanted : Wanted
+        What is asked for beside the tables that every run has.
 
     Returns
     -------
@@ -51,12 +61,32 @@ def adjust_block(
     block = read_any_block(source)
     assembly = assemble(block)
     timing = {"read": time.perf_counter() - began}
-    assembly, solution = _adjusted(assembly, snooping, report)
+    assembly, solution = adjusted(assembly, snooping, report)
+    components: tuple[Component, ...] = ()
+    if wanted.components:
+        found = estimate_components(assembly.network, rays_by_camera(assembly.network), report=report)
+        assembly, solution = replace(assembly, network=found.network), found.solution
+        components = found.components
     timing |= solution.timing_s
     result = summary(block, assembly, solution, timing)
+    covariance = given_points(assembly, solution)[1]
+    result |= more_figures(assembly, covariance, wanted, components)
+    result["block"] |= _origin(source, block, output)
+    result["snooping"] = snooping
     with output_folder(output) as aside:
         write_run(aside, block, assembly, solution, result)
+        write_more(aside, block, assembly, solution, covariance, wanted)
     return result
+
+
+def _origin(source: Path, block: Block, output: Path) -> dict[str, str]:
+    """Where the inputs lie, seen from the run folder, and which of them is the set-up file."""
+    root, setup = source, ""
+    if source.is_file():
+        setup = next(file.path for file in block.inputs if Path(file.path).name == source.name)
+        root = source.parents[len(Path(setup).parts) - 1]
+    # Together they may move to another place; the run folder alone need not.
+    return {"source": Path(os.path.relpath(root.resolve(), output.resolve())).as_posix(), "setup": setup}
 
 
 def read_any_block(source: Path) -> Block:
@@ -83,8 +113,30 @@ def read_any_block(source: Path) -> Block:
     return read_foreign_block(source)
 
 
-def _adjusted(assembly: Assembly, snooping: Test | None, report: Report | None) -> tuple[Assembly, Solution]:
-    """Adjust the network of an assembly; with snooping only what is accepted remains in it."""
+def adjusted(
+    assembly: Assembly, snooping: Test | None = None, report: Report | None = None
+) -> tuple[Assembly, Solution]:
+    """Adjust the network of an assembly.
+
+    Parameters
+    ----------
+    assembly : Assembly
+    snooping : {"w", "tau"}, optional
+        Search for gross errors with this test.
+    report : callable, optional
+        Called after each iteration.
+
+    Returns
+    -------
+    assembly : Assembly
+        With snooping, only what is accepted remains in its network.
+    solution : Solution
+
+    Raises
+    ------
+    PhotocalError
+        For an ill-posed network.
+    """
     if snooping is None:
         return assembly, adjust(assembly.network, report)
     found = snoop(assembly.network, snooping, report)

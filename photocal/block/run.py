@@ -131,6 +131,8 @@ def _cameras(block: Block, solution: Solution) -> dict[str, Any]:
             "reference_radius": camera.reference_radius,
             "affinity": camera.affinity,
             "affinity_form": camera.affinity_form,
+            "focus_m": camera.focus_m or None,
+            "photo_variant": [PARAMETERS[n] for n in np.flatnonzero(camera.deviation_sigma > 0)],
             "parameters": {
                 name: {
                     "value": float(values[k]),

@@ -27,19 +27,38 @@ def adjust(
     snoop: Annotated[
         str, typer.Option(help="Search for gross errors: `w` (a priori sigmas) or `tau` (a posteriori).")
     ] = "",
+    ellipses: Annotated[
+        float | None,
+        typer.Option(help="Write error ellipses and ellipsoids of this probability, such as 0.95."),
+    ] = None,
+    reliability: Annotated[
+        bool, typer.Option("--reliability", help="Write the smallest errors that the tests find.")
+    ] = False,
+    components: Annotated[
+        bool,
+        typer.Option("--components", help="Estimate the sigma of each group of observations and use it."),
+    ] = False,
+    joint: Annotated[
+        str,
+        typer.Option(help="Write the joint covariance of `image:NAME,point:NAME,camera:ID,mounting`."),
+    ] = "",
     as_json: Annotated[bool, typer.Option("--json", help="Print result.json instead of a summary.")] = False,
 ) -> None:
     """Adjust a block: camera, orientations and points with their complete statistics.
 
     Example: `photocal adjust configs/demo/dcs460 -o run`
     """
+    from photocal.block.more_tables import Wanted, parse_joint
     from photocal.block.process import adjust_block
 
     if snoop not in ("", "w", "tau"):
         raise ConfigurationError(f"--snoop {snoop} is not known", remedy="use w or tau")
     test = cast("Literal['w', 'tau'] | None", snoop or None)
+    if ellipses is not None and not 0 < ellipses < 1:
+        raise ConfigurationError(f"--ellipses {ellipses:g} is no probability", remedy="give 0.95 for 95 %")
+    wanted = Wanted(ellipses, reliability, components, parse_joint(joint))
     with iteration_lines("adjusting") as report:
-        result = adjust_block(block, output, test, report)
+        result = adjust_block(block, output, test, report, wanted)
     answer(as_json, lambda: result, lambda: _text(result, output))
 
 
@@ -77,6 +96,11 @@ def _text(result: dict[str, Any], output: Path) -> str:
         for parameter, figures in camera["parameters"].items():
             if figures["estimated"]:
                 lines.append(f"  {parameter:<3}{figures['value']:>15.8g}  +- {figures['sigma']:.3g}")
+    lines += [
+        f"sigma of {one['name']}: {one['factor']:.3f} +- {one['sigma']:.3f} times the given one"
+        for one in result["variance_components"]
+        if one["estimated"]
+    ]
     if result["rejected"]:
         lines.append(f"{len(result['rejected'])} observation(s) rejected as gross errors")
     checks = result["checks"]

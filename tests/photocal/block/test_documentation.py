@@ -9,6 +9,7 @@ import pytest
 
 import drivers.errors
 from acquire.cli import app as acquire_app
+from photocal.block.camera_setup import make_camera
 from photocal.block.folder import (
     IMAGE_COLUMNS,
     IMAGE_SIGMAS,
@@ -17,7 +18,7 @@ from photocal.block.folder import (
     POINT_CROSS,
     POINT_SIGMAS,
 )
-from photocal.block.setup import make_camera, read_setup
+from photocal.block.setup import read_setup
 from photocal.cli import app as photocal_app
 from photocal.geometry.camera import PARAMETERS
 

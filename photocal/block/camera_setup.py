@@ -1,0 +1,176 @@
+"""`[[camera]]`: what a block or a project says of a camera, checked key by key."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AliasChoices, Field, FiniteFloat, PositiveFloat, PositiveInt
+
+from drivers.errors import ConfigurationError
+from photocal.checked_toml import Table
+from photocal.geometry.camera import MM, PARAMETERS, Affinity, AffinityForm, Camera, Model, camera
+from photocal.geometry.distortion import focused
+
+NonNegative = Annotated[FiniteFloat, Field(ge=0)]
+RADIAL = ("K1", "K2", "K3", "K4")
+
+
+class FocusCalibrationKeys(Table):
+    """Radial distortion at one distance of focus; `inf` is a distance too."""
+
+    distance_m: Annotated[float, Field(gt=0)]
+    K1: FiniteFloat = 0.0
+    K2: FiniteFloat = 0.0
+    K3: FiniteFloat = 0.0
+    K4: FiniteFloat = 0.0
+
+
+class FocusKeys(Table):
+    """`focus`: distortion that varies with the distance of the object."""
+
+    distance_m: PositiveFloat
+    calibrations: Annotated[tuple[FocusCalibrationKeys, ...], Field(max_length=2)] = ()
+
+
+class CameraKeys(Table):
+    """One `[[camera]]`."""
+
+    id: str
+    model: Model
+    unit: Literal["mm", "px"]
+    size_px: tuple[PositiveInt, PositiveInt]
+    pitch_mm: PositiveFloat | tuple[PositiveFloat, PositiveFloat] | None = None
+    parameters: dict[str, FiniteFloat]
+    estimate: tuple[str, ...] = ()
+    prior_sigma: dict[str, NonNegative] = Field(default={})
+    R0: NonNegative = Field(default=0.0, validation_alias=AliasChoices("R0", "reference_radius"))
+    affinity: Affinity = "additive"
+    affinity_form: AffinityForm = "fraser"
+    photo_variant: dict[str, PositiveFloat | Literal["free"]] = Field(default={})
+    focus: FocusKeys | None = None
+
+
+def make_camera(keys: CameraKeys, where: object) -> Camera:
+    """Make the camera that a `[[camera]]` describes.
+
+    Parameters
+    ----------
+    keys : CameraKeys
+    where : object
+        What to name in messages.
+
+    Returns
+    -------
+    Camera
+
+    Raises
+    ------
+    ConfigurationError
+        For unknown parameters, a missing pitch or principal distance, or sigmas that do not fit.
+    """
+    place = f"{where}, camera {keys.id}"
+    for section, names in (
+        ("parameters", list(keys.parameters)),
+        ("estimate", list(keys.estimate)),
+        ("prior_sigma", list(keys.prior_sigma)),
+        ("photo_variant", list(keys.photo_variant)),
+    ):
+        unknown = [name for name in names if name not in PARAMETERS]
+        if unknown:
+            raise ConfigurationError(
+                f"{section} names {unknown[0]}, which is no camera parameter",
+                where=place,
+                remedy=f"use {', '.join(PARAMETERS)}",
+            )
+    if not keys.parameters.get("c", 0.0) > 0:
+        raise ConfigurationError(
+            "the principal distance c is missing or not positive", where=place, remedy="give c in parameters"
+        )
+    if keys.unit == "mm" and keys.pitch_mm is None:
+        raise ConfigurationError(
+            "pitch_mm is missing", where=place, remedy='give the pixel pitch, or unit = "px"'
+        )
+    if keys.unit == "px":
+        pitch = (1.0, 1.0)
+    else:
+        pitch = keys.pitch_mm if isinstance(keys.pitch_mm, tuple) else (keys.pitch_mm or 0.0,) * 2
+    estimate = tuple(name for name in PARAMETERS if name in keys.estimate)
+    # A prior sigma of 0 holds the parameter, as it does for coordinates.
+    held = {name for name, sigma in keys.prior_sigma.items() if sigma == 0}
+    weighted = {name: sigma for name, sigma in keys.prior_sigma.items() if sigma > 0}
+    idle = [name for name in weighted if name not in estimate]
+    if idle:
+        raise ConfigurationError(
+            f"{idle[0]} has a prior sigma but is not estimated", where=place, remedy="list it in estimate"
+        )
+    for name, deviation in keys.photo_variant.items():
+        if deviation == "free" and name in estimate and not weighted.get(name):
+            raise ConfigurationError(
+                f"{name} is free in every image: its value for the camera is then none",
+                where=place,
+                remedy="take it out of estimate, or give photo_variant a standard deviation",
+            )
+    return _focused(
+        keys,
+        place,
+        camera(
+            keys.id,
+            keys.model,
+            keys.unit,
+            keys.size_px,
+            pitch,
+            keys.parameters,
+            estimate=tuple(name for name in estimate if name not in held),
+            prior_sigma=weighted,
+            reference_radius=keys.R0,
+            affinity=keys.affinity,
+            affinity_form=keys.affinity_form,
+            photo_variant={
+                name: np.inf if deviation == "free" else deviation
+                for name, deviation in keys.photo_variant.items()
+            },
+            focus_m=0.0 if keys.focus is None else keys.focus.distance_m,
+        ),
+    )
+
+
+def _focused(keys: CameraKeys, place: str, own: Camera) -> Camera:
+    """Give a camera the distortion of its focus from calibrations at two others."""
+    if keys.focus is None:
+        return own
+    if own.unit != "mm":
+        raise ConfigurationError(
+            "distortion that varies with the distance needs c in mm", where=place, remedy='give unit = "mm"'
+        )
+    c = own.value("c") / MM
+    distances = [keys.focus.distance_m, *(one.distance_m for one in keys.focus.calibrations)]
+    if min(distances) <= c:
+        raise ConfigurationError(
+            f"the focus distance {min(distances):g} m is not beyond c = {c:g} m",
+            where=place,
+            remedy="give distances in metres",
+        )
+    if not keys.focus.calibrations:
+        return own
+    if len(keys.focus.calibrations) != 2 or distances[1] == distances[2]:
+        raise ConfigurationError(
+            "calibrations must be two, at different distances", where=place, remedy="give distance_m and K1.."
+        )
+    if any(name in RADIAL for name in keys.parameters):
+        raise ConfigurationError(
+            "K1 to K4 stand in parameters and in calibrations", where=place, remedy="remove one of them"
+        )
+    near, far = (
+        replace(own.with_values(_with_radial(own, one)), focus_m=one.distance_m)
+        for one in sorted(keys.focus.calibrations, key=lambda one: one.distance_m)
+    )
+    return focused(near, far, keys.focus.distance_m)
+
+
+def _with_radial(own: Camera, one: FocusCalibrationKeys) -> NDArray[np.float64]:
+    values = own.values.copy()
+    values[[PARAMETERS.index(name) for name in RADIAL]] = [one.K1, one.K2, one.K3, one.K4]
+    return values

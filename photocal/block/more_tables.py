@@ -1,0 +1,195 @@
+"""Tables of a run folder that are made when they are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError
+from photocal.adjustment.ellipses import ellipses, ellipsoids, mean_precision
+from photocal.adjustment.factored import factored
+from photocal.adjustment.joint import joint_covariance
+from photocal.adjustment.reliability import POWER, SIGNIFICANCE, reliability
+from photocal.adjustment.solution import Solution
+from photocal.adjustment.variance_components import Component
+from photocal.block.model import Block
+from photocal.block.network import Assembly, plane_per_unit
+from photocal.geometry.camera import PARAMETERS
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is asked for beside the tables that every run has.
+
+    Attributes
+    ----------
+    ellipses : float or None
+        Probability of error ellipses and ellipsoids of the points.
+    reliability : bool
+        Smallest errors that the tests find, and what smaller ones would do.
+    components : bool
+        Estimate the variances of the groups of observations and adjust with them.
+    joint : tuple of (kind, name)
+        Unknowns whose joint covariance is written.
+    """
+
+    ellipses: float | None = None
+    reliability: bool = False
+    components: bool = False
+    joint: tuple[tuple[str, str], ...] = ()
+
+
+def parse_joint(text: str) -> tuple[tuple[str, str], ...]:
+    """Read `image:12,point:P5,camera:P4P,mounting`.
+
+    Raises
+    ------
+    ConfigurationError
+        For a kind that is none.
+    """
+    chosen = []
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        kind, _, name = part.partition(":")
+        if kind not in ("image", "point", "camera", "mounting") or bool(name) == (kind == "mounting"):
+            raise ConfigurationError(
+                f"{part!r} names no unknowns",
+                where="--joint",
+                remedy="use image:NAME, point:NAME, camera:ID or mounting, with commas between",
+            )
+        chosen.append((kind, name))
+    return tuple(chosen)
+
+
+def more_figures(
+    assembly: Assembly, covariance: Floats, wanted: Wanted, components: Sequence[Component]
+) -> dict[str, Any]:
+    """What `result.json` says of them.
+
+    Parameters
+    ----------
+    assembly : Assembly
+    covariance : ndarray, shape (points, 3, 3)
+        Of the points in the block's coordinates, m^2.
+    wanted : Wanted
+    components : sequence of Component
+        Empty when they were not estimated.
+    """
+    free = ~assembly.network.points.held.any(axis=1)
+    mean = vars(mean_precision(covariance[free])) if free.any() else {}
+    figures: dict[str, Any] = {
+        "mean_precision_m": {
+            name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in mean.items()
+        },
+        "variance_components": [
+            {**asdict(one), "sigma": one.sigma if one.estimated else None, "estimated": one.estimated}
+            for one in components
+        ],
+    }
+    if wanted.reliability:
+        figures["reliability"] = {"significance": SIGNIFICANCE, "power": POWER}
+    if wanted.ellipses is not None:
+        figures["ellipses"] = {"probability": wanted.ellipses}
+    return figures
+
+
+def write_more(
+    folder: Path, block: Block, assembly: Assembly, solution: Solution, covariance: Floats, wanted: Wanted
+) -> None:
+    """Write the tables that are asked for.
+
+    Parameters
+    ----------
+    folder : Path
+        Exists.
+    block, assembly, solution
+        What was adjusted.
+    covariance : ndarray, shape (points, 3, 3)
+        Of the points in the block's coordinates, m^2.
+    wanted : Wanted
+    """
+    if len(solution.photo_variant.image):
+        _write(folder / "photo_variant.csv", _photo_variant(block, solution))
+    if wanted.ellipses is not None:
+        _write(folder / "ellipses.csv", _ellipses(block, assembly, covariance, wanted.ellipses))
+    if wanted.reliability:
+        for name, table in _reliability(block, assembly, solution).items():
+            _write(folder / name, table)
+    if wanted.joint:
+        joint = joint_covariance(factored(assembly.network, solution.state), wanted.joint)
+        scale = np.array([one.scale for one in joint.unknowns])
+        names = [f"{one.name} ({one.unit})" if one.unit else one.name for one in joint.unknowns]
+        matrix = joint.covariance * np.outer(scale, scale)
+        columns = {"unknown": names} | {name: matrix[:, k] for k, name in enumerate(names)}
+        _write(folder / "joint_covariance.csv", columns)
+
+
+def _write(path: Path, columns: dict[str, Any]) -> None:
+    arrays = {
+        name: pa.array(values, from_pandas=True) if isinstance(values, np.ndarray) else values
+        for name, values in columns.items()
+    }
+    pyarrow.csv.write_csv(pa.table(arrays), path, pyarrow.csv.WriteOptions(quoting_style="needed"))
+
+
+def _photo_variant(block: Block, solution: Solution) -> dict[str, Any]:
+    own = solution.photo_variant
+    return {
+        "image": [block.images.names[i] for i in own.image],
+        "camera": [block.cameras[k].id for k in block.images.camera[own.image]],
+        "parameter": [PARAMETERS[n] for n in own.parameter],
+        "value": own.values,
+        "sigma": own.sigma,
+        "deviation": own.deviations,
+        "sdeviation": own.deviation_sigma,
+    }
+
+
+def _ellipses(block: Block, assembly: Assembly, covariance: Floats, probability: float) -> dict[str, Any]:
+    plane, space = ellipses(covariance, probability), ellipsoids(covariance, probability)
+    columns: dict[str, Any] = {
+        "point": [block.points.names[j] for j in assembly.points],
+        "a": plane.semi_axes[:, 0],
+        "b": plane.semi_axes[:, 1],
+        "azimuth": np.degrees(plane.azimuth),
+    }
+    for k, axis in enumerate("123"):
+        columns["A" + axis] = space.semi_axes[:, k]
+        columns["azimuth" + axis] = np.degrees(space.azimuth[:, k])
+        columns["elevation" + axis] = np.degrees(space.elevation[:, k])
+    return columns
+
+
+def _reliability(block: Block, assembly: Assembly, solution: Solution) -> dict[str, dict[str, Any]]:
+    """Tables of the rays and of the control coordinates; an infinite figure is an empty cell."""
+    found = reliability(assembly.network, solution)
+    network = assembly.network
+    per_unit = plane_per_unit(block)[network.exposures.camera[network.rays.image]]
+    rays: dict[str, Any] = {
+        "image": [network.image_names[i] for i in network.rays.image],
+        "point": [network.point_names[j] for j in network.rays.point],
+    }
+    control = np.flatnonzero(np.isfinite(found.control_bias).any(axis=1))
+    marks: dict[str, Any] = {"point": [network.point_names[j] for j in control]}
+    for k, axis in enumerate("xy"):
+        rays["mdb_" + axis] = _finite(found.ray_bias[:, k] / per_unit[:, k])
+        rays["external_" + axis] = _finite(found.ray_external[:, k])
+        rays["on_c_" + axis] = _finite(found.ray_on_c[:, k])
+        rays["on_point_m_" + axis] = _finite(found.ray_on_point[:, k])
+    for k, axis in enumerate("XYZ"):
+        marks["mdb_" + axis] = _finite(found.control_bias[control, k])
+        marks["external_" + axis] = _finite(found.control_external[control, k])
+        marks["on_c_" + axis] = _finite(found.control_on_c[control, k])
+    return {"reliability.csv": rays, "control_reliability.csv": marks}
+
+
+def _finite(values: Floats) -> Floats:
+    return np.where(np.isfinite(values), values, np.nan)
