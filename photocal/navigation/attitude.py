@@ -66,7 +66,7 @@ class Attitudes:
 def no_attitudes(count: int) -> Attitudes:
     """Return unknown rotations."""
     unknown = np.full((count, 3, 3), np.nan)
-    return Attitudes(unknown, np.zeros((count, 3)), unknown)
+    return Attitudes(unknown, np.zeros((count, 3)), unknown.copy())
 
 
 def from_angles(angles: Floats, sigma: Floats | None) -> Attitudes:
