@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from photocal.analysis.estimates import Array, Estimates, positive_definite, quadratic_form, without
+from photocal.analysis.finding import Figure, Finding
 
 # The tank study neglects components with 0.74, 0.98 and 1.14 % of the variance together and keeps 3.15 %.
 NEGLIGIBLE_PERCENT = 2.0
@@ -118,8 +119,8 @@ class Proposal:
         Those of the removed that are worth leaving out: not needed, or of unknown significance.
     final : Components
         Components of the kept parameters.
-    sentences : tuple of str
-        The proposal in words, one sentence a round and one for the end.
+    findings : tuple of Finding
+        The proposal, one for each round and those of the end.
     """
 
     steps: tuple[RemovalStep, ...]
@@ -127,7 +128,7 @@ class Proposal:
     kept: tuple[str, ...]
     recommended: tuple[str, ...]
     final: Components
-    sentences: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
 def propose_removal(
@@ -157,7 +158,7 @@ def propose_removal(
     Returns
     -------
     Proposal
-        The rounds, the outcome and the sentences.
+        The rounds, the outcome and what is to be said of them.
 
     Raises
     ------
@@ -210,42 +211,40 @@ def _leaving_order(estimates: Estimates, candidates: list[str]) -> list[str]:
 def _proposal(steps: list[RemovalStep], final: Components, negligible: int) -> Proposal:
     removed = tuple(name for step in steps for name in step.removed)
     recommended = tuple(name for step in steps if not _needed(step) for name in step.removed)
-    sentences = [_sentence(step) for step in steps]
-    last = f"the last of {len(final.names)} components holds {final.percent[-1]:.2f} % of the variance"
-    if not removed:
-        sentences.append(f"Proposal: keep all parameters; {last} and no two parameters load on the same one.")
-    else:
-        sentences.append(f"With {' '.join(final.names)} {last}.")
+    said = [_round(step) for step in steps]
+    last: dict[str, Figure] = {
+        "names": final.names,
+        "components": float(len(final.names)),
+        "percent": float(final.percent[-1]),
+    }
+    said.append(_remark("pca-kept" if removed else "pca-keep-all", last))
     if recommended:
-        sentences.append(f"Proposal: leave out {' '.join(recommended)}.")
+        said.append(_remark("pca-leave-out", {"names": recommended}))
     elif removed:
-        sentences.append(
-            "Proposal: keep all parameters; those that the rule names are correlated but significant, which "
-            "asks for a better network and not for a poorer model."
-        )
+        said.append(_remark("pca-needed", {}))
     if negligible:
-        sentences.append(
-            "What remains alike concerns parameters that every camera needs: improve the network."
-        )
-    return Proposal(tuple(steps), removed, final.names, recommended, final, tuple(sentences))
+        said.append(_remark("pca-network", {}))
+    return Proposal(tuple(steps), removed, final.names, recommended, final, tuple(said))
+
+
+def _remark(code: str, figures: dict[str, Figure], clauses: tuple[str, ...] = ()) -> Finding:
+    return Finding(code, "note", "components", figures, clauses)
 
 
 def _needed(step: RemovalStep) -> bool:
     return step.statistic > NEEDED
 
 
-def _sentence(step: RemovalStep) -> str:
+def _round(step: RemovalStep) -> Finding:
     share = float(step.components.percent[len(step.components.names) - step.negligible :].sum())
-    many = "s" if step.negligible > 1 else ""
-    cause = (
-        f"the last {step.negligible} component{many} hold{'' if many else 's'} {share:.2f} % of the variance"
-        if step.negligible
-        else "no component is negligible"
-    )
-    text = (
-        f"The rule leaves out {' and '.join(step.removed)}: {' '.join(step.crowd)} load together and {cause}"
-    )
-    if np.isnan(step.statistic):
-        return f"{text}."
-    need = "they carry a real effect" if _needed(step) else "nothing is lost"
-    return f"{text}; tested together F = {step.statistic:.3g}: {need}."
+    figures: dict[str, Figure] = {
+        "removed": step.removed,
+        "crowd": step.crowd,
+        "negligible": float(step.negligible),
+        "percent": share,
+        "f": step.statistic,
+    }
+    clauses = ["pca-negligible" if step.negligible else "pca-none-negligible"]
+    if not np.isnan(step.statistic):
+        clauses += ["pca-together", "pca-real" if _needed(step) else "pca-nothing-lost"]
+    return _remark("pca-round", figures, tuple(clauses))

@@ -6,46 +6,23 @@ from dataclasses import dataclass
 
 from photocal.analysis.estimates import Estimates
 
-# Pairs of families: what makes two parameters look alike, and what would separate them.
 _RADIAL = frozenset({"K1", "K2", "K3", "K4"})
 _DECENTRING = frozenset({"P1", "P2", "P3", "P4"})
-_SHIFT_TILT = (
-    "a shift of the principal point with a small tilt looks like decentring; rolled photos separate them"
-)
-_SAME_HEADING = (
-    "photos with the same heading: the principal point moves with the camera; "
-    "opposite or rolled photos separate them"
-)
-_RADII = "powers of the same radius; points out to the corners separate them, or leave out the highest term"
-_SCALE_RADII = (
-    "a change of scale looks like radial distortion where the radii are alike; points from centre to corner "
-    "separate them, or the balanced form"
-)
-_HEIGHT = (
-    "vertical photos of flat ground: a longer principal distance is a higher camera; relief, two heights or "
-    "convergent photos separate them"
-)
-_ALONG_THE_AXIS = (
-    "tilted photos: a longer principal distance is a camera farther back along its axis; relief or photos "
-    "from opposite sides separate them"
-)
-_TWO_SCALES = "one scale is seen in two directions only by photos rolled by 90 degrees"
-_ONE_SIDE = "the photos see the object from one side only; opposite tilts or rolled photos separate them"
-_ALL_AROUND = "decentring of the same form; only points all around the image separate them"
+# Pairs of families: the code of what makes two parameters look alike.
 _CAUSES: tuple[tuple[frozenset[str], frozenset[str], str], ...] = (
-    (_RADIAL, _RADIAL, _RADII),
-    (frozenset({"x0"}), frozenset({"P1"}), _SHIFT_TILT),
-    (frozenset({"y0"}), frozenset({"P2"}), _SHIFT_TILT),
-    (frozenset({"c"}), _RADIAL, _SCALE_RADII),
-    (frozenset({"c"}), frozenset({"Z", "Z0"}), _HEIGHT),
-    (frozenset({"c"}), frozenset({"X", "X0", "Y", "Y0", "omega", "phi"}), _ALONG_THE_AXIS),
-    (frozenset({"x0", "y0"}), frozenset({"X", "X0", "phi", "Y", "Y0", "omega"}), _SAME_HEADING),
-    (frozenset({"c", "x0", "y0"}), frozenset({"B1", "B2"}), _TWO_SCALES),
-    (frozenset({"x0"}), frozenset({"y0"}), _ONE_SIDE),
-    (frozenset({"c"}), frozenset({"x0", "y0"}) | _DECENTRING, _ONE_SIDE),
-    (_DECENTRING, _DECENTRING, _ALL_AROUND),
+    (_RADIAL, _RADIAL, "radii"),
+    (frozenset({"x0"}), frozenset({"P1"}), "shift-tilt"),
+    (frozenset({"y0"}), frozenset({"P2"}), "shift-tilt"),
+    (frozenset({"c"}), _RADIAL, "scale-radii"),
+    (frozenset({"c"}), frozenset({"Z", "Z0"}), "height"),
+    (frozenset({"c"}), frozenset({"X", "X0", "Y", "Y0", "omega", "phi"}), "along-the-axis"),
+    (frozenset({"x0", "y0"}), frozenset({"X", "X0", "phi", "Y", "Y0", "omega"}), "same-heading"),
+    (frozenset({"c", "x0", "y0"}), frozenset({"B1", "B2"}), "two-scales"),
+    (frozenset({"x0"}), frozenset({"y0"}), "one-side"),
+    (frozenset({"c"}), frozenset({"x0", "y0"}) | _DECENTRING, "one-side"),
+    (_DECENTRING, _DECENTRING, "all-around"),
 )
-_UNKNOWN = "no usual cause; look at the distribution of the points over the image"
+UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True)
@@ -59,7 +36,7 @@ class StrongCorrelation:
     value : float
         Their correlation.
     cause : str
-        Why, and what would separate them.
+        Code of why, with what would separate them.
     """
 
     first: str
@@ -94,7 +71,7 @@ def strong_correlations(estimates: Estimates, threshold: float = 0.8) -> tuple[S
 
 
 def cause(first: str, second: str) -> str:
-    """Say why two parameters are correlated and what would separate them.
+    """Give the code of why two parameters are correlated.
 
     Parameters
     ----------
@@ -104,9 +81,9 @@ def cause(first: str, second: str) -> str:
     Returns
     -------
     str
-        Cause and remedy, half a sentence each.
+        Key of the words in the reports; `UNKNOWN` for a pair without usual cause.
     """
     for left, right, words in _CAUSES:
         if (first in left and second in right) or (first in right and second in left):
             return words
-    return _UNKNOWN
+    return UNKNOWN

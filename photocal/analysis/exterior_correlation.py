@@ -33,7 +33,7 @@ class ExteriorCorrelation:
     images : int
         Number of images in which it is over the threshold.
     cause : str
-        Why, and what would separate them.
+        Code of why, with what would separate them.
     """
 
     parameter: str

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -71,21 +72,17 @@ class Requirement:
 
     Attributes
     ----------
-    name : str
-        What it is.
-    found, needed : str
-        With unit.
+    code : str
+        What it is: key of its name, of what was found and is needed, and of the advice for the next flight.
     met : bool
         Whether it is there.
-    advice : str
-        What to do next time.
+    figures : mapping
+        Found and needed, with unit.
     """
 
-    name: str
-    found: str
-    needed: str
+    code: str
     met: bool
-    advice: str
+    figures: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -178,84 +175,53 @@ def check_method(method: str, found: Shape) -> MethodCheck:
 
 
 def _photographs(found: Shape) -> Requirement:
-    return Requirement(
-        "photographs",
-        f"{found.images}",
-        f"at least {PHOTOGRAPHS}",
-        found.images >= PHOTOGRAPHS,
-        "take more photographs",
-    )
+    return _at_least("photographs", found.images, PHOTOGRAPHS)
 
 
 def _convergence(found: Shape) -> Requirement:
-    return Requirement(
-        "convergence of the axes",
-        f"{found.convergence_deg:.0f} deg",
-        f"{CONVERGENCE_DEG:.0f} deg, {CONVERGENCE_ENOUGH_DEG:.0f} at least",
-        found.convergence_deg >= CONVERGENCE_ENOUGH_DEG,
-        "tilt the camera to 45 degrees and photograph the object from opposite sides",
-    )
+    figures = {"needed_deg": CONVERGENCE_DEG}
+    return _at_least("convergence", found.convergence_deg, CONVERGENCE_ENOUGH_DEG, figures)
 
 
 def _roll(found: Shape) -> Requirement:
-    return Requirement(
-        "a photograph rolled by 90 degrees about its axis",
-        f"{90.0 - found.roll_deg:.0f} deg of roll",
-        f"90 deg within {ROLL_ENOUGH_DEG:.0f}",
-        found.roll_deg <= ROLL_ENOUGH_DEG,
-        "fly a cross line with the camera turned, or turn the camera by 90 degrees",
-    )
+    figures = {"found": 90.0 - found.roll_deg, "tolerance_deg": ROLL_ENOUGH_DEG}
+    return Requirement("roll", found.roll_deg <= ROLL_ENOUGH_DEG, figures)
 
 
 def _ranges(found: Shape) -> Requirement:
-    return Requirement(
-        "mixed ranges: relief or two flying heights",
-        f"spread {found.range_spread:.0%} of the distance, heights 1 : {found.height_ratio:.2f}",
-        f"spread of {RANGE_SPREAD:.0%} or heights 1 : {HEIGHT_RATIO:.1f}",
-        found.range_spread >= RANGE_SPREAD or found.height_ratio >= HEIGHT_RATIO,
-        "fly a second time at least 20 % higher, or over terrain with more relief",
-    )
+    figures = {
+        "spread": found.range_spread,
+        "ratio": found.height_ratio,
+        "needed_spread": RANGE_SPREAD,
+        "needed_ratio": HEIGHT_RATIO,
+    }
+    met = found.range_spread >= RANGE_SPREAD or found.height_ratio >= HEIGHT_RATIO
+    return Requirement("mixed-ranges", met, figures)
 
 
 def _convergence_or_ranges(found: Shape) -> Requirement:
     tilted, mixed = _convergence(found), _ranges(found)
-    return Requirement(
-        "something that separates c from height: convergence or mixed ranges",
-        f"{tilted.found}; {mixed.found}",
-        f"{tilted.needed}; or {mixed.needed}",
-        tilted.met or mixed.met,
-        f"{mixed.advice}; or {tilted.advice}",
-    )
+    return Requirement("height-separated", tilted.met or mixed.met, {**tilted.figures, **mixed.figures})
 
 
 def _datum(found: Shape) -> Requirement:
-    return Requirement(
-        "datum constraints",
-        f"{found.constraints}",
-        f"at least {DATUM_CONSTRAINTS}",
-        found.constraints >= DATUM_CONSTRAINTS,
-        "give control points, exposure positions or a known distance a sigma",
-    )
+    return _at_least("datum", found.constraints, DATUM_CONSTRAINTS)
 
 
 def _control(found: Shape) -> Requirement:
-    return Requirement(
-        "control points",
-        f"{found.control_points}",
-        f"at least {CONTROL_POINTS}",
-        found.control_points >= CONTROL_POINTS,
-        "signalise and survey more control points",
-    )
+    return _at_least("control", found.control_points, CONTROL_POINTS)
 
 
 def _around(found: Shape) -> Requirement:
-    return Requirement(
-        "control around the object",
-        f"{found.quadrants} of 4 quarters, {found.control_share:.0%} of the area",
-        f"4 quarters and {COVERED:.0%} of the area",
-        found.quadrants == 4 and found.control_share >= COVERED,
-        "put control points at the corners and edges of the block",
-    )
+    figures = {"quarters": float(found.quadrants), "share": found.control_share, "needed": COVERED}
+    return Requirement("around", found.quadrants == 4 and found.control_share >= COVERED, figures)
+
+
+def _at_least(
+    code: str, found: float, needed: float, figures: Mapping[str, float] | None = None
+) -> Requirement:
+    both = {"found": float(found), "needed": float(needed)}
+    return Requirement(code, found >= needed, {**both, **(figures or {})})
 
 
 def _some_pairs(images: int) -> list[tuple[int, int]]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from photocal.adjustment.network import Network
 from photocal.analysis.camera_analysis import CameraAnalysis, analyse_camera
-from photocal.analysis.hidden.finding import Finding
+from photocal.analysis.finding import Finding
 from photocal.analysis.hidden.findings import findings
 from photocal.analysis.hidden.left_out import Checks
 from photocal.analysis.hidden.refit import fit

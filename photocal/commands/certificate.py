@@ -12,8 +12,6 @@ from acquire.console import answer, progress
 if TYPE_CHECKING:
     import datetime as dt
 
-    from photocal.report.run import Run
-
 
 def certificate(
     run: Annotated[Path, typer.Argument(help="Folder that `photocal adjust` wrote.")],
@@ -25,7 +23,8 @@ def certificate(
     block: Annotated[
         Path | None,
         typer.Option(
-            help="Block folder of the run: the certificate then carries the inputs for `photocal verify`."
+            help="Block folder of the run, or its set-up file, when it is not found near it: the certificate "
+            "carries the inputs for `photocal verify`."
         ),
     ] = None,
     particulars: Annotated[
@@ -42,35 +41,22 @@ def certificate(
 
     Example: `photocal certificate run -o certificate --block block --language pt-BR`
     """
-    from acquire.outputs import output_folder
-    from photocal.report.carried_inputs import FOLDER, carry
-    from photocal.report.catalogue import catalogue
-    from photocal.report.certificate import certificate as compose
-    from photocal.report.html import html
-    from photocal.report.particulars import read_particulars
-    from photocal.report.pdf import pdf
-    from photocal.report.record import NAME, record, with_documents
-    from photocal.report.run import read_run
+    from photocal.report.block_files import CARRIED
+    from photocal.report.issue import FORMS, issue
 
-    day = _day(date)
-    say = catalogue(language)
-    given = read_particulars(particulars, day, client=client, operator=operator)
     with progress("certificate", 4) as step:
-        results = read_run(run)
-        inputs = _inputs(run, results, block)
-        step(1)
-        document = compose(results, given, say)
-        step(1)
-        forms = {"certificate.html": html(document).encode(), "certificate.pdf": pdf(document, day)}
-        step(1)
-        forms[NAME] = with_documents(record(results, given, say), forms)
-        step(1)
-    with output_folder(output) as folder:
-        for name, content in forms.items():
-            (folder / name).write_bytes(content)
-        if inputs is not None:
-            carry(results, inputs, folder)
-    written = [str(output / name) for name in forms] + ([str(output / FOLDER)] if inputs is not None else [])
+        document = issue(
+            run,
+            output,
+            day=_day(date),
+            language=language,
+            block=block,
+            particulars=particulars,
+            client=client,
+            operator=operator,
+            done=lambda: step(1),
+        )
+    written = [str(output / name) for name in (*FORMS, CARRIED) if (output / name).exists()]
     answer(
         as_json,
         lambda: {
@@ -86,18 +72,6 @@ def certificate(
             ]
         ),
     )
-
-
-def _inputs(folder: Path, run: Run, block: Path | None) -> Path | None:
-    """Find the files that the run was made from; None when nobody named them and they are not near."""
-    from drivers.errors import InputNotFoundError
-    from photocal.commands.run_block import block_of_run
-
-    result = {"inputs": [vars(file) for file in run.result.inputs]}
-    try:
-        return block_of_run(folder, result, block, Path.cwd())
-    except InputNotFoundError:
-        return None
 
 
 def _day(date: str | None) -> dt.date:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,6 +11,7 @@ from acquire.console import answer, progress
 from drivers.errors import InputMalformedError, InputNotFoundError
 
 if TYPE_CHECKING:
+    from photocal.report.block_files import Source
     from photocal.report.verification import Difference
 
 
@@ -40,14 +39,19 @@ def verify(
     if certificate.suffix == ".toml":
         _printed(certificate, as_json)
         return
-    from photocal.report.record import read_record
-    from photocal.report.verification import changed_documents, changed_inputs
+    from photocal.report.block_files import changed_inputs
+    from photocal.report.record import certified_result, read_record
+    from photocal.report.repetition import repeated
+    from photocal.report.verification import changed_documents, differences
 
     certified, folder = read_record(certificate)
-    inputs = _inputs(certified, folder, block)
-    changed = changed_inputs(certified, inputs)
+    source = _source(certified, folder, block)
+    changed = [str(one) for one in changed_inputs(certified_result(certified, folder).inputs, source.folder)]
     documents = changed_documents(certified, folder)
-    found = [] if changed else _differences(certified, inputs)
+    found: list[Difference] = []
+    if not changed:
+        with progress("repeating", None) as step:
+            found = differences(certified, repeated(certified, folder, source, lambda: step(1)))
     problems = [*changed, *documents, *(f"{d.place} is {d.found}, certified {d.certified}" for d in found)]
     answer(
         as_json,
@@ -60,7 +64,7 @@ def verify(
         },
         lambda: "\n".join(
             [
-                f"certificate {certified['number']}, inputs in {inputs}",
+                f"certificate {certified['number']}, inputs in {source.folder}",
                 *(f"  {line}" for line in problems[:20]),
             ]
             + (
@@ -81,8 +85,8 @@ def verify(
 def _printed(path: Path, as_json: bool) -> None:
     from photocal.report.acceptance import verdict
     from photocal.report.catalogue import catalogue
-    from photocal.report.ministry_sections import finding_text
     from photocal.report.printed import check_printed
+    from photocal.report.words import finding_text
 
     checked = check_printed(path)
     say = catalogue("en")
@@ -117,40 +121,19 @@ def _printed(path: Path, as_json: bool) -> None:
         )
 
 
-def _inputs(certified: dict[str, Any], folder: Path, block: Path | None) -> Path:
-    """The folder that was named, that the certificate carries, or one near it with the certified files."""
-    from photocal.commands.run_block import block_of_run
-    from photocal.report.carried_inputs import FOLDER
+def _source(certified: dict[str, Any], folder: Path, block: Path | None) -> Source:
+    """What was named, what the certificate carries, or what lies near it with the certified files."""
+    from photocal.report.block_files import CARRIED, Source, block_of_run
+    from photocal.report.record import certified_result
 
-    if block is not None or (folder / FOLDER).is_dir():
-        inputs = block if block is not None else folder / FOLDER
-        if not inputs.is_dir():
+    result = certified_result(certified, folder)
+    setup = result.block.setup
+    if block is None and (folder / CARRIED).is_dir():
+        return Source(folder / CARRIED, setup)
+    if block is not None:
+        if not block.is_dir():
             raise InputNotFoundError(
-                "no such folder", where=inputs, remedy="name the block folder by --block"
+                "no such folder", where=block, remedy="name the folder with the inputs by --block"
             )
-        return inputs
-    return block_of_run(folder, certified["result"], None, Path.cwd())
-
-
-def _differences(certified: dict[str, Any], inputs: Path) -> list[Difference]:
-    """Adjust the certified inputs anew and compare all that the certificate says."""
-    from photocal.block.process import adjust_block
-    from photocal.report.catalogue import catalogue
-    from photocal.report.particulars import given_particulars
-    from photocal.report.record import plain_record
-    from photocal.report.run import read_run
-    from photocal.report.verification import differences
-
-    particulars = given_particulars(certified["particulars"], certified["date"])
-    with tempfile.TemporaryDirectory(prefix="photocal-verify-") as name, progress("repeating", 2) as step:
-        aside = Path(name)
-        # Only what is certified takes part, whatever else lies beside it.
-        (aside / "block").mkdir()
-        for entry in certified["result"]["inputs"]:
-            shutil.copyfile(inputs / entry["path"], aside / "block" / entry["path"])
-        adjust_block(aside / "block", aside / "run")
-        step(1)
-        again = plain_record(read_run(aside / "run"), particulars, catalogue(certified["language"]))
-    # A block that does not name itself is called as its folder, which is another one here.
-    again["result"]["block"]["name"] = certified["result"]["block"].get("name")
-    return differences(certified, again)
+        return Source(block, setup)
+    return block_of_run(folder, result, None, Path.cwd())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from dataclasses import replace
 from pathlib import Path
 
 from drivers.errors import InputMalformedError, InputNotFoundError
@@ -28,6 +30,7 @@ def read_foreign_block(path: Path) -> Block:
     Returns
     -------
     Block
+        Its inputs with their paths below the folder that has them all.
 
     Raises
     ------
@@ -38,6 +41,13 @@ def read_foreign_block(path: Path) -> Block:
     """
     if not path.exists():
         raise InputNotFoundError("does not exist", where=path, remedy="check the path")
+    block = _read(path)
+    root = os.path.commonpath([Path(file.path).parent for file in block.inputs])
+    inputs = (replace(file, path=Path(file.path).relative_to(root).as_posix()) for file in block.inputs)
+    return replace(block, inputs=tuple(inputs))
+
+
+def _read(path: Path) -> Block:
     if path.suffix.lower() == ".xml":
         return _from_xml(path)
     if path.suffix.lower() in SUFFIXES:

@@ -309,6 +309,8 @@ def beside(folder: Path, name: str, place: object) -> Path:
 
 
 def fingerprint(path: Path) -> InputFile:
-    """Digest of a file that was read, under its own name."""
-    content = path.read_bytes()
-    return InputFile(path.name, hashlib.sha256(content).hexdigest(), len(content))
+    """Digest of a file that was read, under its whole path; a block has them within their common folder."""
+    size = require_readable(path)
+    with path.open("rb") as content:
+        digest = hashlib.file_digest(content, "sha256")
+    return InputFile(path.resolve().as_posix(), digest.hexdigest(), size)

@@ -11,6 +11,8 @@ from importlib import resources
 from drivers.errors import ConfigurationError
 
 LANGUAGES = ("en", "pt-BR")
+# One catalogue for each kind of report; their sections may add to each other, their keys are all different.
+CATALOGUES = ("messages", "analysis")
 
 
 @dataclass(frozen=True)
@@ -74,8 +76,10 @@ def catalogue(language: str) -> Catalogue:
         raise ConfigurationError(
             f"no texts in language {language!r}", remedy=f"choose one of {', '.join(LANGUAGES)}"
         )
-    text = resources.files(__package__).joinpath(f"messages_{language}.toml").read_text(encoding="utf-8")
-    messages = dict(_flat(tomllib.loads(text), ""))
+    messages = dict[str, str]()
+    for name in CATALOGUES:
+        text = resources.files(__package__).joinpath(f"{name}_{language}.toml").read_text(encoding="utf-8")
+        messages |= dict(_flat(tomllib.loads(text), ""))
     return Catalogue(language, messages["number.decimal_mark"], messages)
 
 

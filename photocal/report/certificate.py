@@ -7,6 +7,7 @@ import math
 
 from drivers.errors import InputMalformedError
 from photocal.report.acceptance import verdict
+from photocal.report.analysis_sections import analysis_verdict, hidden_errors, method_check, parameters
 from photocal.report.block_sections import (
     check_points,
     exterior_orientation,
@@ -32,7 +33,6 @@ from photocal.report.ministry_sections import (
     acceptance,
     acceptance_statement,
     equipment,
-    finding_text,
     findings,
     signature,
     technical_report,
@@ -40,11 +40,15 @@ from photocal.report.ministry_sections import (
 from photocal.report.particulars import Particulars
 from photocal.report.run import CameraResult, Run
 from photocal.report.sensor import sensor_residuals
+from photocal.report.warning_sections import warned, warning_sections
+from photocal.report.words import finding_text
 
 WORDS = ("table", "figure", "page", "of", "contents")
 
 
-def certificate(run: Run, particulars: Particulars, say: Catalogue) -> Document:
+def certificate(
+    run: Run, particulars: Particulars, say: Catalogue, warnings: tuple[str, ...] = ()
+) -> Document:
     """Compose the certificate.
 
     Parameters
@@ -55,6 +59,8 @@ def certificate(run: Run, particulars: Particulars, say: Catalogue) -> Document:
         What a person gives.
     say : Catalogue
         Language.
+    warnings : tuple of str
+        Of the processing before the adjustment, each a sentence.
 
     Returns
     -------
@@ -72,11 +78,11 @@ def certificate(run: Run, particulars: Particulars, say: Catalogue) -> Document:
         language=say.language,
         title=say("title.certificate"),
         subtitle=_subtitle(run, say),
-        number=certificate_number(run, particulars),
-        facts=_facts(run, particulars, say),
+        number=certificate_number(run, particulars, warnings),
+        facts=_facts(run, particulars, certificate_number(run, particulars, warnings), say),
         highlights=_highlights(run, say),
-        verdicts=_verdicts(run, known, say),
-        sections=_sections(run, particulars, known, say),
+        verdicts=(*_verdicts(run, known, say), *warned(warnings, say)),
+        sections=(*_sections(run, particulars, known, say), *warning_sections(warnings, say)),
         words={word: say(f"word.{word}") for word in WORDS},
     )
 
@@ -87,7 +93,7 @@ def _subtitle(run: Run, say: Catalogue) -> str:
     return say("title.subtitle" if calibrated else "title.subtitle_held", cameras=", ".join(cameras))
 
 
-def certificate_number(run: Run, particulars: Particulars) -> str:
+def certificate_number(run: Run, particulars: Particulars, warnings: tuple[str, ...] = ()) -> str:
     """Make the number of a certificate from its date, inputs, software and particulars, in whatever language.
 
     Parameters
@@ -96,6 +102,8 @@ def certificate_number(run: Run, particulars: Particulars) -> str:
         Results of the adjustment.
     particulars : Particulars
         What a person gives.
+    warnings : tuple of str
+        Of the processing before the adjustment.
 
     Returns
     -------
@@ -104,15 +112,15 @@ def certificate_number(run: Run, particulars: Particulars) -> str:
     """
     software = run.result.software
     files = (f"{f.path} {f.sha256}" for f in run.result.inputs)
-    content = [f"{software.name} {software.version}", *files, repr(particulars)]
+    content = [f"{software.name} {software.version}", *files, repr(particulars), *warnings]
     digest = hashlib.sha256("\n".join(content).encode()).hexdigest()
     return f"PC-{particulars.date:%Y%m%d}-{digest[:8].upper()}"
 
 
-def _facts(run: Run, particulars: Particulars, say: Catalogue) -> KeyValues:
+def _facts(run: Run, particulars: Particulars, number: str, say: Catalogue) -> KeyValues:
     software = run.result.software
     rows = [
-        (say("title.number"), certificate_number(run, particulars)),
+        (say("title.number"), number),
         (say("title.date"), say.date(particulars.date)),
         (say("title.client"), particulars.document.client),
         (say("title.operator"), particulars.document.operator),
@@ -203,6 +211,8 @@ def _verdicts(run: Run, known: tuple[Facts, ...], say: Catalogue) -> tuple[State
         verdicts.append(Statement("good" if test.accepted else "bad", say(f"verdict.{key}_title"), text))
     judged = [acceptance_statement(of, say) for of in known if verdict(of.limits) != "not_determined"]
     verdicts += judged
+    if run.analysis is not None:
+        verdicts += analysis_verdict(run.analysis, say)
     if result.checks.n == 0:
         verdicts.append(Statement("note", say("verdict.unchecked_title"), say("verdict.unchecked")))
     return tuple(verdicts)
@@ -227,6 +237,11 @@ def _sections(
             radial_distortion(title("distortion.section"), name, run, camera_id, say),
             image_residuals(title("residuals.section"), name, run, camera_id, say),
         ]
+        if run.analysis is not None and run.analysis.cameras.get(camera_id) is not None:
+            sections.append(parameters(title("analysis.parameters"), camera_id, run, run.analysis, say))
+    sections.append(hidden_errors(run, say))
+    if run.analysis is not None:
+        sections.append(method_check(run.analysis, say))
     return (
         *sections,
         exterior_orientation(say("eop.section"), run, say),

@@ -233,3 +233,33 @@ def relation(p: float, mark: str) -> str:
     """
     sign, printed = ("=", p) if p >= 0.001 else ("<", 0.001)
     return f"{sign}\u00a0{fixed(printed, 3, mark)}"
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number that a text formats itself, with the decimal mark of its language.
+
+    Attributes
+    ----------
+    value : float
+        The number.
+    mark : str
+        The decimal mark.
+    """
+
+    value: float
+    mark: str
+
+    def __format__(self, form: str) -> str:
+        """Write it: four significant digits; "sN" N of them; "length" in m or mm; else as Python does."""
+        if form == "length":
+            return self._length()
+        if not form or form[0] == "s":
+            return significant(self.value, int(form[1:] or 4), self.mark)
+        return format(self.value, form).replace("-", MINUS).replace(".", self.mark)
+
+    def _length(self) -> str:
+        """In m, or in mm below a metre."""
+        if abs(self.value) >= 1.0:
+            return f"{fixed(self.value, 2, self.mark)} m"
+        return f"{fixed(1000.0 * self.value, 1, self.mark)} mm"

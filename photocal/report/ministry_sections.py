@@ -5,7 +5,7 @@ from __future__ import annotations
 from photocal.analysis.finding import Finding
 from photocal.report.acceptance import Limit, verdict
 from photocal.report.catalogue import Catalogue
-from photocal.report.digits import as_given, significant, symbol
+from photocal.report.digits import as_given, significant
 from photocal.report.document import (
     Column,
     KeyValues,
@@ -20,6 +20,7 @@ from photocal.report.document import (
 from photocal.report.facts import Facts
 from photocal.report.ministry import Context, corners, entries, read_layout
 from photocal.report.particulars import Particulars
+from photocal.report.words import finding_text
 
 TONES: dict[str, Tone] = {"acceptable": "good", "new_calibration": "bad", "not_determined": "note"}
 
@@ -118,30 +119,6 @@ def findings(title: str, found: tuple[Finding, ...], say: Catalogue) -> Section:
     )
     rows = tuple((say(f"plausibility.{f.severity}"), finding_text(f, say)) for f in found)
     return Section(title, (text, Table(say("plausibility.table"), columns, rows, widths=(0.16, 0.84))))
-
-
-def finding_text(finding: Finding, say: Catalogue) -> str:
-    """Say a finding in words.
-
-    Parameters
-    ----------
-    finding : Finding
-        The finding.
-    say : Catalogue
-        Language.
-
-    Returns
-    -------
-    str
-    """
-    figures = {
-        name: significant(value, 4 if name != "t" else 2, say.mark) for name, value in finding.figures.items()
-    }
-    key = f"subject.{finding.subject}"
-    subject = say(key) if key in say.messages else symbol(finding.subject)
-    text = say(f"finding.{finding.code}", subject=subject, **figures)
-    # Symbols keep their case at the head of a sentence; words do not.
-    return text[0].upper() + text[1:] if key in say.messages else text
 
 
 def equipment(title: str, particulars: Particulars, say: Catalogue) -> Section:

@@ -6,7 +6,7 @@ import dataclasses
 import datetime as dt
 import hashlib
 import json
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -19,13 +19,15 @@ from photocal.report.distortion import farthest_corner, radial_profile
 from photocal.report.facts import Facts, facts
 from photocal.report.ministry import Context, entries, read_layout
 from photocal.report.particulars import Particulars
-from photocal.report.run import Run
+from photocal.report.run import Result, Run
 
 SCHEMA = "photocal.certificate/1"
 NAME = "certificate.json"
 
 
-def record(run: Run, particulars: Particulars, say: Catalogue) -> dict[str, Any]:
+def record(
+    run: Run, particulars: Particulars, say: Catalogue, warnings: tuple[str, ...] = ()
+) -> dict[str, Any]:
     """Make the machine-readable certificate.
 
     Parameters
@@ -36,6 +38,8 @@ def record(run: Run, particulars: Particulars, say: Catalogue) -> dict[str, Any]
         What a person gave.
     say : Catalogue
         Language of the technical report's texts.
+    warnings : tuple of str
+        Of the processing before the adjustment.
 
     Returns
     -------
@@ -44,10 +48,11 @@ def record(run: Run, particulars: Particulars, say: Catalogue) -> dict[str, Any]
     """
     return {
         "schema": SCHEMA,
-        "number": certificate_number(run, particulars),
+        "number": certificate_number(run, particulars, warnings),
         "date": particulars.date.isoformat(),
         "language": say.language,
         "particulars": particulars.model_dump(mode="json", exclude={"date"}),
+        "warnings": list(warnings),
         "result": dataclasses.asdict(run.result),
         "exposures": _exposures(run),
         "cameras": {name: _camera(run, facts(run, name, particulars)) for name in run.result.cameras},
@@ -55,6 +60,7 @@ def record(run: Run, particulars: Particulars, say: Catalogue) -> dict[str, Any]
             name: _report(Context(run, particulars, facts(run, name, particulars), say))
             for name in run.result.cameras
         },
+        "analysis": None if run.analysis is None else dataclasses.asdict(run.analysis),
         "run_files": [dataclasses.asdict(file) for file in run.files],
         "documents": {},
     }
@@ -119,12 +125,14 @@ def _report(context: Context) -> list[dict[str, str]]:
     ]
 
 
-def plain_record(run: Run, particulars: Particulars, say: Catalogue) -> dict[str, Any]:
+def plain_record(
+    run: Run, particulars: Particulars, say: Catalogue, warnings: tuple[str, ...] = ()
+) -> dict[str, Any]:
     """Make the certificate as it comes back from JSON: lists for tuples.
 
     Parameters
     ----------
-    run, particulars, say
+    run, particulars, say, warnings
         As for `record`.
 
     Returns
@@ -132,7 +140,7 @@ def plain_record(run: Run, particulars: Particulars, say: Catalogue) -> dict[str
     dict
         Comparable with what `read_record` gives.
     """
-    content: dict[str, Any] = json.loads(json.dumps(record(run, particulars, say), allow_nan=False))
+    content: dict[str, Any] = json.loads(json.dumps(record(run, particulars, say, warnings), allow_nan=False))
     return content
 
 
@@ -198,18 +206,53 @@ def read_record(path: Path) -> tuple[dict[str, Any], Path]:
     return content, file.parent
 
 
+def certified_result(certificate: dict[str, Any], folder: Path) -> Result:
+    """Give the result of the adjustment that a certificate carries.
+
+    Parameters
+    ----------
+    certificate : dict
+        From `read_record`.
+    folder : Path
+        Where it lies, for messages.
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    InputMalformedError
+        When it is not complete.
+    """
+    from pydantic import TypeAdapter, ValidationError
+
+    try:
+        return TypeAdapter(Result).validate_json(json.dumps(certificate["result"]), strict=True)
+    except ValidationError as refusal:
+        first = refusal.errors()[0]
+        place = ".".join(str(step) for step in first["loc"])
+        raise InputMalformedError(
+            f"result.{place}: {first['msg']}", where=folder / NAME, remedy="make the certificate again"
+        ) from None
+
+
 def _complete(content: dict[str, Any], file: Path) -> None:
     try:
         dt.date.fromisoformat(content["date"])
         names = [(str(entry["path"]), str(entry["sha256"])) for entry in content["result"]["inputs"]]
         dict(content["documents"]), dict(content["particulars"]), str(content["language"])
+        list(content["warnings"])
     except (KeyError, TypeError, ValueError) as lacking:
         raise InputMalformedError(
             f"lacks what a verification needs ({lacking})", where=file, remedy="make the certificate again"
         ) from None
     for name, _ in names:
         # A certificate comes from elsewhere: it may not reach outside the folder of its inputs.
-        if Path(name).name != name:
+        path = PurePosixPath(name)
+        if path.is_absolute() or ".." in path.parts:
             raise InputMalformedError(
-                f"input {name!r} is no plain file name", where=file, remedy="make the certificate again"
+                f"input {name!r} lies outside the folder of the inputs",
+                where=file,
+                remedy="make the certificate again",
             )

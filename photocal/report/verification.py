@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from photocal.report.block_files import digest
+
 # What may differ between two computations of the same: neither is a figure of the calibration.
-NOT_FIGURES = ("run_files", "documents", "iterations")
+NOT_FIGURES = ("run_files", "documents", "iterations", "source", "result_sha256")
 # Two machines sum in another order; a value may differ by this share of its standard deviation ...
 SHARE_OF_SIGMA = 1e-4
 # ... any other number by this share of itself, or, in metres, pixels and correlations, by this much.
 RELATIVE, ABSOLUTE = 1e-6, 1e-8
+# Figures of the analysis are differences of two adjustments, each of which ends within a millionth of a
+# standard deviation of its minimum: four digits of them are the same everywhere ...
+ANALYSIS, ANALYSIS_RELATIVE = "analysis", 1e-4
+# ... and those that may be nearly zero, in millimetres, metres, pixels or as correlations, to this much.
+NEARLY_ZERO = ("c", "change_of_c", "value", "check_rmse_m", "shift_c", "bias", "ground_m", "effect_c")
+ANALYSIS_ABSOLUTE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -22,33 +29,6 @@ class Difference:
     place: str
     certified: Any
     found: Any
-
-
-def changed_inputs(certificate: dict[str, Any], folder: Path) -> list[str]:
-    """Name the inputs that are not the certified ones.
-
-    Parameters
-    ----------
-    certificate : dict
-        Machine-readable certificate.
-    folder : Path
-        Where the inputs lie.
-
-    Returns
-    -------
-    list of str
-        One phrase for each input that is missing or changed.
-    """
-    phrases = []
-    for entry in certificate["result"]["inputs"]:
-        path = folder / entry["path"]
-        if not path.is_file():
-            phrases.append(f"{entry['path']} is missing")
-        elif (found := digest(path)) != entry["sha256"]:
-            phrases.append(
-                f"{entry['path']} has changed (SHA-256 {found[:12]}..., certified {entry['sha256'][:12]}...)"
-            )
-    return phrases
 
 
 def changed_documents(certificate: dict[str, Any], folder: Path) -> list[str]:
@@ -72,12 +52,6 @@ def changed_documents(certificate: dict[str, Any], folder: Path) -> list[str]:
         for name, sha in present.items()
         if (folder / name).is_file() and digest(folder / name) != sha
     ]
-
-
-def digest(path: Path) -> str:
-    """SHA-256 of a file."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def differences(certified: Any, found: Any, place: str = "", sigma: float = 0.0) -> list[Difference]:
@@ -129,7 +103,7 @@ def _or_none(value: Any, missing: object) -> Any:
 def _name(item: Any, index: int) -> str:
     """An entry of a list by what it is called, if it is."""
     if isinstance(item, dict):
-        for key in ("image", "path", "point", "key", "name"):
+        for key in ("image", "path", "point", "key", "name", "kind", "method", "code"):
             if isinstance(item.get(key), str):
                 return str(item[key])
     return str(index)
@@ -139,10 +113,16 @@ def _same(certified: Any, found: Any, place: str, sigma: float) -> bool:
     numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in (certified, found))
     if not numbers:
         return bool(certified == found)
-    tolerance = RELATIVE * max(abs(certified), abs(found))
+    return bool(abs(certified - found) <= _tolerance(place, max(abs(certified), abs(found)), sigma))
+
+
+def _tolerance(place: str, size: float, sigma: float) -> float:
+    """By how much two computations of a figure may differ."""
     if sigma > 0.0:
-        tolerance = max(SHARE_OF_SIGMA * sigma, 1e-12 * abs(certified))
-    elif not place.endswith((".sigma", ".value", ".prior_sigma")):
-        # Coefficients may be as small as 1e-20: only figures of known size have an absolute tolerance.
-        tolerance = max(tolerance, ABSOLUTE)
-    return bool(abs(certified - found) <= tolerance)
+        return max(SHARE_OF_SIGMA * sigma, 1e-12 * size)
+    key = place.rsplit(".", 1)[-1].split("[")[0]
+    if place.startswith(ANALYSIS):
+        return max(ANALYSIS_RELATIVE * size, ANALYSIS_ABSOLUTE if key in NEARLY_ZERO else 0.0)
+    # Coefficients may be as small as 1e-20: only figures of known size have an absolute tolerance.
+    known = key not in ("sigma", "value", "prior_sigma")
+    return max(RELATIVE * size, ABSOLUTE if known else 0.0)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from photocal.analysis.estimates import Estimates, scaled
+from photocal.analysis.finding import Figure, Finding, Severity, Size
 from photocal.analysis.hidden.extra_parameter import ExtraParameter
-from photocal.analysis.hidden.finding import SMALL_PX, SMALL_SIGMAS, Finding, ground_effect, metres
+from photocal.analysis.hidden.ground_effect import SMALL_PX, SMALL_SIGMAS, ground_effect
 from photocal.analysis.hidden.refit import Fit
 from photocal.analysis.hidden.search import LEVEL, Round, Search, camera_estimates
 from photocal.analysis.significance import f_test
@@ -16,6 +17,8 @@ from photocal.geometry.camera import PARAMETERS, Camera
 UNSTABLE = 3.0
 # Less than this is no wrong sigma: `brown-observed` alone stretches the noise at the edge by some percent.
 WRONG_SIGMA = 0.10
+# From here on a wrong sigma is not small, even if nothing else was found.
+BADLY_WRONG_SIGMA = 1.2
 ALPHA = 0.10
 
 
@@ -32,63 +35,59 @@ def of_round(one: Round) -> Finding:
     Finding
         One line.
     """
-    parameter, camera = one.parameter, one.before.network.cameras[one.parameter.candidate.camera]
-    change = float(
-        one.before.solution.cameras[parameter.candidate.camera, 0]
-        - one.after.solution.cameras[parameter.candidate.camera, 0]
-    )
-    sigma_c = float(np.sqrt(one.before.solution.camera_covariance[parameter.candidate.camera, 0, 0]))
+    parameter, at = one.parameter, one.parameter.candidate.camera
+    camera = one.before.network.cameras[at]
+    change = float(one.before.solution.cameras[at, 0] - one.after.solution.cameras[at, 0])
+    sigma_c = float(np.sqrt(one.before.solution.camera_covariance[at, 0, 0]))
     small = parameter.effect_px < SMALL_PX and abs(change) < SMALL_SIGMAS * sigma_c
-    figure, unit, text = _figure(parameter, camera)
-    ground = ground_effect(one.before, parameter.candidate.camera, change)
-    sentence = (
-        f"Camera {camera.id}: {text}; up to {parameter.effect_px:.2f} px in the image "
-        f"(F = {parameter.statistic:.0f})"
-    )
+    ground = ground_effect(one.before, at, change)
+    figure, unit = _figure(parameter, camera)
+    figures: dict[str, Figure] = {
+        "camera": camera.id,
+        "parameter": parameter.candidate.parameter,
+        "figure": figure,
+        "sigma": parameter.sigma,
+        "px": parameter.effect_px,
+        "f": parameter.statistic,
+        "shift_c": change,
+        "unit": camera.unit,
+        "ground_m": ground,
+        "alike": parameter.alike,
+    }
+    clauses = []
+    if parameter.candidate.kind == "y-scale":
+        square = _explained_by_pitch(parameter, camera)
+        clauses.append("square_pixels" if square else "stretched")
+        if square:
+            figures |= {"pitch_x": camera.pitch[0], "pitch_y": camera.pitch[1]}
+    clauses.append("up_to")
     if change:
-        sentence += f", it shifts c by {change:+.3g} {camera.unit} and heights by {metres(ground)}"
+        clauses.append("shifts_c")
     if parameter.alike:
-        sentence += f"; {' and '.join(parameter.alike)} would explain it as well"
-    return Finding(
-        parameter.candidate.kind,
-        sentence + (": small." if small else "."),
-        figure,
-        parameter.sigma,
-        unit,
-        change,
-        ground,
-        parameter.effect_px,
-        small,
-    )
+        clauses.append("alike")
+    size = Size(figure, unit, parameter.sigma, change, ground, parameter.effect_px)
+    return _graded(parameter.candidate.kind, camera.id, figures, clauses, size, small=small)
 
 
-def _figure(parameter: ExtraParameter, camera: Camera) -> tuple[float, str, str]:
-    candidate = parameter.candidate
-    if candidate.kind == "y-scale":
-        factor = 1.0 + parameter.amount
-        return (
-            factor,
-            "1",
-            f"y scale factor {factor:.5f} +- {parameter.sigma:.5f}{_pixel_ratio(parameter, camera)}",
-        )
-    if candidate.kind == "rolling-shutter":
-        text = f"{candidate.name}: the rows are read in {parameter.amount:.3g} of the exposure interval"
-        return parameter.amount, "exposure intervals", text
-    if candidate.kind == "shear":
-        text = f"{candidate.name} {parameter.amount:.2e} +- {parameter.sigma:.1e}"
-        return parameter.amount, "1", text
-    text = f"{candidate.name} is missing from the model, {parameter.amount:.3g} +- {parameter.sigma:.2g}"
-    return parameter.amount, f"powers of {camera.unit}", text
+def _graded(
+    code: str, subject: str, figures: dict[str, Figure], clauses: list[str], size: Size, *, small: bool
+) -> Finding:
+    said = (*clauses, "small") if small else tuple(clauses)
+    return Finding(code, "note" if small else "doubtful", subject, figures, said, size)
 
 
-def _pixel_ratio(parameter: ExtraParameter, camera: Camera) -> str:
+def _figure(parameter: ExtraParameter, camera: Camera) -> tuple[float, str]:
+    kind = parameter.candidate.kind
+    if kind == "y-scale":
+        return 1.0 + parameter.amount, "1"
+    units = {"rolling-shutter": "exposure intervals", "shear": "1"}
+    return parameter.amount, units.get(kind, f"powers of {camera.unit}")
+
+
+def _explained_by_pitch(parameter: ExtraParameter, camera: Camera) -> bool:
+    """Whether the scale of y is the ratio of the pixel pitches: square pixels, scaled to a rounded format."""
     ratio = camera.pitch[0] / camera.pitch[1]
-    if ratio != 1.0 and abs(1.0 + parameter.amount - ratio) < 3.0 * parameter.sigma:
-        return (
-            f", the ratio of the two pixel pitches {camera.pitch[0]:.7g} and {camera.pitch[1]:.7g} mm: "
-            "the pixels are square and the image was scaled to a rounded format"
-        )
-    return ": x and y were scaled differently"
+    return ratio != 1.0 and abs(1.0 + parameter.amount - ratio) < 3.0 * parameter.sigma
 
 
 def of_sigma(search: Search) -> list[Finding]:
@@ -105,36 +104,30 @@ def of_sigma(search: Search) -> list[Finding]:
         No line, or one for each that is concerned.
     """
     sigma = search.sigma
-    if sigma.p_value >= LEVEL or abs(sigma.found / sigma.assumed - 1.0) < WRONG_SIGMA:
+    ratio = sigma.found / sigma.assumed
+    if sigma.p_value >= LEVEL or abs(ratio - 1.0) < WRONG_SIGMA:
         return []
     camera = search.last.network.cameras[0]
-    scale, unit = (1000.0, "um") if camera.unit == "mm" else (1.0, "px")
-    ratio = sigma.found / sigma.assumed
-    honest = "the precisions are too good" if ratio > 1.0 else "the precisions are too poor"
-    hidden = " and the global test could not see what is listed here" if ratio < 1.0 and search.rounds else ""
+    scale, unit = (1000.0, "µm") if camera.unit == "mm" else (1.0, "px")
     # Residuals are smaller than errors: their rms is the plain figure where too much was assumed, but only
     # the one that counts the redundancy can show that too little was.
     figure = sigma.rms if ratio < 1.0 else sigma.found
-    by = f"rms of the residuals; sigma {sigma.found * scale:.2f} {unit} by their redundancy"
-    how = by if ratio < 1.0 else "by the residuals and their redundancy"
-    sentence = (
-        f"Image coordinates: sigma {sigma.assumed * scale:.3g} {unit} was assumed where "
-        f"{figure * scale:.2g} {unit} is found ({how}, {sigma.lower * scale:.2f} to "
-        f"{sigma.upper * scale:.2f} at 95 %): {honest}{hidden}."
-    )
-    return [
-        Finding(
-            "observation-sigma",
-            sentence,
-            figure * scale,
-            (sigma.upper - sigma.lower) / 4.0 * scale,
-            unit,
-            0.0,
-            0.0,
-            figure / min(camera.pitch),
-            ratio < 1.2 and not search.rounds,
-        )
-    ]
+    figures: dict[str, Figure] = {
+        "assumed": sigma.assumed * scale,
+        "found": figure * scale,
+        "by_redundancy": sigma.found * scale,
+        "lower": sigma.lower * scale,
+        "upper": sigma.upper * scale,
+        "unit": unit,
+    }
+    clauses = ["by_rms", "too_poor"] if ratio < 1.0 else ["by_redundancy", "too_good"]
+    if ratio < 1.0 and search.rounds:
+        clauses.append("unseen")
+    small = ratio < BADLY_WRONG_SIGMA and not search.rounds
+    spread = (sigma.upper - sigma.lower) / 4.0 * scale
+    size = Size(figure * scale, unit, spread, 0.0, 0.0, figure / min(camera.pitch))
+    severity: Severity = "note" if small else "doubtful"
+    return [Finding("observation-sigma", severity, "image coordinates", figures, tuple(clauses), size)]
 
 
 def of_bias(search: Search) -> list[Finding]:
@@ -160,13 +153,18 @@ def of_bias(search: Search) -> list[Finding]:
         if not sigma > 0.0 or abs(bias) < SMALL_SIGMAS * sigma:
             continue
         ground = ground_effect(search.first, k, bias)
-        sentence = (
-            f"Camera {camera.id}: c is biased by {bias:+.3f} {camera.unit} ({before:.4f} adjusted, "
-            f"{after:.4f} corrected; {abs(bias) / sigma:.1f} formal standard deviations): "
-            f"heights are wrong by {metres(ground)} at the distance of this block, {abs(bias) / after:.2%} "
-            "of any distance."
-        )
-        listed.append(Finding("c-bias", sentence, bias, sigma, camera.unit, bias, ground, None, False))
+        figures: dict[str, Figure] = {
+            "camera": camera.id,
+            "bias": bias,
+            "unit": camera.unit,
+            "before": float(before),
+            "after": float(after),
+            "formal": abs(bias) / sigma,
+            "ground_m": ground,
+            "share": abs(bias) / float(after),
+        }
+        size = Size(bias, camera.unit, sigma, bias, ground)
+        listed.append(Finding("c-bias", "doubtful", camera.id, figures, size=size))
     return listed
 
 
@@ -186,25 +184,27 @@ def of_significance(search: Search) -> list[Finding]:
     if not search.rounds:
         return []
     listed = []
+    redundancy = search.last.solution.degrees_of_freedom
     for k, camera in enumerate(search.first.network.cameras):
         before, after = _honest(search.first, k), _honest(search.last, k)
-        redundancy = search.last.solution.degrees_of_freedom
         for name in before.names:
             was = f_test(before, (name,), redundancy, ALPHA)
             now = f_test(after, (name,), redundancy, ALPHA)
             if was.significant == now.significant:
                 continue
             at = after.names.index(name)
-            value, sigma = float(after.values[at]), float(after.sigmas[at])
-            verdict = "not significant" if was.significant else "significant"
-            sentence = (
-                f"Camera {camera.id}: {name} is {verdict} once corrected ({value:.3g} +- {sigma:.2g}, F = "
-                f"{now.statistic:.1f} against {now.critical:.2f}; before, F = {was.statistic:.1f})."
-            )
-            unit = f"powers of {camera.unit}"
-            listed.append(
-                Finding("significance", sentence, now.statistic, None, unit, None, None, None, False)
-            )
+            figures: dict[str, Figure] = {
+                "camera": camera.id,
+                "parameter": name,
+                "value": float(after.values[at]),
+                "sigma": float(after.sigmas[at]),
+                "f": now.statistic,
+                "critical": now.critical,
+                "f_before": was.statistic,
+            }
+            clauses = ("no_longer" if was.significant else "only_then",)
+            size = Size(now.statistic, f"powers of {camera.unit}")
+            listed.append(Finding("significance", "doubtful", camera.id, figures, clauses, size))
     return listed
 
 
@@ -229,21 +229,19 @@ def of_jackknife(search: Search) -> list[Finding]:
         if not np.any(ratio > UNSTABLE):
             continue
         worst = 0 if ratio[0] > UNSTABLE else int(np.nanargmax(ratio))
-        after = search.jackknife_last.standard_error[k]
-        name = PARAMETERS[worst]
-        then = f", by {after[worst]:.2g} once corrected" if search.rounds else ""
-        sentence = (
-            f"Camera {camera.id}: leaving out one image at a time moves {name} by {before[worst]:.2g} "
-            f"{camera.unit} (jackknife standard error){then}; the formal standard deviation is "
-            f"{formal[worst]:.2g}."
-        )
+        figures: dict[str, Figure] = {
+            "camera": camera.id,
+            "parameter": PARAMETERS[worst],
+            "error": float(before[worst]),
+            "unit": camera.unit,
+            "corrected": float(search.jackknife_last.standard_error[k][worst]),
+            "formal": float(formal[worst]),
+        }
         effect = float(before[0]) if worst == 0 else None
         ground = ground_effect(search.first, k, effect) if effect is not None else None
-        listed.append(
-            Finding(
-                "jackknife", sentence, float(before[worst]), None, camera.unit, effect, ground, None, False
-            )
-        )
+        size = Size(float(before[worst]), camera.unit, None, effect, ground)
+        clauses = ("once_corrected",) if search.rounds else ("as_adjusted",)
+        listed.append(Finding("jackknife", "doubtful", camera.id, figures, clauses, size))
     return listed
 
 

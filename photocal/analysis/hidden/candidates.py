@@ -24,8 +24,8 @@ class Candidate:
     ----------
     kind : str
         "y-scale", "shear", "radial", "decentring" or "rolling-shutter".
-    name : str
-        What it is called in a sentence.
+    parameter : str
+        The term of the camera model that is missing; empty where there is none.
     camera : int
         The camera concerned.
     displacement : (n, 2) array
@@ -34,9 +34,14 @@ class Candidate:
     """
 
     kind: str
-    name: str
+    parameter: str
     camera: int
     displacement: Array
+
+    @property
+    def name(self) -> str:
+        """Kind and parameter, "radial K3"; unique for a camera."""
+        return f"{self.kind} {self.parameter}".strip()
 
 
 def candidates(network: Network, state: State) -> tuple[Candidate, ...]:
@@ -60,12 +65,10 @@ def candidates(network: Network, state: State) -> tuple[Candidate, ...]:
         mine = (camera_of_ray == k)[:, None]
         if not mine.any():
             continue
-        found += [Candidate(kind, name, k, field * mine) for kind, name, field in _of_camera(camera, network)]
+        found += [Candidate(kind, term, k, field * mine) for kind, term, field in _of_camera(camera, network)]
         motion = _rolling_shutter(network, state, k)
         if motion is not None:
-            found.append(
-                Candidate("rolling-shutter", "rolling shutter in the flight direction", k, motion * mine)
-            )
+            found.append(Candidate("rolling-shutter", "", k, motion * mine))
     return tuple(found)
 
 
@@ -77,17 +80,17 @@ def _of_camera(camera: Camera, network: Network) -> list[tuple[str, str, Array]]
     scale_term, shear_term = ("B2", "B1") if camera.affinity_form == "tank" else ("B1", "B2")
     found = []
     if scale_term not in estimated:
-        found.append(("y-scale", "y scale factor", np.column_stack([zero, plane[:, 1]])))
+        found.append(("y-scale", "", np.column_stack([zero, plane[:, 1]])))
     if shear_term not in estimated:
-        found.append(("shear", "shear of the image axes", np.column_stack([plane[:, 1], zero])))
+        found.append(("shear", "", np.column_stack([plane[:, 1], zero])))
     r2 = x * x + y * y
     order = next((n for n in (1, 2, 3, 4) if f"K{n}" not in estimated), None)
     if order is not None:
-        found.append(("radial", f"radial term K{order}", np.column_stack([x, y]) * (r2**order)[:, None]))
+        found.append(("radial", f"K{order}", np.column_stack([x, y]) * (r2**order)[:, None]))
     if "P1" not in estimated:
-        found.append(("decentring", "decentring term P1", np.column_stack([r2 + 2 * x * x, 2 * x * y])))
+        found.append(("decentring", "P1", np.column_stack([r2 + 2 * x * x, 2 * x * y])))
     if "P2" not in estimated:
-        found.append(("decentring", "decentring term P2", np.column_stack([2 * x * y, r2 + 2 * y * y])))
+        found.append(("decentring", "P2", np.column_stack([2 * x * y, r2 + 2 * y * y])))
     return found
 
 

@@ -1,7 +1,8 @@
-"""What a search found, in words: worst first, each with its figure and its effect."""
+"""What a search found: worst first, each with its figure and its effect."""
 
 from __future__ import annotations
 
+from photocal.analysis.finding import Finding
 from photocal.analysis.hidden.camera_findings import (
     of_bias,
     of_jackknife,
@@ -9,7 +10,6 @@ from photocal.analysis.hidden.camera_findings import (
     of_sigma,
     of_significance,
 )
-from photocal.analysis.hidden.finding import Finding
 from photocal.analysis.hidden.image_findings import of_groups, of_images, of_maps
 from photocal.analysis.hidden.search import Search
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from photocal.analysis.hidden.finding import SMALL_PX, Finding
+from photocal.analysis.finding import Figure, Finding, Severity, Size
+from photocal.analysis.hidden.ground_effect import SMALL_PX
 from photocal.analysis.hidden.search import LEVEL, Search
 from photocal.analysis.hidden.variance_components import VarianceComponent
 
@@ -28,15 +29,13 @@ def of_groups(search: Search) -> list[Finding]:
     list of Finding
         No line, or one for each that is concerned.
     """
-    listed = []
     overall = search.sigma.found / search.sigma.assumed
-    for what, components in (("image axis", search.axes), ("camera", search.cameras)):
-        listed += [
-            _scatter(f"{what} {one.name}", "variance-component", one, search)
-            for one in components
-            if one.p_value < LEVEL and one.ratio > WORTH_A_LINE * overall
-        ]
-    return listed
+    return [
+        _scatter(code, one, search)
+        for code, components in (("axis-scatter", search.axes), ("camera-scatter", search.cameras))
+        for one in components
+        if one.p_value < LEVEL and one.ratio > WORTH_A_LINE * overall
+    ]
 
 
 def of_images(search: Search) -> list[Finding]:
@@ -64,28 +63,34 @@ def of_images(search: Search) -> list[Finding]:
         scattered = component.p_value < LEVEL and component.ratio > overall
         if not (scattered or shifted):
             continue
-        found = _scatter(f"image {name}", "image", component, search)
+        found = _scatter("image", component, search)
         if shift is None or not shifted:
             listed.append(found)
             continue
         small = shift.effect_px < SMALL_PX
-        sentence = (
-            f"{found.sentence.split(':')[0]}, with a scale or principal point of its own that moves "
-            f"rays by up to {shift.effect_px:.2f} px{': small' if small else ''}."
-        )
-        listed.append(Finding("image", sentence, found.figure, None, "1", None, None, shift.effect_px, small))
-    return sorted(listed, key=lambda one: -one.figure)
+        figures = {**found.figures, "moved_px": shift.effect_px}
+        clauses = ("own_geometry", "small") if small else ("own_geometry",)
+        size = Size(_relative(component, search), "1", px=shift.effect_px)
+        listed.append(Finding("image", _severity(small=small), name, figures, clauses, size))
+    return sorted(listed, key=lambda one: -one.size.figure if one.size else 0.0)
 
 
-def _scatter(name: str, kind: str, one: VarianceComponent, search: Search) -> Finding:
-    relative = one.ratio / (search.sigma.found / search.sigma.assumed)
+def _severity(*, small: bool) -> Severity:
+    return "note" if small else "doubtful"
+
+
+def _relative(one: VarianceComponent, search: Search) -> float:
+    """Scatter of a group over that of all together."""
+    return one.ratio / (search.sigma.found / search.sigma.assumed)
+
+
+def _scatter(code: str, one: VarianceComponent, search: Search) -> Finding:
+    relative = _relative(one, search)
     effect = one.ratio * search.sigma.assumed / min(search.last.network.cameras[0].pitch)
     small = effect < SMALL_PX or relative < SMALL_RATIO
-    label = name[0].upper() + name[1:]
-    sentence = f"{label} scatters {relative:.1f} times as much as all together ({effect:.2f} px)"
-    return Finding(
-        kind, f"{sentence}{': small' if small else ''}.", relative, None, "1", None, None, effect, small
-    )
+    figures: dict[str, Figure] = {"name": one.name, "relative": relative, "px": effect}
+    clauses = ("amount", "small") if small else ("amount",)
+    return Finding(code, _severity(small=small), one.name, figures, clauses, Size(relative, "1", px=effect))
 
 
 def of_maps(search: Search) -> list[Finding]:
@@ -112,11 +117,15 @@ def of_maps(search: Search) -> list[Finding]:
         row, column = np.unravel_index(int(np.argmax(length)), length.shape)
         effect = float(length[row, column])
         small = effect < SMALL_PX
-        sentence = (
-            f"Camera {camera.id}: residuals keep a pattern on the sensor, {int(cells.significant.sum())} "
-            f"of {cells.cells} cells significant, largest mean {effect:.2f} px near column "
-            f"{(cells.columns_px[column] + cells.columns_px[column + 1]) / 2:.0f}, row "
-            f"{(cells.rows_px[row] + cells.rows_px[row + 1]) / 2:.0f}{': small' if small else ''}."
-        )
-        listed.append(Finding("residual-map", sentence, effect, None, "px", None, None, effect, small))
+        figures: dict[str, Figure] = {
+            "camera": camera.id,
+            "significant": float(cells.significant.sum()),
+            "cells": float(cells.cells),
+            "px": effect,
+            "column": float(cells.columns_px[column] + cells.columns_px[column + 1]) / 2,
+            "row": float(cells.rows_px[row] + cells.rows_px[row + 1]) / 2,
+        }
+        clauses = ("small",) if small else ()
+        size = Size(effect, "px", px=effect)
+        listed.append(Finding("residual-map", _severity(small=small), camera.id, figures, clauses, size))
     return listed

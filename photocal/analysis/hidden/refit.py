@@ -202,5 +202,9 @@ def without_images(network: Network, state: State, left_out: NDArray[np.bool_]) 
         point_names=tuple(name for name, has in zip(network.point_names, points, strict=True) if has),
     )
     return smaller, replace(
-        state, rotation=state.rotation[~left_out], centre=state.centre[~left_out], points=state.points[points]
+        state,
+        rotation=state.rotation[~left_out],
+        centre=state.centre[~left_out],
+        points=state.points[points],
+        deviations=state.deviations[~left_out],
     )

@@ -126,7 +126,7 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
         variance_components(last.network.image_names, both, flat, checked),
         variance_components(("x", "y"), axis, flat, checked),
         variance_components(tuple(one.id for one in last.network.cameras), camera, flat, checked),
-        image_shifts(last, factor),
+        image_shifts(last, factor, done),
         tuple(_map(last, k, factor) for k in range(len(last.network.cameras))),
         before,
         after,

@@ -20,8 +20,9 @@ from photocal.block.folder import read_block
 from photocal.block.network import assemble
 from photocal.block.process import adjust_block
 from photocal.cli import app
-from photocal.commands.run_block import block_of_run
 from photocal.geometry.camera import PARAMETERS
+from photocal.report.block_files import block_of_run
+from photocal.report.run_reader import read_adjustment, read_run
 
 
 @pytest.fixture(scope="module")
@@ -53,22 +54,24 @@ def test_words(made: Path) -> None:
     done = CliRunner().invoke(app, ["analyse", str(made / "run")])
     assert done.exit_code == 0, done.output
     assert done.stdout.startswith("Hidden errors, worst first\n  1. Camera dcs460: y scale factor 0.9980")
-    for words in ("K1 K2 K3", "x0-P1 +0.87", "adjusted anew without", "convergent: satisfied"):
+    for words in ("K1 K2 K3", "x0-P1 +0.87", "adjusted anew without", "convergent cameras: satisfied"):
         assert words in done.stdout
 
 
 def test_the_block_is_recognised_by_its_hashes(made: Path, tmp_path: Path) -> None:
-    result = json.loads((made / "run/result.json").read_text())
-    assert block_of_run(made / "run", result, None, tmp_path) == made / "block"
-    assert block_of_run(made / "run", result, made / "block", tmp_path) == made / "block"
+    result = read_adjustment(made / "run").result
+    assert result.block.source == "../block"
+    found = block_of_run(made / "run", result, None, tmp_path)
+    assert found.path.samefile(made / "block")
+    assert block_of_run(made / "run", result, made / "block", tmp_path).path == made / "block"
     far = tmp_path / "a/b/c"
     shutil.copytree(made / "block", far)
     shutil.copytree(made / "run", tmp_path / "elsewhere/run")
-    assert block_of_run(tmp_path / "elsewhere/run", result, None, tmp_path) == far
+    assert block_of_run(tmp_path / "elsewhere/run", result, None, tmp_path).path == far
 
 
 def test_a_changed_block_is_named(made: Path, tmp_path: Path) -> None:
-    result = json.loads((made / "run/result.json").read_text())
+    result = read_adjustment(made / "run").result
     changed = tmp_path / "block"
     shutil.copytree(made / "block", changed)
     points = (changed / "points.csv").read_text()
@@ -78,6 +81,26 @@ def test_a_changed_block_is_named(made: Path, tmp_path: Path) -> None:
     shutil.copytree(made / "run", tmp_path / "run")
     with pytest.raises(InputNotFoundError, match="name it with --block"):
         block_of_run(tmp_path / "run", result, None, tmp_path)
+
+
+def test_an_analysis_of_another_run_is_refused(made: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(made / "run", run)
+    done = CliRunner().invoke(app, ["analyse", str(run), "--block", str(made / "block")])
+    assert done.exit_code == 0, done.output
+    stored = read_run(run).analysis
+    assert stored is not None
+    assert [one.code for one in stored.hidden][:3] == ["y-scale", "observation-sigma", "c-bias"]
+    (run / "result.json").write_text((run / "result.json").read_text().replace('"timing_s"', '"timing_s" '))
+    with pytest.raises(InputMalformedError, match="belongs to another run"):
+        read_run(run)
+
+
+def test_portuguese(made: Path) -> None:
+    done = CliRunner().invoke(app, ["analyse", str(made / "run"), "--language", "pt-BR"])
+    assert done.exit_code == 0, done.output
+    assert "fator de escala em y 0,9980" in done.stdout
+    assert "câmeras convergentes: satisfeito" in done.stdout
 
 
 def test_a_missing_run_is_one_line(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from photocal.analysis.hidden.finding import Finding
+from photocal.analysis.finding import Finding
 from photocal.analysis.hidden.findings import findings
 from photocal.analysis.hidden.jackknife import jackknife
 from photocal.analysis.hidden.refit import Fit, fit, with_measurements
@@ -17,6 +17,7 @@ from photocal.analysis.hidden.search import Search, search
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
 from photocal.geometry.camera import PARAMETERS
+from tests.photocal.analysis.findings import said, sized
 
 Rows = list[dict[str, str]]
 NAMES = {"c": "F", "x0": "CX", "y0": "CY", "K1": "K1", "K2": "K2", "K3": "K3", "P1": "P1", "P2": "P2"}
@@ -42,19 +43,19 @@ def square(published: Fit) -> Search:
 
 
 def of_kind(listed: tuple[Finding, ...], kind: str) -> Finding:
-    return next(one for one in listed if one.kind == kind)
+    return next(one for one in listed if one.code == kind)
 
 
 def test_the_list_begins_with_the_y_scale(told_nothing: Search) -> None:
     first = findings(told_nothing)[0]
-    assert first.kind == "y-scale"
-    assert first.figure == pytest.approx(0.99804, abs=1e-4)
-    assert first.figure == pytest.approx(SQUARE, abs=1e-4)
-    assert first.sigma == pytest.approx(0.00008, abs=5e-6)
-    assert first.sentence.startswith("Camera dcs460: y scale factor 0.9980")
-    assert "the ratio of the two pixel pitches" in first.sentence
+    assert first.code == "y-scale"
+    assert sized(first).figure == pytest.approx(0.99804, abs=1e-4)
+    assert sized(first).figure == pytest.approx(SQUARE, abs=1e-4)
+    assert sized(first).sigma == pytest.approx(0.00008, abs=5e-6)
+    assert said(first).startswith("Camera dcs460: y scale factor 0.9980")
+    assert "the ratio of the two pixel pitches" in said(first)
     assert not first.small
-    assert first.effect_c == pytest.approx(0.028, abs=5e-4)
+    assert sized(first).c == pytest.approx(0.028, abs=5e-4)
 
 
 def test_the_y_scale_agrees_with_a_second_method(published: Fit) -> None:
@@ -73,20 +74,20 @@ def test_the_y_scale_agrees_with_a_second_method(published: Fit) -> None:
 
 def test_sigma_assumed_and_found(told_nothing: Search) -> None:
     found = of_kind(findings(told_nothing), "observation-sigma")
-    assert "sigma 3 um was assumed where 1.2 um is found" in found.sentence
-    assert found.figure == pytest.approx(1.20, abs=0.005)
+    assert "sigma 3 µm was assumed where 1.2 µm is found" in said(found)
+    assert sized(found).figure == pytest.approx(1.20, abs=0.005)
 
 
 def test_c_is_biased(told_nothing: Search) -> None:
     found = of_kind(findings(told_nothing), "c-bias")
-    assert found.figure == pytest.approx(0.028, abs=0.0005)
-    assert "c is biased by +0.028 mm (20.4721 adjusted, 20.4443 corrected; 3.2 formal" in found.sentence
+    assert sized(found).figure == pytest.approx(0.028, abs=0.0005)
+    assert "c is biased by +0.028 mm (20.4721 adjusted, 20.4443 corrected; 3.2 formal" in said(found)
     # Distance times the relative error: some 10 m from the wall.
-    assert found.effect_ground_m == pytest.approx(0.0277 / 20.4721 * 9.9, rel=0.03)
+    assert sized(found).ground_m == pytest.approx(0.0277 / 20.4721 * 9.9, rel=0.03)
 
 
 def test_k3_is_not_significant_once_corrected(told_nothing: Search) -> None:
-    sentences = [one.sentence for one in findings(told_nothing) if one.kind == "significance"]
+    sentences = [said(one) for one in findings(told_nothing) if one.code == "significance"]
     assert any("K3 is not significant once corrected" in sentence for sentence in sentences)
 
 
@@ -94,8 +95,8 @@ def test_jackknife(told_nothing: Search) -> None:
     assert told_nothing.jackknife_first.standard_error[0, 0] == pytest.approx(0.058, abs=0.0005)
     assert told_nothing.jackknife_last.standard_error[0, 0] == pytest.approx(0.017, abs=0.0005)
     found = of_kind(findings(told_nothing), "jackknife")
-    assert "moves c by 0.058 mm" in found.sentence
-    assert "by 0.017 once corrected" in found.sentence
+    assert "moves c by 0.058 mm" in said(found)
+    assert "by 0.017 once corrected" in said(found)
 
 
 def test_the_corrected_adjustment_is_the_one_of_square_pixels(
@@ -128,9 +129,9 @@ def test_on_the_corrected_data_only_small_effects_remain(square: Search) -> None
     listed = findings(square)
     assert listed
     assert all(one.small for one in listed)
-    assert {one.sentence.split(" scatters")[0] for one in listed if one.kind == "image"} == {
+    assert {said(one).split(" scatters")[0] for one in listed if one.code == "image"} == {
         "Image 1",
         "Image 6",
     }
-    assert all(": small" in one.sentence for one in listed if one.kind == "image")
-    assert {one.kind for one in listed} == {"observation-sigma", "image"}
+    assert all(": small" in said(one) for one in listed if one.code == "image")
+    assert {one.code for one in listed} == {"observation-sigma", "image"}

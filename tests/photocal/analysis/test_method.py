@@ -15,6 +15,8 @@ from photocal.analysis.method import METHODS, Shape, check_method, shape
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
 from photocal.geometry.camera import camera
+from photocal.report.catalogue import catalogue
+from photocal.report.words import need_words
 
 
 def network_of(
@@ -58,11 +60,13 @@ def test_a_single_strip_over_flat_ground_satisfies_nothing() -> None:
     assert strip.constraints == 0
     checks = [check_method(method, strip) for method in METHODS]
     assert not any(check.met for check in checks)
-    advice = {need.name: need.advice for check in checks for need in check.requirements if not need.met}
-    assert "tilt the camera" in advice["convergence of the axes"]
-    assert "cross line" in advice["a photograph rolled by 90 degrees about its axis"]
-    assert "higher" in advice["mixed ranges: relief or two flying heights"]
-    assert "corners and edges" in advice["control around the object"]
+    say = catalogue("en")
+    missing = [need for check in checks for need in check.requirements if not need.met]
+    advice = {need.code: need_words(need, say)["advice"] for need in missing}
+    assert "tilt the camera" in advice["convergence"]
+    assert "cross line" in advice["roll"]
+    assert "higher" in advice["mixed-ranges"]
+    assert "corners and edges" in advice["around"]
 
 
 def test_convergent_and_rolled_photographs() -> None:
@@ -119,9 +123,7 @@ def test_seven_datum_constraints(count: int, enough: bool) -> None:
         [[0, 45, 0], [0, -45, 0], [0, 0, 90]], [[150, 50, 100], [-50, 50, 100], [50, 50, 140]], GROUND, sigma
     )
     assert found.constraints == 3 * count
-    datum = next(
-        n for n in check_method("self-calibration", found).requirements if n.name == "datum constraints"
-    )
+    datum = next(n for n in check_method("self-calibration", found).requirements if n.code == "datum")
     assert datum.met == enough
 
 

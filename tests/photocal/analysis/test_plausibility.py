@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from photocal.analysis.correlation_check import correlation_findings
+from photocal.analysis.finding import Figure
 from photocal.analysis.plausibility import CalibrationRecord, Offsets, effective_unit, plausibility
 
 NAMES = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2")
@@ -72,7 +73,7 @@ def printed() -> CalibrationRecord:
     )
 
 
-def found(record: CalibrationRecord) -> dict[tuple[str, str], dict[str, float]]:
+def found(record: CalibrationRecord) -> dict[tuple[str, str], dict[str, Figure]]:
     return {(f.code, f.subject): dict(f.figures) for f in plausibility(record)}
 
 

@@ -14,7 +14,8 @@ from photocal.report.catalogue import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.document import Document
 from photocal.report.particulars import read_particulars
-from photocal.report.run import Run, read_run
+from photocal.report.run import Run
+from photocal.report.run_reader import read_run
 
 DAY = dt.date(2026, 11, 21)
 

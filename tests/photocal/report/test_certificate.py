@@ -28,7 +28,8 @@ from photocal.report.document import Document, Figure, Table
 from photocal.report.html import html
 from photocal.report.particulars import Particulars, read_particulars
 from photocal.report.pdf import pdf
-from photocal.report.run import Run, read_run
+from photocal.report.run import Run
+from photocal.report.run_reader import read_run
 
 DAY = dt.date(2026, 11, 21)
 VOID = {"meta", "br", "col", "link", "img", "hr"}

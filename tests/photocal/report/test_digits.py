@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from photocal.report.digits import (
+    Number,
     decimals_of,
     fixed,
     measured,
@@ -75,3 +76,18 @@ def test_pieces() -> None:
     assert symbol("K1") == "K₁"
     assert (relation(0.13, ","), relation(1e-5, ".")) == ("=\u00a00,130", "<\u00a00.001")
     assert probability(0.13, ".") == "0.130"
+
+
+@pytest.mark.parametrize(
+    ("value", "form", "text"),
+    [
+        (0.0135, "length", "13,5 mm"),
+        (2.345678, "length", "2,35 m"),
+        (-0.02771, "+.3f", "−0,028"),
+        (2.6457, "", "2,646"),
+        (2.6457, "s2", "2,6"),
+        (0.0014, ".2%", "0,14%"),
+    ],
+)
+def test_a_number_formats_itself_in_the_language(value: float, form: str, text: str) -> None:
+    assert format(Number(value, ","), form) == text

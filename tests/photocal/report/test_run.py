@@ -11,7 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import InputMalformedError, InputNotFoundError, PhotocalError
-from photocal.report.run import Run, read_run
+from photocal.report.run import Run
+from photocal.report.run_reader import read_run
 
 
 @pytest.mark.shared

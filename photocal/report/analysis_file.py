@@ -1,0 +1,81 @@
+"""The analysis of a run: its block adjusted again with one thing changed at a time."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from acquire.outputs import output_file
+from photocal.analysis.hidden.left_out import Checks
+from photocal.analysis.outcome import Outcome, analyse_network
+from photocal.block.model import Block
+from photocal.block.network import Assembly, assemble
+from photocal.block.process import adjusted, read_any_block
+from photocal.report.analysis_record import analysis_record
+from photocal.report.block_files import Source, block_of_run, digest
+from photocal.report.catalogue import Catalogue, catalogue
+from photocal.report.run import ANALYSIS, RESULT, Run
+from photocal.report.run_reader import read_adjustment
+
+ALPHA = 0.10
+THRESHOLD = 0.8
+
+
+def analyse_run(
+    folder: Path,
+    block: Path | None = None,
+    alpha: float = ALPHA,
+    threshold: float = THRESHOLD,
+    done: Callable[[], None] = lambda: None,
+    say: Catalogue | None = None,
+) -> Outcome:
+    """Analyse a run and write `analysis.json` into its folder: it then goes into the certificate.
+
+    Parameters
+    ----------
+    folder : Path
+        Run folder that `photocal adjust` wrote.
+    block : Path or None
+        Block folder or set-up file; looked for where the run says, beside it and below the current folder
+        when not given.
+    alpha : float
+        Significance level of the F tests.
+    threshold : float
+        Absolute value from which correlations are named.
+    done : callable
+        Called after each new adjustment.
+    say : Catalogue, optional
+        Language of the sentences in the file; English if not given.
+
+    Returns
+    -------
+    Outcome
+        All figures.
+
+    Raises
+    ------
+    PhotocalError
+        As reading, adjusting and writing do.
+    """
+    run = read_adjustment(folder)
+    source = block_of_run(folder, run.result, block, Path.cwd())
+    outcome = _analyse(run, source, alpha, threshold, done)
+    content = {**analysis_record(outcome, say or catalogue("en")), "result_sha256": digest(folder / RESULT)}
+    with output_file(folder / ANALYSIS) as aside:
+        aside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    return outcome
+
+
+def _analyse(run: Run, source: Source, alpha: float, threshold: float, done: Callable[[], None]) -> Outcome:
+    block = read_any_block(source.path)
+    # What the run rejected as gross errors stays out.
+    assembly, _ = adjusted(assemble(block), run.result.snooping)
+    return analyse_network(assembly.network, _checks(block, assembly), alpha, threshold, done)
+
+
+def _checks(block: Block, assembly: Assembly) -> Checks:
+    check = np.flatnonzero(block.points.of_role("check")[assembly.points])
+    return Checks(check, assembly.frame.to_local(block.points.values[assembly.points[check]]))

@@ -1,0 +1,265 @@
+"""Sections of a certificate about the analysis: hidden errors, significance, correlations, method."""
+
+from __future__ import annotations
+
+from photocal.report.catalogue import Catalogue
+from photocal.report.digits import fixed, significant, symbol
+from photocal.report.document import Column, Paragraph, Piece, Section, Statement, Table
+from photocal.report.run import CameraResult, Run
+from photocal.report.stored_analysis import CameraRecord, JackknifeRecord, StoredAnalysis
+from photocal.report.words import finding_text, need_words
+
+
+def analysis_verdict(analysis: StoredAnalysis, say: Catalogue) -> list[Statement]:
+    """Warn of hidden errors that are not small.
+
+    Parameters
+    ----------
+    analysis : StoredAnalysis
+        The analysis.
+    say : Catalogue
+        Language.
+
+    Returns
+    -------
+    list of Statement
+        One, or none.
+    """
+    large = [one for one in analysis.hidden if not one.small]
+    if not large:
+        return []
+    text = say("analysis.verdict", count=len(large), worst=finding_text(large[0], say))
+    return [Statement("bad", say("analysis.verdict_title"), text)]
+
+
+def hidden_errors(run: Run, say: Catalogue) -> Section:
+    """List the hidden systematic errors, worst first, or say that nobody looked for them.
+
+    Parameters
+    ----------
+    run : Run
+        With its analysis, if there is one.
+    say : Catalogue
+        Language.
+
+    Returns
+    -------
+    Section
+    """
+    title = say("analysis.hidden")
+    if run.analysis is None:
+        return Section(title, (Paragraph(say("analysis.not_made")),))
+    pieces: list[Piece] = [Paragraph(say("analysis.hidden_text"))]
+    found = run.analysis.hidden
+    if found:
+        columns = (
+            Column(say("analysis.grade"), align="left"),
+            Column(say("analysis.finding"), align="left"),
+        )
+        rows = tuple(
+            (say("analysis.small" if one.small else "analysis.large"), finding_text(one, say))
+            for one in found
+        )
+        pieces.append(Table(say("analysis.hidden_table"), columns, rows, widths=(0.14, 0.86)))
+    else:
+        pieces.append(Paragraph(say("analysis.none_found")))
+    pieces.append(Paragraph(_sigma(run, run.analysis, say)))
+    return Section(title, tuple(pieces))
+
+
+def _sigma(run: Run, analysis: StoredAnalysis, say: Catalogue) -> str:
+    camera = next(iter(run.result.cameras.values()))
+    scale, unit = (1e3, "µm") if camera.unit == "mm" else (1.0, "px")
+    sigma = analysis.observation_sigma
+    figures = {
+        name: significant(scale * getattr(sigma, name), 3, say.mark)
+        for name in ("assumed", "found", "lower", "upper")
+    }
+    return say("analysis.sigma", unit=unit, **figures)
+
+
+def parameters(title: str, camera_id: str, run: Run, analysis: StoredAnalysis, say: Catalogue) -> Section:
+    """Judge the parameters of one camera: tests, correlations, components, left out, jackknife.
+
+    Parameters
+    ----------
+    title : str
+        Title of the section.
+    camera_id : str
+        The camera.
+    run : Run
+        The run.
+    analysis : StoredAnalysis
+        Its analysis; the camera has estimated parameters.
+    say : Catalogue
+        Language.
+
+    Returns
+    -------
+    Section
+    """
+    record, camera = analysis.cameras[camera_id], run.result.cameras[camera_id]
+    if record is None:
+        return Section(title, (Paragraph(say("analysis.none_found")),))
+    pieces: list[Piece] = [_tests(record, analysis.alpha, say)]
+    pieces += _correlations(record, say)
+    pieces += _components(record, say)
+    if record.left_out:
+        pieces.append(_left_out(record, camera, say))
+    jackknife = analysis.jackknife.get(camera_id)
+    if jackknife is not None:
+        pieces.append(_jackknife(jackknife, camera, say))
+    return Section(title, tuple(pieces))
+
+
+def _tests(record: CameraRecord, alpha: float, say: Catalogue) -> Table:
+    columns = (
+        Column(say("analysis.tested"), align="left"),
+        Column(say("analysis.kind"), align="left"),
+        Column(say("analysis.statistic")),
+        Column(say("analysis.critical")),
+        Column(say("analysis.significant"), align="center"),
+        Column(say("analysis.effect"), "px"),
+        Column(say("analysis.remaining"), "px"),
+    )
+    effects = {effect.parameters: effect for effect in record.effects}
+    rows = []
+    for test in record.significance:
+        # What a group of one says was said by the single test.
+        effect = None if test.kind == "cumulative" else effects.get(test.parameters)
+        px = (effect.largest_px, effect.remaining_largest_px) if effect else (None, None)
+        rows.append(
+            (
+                " ".join(symbol(name) for name in test.parameters),
+                say(f"test.{test.kind}"),
+                "∞" if test.statistic is None else significant(test.statistic, 4, say.mark),
+                fixed(test.critical, 2, say.mark),
+                say("word.yes" if test.significant else "word.no"),
+                *("" if v is None else fixed(v, 2, say.mark) for v in px),
+            )
+        )
+    title = say("analysis.parameters_table", alpha=significant(alpha, 2, say.mark))
+    note = say("analysis.parameters_note", factor=significant(record.variance_factor_of_tests, 4, say.mark))
+    return Table(title, columns, tuple(rows), note, dense=True)
+
+
+def _correlations(record: CameraRecord, say: Catalogue) -> list[Table]:
+    rows = [
+        (f"{symbol(p.first)}–{symbol(p.second)}", fixed(p.value, 2, say.mark), say(f"cause.{p.cause}"))
+        for p in record.correlations
+    ]
+    for p in record.correlations_with_exterior:
+        where = say("console.in_images", image=p.image, images=p.images)
+        pair = f"{symbol(p.parameter)}–{symbol(p.element)}"
+        rows.append((pair, fixed(p.value, 2, say.mark), f"{where}: {say(f'cause.{p.cause}')}"))
+    if not rows:
+        return []
+    columns = (
+        Column(say("analysis.pair"), align="left"),
+        Column(say("analysis.value")),
+        Column(say("analysis.cause"), align="left"),
+    )
+    return [Table(say("analysis.causes"), columns, tuple(rows), widths=(0.12, 0.1, 0.78))]
+
+
+def _components(record: CameraRecord, say: Catalogue) -> list[Piece]:
+    final = record.components.final
+    columns = (
+        Column(say("analysis.component"), align="left"),
+        Column(say("analysis.eigenvalue")),
+        Column(say("analysis.share"), "%"),
+        Column(say("analysis.cumulative"), "%"),
+    )
+    rows = tuple(
+        (str(n), fixed(value, 4, say.mark), fixed(share, 2, say.mark), fixed(total, 2, say.mark))
+        for n, (value, share, total) in enumerate(
+            zip(final.eigenvalues, final.percent, final.cumulative_percent, strict=True), start=1
+        )
+    )
+    said = " ".join(finding_text(remark.finding, say) for remark in record.components.remarks)
+    return [Table(say("analysis.components"), columns, rows), Paragraph(said)]
+
+
+def _left_out(record: CameraRecord, camera: CameraResult, say: Catalogue) -> Table:
+    columns = (
+        Column(say("analysis.without"), align="left"),
+        Column("c", camera.unit),
+        Column(say("analysis.change_of_c"), camera.unit),
+        Column(say("analysis.variance_factor")),
+        Column(say("analysis.rmse"), "mm"),
+    )
+    none = say("word.none")
+    rows = tuple(
+        (
+            symbol(left.parameter),
+            significant(left.c, 7, say.mark),
+            significant(left.change_of_c, 3, say.mark),
+            none if left.sigma0_squared is None else significant(left.sigma0_squared, 4, say.mark),
+            none
+            if left.check_rmse_m is None
+            else "; ".join(fixed(1e3 * v, 1, say.mark) for v in left.check_rmse_m),
+        )
+        for left in record.left_out
+    )
+    return Table(say("analysis.left_out"), columns, rows)
+
+
+def _jackknife(record: JackknifeRecord, camera: CameraResult, say: Catalogue) -> Table:
+    columns = (
+        Column(say("analysis.parameter"), align="left"),
+        Column(say("analysis.formal")),
+        Column(say("analysis.error")),
+        Column(say("analysis.corrected")),
+    )
+
+    def small(value: float | None) -> str:
+        # Coefficients have any power of ten: three digits and the exponent, as Python writes them.
+        return say("word.none") if value is None else f"{value:.3g}".replace(".", say.mark)
+
+    rows = tuple(
+        (
+            symbol(name),
+            small(camera.parameters[name].sigma),
+            small(error),
+            small(record.standard_error_corrected.get(name)),
+        )
+        for name, error in record.standard_error.items()
+    )
+    note = say("analysis.jackknife_note", count=len(record.left_out))
+    return Table(say("analysis.jackknife"), columns, rows, note)
+
+
+def method_check(analysis: StoredAnalysis, say: Catalogue) -> Section:
+    """Say what each method of calibration asks for and what the network has.
+
+    Parameters
+    ----------
+    analysis : StoredAnalysis
+        The analysis.
+    say : Catalogue
+        Language.
+
+    Returns
+    -------
+    Section
+    """
+    columns = tuple(
+        Column(say(f"analysis.{key}"), align="left")
+        for key in ("method_name", "requirement", "found", "needed", "met")
+    )
+    rows, advice = [], list[str]()
+    for one in analysis.methods:
+        for need in one.requirements:
+            words = need_words(need, say)
+            name = say(f"calibration_method.{one.method}")
+            met = say("word.yes" if need.met else "word.no")
+            rows.append((name, words["name"], words["found"], words["needed"], met))
+            if not need.met and words["advice"] not in advice:
+                advice.append(words["advice"])
+    table = Table(
+        say("analysis.method_table"), columns, tuple(rows), widths=(0.17, 0.27, 0.22, 0.24, 0.1), dense=True
+    )
+    pieces: list[Piece] = [Paragraph(say("analysis.method_text")), table]
+    if advice:
+        pieces.append(Paragraph(say("analysis.advice", advice="; ".join(advice))))
+    return Section(say("analysis.method"), tuple(pieces))

@@ -1,0 +1,121 @@
+"""The analysis of a run for a person at the terminal."""
+
+from __future__ import annotations
+
+from photocal.analysis.camera_analysis import CameraAnalysis
+from photocal.analysis.method import MethodCheck
+from photocal.analysis.outcome import Outcome
+from photocal.geometry.camera import PARAMETERS
+from photocal.report.catalogue import Catalogue
+from photocal.report.digits import Number
+from photocal.report.words import finding_text, need_words, plain
+
+
+def analysis_text(outcome: Outcome, say: Catalogue) -> str:
+    """Turn an analysis into text.
+
+    Parameters
+    ----------
+    outcome : Outcome
+        The analysis.
+    say : Catalogue
+        Language.
+
+    Returns
+    -------
+    str
+        Findings first, worst first; then each camera; then the methods.
+    """
+    parts = [_findings(outcome, say)]
+    for k, one in enumerate(outcome.cameras):
+        if one is not None:
+            parts.append("\n".join(_camera(k, one, outcome, say)))
+    parts.append("\n".join([say("console.methods"), *(_method(one, say) for one in outcome.methods)]))
+    return "\n\n".join(parts)
+
+
+def _findings(outcome: Outcome, say: Catalogue) -> str:
+    if not outcome.findings:
+        return say("analysis.hidden_none")
+    lines = [f"  {n}. {finding_text(one, say, plain)}" for n, one in enumerate(outcome.findings, start=1)]
+    return "\n".join([say("analysis.hidden_first"), *lines])
+
+
+def _camera(k: int, one: CameraAnalysis, outcome: Outcome, say: Catalogue) -> list[str]:
+    name = outcome.search.first.network.cameras[k].id
+    lines = [say("console.camera", camera=name, alpha=_number(outcome.alpha, say)), *_tests(one, say)]
+    if one.correlations or one.exterior:
+        lines.append(say("console.correlations", camera=name, threshold=_number(outcome.threshold, say)))
+    lines += [
+        f"  {p.first}-{p.second} {_number(p.value, say):+.3f}: {say(f'cause.{p.cause}')}"
+        for p in one.correlations
+    ]
+    for p in one.exterior:
+        where = say("console.in_images", image=p.image, images=p.images)
+        pair = f"{p.parameter}-{p.element} {_number(p.value, say):+.3f}"
+        lines.append(f"  {pair} {where}: {say(f'cause.{p.cause}')}")
+    lines.append(say("console.components", camera=name))
+    lines += [f"  {finding_text(remark, say, plain)}" for remark in one.proposal.findings]
+    return lines + _left_out(k, one, outcome, say) + _jackknife(k, outcome, say)
+
+
+def _number(value: float, say: Catalogue) -> Number:
+    return Number(value, say.mark)
+
+
+def _tests(one: CameraAnalysis, say: Catalogue) -> list[str]:
+    lines = []
+    effects = {effect.parameters: effect for effect in one.effects}
+    for test in one.tests:
+        effect = effects.get(test.parameters)
+        in_px = ""
+        if effect is not None and test.kind != "cumulative":
+            alone, left = (_number(v, say) for v in (effect.largest_px, effect.remaining_largest_px))
+            in_px = f"   {say('console.alone', alone=alone, remaining=left)}"
+        verdict = say("console.is_significant" if test.significant else "console.not_significant")
+        statistic = f"{format(_number(test.statistic, say), '.4g'):>10}"
+        against = say("console.against", statistic=statistic, critical=_number(test.critical, say))
+        head = f"  {' '.join(test.parameters):<12}{say(f'test.{test.kind}'):<11} F {against}"
+        lines.append(f"{head}  {verdict:<17}{in_px}".rstrip())
+    return lines
+
+
+def _left_out(k: int, one: CameraAnalysis, outcome: Outcome, say: Catalogue) -> list[str]:
+    camera = outcome.search.first.network.cameras[k]
+    lines = [say("console.left_out", camera=camera.id)] if one.left_out else []
+    for left in one.left_out:
+        said = say(
+            "console.without",
+            c=_number(left.c, say),
+            unit=camera.unit,
+            change=_number(left.change_of_c, say),
+            factor=_number(left.sigma0_squared, say),
+        )
+        if left.check_rmse_m is not None:
+            x, y, z = (_number(1000.0 * float(v), say) for v in left.check_rmse_m)
+            said += say("console.checks", x=x, y=y, z=z)
+        lines.append(f"  {left.parameter:<3} {said}")
+    return lines
+
+
+def _jackknife(k: int, outcome: Outcome, say: Catalogue) -> list[str]:
+    """Standard error of every parameter with images left out, beside its formal one."""
+    search = outcome.search
+    error = search.jackknife_first.standard_error[k]
+    covariance = search.first.solution.camera_covariance[k]
+    camera = search.first.network.cameras[k]
+    lines = [
+        f"  {PARAMETERS[i]:<3} {_number(float(error[i]), say):.3g} / "
+        f"{_number(float(covariance[i, i]) ** 0.5, say):.3g}"
+        for i in range(len(PARAMETERS))
+        if camera.estimated[i]
+    ]
+    return [say("console.jackknife", camera=camera.id), *lines] if lines else []
+
+
+def _method(one: MethodCheck, say: Catalogue) -> str:
+    name = say(f"calibration_method.{one.method}")
+    missing = [say("console.needs", **need_words(need, say)) for need in one.requirements if not need.met]
+    if not missing:
+        return f"  {name}: {say('analysis.satisfied')}"
+    return f"  {name}: {say('analysis.not_satisfied')}: {'; '.join(missing)}"

@@ -1,0 +1,163 @@
+"""The files that a run was made from: found again by their hashes, and carried by a certificate."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.report.run import InputFile, Result
+
+# Where a certificate carries them.
+CARRIED = "inputs"
+# Folders below the current one that are looked into: `configs/demo/NAME` is three deep.
+DEPTH = 3
+
+
+@dataclass(frozen=True)
+class Source:
+    """What was adjusted.
+
+    Attributes
+    ----------
+    folder : Path
+        The folder that holds all its files.
+    setup : str
+        The set-up file of another program within it; empty for a block folder.
+    """
+
+    folder: Path
+    setup: str = ""
+
+    @property
+    def path(self) -> Path:
+        """What `photocal adjust` takes: the block folder or the set-up file."""
+        return self.folder / self.setup
+
+
+@dataclass(frozen=True)
+class Changed:
+    """An input that is not the one that was adjusted; `found` is empty when it is missing."""
+
+    path: str
+    expected: str
+    found: str
+
+    def __str__(self) -> str:
+        """Say it in a phrase."""
+        if not self.found:
+            return f"{self.path} is missing"
+        return f"{self.path} has changed (SHA-256 {self.found[:12]}..., certified {self.expected[:12]}...)"
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def changed_inputs(inputs: Sequence[InputFile], folder: Path) -> list[Changed]:
+    """Compare files with their digests.
+
+    Parameters
+    ----------
+    inputs : sequence of InputFile
+        What was read, with paths within the folder.
+    folder : Path
+        Where the files lie.
+
+    Returns
+    -------
+    list of Changed
+        Those that are missing or different, in order.
+    """
+    found = []
+    for file in inputs:
+        path = folder / file.path
+        now = digest(path) if path.is_file() else ""
+        if now != file.sha256:
+            found.append(Changed(file.path, file.sha256, now))
+    return found
+
+
+def block_of_run(run: Path, result: Result, given: Path | None, here: Path) -> Source:
+    """Find what a run was made from and make sure that it has not changed.
+
+    Parameters
+    ----------
+    run : Path
+        The run folder.
+    result : Result
+        Content of its result.json.
+    given : Path or None
+        The block folder or set-up file, when the user named it.
+    here : Path
+        Folder to look below when it is neither where the run says nor beside the run.
+
+    Returns
+    -------
+    Source
+        All of its files have the hashes of the run.
+
+    Raises
+    ------
+    InputNotFoundError
+        When no folder has these files.
+    InputMalformedError
+        When a file of the named folder has changed since the run.
+    """
+    setup = result.block.setup
+    if given is not None:
+        folder = _root(given, setup) if given.is_file() else given
+        changed = changed_inputs(result.inputs, folder)
+        if changed:
+            raise InputMalformedError(
+                "is not the file that the run was made from",
+                where=folder / changed[0].path,
+                remedy="adjust the block again, or name the folder of this run",
+            )
+        return Source(folder, setup)
+    for folder in _candidates(run.resolve(), result, here):
+        if not changed_inputs(result.inputs, folder):
+            return Source(folder, setup)
+    raise InputNotFoundError(
+        "no block folder with the files of this run was found beside it or below the current folder",
+        where=run,
+        remedy="name it with --block, or adjust the block again if it has changed",
+    )
+
+
+def _candidates(run: Path, result: Result, here: Path) -> Iterator[Path]:
+    """Folders that may be it: the one that the run names, then the nearest to the run first."""
+    if result.block.source:
+        yield run / result.block.source
+    setup = result.block.setup or "block.toml"
+    for base, depth in ((run, 0), (run.parent, 1), (here, DEPTH)):
+        for level in range(depth + 1):
+            yield from sorted(_root(found, setup) for found in base.glob("*/" * level + setup))
+
+
+def _root(path: Path, setup: str) -> Path:
+    """The folder within which a set-up file has this path."""
+    return path.parents[max(len(PurePosixPath(setup).parts), 1) - 1]
+
+
+def carry(inputs: Sequence[InputFile], source: Source, folder: Path) -> None:
+    """Copy the inputs of a run into the folder of a certificate.
+
+    Parameters
+    ----------
+    inputs : sequence of InputFile
+        The files.
+    source : Source
+        Where they lie.
+    folder : Path
+        The certificate's.
+    """
+    for file in inputs:
+        copy = folder / CARRIED / file.path
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source.folder / file.path, copy)

@@ -1,0 +1,95 @@
+"""Issuing a certificate: HTML page, PDF and JSON, with the inputs that it was made from."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Callable
+from pathlib import Path
+
+from acquire.outputs import output_folder
+from drivers.errors import InputNotFoundError
+from photocal.report.block_files import Source, block_of_run, carry
+from photocal.report.catalogue import catalogue
+from photocal.report.certificate import certificate
+from photocal.report.document import Document
+from photocal.report.html import html
+from photocal.report.particulars import read_particulars
+from photocal.report.pdf import pdf
+from photocal.report.record import NAME, record, with_documents
+from photocal.report.run import Run
+from photocal.report.run_reader import read_run
+
+FORMS = ("certificate.html", "certificate.pdf", NAME)
+
+
+def issue(
+    run: Path,
+    output: Path,
+    *,
+    day: dt.date,
+    language: str = "en",
+    block: Path | None = None,
+    particulars: Path | None = None,
+    client: str = "",
+    operator: str = "",
+    warnings: tuple[str, ...] = (),
+    done: Callable[[], None] = lambda: None,
+) -> Document:
+    """Write the certificate of a run.
+
+    Parameters
+    ----------
+    run : Path
+        Folder that `photocal adjust` wrote, with what `photocal analyse` added.
+    output : Path
+        Folder for the certificate; made or renewed when everything has succeeded.
+    day : date
+        Of the certificate.
+    language : str
+        One of `catalogue.LANGUAGES`.
+    block : Path or None
+        Block folder or set-up file of the run; looked for near it when not given. Its files are carried.
+    particulars : Path or None
+        TOML file with what a person gives.
+    client, operator : str
+        For whom and by whom; go before those of the file.
+    warnings : tuple of str
+        Of the processing before the adjustment, each a sentence.
+    done : callable
+        Called after each of four steps.
+
+    Returns
+    -------
+    Document
+        What was printed.
+
+    Raises
+    ------
+    PhotocalError
+        For inputs that cannot be read or have changed, and for figures that cannot be right.
+    """
+    say = catalogue(language)
+    given = read_particulars(particulars, day, client=client, operator=operator)
+    results = read_run(run)
+    source = _source(run, results, block)
+    done()
+    document = certificate(results, given, say, warnings)
+    done()
+    forms = {FORMS[0]: html(document).encode(), FORMS[1]: pdf(document, day)}
+    done()
+    forms[NAME] = with_documents(record(results, given, say, warnings), forms)
+    done()
+    with output_folder(output) as folder:
+        for name, content in forms.items():
+            (folder / name).write_bytes(content)
+        if source is not None:
+            carry(results.result.inputs, source, folder)
+    return document
+
+
+def _source(folder: Path, run: Run, block: Path | None) -> Source | None:
+    """Find what the run was made from; None when nobody named it and it is not near."""
+    try:
+        return block_of_run(folder, run.result, block, Path.cwd())
+    except InputNotFoundError:
+        return None

@@ -1,0 +1,61 @@
+"""A certificate made anew from its inputs."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from photocal.block.process import adjust_block
+from photocal.report.analysis_file import analyse_run
+from photocal.report.block_files import CARRIED, Source, carry
+from photocal.report.catalogue import catalogue
+from photocal.report.particulars import given_particulars
+from photocal.report.record import certified_result, plain_record
+from photocal.report.run_reader import read_run
+
+
+def repeated(
+    certified: dict[str, Any], folder: Path, source: Source, done: Callable[[], None] = lambda: None
+) -> dict[str, Any]:
+    """Adjust and analyse the certified inputs anew, as the certificate says that it was done.
+
+    Parameters
+    ----------
+    certified : dict
+        Machine-readable certificate.
+    folder : Path
+        Where it lies, for messages.
+    source : Source
+        The inputs, all with their certified digests.
+    done : callable
+        Called after each adjustment.
+
+    Returns
+    -------
+    dict
+        What the certificate should say, comparable by `verification.differences`.
+
+    Raises
+    ------
+    PhotocalError
+        As reading and adjusting do.
+    """
+    particulars = given_particulars(certified["particulars"], certified["date"])
+    result, say = certified_result(certified, folder), catalogue(certified["language"])
+    with tempfile.TemporaryDirectory(prefix="photocal-verify-") as name:
+        aside = Path(name)
+        # Only what is certified takes part, whatever else lies beside it.
+        carry(result.inputs, source, aside)
+        copied = Source(aside / CARRIED, result.block.setup)
+        adjust_block(copied.path, aside / "run", result.snooping)
+        done()
+        analysis = certified.get("analysis")
+        if analysis is not None:
+            asked = analysis["alpha"], analysis["correlation_threshold"]
+            analyse_run(aside / "run", copied.path, *asked, done)
+        again = plain_record(read_run(aside / "run"), particulars, say, tuple(certified["warnings"]))
+    # A block that does not name itself is called as its folder, which is another one here.
+    again["result"]["block"]["name"] = certified["result"]["block"].get("name")
+    return again

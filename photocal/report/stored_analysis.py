@@ -1,0 +1,149 @@
+"""What a certificate says of an analysis, read back from `analysis.json`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from photocal.analysis.correlation import StrongCorrelation
+from photocal.analysis.effects import Effect
+from photocal.analysis.exterior_correlation import ExteriorCorrelation
+from photocal.analysis.finding import Figure, Finding, Severity, Size
+from photocal.analysis.hidden.variance_components import AssumedSigma
+from photocal.analysis.method import MethodCheck
+
+
+@dataclass(frozen=True)
+class FindingRecord:
+    """A finding as it is stored, see `analysis_record.finding_record`."""
+
+    kind: str
+    severity: Severity
+    subject: str
+    figures: dict[str, float | str | tuple[str, ...] | None]
+    clauses: tuple[str, ...]
+    figure: float | None = None
+    sigma: float | None = None
+    unit: str | None = None
+    effect_c: float | None = None
+    effect_ground_m: float | None = None
+    effect_px: float | None = None
+
+    @property
+    def finding(self) -> Finding:
+        """The finding that was stored; a figure that was no number is NaN again."""
+        figures: dict[str, Figure] = {k: math.nan if v is None else v for k, v in self.figures.items()}
+        size = None
+        if self.figure is not None and self.unit is not None:
+            effect = (self.effect_c, self.effect_ground_m, self.effect_px)
+            size = Size(self.figure, self.unit, self.sigma, *effect)
+        return Finding(self.kind, self.severity, self.subject, figures, self.clauses, size)
+
+
+@dataclass(frozen=True)
+class TestRecord:
+    """An F test; without a statistic it was infinite."""
+
+    kind: str
+    parameters: tuple[str, ...]
+    statistic: float | None
+    critical: float
+    significant: bool
+
+
+@dataclass(frozen=True)
+class FinalComponents:
+    """Principal components of the parameters that the removal rule keeps."""
+
+    names: tuple[str, ...]
+    eigenvalues: tuple[float, ...]
+    percent: tuple[float, ...]
+    cumulative_percent: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class ComponentsRecord:
+    """Principal components and what is proposed."""
+
+    final: FinalComponents
+    remarks: tuple[FindingRecord, ...]
+
+
+@dataclass(frozen=True)
+class LeftOutRecord:
+    """The adjustment without one parameter."""
+
+    parameter: str
+    c: float
+    change_of_c: float
+    sigma0_squared: float | None
+    check_rmse_m: tuple[float, float, float] | None
+
+
+@dataclass(frozen=True)
+class CameraRecord:
+    """Everything about the parameters of one camera."""
+
+    variance_factor_of_tests: float
+    significance: tuple[TestRecord, ...]
+    effects: tuple[Effect, ...]
+    correlations: tuple[StrongCorrelation, ...]
+    correlations_with_exterior: tuple[ExteriorCorrelation, ...]
+    components: ComponentsRecord
+    left_out: tuple[LeftOutRecord, ...]
+
+
+@dataclass(frozen=True)
+class Removal:
+    """Images that were left out together."""
+
+    images: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class JackknifeRecord:
+    """Standard errors with images left out, by parameter; none where too few adjustments were possible."""
+
+    standard_error: dict[str, float | None]
+    standard_error_corrected: dict[str, float | None]
+    left_out: tuple[Removal, ...]
+
+
+@dataclass(frozen=True)
+class StoredAnalysis:
+    """The content of `analysis.json` as far as a certificate needs it.
+
+    Attributes
+    ----------
+    schema : str
+        What it is.
+    result_sha256 : str
+        Digest of the result.json that it belongs to.
+    alpha, correlation_threshold : float
+        Level of the F tests, and correlation from which pairs are named.
+    findings : tuple of FindingRecord
+        Hidden errors, worst first.
+    cameras : dict
+        By name; None for one without estimated parameters.
+    observation_sigma : AssumedSigma
+        Of the image coordinates, assumed and found, in the unit of the image plane.
+    jackknife : dict
+        By camera.
+    methods : tuple of MethodCheck
+        Each method with its requirements.
+    """
+
+    schema: str
+    result_sha256: str
+    alpha: float
+    correlation_threshold: float
+    findings: tuple[FindingRecord, ...]
+    cameras: dict[str, CameraRecord | None]
+    observation_sigma: AssumedSigma
+    jackknife: dict[str, JackknifeRecord]
+    methods: tuple[MethodCheck, ...]
+
+    @property
+    def hidden(self) -> tuple[Finding, ...]:
+        """Hidden errors, worst first."""
+        return tuple(one.finding for one in self.findings)
