@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-# So long after a trigger its feedback may come: shutters need tenths of a second, slow radios a little more.
-GRACE_NS = 1_000_000_000
+# So long after a trigger its feedback may come: shutters need tenths of a second. What a slow radio brings
+# later is taken back from the missed ones.
+GRACE_NS = 700_000_000
 # A longer jump of the numbers is another way of counting, not so many lost pictures.
 LONGEST_GAP = 1000
 _MOST_PENDING = 1000

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from acquire.log.reader import Messages
-from acquire.log.records import Channel
+from acquire.log.records import Channel, Schema
 from drivers.errors import ConfigurationError, ProgramMissingError
 
 # The protocol knows no token: what others could reach would be open to all.
@@ -74,10 +74,9 @@ def serving_foxglove(port: int) -> Iterator[tuple[Callable[[list[Messages]], Non
 def _channel(channel: Channel, context: Any) -> Any:
     import foxglove
 
-    schema = None
-    if channel.schema is not None:
-        definition = channel.schema
-        schema = foxglove.Schema(name=definition.name, encoding=definition.encoding, data=definition.data)
+    # Raw frames have no schema: the protocol writes that as an empty one.
+    definition = channel.schema or Schema("", "", b"")
+    schema = foxglove.Schema(name=definition.name, encoding=definition.encoding, data=definition.data)
     return foxglove.Channel(
         channel.topic,
         schema=schema,

@@ -87,6 +87,13 @@ class Field:
             self.say("CAMERA_FEEDBACK", time_usec=now, img_idx=self.pictures, lat=latitude, lng=longitude)
         return self.pictures
 
+    def tell_fix(self) -> None:
+        latitude, longitude = self.place()
+        self.say(
+            "GPS_RAW_INT", time_usec=round(self.age_s * 1e6), fix_type=self.fix, satellites_visible=17,
+            lat=latitude, lon=longitude, alt=510_000, h_acc=14, v_acc=21,
+        )  # fmt: skip
+
     def place(self) -> tuple[int, int]:
         now = state(4 * self.age_s % 60)
         latitude = 47.5 + now.north_m / _METRES_PER_DEG
@@ -98,10 +105,7 @@ class Field:
         boot = round(self.age_s * 1e3)
         self.say("GLOBAL_POSITION_INT", time_boot_ms=boot, lat=latitude, lon=longitude, alt=510_000)
         if number % 2 == 0:
-            self.say(
-                "GPS_RAW_INT", time_usec=boot * 1000, fix_type=self.fix, satellites_visible=17,
-                lat=latitude, lon=longitude, alt=510_000, h_acc=14, v_acc=21,
-            )  # fmt: skip
+            self.tell_fix()
         if number % 10 == 0:
             self.say("HEARTBEAT", type=2, autopilot=3, system_status=4, mavlink_version=3)
             self.say("SYSTEM_TIME", time_unix_usec=time.time_ns() // 1000, time_boot_ms=boot)
@@ -113,8 +117,8 @@ class Field:
 
 
 @contextmanager
-def at_work(folder: Path) -> Iterator[Field]:
-    """Let a field work and record it into a folder until the end of the block."""
+def at_work(folder: Path, flush_s: float = 0.5) -> Iterator[Field]:
+    """Let a field work and record it into a folder, safe every so often, until the end of the block."""
     field = Field()
     stop = threading.Event()
     links = [
@@ -122,7 +126,9 @@ def at_work(folder: Path) -> Iterator[Field]:
         {"name": "rover", "protocol": "ubx", "url": "file:x", "silent_s": 3},
         {"name": "base", "protocol": "rtcm3", "url": "file:x", "corrections_to": ["rover"], "silent_s": 3},
     ]
-    configuration = Configuration.model_validate({"recording": {"output": str(folder)}, "link": links})
+    configuration = Configuration.model_validate(
+        {"recording": {"output": str(folder), "flush_s": flush_s}, "link": links}
+    )
 
     def work() -> None:
         receiver, number = Receiver(9), 0

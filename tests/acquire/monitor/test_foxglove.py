@@ -1,0 +1,92 @@
+"""The channels as a client of Foxglove's WebSocket protocol gets them: the browser is the client."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser
+
+from acquire.importing.importer import import_recordings
+from acquire.log.reader import LogReader
+from acquire.monitor.foxglove_server import serving_foxglove
+from drivers.errors import ConfigurationError, ProgramMissingError
+
+# Subscribes to three topics and collects messages (github.com/foxglove/ws-protocol: message data are
+# opcode 1, subscription u32, time u64, payload).
+CLIENT = """(url) => new Promise((resolve, reject) => {
+  const socket = new WebSocket(url, ["foxglove.sdk.v1"]);
+  const wanted = {"/vehicle/raw": 1, "/camera/exposure": 2, "/gnss/vehicle/fix": 3};
+  window.got = {channels: [], messages: []};
+  socket.binaryType = "arraybuffer";
+  socket.onerror = () => reject("no connection");
+  socket.onmessage = ({data}) => {
+    if (typeof data === "string") {
+      const said = JSON.parse(data);
+      if (said.op === "serverInfo") { window.got.server = said; resolve(); }
+      if (said.op !== "advertise") return;
+      window.got.channels.push(...said.channels);
+      const subscriptions = said.channels.filter((c) => wanted[c.topic])
+        .map((c) => ({id: wanted[c.topic], channelId: c.id}));
+      socket.send(JSON.stringify({op: "subscribe", subscriptions}));
+      return;
+    }
+    const view = new DataView(data);
+    window.got.messages.push([view.getUint32(1, true), String(view.getBigUint64(5, true)),
+      Array.from(new Uint8Array(data, 13))]);
+  };
+})"""
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory, demo_flight: bytes) -> Path:
+    folder = tmp_path_factory.mktemp("foxglove")
+    source, made = folder / "flight.tlog", folder / "flight.mcap"
+    source.write_bytes(demo_flight)
+    import_recordings([], [source], made, lambda _: None)
+    return made
+
+
+def test_a_client_gets_raw_and_decoded_channels_with_their_schemas(browser: Browser, log: Path) -> None:
+    (chunk,) = LogReader(log).chunks()
+    page = browser.new_page()
+    with serving_foxglove(0) as (listen, url):
+        assert url.startswith("ws://127.0.0.1:")
+        page.evaluate(CLIENT, url)
+        # The channels are made known with the first messages; who subscribes then gets what follows.
+        listen(chunk)
+        while page.evaluate("new Set(got.channels.map((c) => c.topic)).size") < 8:
+            page.wait_for_timeout(20)
+        page.wait_for_timeout(300)
+        page.evaluate("got.messages = []")
+        listen(chunk)
+        while page.evaluate("new Set(got.messages.map((m) => m[0])).size") < 3:
+            page.wait_for_timeout(20)
+        got = page.evaluate("got")
+    page.close()
+    assert "photocal" in got["server"]["name"]
+    channels = {channel["topic"]: channel for channel in got["channels"]}
+    assert channels["/vehicle/raw"]["encoding"] == "mavlink"
+    assert channels["/gnss/vehicle/fix"]["schemaName"] == "foxglove.LocationFix"
+    assert json.loads(channels["/camera/exposure"]["schema"])["title"] == "photocal.Exposure"
+    parts = {part.channel.topic: part for part in chunk}
+    for number, topic in ((1, "/vehicle/raw"), (2, "/camera/exposure"), (3, "/gnss/vehicle/fix")):
+        first = next(m for m in got["messages"] if m[0] == number)
+        sent = dict(zip(parts[topic].payloads, parts[topic].log_ns.tolist(), strict=True))
+        assert bytes(first[2]) in sent
+        assert int(first[1]) in parts[topic].log_ns
+
+
+def test_without_the_package_it_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "foxglove", None)
+    with pytest.raises(ProgramMissingError, match=r"photocal\[foxglove\]"), serving_foxglove(0):
+        pass
+
+
+def test_a_port_that_is_taken_is_told() -> None:
+    with serving_foxglove(0) as (_, url):
+        port = int(url.rpartition(":")[2])
+        with pytest.raises(ConfigurationError, match="foxglove-port"), serving_foxglove(port):
+            pass

@@ -1,0 +1,178 @@
+"""Following a recording: while a file grows, from file to file, from flight to flight."""
+
+from __future__ import annotations
+
+import datetime as dt
+import os
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from acquire.log.records import Channel
+from acquire.log.writer import LogWriter
+from acquire.monitor.live import follow
+from acquire.monitor.sources import tail_of
+from acquire.monitor.state import State
+from acquire.monitor.tail import Tail
+from acquire.recording.files import Limits, LogFiles
+from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+
+SECOND = 1_000_000_000
+CHANNEL = Channel("/rover/raw", "ubx")
+
+
+class Recorder:
+    """Writes numbered messages as the recorder does, to files of its own."""
+
+    def __init__(self, folder: Path, *, size: int = 0) -> None:
+        self.files = LogFiles([folder], lambda _: None, Limits(size=size), time.time_ns)
+        self.written = 0
+
+    def write(self, count: int = 5, *, safe: bool = True) -> None:
+        for _ in range(count):
+            one = np.array([time.time_ns()], np.int64)
+            payload = self.written.to_bytes(4, "little") * 20
+            self.files.messages(CHANNEL, [payload], one, one, np.array([self.written], np.int64))
+            self.written += 1
+        if safe:
+            self.files.make_safe()
+
+
+def read(tail: Tail) -> list[int]:
+    found: list[int] = []
+    more = True
+    while more:
+        chunks, more = tail.step()
+        found += [n for chunk in chunks for part in chunk for n in part.sequence.tolist()]
+    return found
+
+
+def test_a_growing_file_is_read_as_it_grows(tmp_path: Path) -> None:
+    tail = Tail([tmp_path])
+    assert read(tail) == []
+    recorder = Recorder(tmp_path)
+    assert read(tail) == []
+    seen = []
+    for _ in range(4):
+        recorder.write()
+        seen.append(read(tail))
+    recorder.write(safe=False)
+    seen.append(read(tail))
+    recorder.files.close()
+    seen.append(read(tail))
+    assert [len(numbers) for numbers in seen] == [5, 5, 5, 5, 0, 5]
+    assert [number for numbers in seen for number in numbers] == list(range(25))
+    assert tail.ended
+
+
+def test_a_recording_that_goes_on_in_the_next_file_is_one_flight(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, size=600)
+    tail = Tail([tmp_path])
+    seen = []
+    for _ in range(8):
+        recorder.write()
+        seen += read(tail)
+    recorder.files.close()
+    seen += read(tail)
+    assert len(recorder.files.paths) > 2
+    assert seen == list(range(40))
+    assert tail.flight == recorder.files.paths[0].name
+    # Who comes later sees the whole flight, too.
+    late = Tail([tmp_path])
+    assert read(late) == list(range(40))
+    assert late.flight == tail.flight
+
+
+def test_a_recorder_that_died_is_followed_by_the_next(tmp_path: Path) -> None:
+    first = Recorder(tmp_path)
+    first.write()
+    tail = Tail([tmp_path])
+    assert read(tail) == list(range(5))
+    second = Recorder(tmp_path)
+    second.write(3)
+    assert read(tail) == [0, 1, 2]
+    assert tail.flight == first.files.paths[0].name
+
+
+def test_flights_of_other_days_are_not_mixed(tmp_path: Path) -> None:
+    yesterday = time.time() - 86_400
+    stamp = dt.datetime.fromtimestamp(yesterday, dt.UTC).strftime("%Y%m%dT%H%M%SZ")
+    old = tmp_path / f"flight-{stamp}.mcap"
+    with old.open("wb") as stream:
+        writer = LogWriter(stream)
+        one = np.array([round(yesterday * SECOND)], np.int64)
+        writer.messages(CHANNEL, [b"old"], one, one, np.array([99]))
+        writer.close()
+    os.utime(old, (yesterday, yesterday))
+    (tmp_path / "other.mcap").write_bytes(old.read_bytes())
+    (tmp_path / "flight-1.recovered.mcap").write_bytes(old.read_bytes())
+    states: list[State] = []
+    stop = threading.Event()
+    thread = threading.Thread(target=follow, args=(Tail([tmp_path]), states.append, stop))
+    thread.start()
+    try:
+        _until(lambda: bool(states) and states[-1].links["rover"].frames == 1)
+        assert states[-1].flight == old.name
+        new = Recorder(tmp_path)
+        new.write(7)
+        _until(lambda: states[-1].flight == new.files.paths[0].name and "rover" in states[-1].links)
+        assert states[-1].links["rover"].frames == 7
+    finally:
+        stop.set()
+        thread.join()
+
+
+def _until(condition: object) -> None:
+    assert callable(condition)
+    end = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def test_a_file_that_vanishes_and_a_damaged_chunk_are_told_in_words(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path)
+    recorder.write()
+    path = recorder.files.paths[0]
+    whole = path.stat().st_size
+    recorder.write()
+    recorder.write()
+    content = bytearray(path.read_bytes())
+    content[whole + 60] ^= 0xFF
+    path.write_bytes(content)
+    tail = Tail(path)
+    numbers = read_once(tail)
+    assert numbers == [*range(5), *range(10, 15)]
+    assert "chunk" in tail.trouble
+    path.unlink()
+    assert read_once(tail) == []
+    assert "is gone" in tail.trouble
+
+
+def read_once(tail: Tail) -> list[int]:
+    tail.step()
+    chunks, _ = tail.step()
+    return [n for chunk in chunks for part in chunk for n in part.sequence.tolist()]
+
+
+def test_what_can_be_watched(tmp_path: Path) -> None:
+    configuration = tmp_path / "flight.toml"
+    link = '[[link]]\nname = "rover"\nprotocol = "ubx"\nurl = "udp://127.0.0.1:1"\n'
+    configuration.write_text('[recording]\noutput = "logs"\nspare = ["spare"]\n' + link)
+    tail = tail_of(configuration)
+    # The folders may be made by the recorder later.
+    assert read(tail) == []
+    recorder = Recorder(tmp_path / "spare")
+    recorder.write()
+    assert read(tail) == list(range(5))
+    (tmp_path / "text.txt").write_text("no log at all")
+    with pytest.raises(InputMalformedError, match="no flight log"):
+        tail_of(tmp_path / "text.txt")
+    with pytest.raises(InputNotFoundError, match="does not exist"):
+        tail_of(tmp_path / "missing.mcap")
+    configuration.write_text("[recording]\n")
+    with pytest.raises(ConfigurationError):
+        tail_of(configuration)

@@ -1,0 +1,144 @@
+"""The view in a terminal: the same words as on the page, in any window."""
+
+from __future__ import annotations
+
+import io
+import time
+
+import numpy as np
+import pytest
+from pyproj import Geod
+from rich.console import Console
+
+from acquire.monitor.chart import Layer, layers
+from acquire.monitor.exposures import Exposures, Trigger
+from acquire.monitor.picture import picture
+from acquire.monitor.sketch import metres, round_step, sketch
+from acquire.monitor.state import Battery, Link, Look, Receiver, State, raised
+from acquire.monitor.terminal import render
+from acquire.monitor.track import Track
+
+SECOND = 1_000_000_000
+NOW = time.time_ns()
+
+
+@pytest.fixture
+def state() -> State:
+    """A field with troubles of every kind."""
+    rate = tuple((NOW // SECOND - n, 20, 4000) for n in range(6, -1, -1))
+    heard = Link(1000, 50_000, 0, NOW - 100 * SECOND, NOW, rate, clock_offset_s=0.01)
+    lost = Link(900, 40_000, 120, NOW - 100 * SECOND, NOW - 9 * SECOND, (), 2, 5 * SECOND, "silent", NOW)
+    fixed = Receiver("rover", "rtk_fixed", 19, 0.014, None, NOW, "rtk_fixed", NOW)
+    none = Receiver("vehicle", "none", 4, None, None, NOW, "none", NOW)
+    north = np.linspace(0, 0.002, 50)
+    track = Track(np.column_stack([47.5 + north, np.full(50, 8.5)]), NOW + np.arange(50))
+    made = State(
+        flight="flight-20260501T090000Z.mcap",
+        first_ns=NOW - 3725 * SECOND,
+        last_ns=NOW,
+        links={"vehicle": heard, "rover": heard, "base": lost},
+        receivers={"rover": fixed, "vehicle": none},
+        exposures={"vehicle": Exposures(30, 27, missed=(Trigger(7, NOW, (47.501, 8.5)),))},
+        tracks={"vehicle/position": track},
+        pictures={("vehicle", "feedback"): Track(track.points[::10], track.times_ns[::10])},
+        batteries={"vehicle": Battery(15.8, 81)},
+        look=Look(NOW, "flight-20260501T090000Z.mcap", 10**6, ended=False, free_bytes=10**8),
+        grown_ns=NOW,
+    )
+    return raised(made, "bad", "base", "is silent for more than 3 s", NOW)
+
+
+def text_of(state: State, width: int, height: int) -> list[str]:
+    console = Console(width=width, height=height, file=io.StringIO(), record=True, force_terminal=True)
+    console.print(render(picture(state), layers(state), width, height))
+    return console.export_text().splitlines()
+
+
+WORDS = [
+    "recording",
+    "1:02:05",
+    "RTK fixed",
+    "no fix",
+    "1 missed: 7",
+    "silent for 9 s",
+    "20.0/s",
+    "0.1 GB free",
+]
+
+
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (120, 40), (60, 20), (200, 60)])
+def test_what_matters_is_there_in_every_window(state: State, width: int, height: int) -> None:
+    lines = text_of(state, width, height)
+    shown = "\n".join(lines)
+    for word in WORDS:
+        assert word in shown
+    assert "is silent for more than 3 s" in shown
+    assert len(lines) <= height
+    assert max(map(len, lines)) <= width
+
+
+@pytest.mark.parametrize(("width", "height"), [(40, 12), (30, 8), (20, 5)])
+def test_a_tiny_window_is_cut_and_not_broken(state: State, width: int, height: int) -> None:
+    lines = text_of(state, width, height)
+    assert max(map(len, lines)) <= width
+    assert "RTK fixed" in "\n".join(lines)
+
+
+def test_levels_are_told_by_sign_as_well_as_by_colour(state: State) -> None:
+    shown = "\n".join(text_of(state, 80, 24))
+    assert "✓ RTK fixed" in shown
+    assert "✕ no fix" in shown
+    assert "✕ 0.1 GB free" in shown
+
+
+def test_nothing_yet_is_said_in_words() -> None:
+    shown = "\n".join(text_of(State(), 80, 24))
+    for word in (
+        "waiting for a recording",
+        "no receiver has spoken yet",
+        "no link has spoken yet",
+        "no position yet",
+    ):
+        assert word in shown
+
+
+def test_the_sketch_is_north_up_and_to_scale() -> None:
+    """A square of 100 m: as wide as high in dots, and the scale bar agrees."""
+    geod = Geod(ellps="WGS84")
+    corners = [(8.5, 47.5)]
+    for azimuth in (90, 0, 270):
+        longitude, latitude, _ = geod.fwd(*corners[-1], azimuth, 100)
+        corners.append((longitude, latitude))
+    points = np.array([[latitude, longitude] for longitude, latitude in [*corners, corners[0]]])
+    lines = sketch([Layer("track", "a", points, "")], 40, 21).plain.splitlines()
+    inked = [
+        (row, column)
+        for row, line in enumerate(lines[:-1])
+        for column, sign in enumerate(line)
+        if sign != " "
+    ]
+    rows, columns = {row for row, _ in inked}, {column for _, column in inked}
+    high, wide = max(rows) - min(rows) + 1, max(columns) - min(columns) + 1
+    assert wide == pytest.approx(2 * high, abs=2)
+    bar = lines[-1].split("┤")[0]
+    length = float(lines[-1].split("┤ ")[1].split(" m")[0])
+    assert length in (20, 50)
+    assert len(bar) + 1 == pytest.approx(wide * length / 100, abs=1)
+    assert lines[-1].rstrip().endswith("N ↑")
+
+
+@pytest.mark.parametrize("latitude", [-60.0, 0.0, 47.5, 80.0])
+def test_metres_are_those_of_the_ellipsoid(latitude: float) -> None:
+    geod = Geod(ellps="WGS84")
+    for azimuth in range(0, 360, 45):
+        longitude, end, _ = geod.fwd(179.999, latitude, azimuth, 500)
+        east, north = metres(np.array([[end, longitude]]), np.array([latitude, 179.999]))[0]
+        assert np.hypot(east, north) == pytest.approx(500, rel=3e-4)
+        assert np.degrees(np.arctan2(east, north)) % 360 == pytest.approx(azimuth, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("value", "step"), [(1, 1), (1.9, 1), (2, 2), (4.99, 2), (5, 5), (99, 50), (0.3, 0.2)]
+)
+def test_round_steps(value: float, step: float) -> None:
+    assert round_step(value) == pytest.approx(step)
