@@ -150,7 +150,7 @@ class Targets(Section):
 class Pictures(Section):
     """What befalls a picture: blur, noise, vignetting, and the camera's clock."""
 
-    texel_m: PositiveFloat = 0.022
+    texel_m: PositiveFloat = 0.028
     blur_px: NonNegative = 0.55
     noise_grey: NonNegative = 1.5
     vignetting: Share = 0.25

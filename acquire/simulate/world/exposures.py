@@ -118,6 +118,7 @@ class Exposures:
     Attributes
     ----------
     names : tuple of str (n,)
+        Of the files.
     covers, strip : ndarray of int, shape (n,)
         Number of the pass and of the strip.
     event_s : ndarray, shape (n,)
@@ -179,7 +180,7 @@ def make_exposures(
     # Clocks of receivers count whole nanoseconds.
     moment = np.round(moment, 9)
     middle = moment + rig.time_offset_s
-    names = tuple(f"IMG_{number:04d}" for number in range(1, len(moment) + 1))
+    names = tuple(f"IMG_{number:04d}.JPG" for number in range(1, len(moment) + 1))
     return Exposures(
         names,
         passes,

@@ -13,7 +13,8 @@ from acquire.simulate.world.world import World
 
 Floats = NDArray[np.float64]
 MARGIN_PX = 8.0
-MISSING_IMAGES = 4
+# One picture of so many is lost, all in a row.
+MISSING_SHARE = 10
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,9 @@ def kept_images(world: World) -> NDArray[np.bool_]:
     """Tell which pictures reach the office: some are lost from within a strip when that fault is on."""
     kept = np.ones(len(world.exposures), bool)
     if world.has(Fault.MISSING_IMAGES):
-        first = int(world.random("faults").integers(3, len(kept) - MISSING_IMAGES - 3))
-        kept[first : first + MISSING_IMAGES] = False
+        lost = max(len(kept) // MISSING_SHARE, 2)
+        first = int(world.random("faults").integers(2, len(kept) - lost - 1))
+        kept[first : first + lost] = False
     return kept
 
 

@@ -47,12 +47,15 @@ def simulate_flight(configuration: Configuration, folder: Path, advance: Advance
     elif observed is not None:
         write_observations(world, observed, site / "observations.csv")
         write_times(world, site / "times.csv")
+    if configuration.level is Level.PICTURES:
+        from acquire.simulate.world.picture_file import write_pictures
+
+        write_pictures(world, site / "images", advance)
     if configuration.level is not Level.BLOCK:
         write_streams(world, make_streams(world), folder)
     write_project(world, site)
     write_particulars(world, site / "particulars.toml")
     write_truth(world, truth, observed, projected=configuration.level is not Level.BLOCK)
-    advance(1.0)
     return summary(world)
 
 

@@ -1,0 +1,139 @@
+"""Pictures as files: JPEG with what the camera writes into EXIF, and XMP of the gimbal where there is one."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.simulate.world import camera_clock
+from acquire.simulate.world.observations import kept_images
+from acquire.simulate.world.render import make_scene, render
+from acquire.simulate.world.telemetry import LABEL, make_filter
+from acquire.simulate.world.world import World
+
+Floats = NDArray[np.float64]
+
+MAKER = "simulated"
+# Most of the time is spent outside the interpreter: threads share the painted ground.
+_WORKERS = 2
+_EXIF, _GPS = 0x8769, 0x8825
+_XMP = """<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>
+<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
+<rdf:Description rdf:about="" xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/"
+ drone-dji:RelativeAltitude="{above:+.2f}"
+ drone-dji:GimbalRollDegree="{roll:+.2f}"
+ drone-dji:GimbalPitchDegree="{pitch:+.2f}"
+ drone-dji:GimbalYawDegree="{yaw:+.2f}"/>
+</rdf:RDF></x:xmpmeta>
+<?xpacket end="w"?>"""
+
+
+def write_pictures(world: World, folder: Path, advance: Callable[[float], None]) -> None:
+    """Render and write all pictures that reach the office.
+
+    Parameters
+    ----------
+    world : World
+    folder : Path
+        Is made.
+    advance : callable
+        Is told the share of the work done since the last call.
+    """
+    folder.mkdir(parents=True)
+    scene = make_scene(world)
+    # Made before the threads ask for it all at once.
+    _ = scene.directions
+    stamps, names = camera_clock.stamps(world), world.exposures.names
+    view = make_filter(world)
+    places, _ = view.place(world.exposures.event_s)
+    angles = np.degrees(view.angles(world.exposures.event_s))
+    kept = np.flatnonzero(kept_images(world)).tolist()
+
+    def make(number: int) -> None:
+        picture = render(scene, number)
+        write_picture(folder / names[number], picture, world, stamps[number], places[number], angles[number])
+
+    with ThreadPoolExecutor(_WORKERS) as pool:
+        for _ in pool.map(make, kept):
+            advance(1 / len(kept))
+
+
+def write_picture(
+    path: Path,
+    picture: NDArray[np.uint8],
+    world: World,
+    stamp: dt.datetime,
+    place: Floats,
+    angles_deg: Floats,
+) -> None:
+    """Write a picture.
+
+    Parameters
+    ----------
+    path : Path
+    picture : ndarray of uint8, shape (height, width, 3)
+        Blue, green, red.
+    world : World
+    stamp : datetime
+        By the camera's clock.
+    place : ndarray, shape (3,)
+        Latitude and longitude (rad), ellipsoidal height (m), as the autopilot tells the camera.
+    angles_deg : ndarray, shape (3,)
+        Roll, pitch, yaw of the body.
+    """
+    from PIL import Image
+
+    given = world.configuration
+    image = Image.fromarray(np.ascontiguousarray(picture[..., ::-1]))
+    exif = _exif(world, stamp, place, image.size)
+    more: dict[str, Any] = {}
+    if given.pictures.gimbal_xmp:
+        above = float(place[2]) - world.place.height_m - world.motion.ground_m
+        roll, pitch, yaw = angles_deg.tolist()
+        # A camera that is fixed to the body looks down where the gimbal's pitch is -90.
+        text = _XMP.format(above=above, roll=roll, pitch=pitch - 90, yaw=(yaw + 180) % 360 - 180)
+        more["xmp"] = text.encode()
+    image.save(path, "JPEG", quality=given.pictures.quality, subsampling=0, exif=exif, **more)
+
+
+def _exif(world: World, stamp: dt.datetime, place: Floats, size: tuple[int, int]) -> Any:
+    from PIL import Image
+    from PIL.TiffImagePlugin import IFDRational
+
+    camera = world.configuration.camera
+    taken = stamp.strftime("%Y:%m:%d %H:%M:%S")
+    exif = Image.Exif()
+    exif[0x010E] = LABEL
+    exif[0x010F], exif[0x0110], exif[0x0132], exif[0x0112] = MAKER, camera.id, taken, 1
+    own = exif.get_ifd(_EXIF)
+    own[0x9003] = own[0x9004] = taken
+    if world.configuration.pictures.subseconds:
+        own[0x9291] = own[0x9292] = f"{stamp.microsecond // 1000:03d}"
+    own[0x829A] = IFDRational(round(camera.exposure_s * 1e6), 1_000_000)
+    own[0x829D], own[0x8827] = IFDRational(28, 10), 100
+    own[0x920A] = IFDRational(round(camera.nominal_mm * 1000), 1000)
+    wide = camera.size_px[0] * camera.pitch_mm
+    own[0xA405] = round(camera.nominal_mm * 36 / wide)
+    own[0xA002], own[0xA003] = size
+    own[0xA431] = f"{world.configuration.seed:04d}"
+    gps = exif.get_ifd(_GPS)
+    latitude, longitude = np.degrees(place[:2]).tolist()
+    gps[1], gps[2] = "S" if latitude < 0 else "N", _sexagesimal(abs(latitude))
+    gps[3], gps[4] = "W" if longitude < 0 else "E", _sexagesimal(abs(longitude))
+    above_sea = float(place[2]) - world.configuration.place.geoid_m
+    gps[5], gps[6] = b"\x01" if above_sea < 0 else b"\x00", IFDRational(round(abs(above_sea) * 1000), 1000)
+    return exif
+
+
+def _sexagesimal(degrees: float) -> tuple[Any, Any, Any]:
+    from PIL.TiffImagePlugin import IFDRational
+
+    whole, rest = divmod(round(degrees * 3600 * 100_000), 3600 * 100_000)
+    minutes, seconds = divmod(rest, 60 * 100_000)
+    return IFDRational(whole, 1), IFDRational(minutes, 1), IFDRational(seconds, 100_000)
