@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from photocal.adjustment.covariance import complete
+from photocal.adjustment.mounting import Attitudes, Positions
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import prepare
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import minimise
 from photocal.adjustment.state import State, start_state
 from photocal.analysis.estimates import Array
+
+Observed = TypeVar("Observed", Positions, Attitudes)
 
 
 @dataclass(frozen=True)
@@ -199,6 +203,8 @@ def without_images(network: Network, state: State, left_out: NDArray[np.bool_]) 
             sigma=relations.sigma[related],
         ),
         datum_points=None if datum is None else point_place[datum[points[datum]]],
+        positions=_of_images(network.positions, image_place, ~left_out),
+        attitudes=_of_images(network.attitudes, image_place, ~left_out),
         point_names=tuple(name for name, has in zip(network.point_names, points, strict=True) if has),
     )
     return smaller, replace(
@@ -208,3 +214,10 @@ def without_images(network: Network, state: State, left_out: NDArray[np.bool_]) 
         points=state.points[points],
         deviations=state.deviations[~left_out],
     )
+
+
+def _of_images(observed: Observed, place: NDArray[np.int64], kept: NDArray[np.bool_]) -> Observed:
+    """Return the positions or attitudes of the images that are kept, at the places that these have now."""
+    mine = kept[observed.image]
+    columns = {name: column[mine] for name, column in vars(observed).items()}
+    return replace(observed, **{**columns, "image": place[observed.image[mine]]})
