@@ -8,11 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.errors import InputMalformedError
-from photocal.block.folder import fingerprint, read_images, read_observations, read_points
-from photocal.block.model import ROLES, Block, Images, ObjectPoints
-from photocal.block.setup import ObservationKeys
-from photocal.block.table import read_table
+from photocal.block.folder import read_images
 from photocal.project import Project
 from photocal.run.stage import Progress, Stage
 
@@ -48,6 +44,7 @@ def measurements_stage(project: Project, exposures: Path) -> Stage:
 
 def _make(project: Project, exposures: Path, folder: Path, show: Progress) -> None:
     from photocal.measurement.block_files import write_block
+    from photocal.run.given_observations import given_block
 
     starts = read_images(exposures / "images.csv", project.cameras)
     # The orientations are start values: what was observed stands in positions.csv and attitudes.csv.
@@ -63,59 +60,3 @@ def _make(project: Project, exposures: Path, folder: Path, show: Progress) -> No
     plan = MatchingPlan(default_cache(), os.cpu_count() or 1)
     measured = measure_project(project, starts, plan, show)
     write_block(folder, measured.block, measured.record)
-
-
-def given_block(project: Project, images: Images) -> Block:
-    """Make the block of given observations: points that the control table does not have are tie points.
-
-    Parameters
-    ----------
-    project : Project
-        With `observations` in `[measurements]`.
-    images : Images
-        With start values.
-
-    Returns
-    -------
-    Block
-
-    Raises
-    ------
-    InputMalformedError
-        When the observations are of other images.
-    """
-    given = project.contents.measurements
-    path = given.observations if given is not None and given.observations is not None else Path()
-    control = read_points(project.control.points)
-    table = read_table(path, ("image", "point", "x", "y"), ("sx", "sy"))
-    named = table.names("point")[1]
-    ties = tuple(sorted(set(named) - set(control.names)))
-    unknown = sorted(set(table.names("image")[1]) - set(images.names))
-    if unknown:
-        raise InputMalformedError(
-            f"image {unknown[0]} has no exposure" + (f", as {len(unknown) - 1} more" if unknown[1:] else ""),
-            where=path,
-            remedy="take its observations out, or complete the exposures",
-        )
-    count = len(ties)
-    points = ObjectPoints(
-        control.names + ties,
-        np.vstack([control.values, np.full((count, 3), np.nan)]),
-        np.vstack([control.sigma, np.full((count, 3), np.inf)]),
-        np.concatenate([control.role, np.full(count, ROLES.index("tie"))]),
-        None if control.cross is None else np.vstack([control.cross, np.zeros((count, 3))]),
-    )
-    sigma = None if given is None else given.sigma_px
-    keys = ObservationKeys(unit="px", axes="pixel", sigma=sigma)
-    return Block(
-        project.name,
-        project.crs,
-        project.height,
-        "control",
-        (),
-        project.cameras,
-        images,
-        points,
-        read_observations(path, keys, images.names, points.names),
-        (fingerprint(path.parent, path.name),),
-    )
