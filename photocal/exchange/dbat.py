@@ -260,11 +260,11 @@ def _camera(element: Element, path: Path, loaded: bool) -> DbatCamera:
 def _calibrated(element: Element, path: Path, lists: dict[str, list[float]]) -> dict[str, float]:
     """Calibrated values; a principal distance or point of zero is a placeholder, not a value."""
     values = {f"{name}{k}": value for name in "KP" for k, value in enumerate(lists[name], start=1)}
-    distance = _list(element, "cc", path, None, [])
-    if len(distance) == 1 and distance[0] > 0:
-        values["cc"] = distance[0]
-    point = _list(element, "pp", path, None, [])
-    if len(point) == 2 and any(point):
+    distance = _list(element, "cc", path, 1, [0.0])[0]
+    if distance > 0:
+        values["cc"] = distance
+    point = _list(element, "pp", path, 2, [0.0, 0.0])
+    if any(point):
         values["px"], values["py"] = point
     values["sk"] = _list(element, "skew", path, 1, [0.0])[0]
     return values

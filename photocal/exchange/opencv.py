@@ -57,14 +57,16 @@ def read_opencv(path: Path, camera_id: str = "") -> Camera:
     kind = cv2.FileStorage_FORMAT_JSON if json else cv2.FileStorage_FORMAT_YAML
     try:
         storage = cv2.FileStorage(text, cv2.FileStorage_READ | cv2.FileStorage_MEMORY | kind)
+        try:
+            matrix = _matrix(storage, MATRICES, path)
+            coefficients = np.ravel(_matrix(storage, COEFFICIENTS, path))
+            width, height = (float(storage.getNode(f"image_{name}").real()) for name in ("width", "height"))
+        finally:
+            storage.release()
     except (cv2.error, SystemError) as failure:
-        raise InputMalformedError("cannot be parsed by OpenCV", where=path) from failure
-    try:
-        matrix = _matrix(storage, MATRICES, path)
-        coefficients = np.ravel(_matrix(storage, COEFFICIENTS, path))
-        width, height = (float(storage.getNode(f"image_{name}").real()) for name in ("width", "height"))
-    finally:
-        storage.release()
+        raise InputMalformedError(
+            "cannot be parsed by OpenCV", where=path, remedy="was it written completely?"
+        ) from failure
     if matrix.shape != (3, 3) or matrix[0, 1] or not np.allclose(matrix[2], [0, 0, 1], atol=0):
         raise InputMalformedError("the camera matrix is not fx, 0, cx, 0, fy, cy, 0, 0, 1", where=path)
     if len(coefficients) < 4 or coefficients[5:].any():

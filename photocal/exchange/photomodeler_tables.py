@@ -140,15 +140,17 @@ def _rows(path: Path, columns: tuple[str, ...]) -> tuple[float, Iterator[tuple[s
         raise InputMalformedError(f"is in {unit!r}", where=path, remedy=f"use {', '.join(_METRES)}")
     header = _cells(lines[head])
     index = [header.index(name) for name in columns]
-    return _METRES[unit], _body(lines[head + 1 :], index)
+    return _METRES[unit], _body(lines[head + 1 :], index, len(header))
 
 
-def _body(lines: list[Line], index: list[int]) -> Iterator[tuple[str, list[str]]]:
+def _body(lines: list[Line], index: list[int], count: int) -> Iterator[tuple[str, list[str]]]:
     for line in lines:
         cells = _cells(line)
-        if len(cells) <= max(index):
+        if len(cells) != count:
             raise InputMalformedError(
-                f"has {len(cells)} cells, too few for the header", where=line.place, remedy="is the file cut?"
+                f"has {len(cells)} cells where the header has {count}",
+                where=line.place,
+                remedy="write decimal points, not commas" if len(cells) > count else "is the file cut?",
             )
         yield line.place, [cells[k] for k in index]
 

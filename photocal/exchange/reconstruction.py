@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -266,7 +267,7 @@ def read_json(path: Path) -> Any:
     """
     text = read_text(path)
     try:
-        content = json.loads(text, parse_constant=_refuse_constant)
+        content = json.loads(text, parse_constant=_refuse_constant, parse_float=_finite)
     except (ValueError, RecursionError) as failure:
         raise InputMalformedError(
             f"is no valid JSON ({failure})", where=path, remedy="was it written completely?"
@@ -302,6 +303,13 @@ def structured(path: Path, what: str, read: Callable[[], T]) -> T:
 
 def _refuse_constant(name: str) -> float:
     raise ValueError(f"the number {name} is not finite")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"the number {text[:40]} is not finite")
+    return value
 
 
 def _camera(name: str, keys: dict[str, Any]) -> Camera:

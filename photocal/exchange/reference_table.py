@@ -83,11 +83,12 @@ def read_references(path: Path) -> tuple[str, tuple[Reference, ...]]:
             cells = [cell.strip() for cell in next(csv.reader(io.StringIO(line), strict=True))]
         except csv.Error as failure:
             raise InputMalformedError(f"is no row of a table ({failure})", where=place) from failure
-        if len(cells) < len(header):
+        if len(cells) != len(header):
+            comma = len(cells) > len(header)
             raise InputMalformedError(
                 f"has {len(cells)} cells where the header has {len(header)}",
                 where=place,
-                remedy="is the file cut?",
+                remedy="write decimal points, not commas" if comma else "is the file cut?",
             )
         if not any(cells[column] for column in places):
             continue

@@ -118,7 +118,7 @@ MARKS = "Object Point ID,Photo #,X (pixels),Y (pixels),Residual X,Residual Y\n"
         (MARKS + "1,1,2,3,0,0\n", "no header"),
         (HEAD + "Id,Name\n1,a\n", "no header"),
         (HEAD.replace("meters", "feet") + MARKS + "1,1,2,3,0,0\n", "is in 'feet'"),
-        (HEAD + MARKS + "1,1,2,3,0\n", "5 cells"),
+        (HEAD + MARKS + "1,1,2,3,0\n", "5 cells where the header has 6"),
         (HEAD + MARKS + "1,1,2,nan,0,0\n", "not finite"),
         (HEAD + MARKS + "1,0,2,3,0,0\n", "impossible photo 0"),
         (HEAD + MARKS + "1,1,2,3,0,0\n1,1,2,3,0,0\n", "marked twice"),
