@@ -17,7 +17,7 @@ from acquire.log.reader import Messages
 from acquire.log.summary import GAP_S
 from acquire.monitor.exposures import Exposures, Trigger, numbers, reported, settled, triggered
 from acquire.monitor.fixes import receiver_after
-from acquire.monitor.state import Battery, Link, State, raised
+from acquire.monitor.state import Battery, Link, State, in_order, raised
 from acquire.monitor.track import Track, extended, place_at
 from acquire.recording.alarms import ALARM
 from drivers.frames import Wire
@@ -49,6 +49,7 @@ def fold(state: State, chunk: Sequence[Messages]) -> State:
     times = [ns for part in chunk if len(part.log_ns) for ns in (part.log_ns.min(), part.log_ns.max())]
     if not times:
         return state
+    known = state.raised
     state = replace(
         state, first_ns=state.first_ns or int(min(times)), last_ns=max(state.last_ns, *map(int, times))
     )
@@ -56,7 +57,7 @@ def fold(state: State, chunk: Sequence[Messages]) -> State:
         handler = _HANDLERS.get(part.channel.schema.name) if part.channel.schema else _octets
         if handler is not None and len(part.payloads):
             state = handler(state, part)
-    return _settled(state)
+    return in_order(_settled(state), known)
 
 
 def _rank(part: Messages) -> bool:

@@ -197,3 +197,12 @@ def raised(state: State, level: str, link: str, text: str, time_ns: int) -> Stat
     """Raise an alarm."""
     alarm = Alarm(state.raised + 1, level, link, text, time_ns)
     return replace(state, alarms=(*state.alarms, alarm)[-_MOST_ALARMS:], raised=alarm.number)
+
+
+def in_order(state: State, known: int) -> State:
+    """Put the alarms after number `known` in the order of their times: channels are taken one by one."""
+    old = tuple(alarm for alarm in state.alarms if alarm.number <= known)
+    new = sorted(state.alarms[len(old) :], key=lambda alarm: alarm.time_ns)
+    first = state.raised - len(new) + 1
+    numbered = (replace(alarm, number=number) for number, alarm in enumerate(new, first))
+    return replace(state, alarms=(*old, *numbered))

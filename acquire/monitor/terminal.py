@@ -97,7 +97,7 @@ def _camera(row: CameraRow, wide: int) -> Text:
 
 
 def _link(row: LinkRow, wide: int) -> Text:
-    gaps = f"  {row.gaps} gaps to {row.longest_gap_s:.0f} s" if row.gaps else "  no gaps"
+    gaps = f"  {row.gaps} gap{'s' * (row.gaps > 1)} to {row.longest_gap_s:.0f} s" if row.gaps else "  no gaps"
     damage = f"  {size(row.damage_bytes)} damaged" if row.damage_bytes else ""
     rates = f"  {row.frames_per_s:.1f}/s  {size(row.bytes_per_s)}/s"
     return Text.assemble(_name(row.name, wide), _word(row.state), rates, gaps, damage)
