@@ -50,7 +50,7 @@ def layers(state: State) -> list[Layer]:
         for (name, told), track in sorted(state.pictures.items())
         if told == kind
     ]
-    for name, counted in sorted(state.exposures.items()):
+    for name, counted in (*sorted(state.exposures.items()), *sorted(state.marks.items())):
         missed = [(str(t.number), t.place) for t in counted.unreported if t.place is not None]
         if missed:
             points = np.array([place for _, place in missed])

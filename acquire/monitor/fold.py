@@ -141,17 +141,14 @@ def _exposure(state: State, part: Messages) -> State:
         if edge == "falling":
             continue
         place = _told_place(row) or _whereabouts(state, name, time_ns)
-        if edge == "rising":
-            state = replace(state, marks=_with(state.marks, name, state.marks.get(name, 0) + 1))
-        else:
-            counted = state.exposures.get(name, Exposures())
-            known = len(counted.unreported)
-            if edge == "trigger":
-                counted = triggered(counted, Trigger(number, time_ns, place))
-            else:
-                counted = reported(counted, number, time_ns, place)
-            state = _counted(state, name, counted, known)
-        if place is not None and edge != "trigger":
+        counts = state.marks if edge == "rising" else state.exposures
+        counted = counts.get(name, Exposures())
+        if edge == "trigger":
+            state = _pictures(state, name, triggered(counted, Trigger(number, time_ns, place)))
+            continue
+        counted = reported(counted, number, time_ns, place)
+        state = _marks(state, name, counted) if edge == "rising" else _pictures(state, name, counted)
+        if place is not None:
             key = (name, edge)
             picture = state.pictures.get(key, Track())
             # Each picture is shown, however near to the last one.
@@ -160,21 +157,31 @@ def _exposure(state: State, part: Messages) -> State:
     return state
 
 
-def _counted(state: State, name: str, counted: Exposures, known: int) -> State:
+def _pictures(state: State, name: str, counted: Exposures) -> State:
+    before = state.exposures.get(name, Exposures())
     state = replace(state, exposures=_with(state.exposures, name, counted))
-    new = counted.unreported[known:]
-    if len(counted.unreported) < known:
+    if len(counted.unreported) < len(before.unreported):
         return raised(state, "note", name, "feedback came late after all", state.last_ns)
+    return _lost(state, name, before, counted, "no feedback for picture")
+
+
+def _marks(state: State, name: str, counted: Exposures) -> State:
+    before = state.marks.get(name, Exposures())
+    state = replace(state, marks=_with(state.marks, name, counted))
+    return _lost(state, name, before, counted, "did not tell time mark")
+
+
+def _lost(state: State, name: str, before: Exposures, after: Exposures, what: str) -> State:
+    new = after.unreported[len(before.unreported) :]
     if not new:
         return state
-    text = f"no feedback for {'picture' if len(new) == 1 else 'pictures'} {numbers(new)}"
+    text = f"{what}{'s' if len(new) > 1 else ''} {numbers(new)}"
     return raised(state, "bad", name, text, state.last_ns)
 
 
 def _settled(state: State) -> State:
     for name, counted in state.exposures.items():
-        known = len(counted.unreported)
-        state = _counted(state, name, settled(counted, state.last_ns), known)
+        state = _pictures(state, name, settled(counted, state.last_ns))
     return state
 
 

@@ -23,7 +23,9 @@ def looked(state: State, look: Look) -> State:
     if look.trouble and (before is None or before.trouble != look.trouble):
         state = raised(state, "bad", "", look.trouble, look.time_ns)
     if look.ended:
-        if before is not None and not before.ended:
+        # Of a log that has long ended there is nothing to tell.
+        live = before is not None and not before.ended and look.time_ns - state.last_ns < _GROWTH_OVER_NS
+        if live:
             state = raised(state, "note", "", f"{look.file} has its end", look.time_ns)
         return replace(state, stalled=False)
     if grown and state.stalled:

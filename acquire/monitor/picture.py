@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from acquire.channels.decoded import SECOND_NS
-from acquire.monitor.exposures import numbers
+from acquire.monitor.exposures import Exposures, numbers
 from acquire.monitor.fixes import LEAST_WORTH, NAMES, WORTH
 from acquire.monitor.fold import RATE_OVER_S
 from acquire.monitor.looks import bytes_per_s
@@ -71,6 +71,7 @@ class CameraRow:
     missed: int
     missed_numbers: str
     time_marks: int
+    time_marks_missed: int
 
 
 @dataclass(frozen=True)
@@ -234,21 +235,33 @@ def _correction(age_s: float | None) -> Word:
 
 
 def _camera(name: str, state: State) -> CameraRow:
-    counted = state.exposures.get(name)
-    marks = state.marks.get(name, 0)
-    if counted is None:
-        return CameraRow(name, Word(f"{marks} time marks", "good"), 0, 0, 0, "", marks)
-    missed = numbers(counted.unreported)
-    count = len(counted.unreported)
-    if count:
-        word = Word(f"{count} missed: {_shortened(missed)}", "bad")
-    elif not counted.feedbacks:
-        # A camera without feedback is no failure, but nobody knows whether it takes pictures.
-        level = "warn" if counted.triggers >= _UNHEARD_TRIGGERS else "good"
-        word = Word("no feedback so far", level)
-    else:
+    counted = state.exposures.get(name, Exposures())
+    marks = state.marks.get(name, Exposures())
+    missed, untold = numbers(counted.unreported), numbers(marks.unreported)
+    words = []
+    if counted.unreported:
+        words.append(f"{len(counted.unreported)} missed: {_shortened(missed)}")
+    if marks.unreported:
+        words.append(f"{len(marks.unreported)} time marks not told: {_shortened(untold)}")
+    if words:
+        word = Word(", ".join(words), "bad")
+    elif counted.feedbacks:
         word = Word("all reported", "good")
-    return CameraRow(name, word, counted.triggers, counted.feedbacks, count, missed, marks)
+    elif counted.triggers:
+        # A camera without feedback is no failure, but nobody knows whether it takes pictures.
+        word = Word("no feedback so far", "warn" if counted.triggers >= _UNHEARD_TRIGGERS else "good")
+    else:
+        word = Word("all marks told", "good")
+    return CameraRow(
+        link=name,
+        state=word,
+        triggered=counted.triggers,
+        reported=counted.feedbacks,
+        missed=len(counted.unreported),
+        missed_numbers=missed,
+        time_marks=marks.feedbacks,
+        time_marks_missed=len(marks.unreported),
+    )
 
 
 def _shortened(missed: str) -> str:

@@ -158,8 +158,8 @@ class State:
         Where pictures were taken, by the link and the kind of their report.
     stations : mapping of str to (float, float)
         Latitude and longitude of base stations, degrees.
-    marks : mapping of str to int
-        Number of rising edges on the time mark input of a receiver.
+    marks : mapping of str to Exposures
+        Rising edges on the time mark input of a receiver: reported, and skipped by its counter.
     alarms : tuple of Alarm
         The latest ones.
     raised : int
@@ -183,7 +183,7 @@ class State:
     pictures: Mapping[tuple[str, str], Track] = field(default_factory=dict)
     tracks: Mapping[str, Track] = field(default_factory=dict)
     stations: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    marks: Mapping[str, int] = field(default_factory=dict)
+    marks: Mapping[str, Exposures] = field(default_factory=dict)
     batteries: Mapping[str, Battery] = field(default_factory=dict)
     alarms: tuple[Alarm, ...] = ()
     raised: int = 0

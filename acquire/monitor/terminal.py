@@ -92,7 +92,7 @@ def _receiver(row: ReceiverRow, wide: int) -> Text:
 
 def _camera(row: CameraRow, wide: int) -> Text:
     counts = f"  {row.triggered} triggered, {row.reported} feedback" if row.triggered else ""
-    marks = f"  {row.time_marks} marks" if row.triggered and row.time_marks else ""
+    marks = f"  {row.time_marks} marks" if row.time_marks else ""
     return Text.assemble(_name(row.link, wide), _word(row.state), counts, marks)
 
 

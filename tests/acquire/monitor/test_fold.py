@@ -209,6 +209,17 @@ def test_pictures_without_a_place_are_where_the_rover_was_then() -> None:
     assert picture(state).cameras[0].time_marks == 2
 
 
+def test_a_time_mark_that_the_receiver_skipped_is_named() -> None:
+    """The receiver counts every edge; of two within one of its epochs it tells the last one only."""
+    mark = {"link": "rover", "source": "TIM-TM2", "edge": "rising"}
+    edges = [{**mark, "sequence": number} for number in (65533, 65534, 65535, 0, 1, 3, 4, 7)]
+    state = fold(State(), [rows("/camera/exposure", EXPOSURE, *edges)])
+    row = picture(state).cameras[0]
+    assert (row.time_marks, row.time_marks_missed) == (8, 3)
+    assert (row.state.text, row.state.level) == ("3 time marks not told: 2, 5-6", "bad")
+    assert told(state, "bad") == ["did not tell time mark 2", "did not tell time marks 5-6"]
+
+
 def test_alarms_of_the_recorder_and_texts_of_the_vehicle_are_passed_on() -> None:
     kinds = ["note", "lost", "back", "silent", "disk_low", "clock_jump", "source_changed"]
     alarms = [{"kind": kind, "link": "rover", "text": kind} for kind in kinds]
@@ -238,7 +249,8 @@ def test_a_log_that_does_not_grow_is_told_and_its_growth_too() -> None:
 
 def test_a_log_with_its_end_is_no_failure() -> None:
     look = Look(START, "a.mcap", 100, ended=False, free_bytes=None)
-    state = looked(looked(State(), look), replace(look, ended=True))
+    state = looked(looked(State(last_ns=START), look), replace(look, ended=True))
+    assert told(state, "note") == ["a.mcap has its end"]
     state = looked(state, replace(look, ended=True, time_ns=START + 60 * SECOND))
     assert told(state, "bad", "warn") == []
     assert picture(state).recording.text == "ended"
