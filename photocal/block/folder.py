@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.adjustment.network import NO_RELATIONS, RELATIONS, Relations, covariance_matrices
 from photocal.block.camera_setup import make_camera
-from photocal.block.model import ROLES, Block, Images, InputFile, ObjectPoints, Observations
+from photocal.block.model import ROLES, Block, FiducialFit, Images, InputFile, ObjectPoints, Observations
 from photocal.block.mounting import make_mounting, read_attitudes, read_positions
+from photocal.block.readings import MARKS, READINGS, from_readings
 from photocal.block.setup import ObservationKeys, read_setup
 from photocal.block.table import Table, known_rows, read_table, refuse, refuse_unknown
 from photocal.geometry.camera import Camera
@@ -64,8 +65,13 @@ def read_block(folder: Path) -> Block:
     points = read_points(folder / "points.csv")
     table = _observations_path(folder)
     observations = read_observations(table, setup.observations, images.names, points.names)
+    fits: tuple[FiducialFit, ...] = ()
+    readings = setup.observations.readings
+    if readings is not None:
+        observations, fits = from_readings(folder, readings, cameras, images, observations)
     relations = _read_relations(folder, points.names)
     tables = ["block.toml", "images.csv", "points.csv", table.name, *(_present(folder))]
+    tables += [MARKS, READINGS] if readings is not None else []
     positions = read_positions(folder / "positions.csv", images.names)
     attitudes = read_attitudes(folder / "attitudes.csv", images.names)
     strips = int(positions.strip.max()) + 1 if len(positions.strip) else 0
@@ -85,6 +91,7 @@ def read_block(folder: Path) -> Block:
         positions,
         attitudes,
         make_mounting(setup.mounting, strips),
+        fits,
     )
 
 

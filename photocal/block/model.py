@@ -114,6 +114,28 @@ class Observations:
 
 
 @dataclass(frozen=True)
+class FiducialFit:
+    """How the fiducial marks of an image fit when readings are turned into image coordinates.
+
+    Attributes
+    ----------
+    image : str
+    fiducials : tuple of str
+    residuals : ndarray, shape (n, 2)
+        Computed minus known, in the unit of the camera.
+    redundancy : int
+    sigma0 : float
+        Standard deviation of a coordinate of a mark; NaN without redundancy.
+    """
+
+    image: str
+    fiducials: tuple[str, ...]
+    residuals: Floats
+    redundancy: int
+    sigma0: float
+
+
+@dataclass(frozen=True)
 class Block:
     """Everything in a block folder.
 
@@ -136,6 +158,8 @@ class Block:
         Distances and height differences between points, by their index.
     positions, attitudes, mounting
         Observations of a GNSS antenna and an inertial unit, and how they are mounted.
+    fiducial_fits : tuple of FiducialFit
+        Where the observations were given as readings.
     """
 
     name: str
@@ -152,3 +176,4 @@ class Block:
     positions: Positions = NO_POSITIONS
     attitudes: Attitudes = NO_ATTITUDES
     mounting: Mounting = NO_MOUNTING
+    fiducial_fits: tuple[FiducialFit, ...] = ()

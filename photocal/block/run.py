@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from photocal.adjustment.mounting import BORESIGHT, COMMON, STRIPS
 from photocal.adjustment.solution import Solution, global_test
-from photocal.block.model import ROLES, Block
+from photocal.block.model import ROLES, Block, FiducialFit
 from photocal.block.network import Assembly, plane_per_unit
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.frames import nearest_rotation
@@ -71,6 +71,7 @@ def summary(
         "groups": [dict(vars(group)) for group in solution.groups],
         "cameras": _cameras(block, solution),
         "images": _image_residuals(block, assembly, solution),
+        "fiducials": [_fiducials(fit) for fit in block.fiducial_fits],
         "mounting": _mounting(block, solution),
         "checks": _checks(block, assembly, solution),
         "rejected": _rejected(block, assembly),
@@ -168,6 +169,18 @@ def _mounting(block: Block, solution: Solution) -> dict[str, Any] | None:
             "estimated": bool(block.mounting.sigma[k] != 0),
         }
         for k, name in enumerate(names)
+    }
+
+
+def _fiducials(fit: FiducialFit) -> dict[str, Any]:
+    """How an image's fiducial marks fit, in the unit of its camera."""
+    return {
+        "image": fit.image,
+        "sigma0": fit.sigma0 if fit.redundancy else None,
+        "residuals": [
+            {"fiducial": name, "vx": vx, "vy": vy}
+            for name, (vx, vy) in zip(fit.fiducials, fit.residuals.tolist(), strict=True)
+        ],
     }
 
 

@@ -33,6 +33,7 @@ class ObservationKeys(Table):
     unit: Literal["px", "mm"]
     axes: Literal["pixel", "photo"]
     sigma: PositiveFloat | tuple[PositiveFloat, PositiveFloat] | None = None
+    readings: Literal["conformal", "affine", "projective"] | None = None
 
 
 class MountingKeys(Table):
