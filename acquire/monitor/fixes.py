@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from acquire.channels.decoded import SECOND_NS
-from acquire.monitor.state import Receiver
+from acquire.monitor.state import Link, Receiver
 
 # Worth of a fix, and how it is called.
 WORTH = {
@@ -34,6 +34,8 @@ NAMES = {
 LEAST_WORTH = WORTH["3d"]
 # A better fix is expected to stay only after it has stayed so long: one that flickers is told once.
 STEADY_NS = 5 * SECOND_NS
+# u-blox receivers give their corrections up after 60 s (CFG-NAVSPG-CONSTR_DGNSSTO): half of that is time to act.
+OLD_CORRECTION_S, DEAD_CORRECTION_S = 5.0, 30.0
 
 
 def receiver_after(
@@ -61,6 +63,7 @@ def receiver_after(
         time_ns=time_ns,
         expected=fix if before is None else before.expected,
         since_ns=before.since_ns if before is not None and same else time_ns,
+        starved=before is not None and before.starved,
     )
     worth, expected = WORTH.get(fix, 0), WORTH.get(now.expected, 0)
     if worth < expected and expected >= LEAST_WORTH:
@@ -72,3 +75,33 @@ def receiver_after(
     if worth > expected and time_ns - now.since_ns >= STEADY_NS:
         return replace(now, expected=fix), [("note", f"has {NAMES[fix]}")]
     return now, []
+
+
+def correction_age_s(receiver: Receiver, link: Link, now_ns: int) -> float | None:
+    """Return the age of the corrections of a receiver; None when nobody knows of any.
+
+    Parameters
+    ----------
+    receiver : Receiver
+        What it said last.
+    link : Link
+        Its link: without a word of its own, what it was sent cannot be younger than the last that was sent.
+    now_ns : int
+        The time, UTC.
+    """
+    if receiver.correction_age_s is not None:
+        return receiver.correction_age_s
+    return (now_ns - link.corrected_ns) / SECOND_NS if link.corrected_ns else None
+
+
+def fed(receiver: Receiver, age_s: float | None) -> tuple[Receiver, list[tuple[str, str]]]:
+    """Return a receiver whose corrections have an age, and level and words of what is to be told."""
+    if age_s is None:
+        return receiver, []
+    if not receiver.starved and age_s > DEAD_CORRECTION_S:
+        return replace(receiver, starved=True), [
+            ("bad", f"has corrections older than {DEAD_CORRECTION_S:g} s")
+        ]
+    if receiver.starved and age_s <= OLD_CORRECTION_S:
+        return replace(receiver, starved=False), [("note", "has fresh corrections again")]
+    return receiver, []

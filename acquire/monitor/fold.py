@@ -16,7 +16,7 @@ from acquire.log.link import DAMAGE_ENCODING
 from acquire.log.reader import Messages
 from acquire.log.summary import GAP_S
 from acquire.monitor.exposures import Exposures, Trigger, numbers, reported, settled, triggered
-from acquire.monitor.fixes import receiver_after
+from acquire.monitor.fixes import correction_age_s, fed, receiver_after
 from acquire.monitor.state import Battery, Link, State, in_order, raised
 from acquire.monitor.track import Track, extended, place_at
 from acquire.recording.alarms import ALARM
@@ -182,6 +182,12 @@ def _lost(state: State, name: str, before: Exposures, after: Exposures, what: st
 def _settled(state: State) -> State:
     for name, counted in state.exposures.items():
         state = _pictures(state, name, settled(counted, state.last_ns))
+    for name, receiver in state.receivers.items():
+        age_s = correction_age_s(receiver, state.links.get(receiver.link, Link()), state.last_ns)
+        now, told = fed(receiver, age_s)
+        state = replace(state, receivers=_with(state.receivers, name, now))
+        for level, text in told:
+            state = raised(state, level, name, text, state.last_ns)
     return state
 
 

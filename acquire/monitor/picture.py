@@ -7,7 +7,14 @@ from typing import Any
 
 from acquire.channels.decoded import SECOND_NS
 from acquire.monitor.exposures import Exposures, numbers
-from acquire.monitor.fixes import LEAST_WORTH, NAMES, WORTH
+from acquire.monitor.fixes import (
+    DEAD_CORRECTION_S,
+    LEAST_WORTH,
+    NAMES,
+    OLD_CORRECTION_S,
+    WORTH,
+    correction_age_s,
+)
 from acquire.monitor.fold import RATE_OVER_S
 from acquire.monitor.looks import bytes_per_s
 from acquire.monitor.state import Alarm, Link, Receiver, State
@@ -15,7 +22,6 @@ from acquire.monitor.state import Alarm, Link, Receiver, State
 SCHEMA = "acquire.monitor/1"
 # From so much silence of a link or a receiver on it is said.
 _SILENT_S, _STALE_S = 3.0, 5.0
-_OLD_CORRECTION_S, _DEAD_CORRECTION_S = 5.0, 30.0
 # A receiver's message comes some tenths of a second after its time; more is a wrong clock.
 _CLOCK_LIMIT_S = 1.0
 _GB = 1e9
@@ -204,10 +210,7 @@ def _link(name: str, link: Link, state: State, now_ns: int) -> LinkRow:
 def _receiver(name: str, receiver: Receiver, state: State, now_ns: int) -> ReceiverRow:
     stale_s = _seconds(now_ns - receiver.time_ns)
     link = state.links.get(receiver.link, Link())
-    age_s = receiver.correction_age_s
-    if age_s is None and link.corrected_ns:
-        # The receiver does not say: what it was sent cannot be younger.
-        age_s = _seconds(now_ns - link.corrected_ns)
+    age_s = correction_age_s(receiver, link, now_ns)
     return ReceiverRow(
         name=name,
         fix=_fix(receiver.fix, stale_s),
@@ -230,7 +233,7 @@ def _fix(fix: str, stale_s: float) -> Word:
 def _correction(age_s: float | None) -> Word:
     if age_s is None:
         return Word("none told", "off")
-    level = "good" if age_s <= _OLD_CORRECTION_S else "warn" if age_s <= _DEAD_CORRECTION_S else "bad"
+    level = "good" if age_s <= OLD_CORRECTION_S else "warn" if age_s <= DEAD_CORRECTION_S else "bad"
     return Word(f"{age_s:.1f} s old" if age_s < 10 else f"{age_s:.0f} s old", level)
 
 

@@ -94,6 +94,8 @@ class Receiver:
         The best fix that it has had for a while: a lesser one is a loss.
     since_ns : int
         Since when the fix is what it is.
+    starved : bool
+        Whether it was told that its corrections are too old.
     """
 
     link: str
@@ -104,6 +106,7 @@ class Receiver:
     time_ns: int
     expected: str
     since_ns: int
+    starved: bool = False
 
 
 @dataclass(frozen=True)

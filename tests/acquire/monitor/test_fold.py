@@ -192,6 +192,19 @@ def test_the_age_of_corrections_is_what_the_receiver_says_else_since_they_were_s
     assert (ages["sent"].correction.text, ages["sent"].correction.level) == ("12 s old", "warn")
 
 
+def test_corrections_that_stop_are_told_once_and_their_return_too() -> None:
+    state = State()
+    for second in range(100):
+        message = {**status("rtk_fixed"), "correction_age_s": max(0, second - 20) if second < 80 else 1}
+        part = rows("/gnss/rover/status", GNSS_STATUS, message)
+        state = fold(state, [replace(part, log_ns=part.log_ns + second * SECOND)])
+    assert [(alarm.level, alarm.text) for alarm in state.alarms] == [
+        ("bad", "has corrections older than 30 s"),
+        ("note", "has fresh corrections again"),
+    ]
+    assert [(alarm.time_ns - START) // SECOND for alarm in state.alarms] == [51, 80]
+
+
 def test_pictures_without_a_place_are_where_the_rover_was_then() -> None:
     from acquire.log import foxglove
 
