@@ -34,7 +34,7 @@ NAMES = {
 LEAST_WORTH = WORTH["3d"]
 # A better fix is expected to stay only after it has stayed so long: one that flickers is told once.
 STEADY_NS = 5 * SECOND_NS
-# u-blox receivers give their corrections up after 60 s (CFG-NAVSPG-CONSTR_DGNSSTO): half of that is time to act.
+# u-blox receivers give corrections up after 60 s (CFG-NAVSPG-CONSTR_DGNSSTO): half of it is time to act.
 OLD_CORRECTION_S, DEAD_CORRECTION_S = 5.0, 30.0
 
 
