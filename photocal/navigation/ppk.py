@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, IllPosedError
+from photocal.navigation.combination import between_directions
 from photocal.navigation.engine import Engine, Mode, ProcessingOptions
 from photocal.navigation.engine_output import EngineSolution
 from photocal.navigation.fix_validation import Judgement, judge
@@ -18,10 +19,14 @@ from photocal.navigation.trajectory import Trajectory, enu_axes, enu_offsets, ge
 
 _STATUS = {1: "fixed", 2: "float"}
 _LEAST_EPOCHS = 10
+_DIFFERENTIAL = 2
 _BASE_LIMIT_M = 10.0
 # The engine uses base observations up to 30 s old.
 _BASE_AGE_NS = 30_000_000_000
 _SYSTEMS = "GREJC"
+# What differences do not remove of orbits, troposphere and ionosphere: a millimetre per kilometre at quiet
+# times (Odijk 2002, chapter 3).
+_PER_METRE = 1e-6
 # Antennas without calibration: phase centres agree to a millimetre or two at best.
 _STATIC_FLOOR_M = np.array([0.001, 0.001, 0.002])
 
@@ -73,6 +78,8 @@ class PpkResult:
         The base's position less its own code solution, east, north, up.
     base_gaps_s : list of (GpsTime, float)
         Begin and length of the gaps of the base within the rover's time, longest first.
+    replaced : int
+        Epochs at which the engine's combination lay apart from both directions.
     """
 
     inputs: Inputs
@@ -84,6 +91,7 @@ class PpkResult:
     trajectory: Trajectory
     base_off_code_m: NDArray[np.float64]
     base_gaps_s: list[tuple[GpsTime, float]]
+    replaced: int = 0
 
 
 def options_for(
@@ -154,17 +162,21 @@ def process(
     if mode == "static":
         whole = engine.solve(mode, "forward", files, options, inputs.base_m, folder)
         found = _static_position(_differential(whole, inputs), combined)
-        trajectory = _trajectory(found, 0.0)
+        trajectory = _trajectory(found, 0.0, inputs.base_m)
         return PpkResult(inputs, options, mode, engine.name, found, None, trajectory, off_m, gaps)
     forward = engine.solve(mode, "forward", files, options, inputs.base_m, folder)
     backward = engine.solve(mode, "backward", files, options, inputs.base_m, folder)
+    forward, backward = _rising(forward), _rising(backward)
+    combined, replaced = between_directions(combined, forward, backward)
     rover_alone = [inputs.rover.path, *inputs.navigation]
     code = engine.solve("single", "forward", rover_alone, options, None, folder)
-    judgement = judge(combined, _rising(forward), _rising(backward), code, options.ratio)
+    judgement = judge(combined, forward, backward, code, options.ratio)
     row = code.at(combined.time)
     velocity = np.where((row >= 0)[:, None], code.velocity_m_s[row], np.nan)
-    trajectory = _trajectory(judgement.solution, judgement.velocity_sigma_m_s, velocity)
-    return PpkResult(inputs, options, mode, engine.name, combined, judgement, trajectory, off_m, gaps)
+    trajectory = _trajectory(judgement.solution, judgement.velocity_sigma_m_s, inputs.base_m, velocity)
+    return PpkResult(
+        inputs, options, mode, engine.name, combined, judgement, trajectory, off_m, gaps, int(replaced.sum())
+    )
 
 
 def refuse_apart(rover: ObservationFile, base: ObservationFile) -> None:
@@ -281,8 +293,14 @@ def _base_gaps(inputs: Inputs) -> list[tuple[GpsTime, float]]:
 
 
 def _trajectory(
-    solution: EngineSolution, velocity_sigma: float, velocity: NDArray[np.float64] | None = None
+    solution: EngineSolution,
+    velocity_sigma: float,
+    base_m: NDArray[np.float64],
+    velocity: NDArray[np.float64] | None = None,
 ) -> Trajectory:
+    place = geocentric(solution.lat_deg, solution.lon_deg, solution.height_m)
+    apart = _PER_METRE * np.linalg.norm(place - base_m, axis=1)
+    apart[solution.quality > _DIFFERENTIAL] = 0.0
     status = np.array([_STATUS.get(q, "single") for q in solution.quality.tolist()], "U6")
     return Trajectory(
         solution.time,
@@ -290,7 +308,7 @@ def _trajectory(
         solution.lon_deg,
         solution.height_m,
         status,
-        solution.covariance_m2,
+        solution.covariance_m2 + apart[:, None, None] ** 2 * np.eye(3),
         np.full((len(solution), 3), np.nan) if velocity is None else velocity,
         velocity_sigma,
     )

@@ -86,6 +86,7 @@ def _validation(result: PpkResult) -> dict[str, Any]:
         "demoted": {reason: int(rows.sum()) for reason, rows in judgement.demoted.items()},
         "median_ratio_of_fixes": _median(result.combined.ratio[fixed]),
         "float_sigma_factor_enu": [float(v) for v in judgement.float_factor],
+        "combinations_replaced": result.replaced,
         "doppler_velocity_sigma_m_s": judgement.velocity_sigma_m_s,
         "forward_minus_backward_rms_enu_m": {
             "fixed": _rms(apart[known & fixed & (np.abs(apart) < 0.2).all(axis=1)]),
@@ -124,6 +125,11 @@ def ppk_text(figures: dict[str, Any]) -> str:
     if validation:
         lines.append(f"fixed by the engine {validation['fixed_by_the_engine']}, of these made float:")
         lines += [f"  {count} {reason}" for reason, count in validation["demoted"].items() if count]
+        replaced = validation["combinations_replaced"]
+        if replaced:
+            lines.append(
+                f"{replaced} epochs: the engine's combination lay apart from both directions, replaced"
+            )
         factors = ", ".join(f"{v:.0f}" for v in validation["float_sigma_factor_enu"])
         lines.append(f"the engine's float sigmas are too small by {factors} (E, N, U)")
     position = figures.get("position")

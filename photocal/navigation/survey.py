@@ -21,8 +21,6 @@ from photocal.navigation.trajectory import enu_axes, enu_offsets, geocentric, ge
 
 Floats = NDArray[np.float64]
 COLUMNS = ("point", "X", "Y", "Z", "sX", "sY", "sZ", "sXY", "sXZ", "sYZ", "role")
-# A single frequency is good to about a millimetre per kilometre on short baselines.
-_PER_METRE = 1e-6
 
 
 def run_survey(
@@ -93,7 +91,7 @@ def _session(
     end = geocentric(t.lat_deg, t.lon_deg, t.height_m)[0]
     axes = enu_axes(float(t.lat_deg[0]), float(t.lon_deg[0]))
     length = float(np.linalg.norm(end - start_m))
-    covariance = axes.T @ (t.covariance_m2[0] + np.eye(3) * (_PER_METRE * length) ** 2) @ axes
+    covariance = axes.T @ t.covariance_m2[0] @ axes
     first, last = max(rover.time.ns[0], base.time.ns[0]), min(rover.time.ns[-1], base.time.ns[-1])
     minutes = float(last - first) / 60e9
     session = {

@@ -1,0 +1,104 @@
+"""Covariances of exposures against a Monte Carlo simulation that goes another way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from photocal.adjustment.mounting import NADIR
+from photocal.geometry.rotation import angles_from_matrix
+from photocal.navigation.attitude import AttitudeTrack, at_instants, left_out_turns, rotations_of_quaternions
+from photocal.navigation.events import Events
+from photocal.navigation.exposures import at_camera, at_events, orientations
+from photocal.navigation.interpolation import interpolate
+from photocal.navigation.rig import Rig
+from photocal.navigation.time import GpsTime
+from tests.photocal.navigation.test_interpolation import path_of
+
+Floats = NDArray[np.float64]
+# Intrinsic yaw, pitch, roll from body to north, east, down, in scipy's own words; to east, north, up.
+NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+LEVER, LEVER_SIGMA = np.array([0.6, -0.3, 0.4]), np.array([0.02, 0.03, 0.01])
+ANGLE_SIGMA = np.radians([1.0, 1.5, 2.0])
+BORESIGHT, BORESIGHT_SIGMA = np.radians([2.0, -3.0, 10.0]), np.radians([0.3, 0.2, 0.4])
+TIME_SIGMA, POSITION_SIGMA = 0.02, 0.015
+VELOCITY = np.array([6.0, -3.0, 1.0])
+START, END = np.radians([8.0, -12.0, 130.0]), np.radians([11.0, -6.0, 150.0])
+
+
+def body_to_enu(angles: Floats) -> Rotation:
+    return Rotation.from_matrix(NED_TO_ENU) * Rotation.from_euler("ZYX", angles[..., ::-1])
+
+
+def claimed() -> tuple[Floats, Floats]:
+    """Angles and covariance (6, 6) of one exposure half a second after an epoch."""
+    t = np.arange(40.0)
+    path = path_of(np.outer(t, VELOCITY), np.tile(VELOCITY, (40, 1)), t, POSITION_SIGMA)
+    # An attitude that turns evenly: the interpolation itself has nothing to add.
+    turns = Slerp([0.0, 1.0], body_to_enu(np.stack([START, END])))
+    steps = Rotation.concatenate([body_to_enu(START), turns(0.5), body_to_enu(END)])
+    stamp = GpsTime.from_week(np.full(3, 2022), 1020.0 + np.array([0.0, 0.5, 1.0]))
+    track = AttitudeTrack(stamp, steps.inv().as_matrix(), "test")
+    event = GpsTime.from_week([2022], [1020.25])
+    sigma = np.array([TIME_SIGMA])
+    attitude = at_instants(track, event, ANGLE_SIGMA)
+    own = attitude.covariance[0] - at_instants(track, event, np.zeros(3)).covariance[0]
+    attitude.covariance[0] = own
+    placed = interpolate(path, event, sigma, np.zeros((1, 3)))
+    rig = Rig(LEVER, LEVER_SIGMA, ANGLE_SIGMA, BORESIGHT, BORESIGHT_SIGMA)
+    events = Events("test", event, np.arange(1), sigma)
+    found = at_camera(at_events(events, placed, attitude, sigma, ["a"], "ellipsoidal"), rig)
+    angles, covariance = orientations(found, rig).in_frame(np.eye(3)[None])
+    return angles[0], covariance[0]
+
+
+def test_joint_covariance_against_simulation() -> None:
+    angles, covariance = claimed()
+    rng, n = np.random.default_rng(11), 200_000
+    late = rng.normal(0, TIME_SIGMA, n)
+    turns = Slerp([0.0, 1.0], body_to_enu(np.stack([START, END])))
+    at = turns(np.clip(0.25 + late, 0, 1)).as_matrix()
+    euler = Rotation.from_matrix(NED_TO_ENU.T @ at).as_euler("ZYX")[:, ::-1]
+    body = body_to_enu(euler + rng.normal(0, 1, (n, 3)) * ANGLE_SIGMA)
+    place = late[:, None] * VELOCITY + rng.normal(0, POSITION_SIGMA, (n, 3))
+    place = place + body.apply(LEVER + rng.normal(0, 1, (n, 3)) * LEVER_SIGMA)
+    boresight = Rotation.from_rotvec(BORESIGHT + rng.normal(0, 1, (n, 3)) * BORESIGHT_SIGMA)
+    camera = boresight.as_matrix() @ NADIR @ body.inv().as_matrix()
+    drawn = np.hstack([place, angles_from_matrix(camera)])
+    simulated = np.cov(drawn.T)
+    sigma = np.sqrt(np.diag(covariance))
+    assert np.sqrt(np.diag(simulated)) == pytest.approx(sigma, rel=0.05)
+    assert np.abs((simulated - covariance) / np.outer(sigma, sigma)).max() < 0.05
+    assert drawn[:, 3:].mean(axis=0) == pytest.approx(angles, abs=1e-3)
+
+
+def test_interpolated_attitudes_are_as_uncertain_as_claimed() -> None:
+    """Rates that wander: the sigma is learnt by leaving out and judged at the instants between."""
+    rng = np.random.default_rng(2)
+    n, step = 6000, 0.01
+    wander = np.cumsum(rng.normal(0, 0.02 * np.sqrt(step), (n, 3)), axis=0)
+    truth = body_to_enu(wander + np.array([0.1, -0.2, 1.0]))
+    stamp = GpsTime.from_week(np.full(n, 2022), 1000 + np.arange(n) * step)
+    recorded = np.arange(0, n, 20)
+    track = AttitudeTrack(stamp[recorded], truth[recorded].inv().as_matrix(), "test")
+    between = recorded[:-1] + 10
+    found = at_instants(track, stamp[between], np.zeros(3))
+    error = Rotation.from_matrix(
+        truth[between].inv().as_matrix() @ np.swapaxes(found.rotation, 1, 2)
+    ).as_rotvec()
+    sigma = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
+    assert 0.9 < np.sqrt(np.mean((error / sigma) ** 2)) < 1.1
+    _, left_out, _ = left_out_turns(track)
+    assert len(left_out) == len(recorded) - 2
+
+
+def test_quaternions_and_gaps() -> None:
+    # A quarter turn to the right: forward is east.
+    half = np.sqrt(0.5)
+    rotation = rotations_of_quaternions(np.array([[half, 0.0, 0.0, half], [1.0, 0.0, 0.0, 0.0]]))
+    assert rotation[0] @ [1.0, 0.0, 0.0] == pytest.approx([1.0, 0.0, 0.0])
+    assert rotation[1] @ [0.0, 1.0, 0.0] == pytest.approx([1.0, 0.0, 0.0])
+    track = AttitudeTrack(GpsTime.from_week([2022, 2022], [1.0, 3.0]), rotation, "test")
+    assert not at_instants(track, GpsTime.from_week([2022], [2.0]), None).known.any()
