@@ -89,3 +89,67 @@ def flight(
             + (f"; faults: {', '.join(figures['faults'])}" if figures["faults"] else "")
         ),
     )
+
+
+@app.command()
+def serve(
+    flown: Annotated[
+        Path, typer.Argument(metavar="DIR|CONFIG.toml", help="A simulated flight with streams, or its plan.")
+    ],
+    speed: Annotated[float, typer.Option(min=0.01, max=100, help="Times as fast as it was.")] = 1.0,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Configuration for `acquire record` to write; without: record.toml in site/."
+        ),
+    ] = None,
+    udp_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="To which the vehicle sends; 0: any free one.")
+    ] = 0,
+    base_on_tcp: Annotated[
+        bool, typer.Option("--base-on-tcp", help="The base is a TCP server, not a serial port.")
+    ] = False,
+    at_once: Annotated[
+        bool, typer.Option("--at-once", help="Begin at once, not when the recorder speaks to the devices.")
+    ] = False,
+    linger: Annotated[float, typer.Option(min=0, help="Seconds to stay after the end.")] = 3.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+) -> None:
+    """Play a simulated flight on real ports, as hardware: vehicle by UDP, receivers on pseudo terminals.
+
+    The flight begins when `acquire record` has spoken to the devices.
+
+    Example: `acquire simulate serve flight --speed 10`, beside it `acquire record flight/site/record.toml`
+    """
+    import time
+
+    from acquire.outputs import output_file
+    from acquire.simulate.hardware import awaited, on_ports, record_settings
+    from acquire.simulate.playback import FlightClock, played_flight
+
+    flight = played_flight(flown)
+    settings = record or (flown / "site" / "record.toml" if flown.is_dir() else Path("record.toml"))
+    waits = () if at_once else awaited(flight.base_protocol, base_on_tcp)
+    clock = FlightClock(waits, speed)
+    end_s = max(line.end_s for line in flight.lines.values())
+    with on_ports(flight.lines, clock, udp_port=udp_port, base_on_tcp=base_on_tcp) as urls:
+        text = record_settings(urls, flight.base_protocol, flight.interval_s, Path("recording"))
+        with output_file(settings) as aside:
+            aside.write_text(text, encoding="utf-8")
+        figures = {"schema": "acquire.simulate.serve/1", "record": str(settings), "flight_s": end_s, **urls}
+        answer(
+            as_json,
+            lambda: figures,
+            lambda: "\n".join(
+                [*(f"{name}: {url}" for name, url in urls.items()), f"acquire record {settings}"]
+            ),
+        )
+        with progress("flying", end_s) as advance:
+            shown = 0.0
+            while shown < end_s:
+                time.sleep(0.05)
+                now = min(max(clock.flight_s(), 0.0), end_s)
+                advance(now - shown)
+                shown = now
+        typer.echo(f"flown: {end_s:.0f} s", err=True)
+        time.sleep(linger)

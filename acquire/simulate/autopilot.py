@@ -5,7 +5,7 @@ It reads and writes with pymavlink, so that what we send is judged by another pr
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 SET_MESSAGE_INTERVAL, DIGICAM_CONTROL = 511, 203
@@ -84,7 +84,7 @@ class Autopilot:
         acknowledge = self._tables.MAVLink_command_ack_message
         if message.command == SET_MESSAGE_INTERVAL:
             wanted = int(message.param1)
-            if self._stubborn or wanted not in self._makers():
+            if self._stubborn or wanted not in self._offered():
                 return [acknowledge(message.command, FAILED)]
             self.interval_s[wanted] = message.param2 / 1e6
             self._due_s[wanted] = time_s
@@ -96,7 +96,11 @@ class Autopilot:
     def _timesync(self, message: Any, time_s: float) -> list[Any]:
         if message.tc1 != 0:
             return []
-        return [self._tables.MAVLink_timesync_message(round(time_s * 1e9) + 1, message.ts1)]
+        return [self._tables.MAVLink_timesync_message(self._boot_ns(time_s), message.ts1)]
+
+    def _boot_ns(self, time_s: float) -> int:
+        """Give its own clock; never 0, which would be a question."""
+        return round(time_s * 1e9) + 1
 
     def _param_request_list(self, _message: Any, _time_s: float) -> list[Any]:
         return [self._parameter(name) for name in PARAMETERS]
@@ -127,6 +131,10 @@ class Autopilot:
                 self.corrections.append(b"".join(self._fragments[n] for n in range(number + 1)))
             self._fragments.clear()
         return []
+
+    def _offered(self) -> Collection[int]:
+        """Give the messages that it can send."""
+        return self._makers().keys()
 
     def _makers(self) -> dict[int, Callable[[float], Any]]:
         tables = self._tables

@@ -1,4 +1,4 @@
-"""Simulated devices on real ports: UDP and pseudo terminals."""
+"""Simulated devices on real ports: UDP, TCP and pseudo terminals."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from typing import Protocol
 
 _TICK_S = 0.005
+_PATIENCE_S = 0.5
+_DATAGRAM_BYTES = 8192
 
 
 class Device(Protocol):
@@ -35,7 +37,8 @@ def on_udp(device: Device, host: str, port: int) -> Iterator[None]:
 
     def send(data: bytes) -> None:
         with contextlib.suppress(OSError):
-            line.sendto(data, (host, port))
+            for at in range(0, len(data), _DATAGRAM_BYTES):
+                line.sendto(data[at : at + _DATAGRAM_BYTES], (host, port))
 
     with line, _serving(device, line.fileno(), send):
         yield
@@ -49,9 +52,14 @@ def on_pty(device: Device) -> Iterator[str]:
     os.set_blocking(ours, False)
 
     def send(data: bytes) -> None:
-        # A line without a listener fills up; a receiver would lose the bytes, too.
+        # A line without a listener fills up; a receiver would lose the bytes, too. A listener that is busy
+        # for a moment takes them piece by piece: such a line holds no more than some kilobytes.
+        end = time.monotonic() + _PATIENCE_S
         with contextlib.suppress(OSError):
-            os.write(ours, data)
+            while data and time.monotonic() < end:
+                _, ready, _ = select.select([], [ours], [], _TICK_S)
+                if ready:
+                    data = data[os.write(ours, data) :]
 
     try:
         with _serving(device, ours, send):
@@ -59,6 +67,50 @@ def on_pty(device: Device) -> Iterator[str]:
     finally:
         os.close(ours)
         os.close(theirs)
+
+
+@contextlib.contextmanager
+def on_tcp(device: Device, host: str = "127.0.0.1", port: int = 0) -> Iterator[int]:
+    """Let a device speak to whoever connects, one after the other; yields the port.
+
+    A connection is told to the device as bytes of no length.
+    """
+    server = socket.create_server((host, port))
+    stop = threading.Event()
+    start = time.monotonic()
+
+    def run() -> None:
+        server.settimeout(0.1)
+        while not stop.is_set():
+            with contextlib.suppress(OSError):
+                line, _ = server.accept()
+                with line:
+                    _converse(device, line, stop, start)
+            # What is sent while nobody is connected is lost.
+            device.due(time.monotonic() - start)
+
+    thread = threading.Thread(target=run, daemon=True)
+    with server:
+        thread.start()
+        try:
+            yield int(server.getsockname()[1])
+        finally:
+            stop.set()
+            thread.join(5)
+
+
+def _converse(device: Device, line: socket.socket, stop: threading.Event, start: float) -> None:
+    """Speak with one host until it goes away."""
+    line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    line.settimeout(1.0)
+    data = b""
+    while not stop.is_set():
+        now = time.monotonic() - start
+        line.sendall(device.receive(data, now) + device.due(now))
+        data = b""
+        ready, _, _ = select.select([line], [], [], _TICK_S)
+        if ready and not (data := line.recv(65536)):
+            return
 
 
 class _Send(Protocol):

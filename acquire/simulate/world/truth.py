@@ -13,14 +13,14 @@ from acquire.simulate.world.exposures import antenna_at, omega_phi_kappa
 from acquire.simulate.world.observations import Observations, kept_images
 from acquire.simulate.world.place import Place
 from acquire.simulate.world.survey import take_notes
-from acquire.simulate.world.tables import Columns, write_table
+from acquire.simulate.world.tables import Columns, toml_text, write_table
 from acquire.simulate.world.world import World
 
 Floats = NDArray[np.float64]
 
 
 def write_truth(world: World, folder: Path, observed: Observations | None, projected: bool) -> None:
-    """Write `truth.json`, `exposures.csv`, `points.csv` and `trajectory.csv`.
+    """Write `truth.json`, `flight.toml`, `exposures.csv`, `points.csv` and `trajectory.csv`.
 
     Parameters
     ----------
@@ -34,6 +34,7 @@ def write_truth(world: World, folder: Path, observed: Observations | None, proje
     """
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "truth.json").write_text(json.dumps(_figures(world), indent=2) + "\n", encoding="utf-8")
+    (folder / "flight.toml").write_text(_settings(world), encoding="utf-8")
     _write_exposures(world, folder / "exposures.csv", projected)
     _write_points(world, folder / "points.csv", observed, projected)
     _write_trajectory(world, folder / "trajectory.csv")
@@ -91,6 +92,18 @@ def _figures(world: World) -> dict[str, object]:
         "start_gps_ns": world.start_gps_ns,
         "duration_s": world.motion.duration_s,
     }
+
+
+def _settings(world: World) -> str:
+    """Give the configuration with everything that was not written into it, so that it can be flown again."""
+    content = world.configuration.model_dump(by_alias=True, mode="json")
+    content["faults"] = sorted(content["faults"])
+    plan = content["plan"]
+    passes = plan.pop("pass")
+    tables = {key: value for key, value in content.items() if isinstance(value, dict)}
+    sections = [("", {key: value for key, value in content.items() if key not in tables})]
+    sections += [(f"[{name}]", keys) for name, keys in tables.items()]
+    return toml_text(sections + [("[[plan.pass]]", keys) for keys in passes])
 
 
 def _camera(camera: Camera) -> dict[str, object]:

@@ -1,0 +1,302 @@
+"""A simulated flight played to real ports by devices that listen and answer as hardware does."""
+
+from __future__ import annotations
+
+import csv
+import threading
+import time
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.simulate.autopilot import Autopilot
+from acquire.simulate.receiver import Receiver
+from drivers.checksums import x25
+from drivers.errors import InputMalformedError, InputNotFoundError
+from drivers.mavlink.dialect import ardupilotmega
+from drivers.mavlink.wire import V2
+
+Floats = NDArray[np.float64]
+
+_AUTOPILOT = bytes((1, 1))
+_STAMP_BYTES = 8
+
+
+@dataclass(frozen=True)
+class Line:
+    """What goes over one line: frames and when each is complete, s since the start of the flight."""
+
+    time_s: Floats
+    frames: tuple[bytes, ...]
+
+    @property
+    def end_s(self) -> float:
+        """When the last frame is complete."""
+        return float(self.time_s[-1]) if len(self.time_s) else 0.0
+
+
+class FlightClock:
+    """The time of the flight: it begins when every device was spoken to, and then runs `speed` times as fast.
+
+    Parameters
+    ----------
+    awaited : iterable of str
+        The devices that must be spoken to before.
+    speed : float
+    clock : callable
+        Seconds of a steady clock.
+    """
+
+    def __init__(
+        self, awaited: Iterable[str], speed: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._awaited = set(awaited)
+        self._speed = speed
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._began: float | None = None if self._awaited else clock()
+
+    def heard(self, name: str) -> None:
+        """Take note that a device was spoken to."""
+        with self._lock:
+            self._awaited.discard(name)
+            if not self._awaited and self._began is None:
+                self._began = self._clock()
+
+    def flight_s(self) -> float:
+        """Give seconds since the start of the flight; negative before."""
+        return -1.0 if self._began is None else (self._clock() - self._began) * self._speed
+
+    @property
+    def awaited(self) -> tuple[str, ...]:
+        """Devices that nobody has spoken to yet."""
+        with self._lock:
+            return tuple(sorted(self._awaited))
+
+
+class _Tape:
+    """Gives the frames of a line as they become due."""
+
+    def __init__(self, line: Line) -> None:
+        self._line = line
+        self._next = 0
+
+    def until(self, time_s: float) -> list[int]:
+        """Give the numbers of the frames that have become due."""
+        after = int(np.searchsorted(self._line.time_s, time_s, side="right"))
+        numbers = list(range(self._next, after))
+        self._next = max(self._next, after)
+        return numbers
+
+
+class FlownReceiver:
+    """A receiver that sends what it recorded in flight, and answers to settings as a receiver does.
+
+    Parameters
+    ----------
+    name : str
+    line : Line
+    clock : FlightClock
+    """
+
+    def __init__(self, name: str, line: Line, clock: FlightClock) -> None:
+        self._name, self._line, self._clock = name, line, clock
+        self._tape = _Tape(line)
+        self.answers = Receiver(9)
+
+    def due(self, _time_s: float) -> bytes:
+        """Return what is sent of its own accord."""
+        return b"".join(self._line.frames[k] for k in self._tape.until(self._clock.flight_s()))
+
+    def receive(self, data: bytes, time_s: float) -> bytes:
+        """Take bytes of the host; return the answers."""
+        answer = self.answers.receive(data, time_s)
+        self._clock.heard(self._name)
+        return answer
+
+
+class FlownAutopilot(Autopilot):
+    """An autopilot that sends what it sent in flight; rates that are asked for thin that out.
+
+    Its own messages and its answers share one row of numbers, so the frames of the flight are numbered anew.
+
+    Parameters
+    ----------
+    name : str
+    line : Line
+    clock : FlightClock
+    boot_s, drift : float
+        Its clock at the start of the flight and how fast it runs.
+    """
+
+    def __init__(
+        self, name: str, line: Line, clock: FlightClock, *, boot_s: float = 0.0, drift: float = 0.0
+    ) -> None:
+        super().__init__(0)
+        self._name, self._line, self._clock = name, line, clock
+        self._boot_s, self._drift = boot_s, drift
+        self._tape = _Tape(line)
+        self._seeds = ardupilotmega().seeds
+        self._kinds = [_kind(frame) for frame in line.frames]
+        self._period_s = _periods(line, self._kinds)
+        self._passed: dict[int, int] = {}
+        self._shift = 0
+        self._number = 0
+
+    def due(self, time_s: float) -> bytes:
+        """Return what is sent of its own accord."""
+        flight_s = self._clock.flight_s()
+        if flight_s < 0:
+            # Standing by: heartbeats alone, whatever was asked for.
+            asked, self.interval_s = self.interval_s, {}
+            beat = super().due(time_s)
+            self.interval_s = asked
+            return beat
+        return b"".join(self._numbered(k) for k in self._tape.until(flight_s) if self._wanted(k))
+
+    def receive(self, data: bytes, time_s: float) -> bytes:
+        """Take bytes of the ground station; return the answers."""
+        answer = super().receive(data, time_s)
+        self._clock.heard(self._name)
+        return answer
+
+    def _offered(self) -> Collection[int]:
+        return self._period_s.keys()
+
+    def _boot_ns(self, time_s: float) -> int:  # noqa: ARG002 - the flight has its own time
+        flight_s = max(self._clock.flight_s(), 0.0)
+        return round((self._boot_s + flight_s * (1 + self._drift)) * 1e9) + 1
+
+    def _wanted(self, number: int) -> bool:
+        """Tell whether a frame is sent: of a message that is asked for less often, every n-th."""
+        kind = self._kinds[number]
+        interval = self.interval_s.get(kind)
+        if interval is None or kind < 0:
+            return True
+        count = self._passed.get(kind, 0)
+        self._passed[kind] = count + 1
+        sent = interval > 0 and count % max(round(interval / self._period_s[kind]), 1) == 0
+        self._shift -= not sent
+        return sent
+
+    def _numbered(self, number: int) -> bytes:
+        frame, kind = self._line.frames[number], self._kinds[number]
+        seed = self._seeds.get(kind)
+        if kind < 0 or frame[5:7] != _AUTOPILOT or seed is None:
+            return frame
+        if x25(frame[1:-2], seed) != int.from_bytes(frame[-2:], "little"):
+            # Damaged on the way: it stays as it arrived.
+            return frame
+        changed = (frame[4] + self._shift) % 256
+        self._number = (changed + 1) % 256
+        body = frame[1:4] + bytes((changed,)) + frame[5:-2]
+        return frame[:1] + body + x25(body, seed).to_bytes(2, "little")
+
+    def _pack(self, message: Any) -> bytes:
+        self._mav.seq = self._number
+        packed = super()._pack(message)
+        self._number = self._mav.seq
+        self._shift += 1
+        return packed
+
+
+def _kind(frame: bytes) -> int:
+    """Give the message of a frame; -1 where damage has left none."""
+    return int.from_bytes(frame[7:10], "little") if len(frame) >= 12 and frame[0] == V2 else -1
+
+
+def _periods(line: Line, kinds: list[int]) -> dict[int, float]:
+    """Give how often each message comes."""
+    table = np.array(kinds)
+    found = {}
+    for kind in np.unique(table[table >= 0]).tolist():
+        times = line.time_s[table == kind]
+        found[kind] = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
+    return found
+
+
+@dataclass(frozen=True)
+class PlayedFlight:
+    """A flight to be played.
+
+    Attributes
+    ----------
+    lines : dict of str to Line
+        By the names of the links: vehicle, rover, base.
+    base_protocol : str
+        ``ubx`` or ``rtcm3``.
+    interval_s : dict of str to float
+        Between the measurements of rover and base.
+    """
+
+    lines: dict[str, Line]
+    base_protocol: str
+    interval_s: dict[str, float]
+
+
+def played_flight(source: Path) -> PlayedFlight:
+    """Read a simulated flight, or fly it.
+
+    Parameters
+    ----------
+    source : Path
+        A folder that `acquire simulate flight` made, or a configuration.
+
+    Returns
+    -------
+    PlayedFlight
+
+    Raises
+    ------
+    InputNotFoundError
+        When there is neither, or the folder holds no streams.
+    InputMalformedError
+        When streams and their times do not fit.
+    """
+    from acquire.simulate.world.configuration import read_configuration
+
+    folder = source.is_dir()
+    given = read_configuration(source / "truth" / "flight.toml" if folder else source)
+    gnss = given.gnss
+    interval = {"rover": gnss.rover_interval_s, "base": gnss.base_interval_s}
+    if folder:
+        return PlayedFlight(_read_lines(source), gnss.base_protocol, interval)
+    from acquire.simulate.world.streams import make_streams
+    from acquire.simulate.world.world import make_world
+
+    wires = make_streams(make_world(given)).links()
+    lines = {name: Line(wire.arrival_s, wire.frames) for name, wire in wires.items()}
+    return PlayedFlight(lines, gnss.base_protocol, interval)
+
+
+def _read_lines(folder: Path) -> dict[str, Line]:
+    lines = {}
+    for name in ("vehicle", "rover", "base"):
+        times = folder / "truth" / "wires" / f"{name}.csv"
+        streams = sorted((folder / "site").glob(f"{name}.*"))
+        if not times.is_file() or not streams:
+            raise InputNotFoundError(
+                f"has no stream of the link {name}",
+                where=folder,
+                remedy="name a folder that `acquire simulate flight` made with streams",
+            )
+        lines[name] = _read_line(streams[0], times)
+    return lines
+
+
+def _read_line(stream: Path, times: Path) -> Line:
+    data = stream.read_bytes()
+    stamp = _STAMP_BYTES if stream.suffix == ".tlog" else 0
+    with times.open(encoding="utf-8", newline="") as rows:
+        table = [(float(row["arrival_s"]), int(row["bytes"])) for row in csv.DictReader(rows)]
+    ends = np.cumsum([size + stamp for _, size in table])
+    if not table or ends[-1] != len(data):
+        raise InputMalformedError(
+            "does not fit the table of its frames", where=stream, remedy="simulate the flight again"
+        )
+    frames = tuple(data[end - size : end] for end, (_, size) in zip(ends.tolist(), table, strict=True))
+    return Line(np.array([moment for moment, _ in table]), frames)
