@@ -11,6 +11,9 @@ import typer
 from acquire.console import answer, progress
 from drivers.errors import ConfigurationError
 
+# Cells so many pixels wide leave pixels out.
+_COARSE = 2.0
+
 
 def ortho(
     block: Annotated[Path, typer.Argument(help="Block folder, or a set-up file of another program.")],
@@ -91,7 +94,9 @@ def ortho(
     raster = describe(dtm)
     kind, system = heights_of(raster, model, heights), system_of(raster, model, crs)
     terrain = terrain_source(raster, kind)
-    grid = plan_grid(shots, frame, terrain, raster, cell, None if bounds is None else _rectangle(bounds))
+    grid, pixel = plan_grid(
+        shots, frame, terrain, raster, cell, None if bounds is None else _rectangle(bounds)
+    )
     first = next(iter(files.values()))
     recipe = Recipe(shots, frame, terrain, grid, METHODS[resampling], first.bands, first.dtype, nodata)
     recipe.require_nodata()
@@ -104,6 +109,7 @@ def ortho(
         "columns": grid.columns,
         "rows": grid.rows,
         "cell_m": grid.cell,
+        "image_pixel_m": pixel,
         "west": grid.west,
         "north": grid.north,
         "height_kind": kind,
@@ -113,6 +119,11 @@ def ortho(
     size = f"{grid.columns} x {grid.rows} cells of {grid.cell:g} m"
     lines = [*notes, f"{output}: {size}, {resampling}, {100 * made.share:.1f} % covered, {kind} heights"]
     lines += [f"  {name}: {100 * n / (grid.columns * grid.rows):.1f} %" for name, n in made.cells.items()]
+    if grid.cell > _COARSE * pixel:
+        lines.append(
+            f"a cell is {grid.cell / pixel:.1f} pixels wide and takes the value of one place, no mean: fine "
+            f"patterns alias; {pixel:.2g} m cells show all that the images do"
+        )
     if compare is not None and displacement is not None:
         from photocal.products.displacement import draw_displacement
 

@@ -181,20 +181,23 @@ def draw_displacement(field: Displacement, title: str, path: Path) -> None:
     from matplotlib.figure import Figure
 
     with mpl.rc_context({"svg.hashsalt": "photocal", "svg.fonttype": "path", "font.size": 8}):
-        figure = Figure(figsize=(6.7, 6.2), layout="constrained")
-        ax = figure.add_subplot()
         x, y = field.position[:, 0], field.position[:, 1]
         length = np.hypot(*field.shift.T)
         extent = max(float(np.ptp(x)), float(np.ptp(y)), 1e-9)
+        # As high as the map is, beside its colours and below its title.
+        high = 5.0 * float(np.ptp(y)) / max(float(np.ptp(x)), 1e-9)
+        figure = Figure(figsize=(6.7, min(max(high, 1.8), 8.0) + 1.2), layout="constrained")
+        ax = figure.add_subplot()
         scale = max(field.largest, 1e-12) / (0.06 * extent)
         arrows = ax.quiver(x, y, field.shift[:, 0], field.shift[:, 1], length, angles="xy", scale=scale,
                            scale_units="xy", width=0.002, cmap="viridis")  # fmt: skip
-        figure.colorbar(arrows, ax=ax, label="displacement, m", shrink=0.8)
+        figure.colorbar(arrows, ax=ax, label="displacement, m")
+        ax.margins(0.08)
         ax.quiverkey(arrows, 0.1, 1.02, field.largest, f"{field.largest:.3g} m", labelpos="E")
         ax.set_aspect("equal")
         ax.ticklabel_format(useOffset=False, style="plain")
         ax.set_xlabel("E, m")
         ax.set_ylabel("N, m")
-        ax.set_title(f"{title}: rms {field.rms:.3g} m, largest {field.largest:.3g} m", fontsize=9, pad=18)
+        ax.set_title(f"{title}: rms {field.rms:.3g} m, largest {field.largest:.3g} m", fontsize=9, pad=22)
         with output_file(path) as aside:
             figure.savefig(aside, format=kind, metadata=stamps[kind], dpi=200)

@@ -188,7 +188,7 @@ def overview(terrain: TerrainSource, raster: RasterFile, bounds: Bounds) -> Terr
 def plan_grid(
     shots: Shots, frame: Frame, terrain: TerrainSource, raster: RasterFile, cell: float | None,
     bounds: Bounds | None,
-) -> Grid:  # fmt: skip
+) -> tuple[Grid, float]:  # fmt: skip
     """Choose the cells of an orthophoto.
 
     Parameters
@@ -202,8 +202,10 @@ def plan_grid(
 
     Returns
     -------
-    Grid
+    grid : Grid
         Its corner is a multiple of the cell, so that neighbouring products fit together.
+    pixel : float
+        Median size of an image's pixel on the ground, m.
 
     Raises
     ------
@@ -220,9 +222,10 @@ def plan_grid(
             f"image {shots.names[int(np.argmin(given[:, 2]))]} lies below the terrain",
             remedy="are the heights of one kind, and Z up?",
         )
+    pitch = np.array([max(camera.pitch) / camera.value("c") for camera in shots.cameras])[shots.camera]
+    pixel = float(np.median(pitch * (given[:, 2] - mean)))
     if cell is None:
-        pitch = np.array([max(camera.pitch) / camera.value("c") for camera in shots.cameras])[shots.camera]
-        cell = _round_up(float(np.median(pitch * (given[:, 2] - mean))))
+        cell = _round_up(pixel)
     if bounds is None:
         shown = footprints(shots, frame, low)
         reach = raster.bounds
@@ -236,9 +239,8 @@ def plan_grid(
             "the rectangle of the orthophoto is empty", remedy="give WEST,SOUTH,EAST,NORTH on the terrain"
         )
     left, top = math.floor(west / cell + 1e-9) * cell, math.ceil(north / cell - 1e-9) * cell
-    return Grid(
-        left, top, cell, math.ceil((east - left) / cell - 1e-9), math.ceil((top - south) / cell - 1e-9)
-    )
+    columns, rows = math.ceil((east - left) / cell - 1e-9), math.ceil((top - south) / cell - 1e-9)
+    return Grid(left, top, cell, columns, rows), pixel
 
 
 def _round_up(length: float) -> float:

@@ -37,6 +37,7 @@ TAKEN = Photo(
     CALIBRATED, SIZE, PITCH, tuple(np.radians([-1.2, 1.4, 190.3])), (483454.957, 6676898.124, 1131.587)
 )
 CELL = 0.5
+GRID = Grid(482940.0, 6677200.0, CELL, 1700, 1320)
 # The four orthophotos of the question.
 LENSES = {
     "f 20": Lens(20.0),
@@ -110,12 +111,16 @@ def as_shots(photo: Photo) -> Shots:
     return shots(("photo",), (as_camera(photo.lens),), np.zeros(1, np.int64), orientation)
 
 
-@pytest.fixture(scope="module")
-def terrain() -> Terrain:
+def terrain_model() -> Terrain:
     west, north, step = 482600.0, 6677500.0, 4.0
     x = west + (np.arange(430) + 0.5) * step
     y = north - (np.arange(310) + 0.5) * step
     return Terrain(terrain_height(*np.meshgrid(x, y)), (step, 0, west, 0, -step, north), "", "orthometric")
+
+
+@pytest.fixture(scope="module")
+def terrain() -> Terrain:
+    return terrain_model()
 
 
 @pytest.fixture(scope="module")
@@ -155,9 +160,8 @@ def test_errors_at_the_check_points_are_those_that_collinearity_predicts(
     targets = check_points()
     pixels = TAKEN.pixels(on_ground(*targets.T))
     predicted = photo.ground(pixels, terrain_height)[:, :2]
-    grid = Grid(482940.0, 6677200.0, CELL, 1700, 1320)
-    ortho = rectified(photo, image, terrain, grid)
-    measured = np.array([centroid(ortho, grid, place) for place in predicted])
+    ortho = rectified(photo, image, terrain, GRID)
+    measured = np.array([centroid(ortho, GRID, place) for place in predicted])
     assert np.abs(measured - predicted).max() < 0.1 * CELL
     # The project's own intersection of rays and terrain agrees too.
     ours = terrain_points(as_shots(photo), 0, pixels, terrain, FRAME)

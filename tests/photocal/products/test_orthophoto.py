@@ -243,6 +243,8 @@ def test_the_file_is_a_tiled_geotiff(photocal: Callable[..., Any], tmp_path: Pat
         pixels = made.read()
         grid = Grid(made.transform.c, made.transform.f, made.transform.a, made.width, made.height)
     assert (figures["columns"], figures["rows"], figures["cell_m"]) == (grid.columns, grid.rows, 0.2)
+    # 10 um at c = 4 mm, some 90 m above the ground.
+    assert figures["image_pixel_m"] == pytest.approx(0.01 / 4 * 90, rel=0.05)
     shown = (pixels > 0).all(axis=0)
     assert figures["covered"] == pytest.approx(shown.mean(), abs=1e-9)
     image = texture(np.random.default_rng(12))
@@ -289,6 +291,13 @@ def test_complaints_are_one_line(
     assert told.code == code
     assert told.err.count("\n") == 1
     assert not (tmp_path / "ortho.tif").exists()
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_cells_that_leave_pixels_out_are_said(photocal: Callable[..., Any], tmp_path: Path) -> None:
+    told = photocal(*write_job(tmp_path), "--cell", "1")
+    assert told.code == 0
+    assert "a cell is 4.4 pixels wide" in told.out
 
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
