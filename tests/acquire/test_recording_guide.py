@@ -1,0 +1,122 @@
+"""docs/recording.md: its keys, addresses and alarms are those of the program, its commands run."""
+
+from __future__ import annotations
+
+import glob
+import json
+import re
+import shlex
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from typing import get_args
+
+import pytest
+from pydantic import BaseModel
+
+from acquire.recording.alarms import ALARM
+from acquire.recording.configuration import Configuration, Section, Site, read_configuration
+from acquire.transports.of_link import source_of_link
+
+GUIDE = Path(__file__).parents[2] / "docs" / "recording.md"
+TEXT = GUIDE.read_text(encoding="utf-8")
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", TEXT, re.DOTALL)
+
+
+def keys(section: type[BaseModel], seen: set[str]) -> set[str]:
+    """Return the keys of a table and of the tables within."""
+    for name, field in section.model_fields.items():
+        seen.add(name)
+        for part in _types(field.annotation):
+            if isinstance(part, type) and issubclass(part, Section):
+                keys(part, seen)
+    return seen
+
+
+def _types(annotation: object) -> list[object]:
+    inner = [part for argument in get_args(annotation) for part in _types(argument)]
+    return [annotation, *inner]
+
+
+def test_the_whole_configuration_is_one_and_has_every_key(tmp_path: Path) -> None:
+    first, whole = blocks("toml")
+    for number, content in enumerate((first, whole)):
+        path = tmp_path / f"{number}.toml"
+        path.write_text(content)
+        chosen = read_configuration(path)
+        for link in chosen.link:
+            source_of_link(link, {"CASTER": "secret"})
+    words = set(re.findall(r"\w+", whole))
+    assert keys(Configuration, set()) - words == set()
+    assert set(Site.model_validate(chosen.site).model_extra or {}) == {"place", "operator"}
+
+
+def test_defaults_that_are_told_are_the_defaults(tmp_path: Path) -> None:
+    first, whole = blocks("toml")
+    for name, content in (("first", first), ("whole", whole)):
+        (tmp_path / name).write_text(content)
+    default = read_configuration(tmp_path / "first")
+    shown = read_configuration(tmp_path / "whole")
+    for key in ("flush_s", "rotate_mb", "rotate_min", "least_free_mb"):
+        assert getattr(default.recording, key) == getattr(shown.recording, key), key
+    assert default.link[0].silent_s == shown.link[0].silent_s
+    assert f"({default.link[0].baud})" in whole
+    assert shown.link[0].vehicle is not None
+    assert type(shown.link[0].vehicle)().timesync_s == shown.link[0].vehicle.timesync_s
+
+
+def test_every_alarm_is_explained() -> None:
+    kinds = set(re.findall(r"\w+", ALARM.members["kind"]["description"])) - {"or"}
+    explained = set(re.findall(r"^\| `(\w+)` \|", TEXT, re.MULTILINE))
+    assert explained == kinds
+
+
+@pytest.fixture
+def port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def test_the_commands_run(tmp_path: Path, port: int) -> None:
+    """As they stand, with a port that is free and no waiting between the frames."""
+    (tmp_path / "first.toml").write_text(blocks("toml")[0].replace("14550", str(port)))
+    recorder: subprocess.Popen[str] | None = None
+    answers: dict[str, str] = {}
+    for line in blocks("sh")[0].splitlines():
+        command = shlex.split(
+            line.replace("14550", str(port)).replace("--speed 10", "--speed 60"), comments=True
+        )
+        program, *arguments = [w for word in command for w in (glob.glob(str(tmp_path / word)) or [word])]  # noqa: PTH207
+        assert program == "acquire"
+        words = [sys.executable, "-m", "acquire.cli", *arguments]
+        if arguments[0] == "record":
+            recorder = subprocess.Popen(words, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+            assert recorder.stderr is not None
+            assert recorder.stderr.readline().startswith("recording to ")
+            continue
+        if arguments[0] == "info":
+            assert recorder is not None
+            recorder.send_signal(signal.SIGINT)
+            recorder.communicate(timeout=30)
+            assert recorder.returncode == 0
+        done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{line}: {done.stderr}"
+        answers[arguments[0]] = done.stdout
+    assert "RTK fixed" in answers["monitor"]
+    assert re.search(r"vehicle: 8[01]\d frames", answers["info"])
+    assert answers["recover"].rstrip().endswith("messages")
+
+
+def test_the_preflight_that_is_named_exists(tmp_path: Path, port: int) -> None:
+    (tmp_path / "first.toml").write_text(blocks("toml")[0].replace("14550", str(port)))
+    words = [sys.executable, "-m", "acquire.cli", "check", "first.toml", "--seconds", "0.3", "--json"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 10
+    subjects = {finding["subject"] for finding in json.loads(done.stdout)["findings"]}
+    assert {"vehicle: frames", "vehicle: heartbeat", "vehicle: fix", "disk logs"} <= subjects
