@@ -256,6 +256,9 @@ def rotation_check(exposures: Exposures, pairs: list[PairRotation]) -> Check:
         ],
     }
     said = f"{len(pairs)} pairs differ by {figures['median_deg']:.2f} deg (median)"
+    if within.any() and not within.all():
+        said += f", the {int(within.sum())} without such a turn between them by "
+        said += f"{figures['median_same_way_deg']:.2f} deg"
     if turned:
         rows = sorted(turned)
         names = [exposures.image[row] for row in rows]

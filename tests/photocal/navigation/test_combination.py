@@ -17,10 +17,11 @@ METRE_N = 1 / 110_850
 def solution(north_m: list[float], quality: list[int], sigma_m: float) -> EngineSolution:
     n = len(north_m)
     one = np.ones(n)
+    time = GpsTime.from_week(np.full(n, 2370), np.arange(float(n)))
+    covariance = np.tile(np.eye(3) * sigma_m**2, (n, 1, 1))
     return EngineSolution(
-        GpsTime.from_week(np.full(n, 2370), np.arange(float(n))), -25.4 + np.array(north_m) * METRE_N,
-        -49.2 * one, 900.0 * one, np.array(quality), np.full(n, 9), np.tile(np.eye(3) * sigma_m**2, (n, 1, 1)),
-        0 * one, 9 * one, np.full((n, 3), np.nan),
+        time, -25.4 + np.array(north_m) * METRE_N, -49.2 * one, 900.0 * one, np.array(quality),
+        np.full(n, 9), covariance, 0 * one, 9 * one, np.full((n, 3), np.nan),
     )  # fmt: skip
 
 

@@ -1,0 +1,84 @@
+"""Rotations between neighbouring images against recorded attitudes; images stored turned."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from photocal.measurement.features import FeatureSettings
+from photocal.measurement.match_images import MatchingPlan
+from photocal.navigation.exposure_run import Choices, place_exposures
+from photocal.navigation.image_rotations import Neighbours, PairRotation, stored_turns
+from photocal.navigation.ppk_inputs import Sources
+from photocal.navigation.rig import Rig
+from tests.photocal.conftest import Answer
+
+Photocal = Callable[..., Answer]
+
+
+@contextmanager
+def silent(_title: str, _total: float | None) -> Iterator[Callable[[float], None]]:
+    yield lambda _: None
+
+
+def pairs(turns: list[int], along: list[float]) -> list[PairRotation]:
+    """Pairs of images of which each is stored turned by so many quarters."""
+    return [
+        PairRotation(i, i + 1, 100, (turns[i + 1] - turns[i]) % 4, 0.5, along[i])
+        for i in range(len(turns) - 1)
+    ]
+
+
+def test_positions_tell_which_images_are_turned() -> None:
+    # Three of four images are upside down: the majority is wrong.
+    assert stored_turns(pairs([0, 2, 2, 2], [0.9, -0.9, -0.9])) == {1: 2, 2: 2, 3: 2}
+    # Without positions the majority counts.
+    assert stored_turns(pairs([0, 2, 2, 2], [np.nan] * 3)) == {0: 2}
+    assert stored_turns(pairs([0, 0, 1, 0], [1.0, 1.0, 0.0])) == {2: 1}
+    assert stored_turns(pairs([0, 0, 0], [1.0, 1.0])) == {}
+
+
+@pytest.mark.shared
+def test_exposures_of_images_alone(photocal: Photocal, shared: Path, tmp_path: Path) -> None:
+    images = shared / "data/uav-brighton-beach/images"
+    out = tmp_path / "out"
+    answer = photocal("exposures", "--images", images, "--attitude-sigma", "1,1,2", "-o", out, "--json")
+    assert answer.code == 0, answer.err
+    figures = json.loads(answer.out)
+    assert (figures["events"], figures["placed"], figures["with_attitude"]) == (18, 18, 18)
+    # README of the data: some 40 m above the take-off; Lake Superior lies at 183 m.
+    spans = [tuple(span.values()) for span in figures["heights"].values()]
+    assert [kind.split()[0] for kind in figures["heights"]] == ["as", "above"]
+    assert spans[0] == pytest.approx((198.3, 198.7), abs=0.05)
+    assert spans[1] == pytest.approx((39.8, 40.2), abs=0.05)
+    rows = (out / "images.csv").read_text().splitlines()
+    assert len(rows) == 19
+    # Gimbal pitch -89.9, yaw 45: looks down, its upper edge to the north-east.
+    first = [float(v) for v in rows[1].split(",")[5:8]]
+    assert first == pytest.approx([0.07, -0.07, -45.0], abs=0.01)
+
+
+@pytest.mark.shared
+def test_a_strip_stored_upside_down(shared: Path, tmp_path: Path) -> None:
+    plan = MatchingPlan(tmp_path, 1, FeatureSettings(most=4000, longest_px=1400))
+    choices = Choices(
+        Sources(),
+        shared / "data/uav-brighton-beach/images",
+        rig=Rig(angle_sigma=np.radians([1.0, 1.0, 2.0])),
+        neighbours=Neighbours(plan, silent),
+    )
+    check = place_exposures(choices, None, None).checks[-1]
+    assert (check.code, check.verdict) == ("image-rotations", "failed")
+    # README of the data.
+    turned = check.figures["stored_turned"]
+    assert [entry["image"] for entry in turned] == [f"DJI_{n:04d}.JPG" for n in range(24, 30)]
+    assert {entry["degrees"] for entry in turned} == {180}
+    assert "DJI_0024.JPG to DJI_0029.JPG" in check.text
+    # Gimbal angles are good to a degree from image to image of a strip.
+    assert len(check.figures["pairs"]) == 17
+    assert check.figures["median_same_way_deg"] < 1.0
