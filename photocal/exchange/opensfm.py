@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError
 from photocal.exchange.convert import Conversion
+from photocal.exchange.json_source import read_json, structured
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, to_pinhole, to_vision
-from photocal.exchange.reconstruction import Reconstruction, read_json, structured
+from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import image_size, number, read_lines
 from photocal.geometry.camera import Camera
 

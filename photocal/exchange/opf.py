@@ -22,9 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError
+from photocal.exchange.json_source import read_json, structured
 from photocal.exchange.parts import require_unique
 from photocal.exchange.pinhole import LARGEST, Pinhole, from_pinhole
-from photocal.exchange.reconstruction import Reconstruction, read_json, structured
+from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import beside, image_size
 from photocal.geometry.camera import Camera
 

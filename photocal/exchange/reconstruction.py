@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +13,12 @@ from numpy.typing import NDArray
 from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.block.model import ROLES, Block, InputFile, ObjectPoints, Observations
 from photocal.block.table import read_table
+from photocal.exchange.json_source import read_json
 from photocal.exchange.parts import images
-from photocal.exchange.source import read_text
 from photocal.geometry.camera import PARAMETERS, Camera, camera, plane_to_pixel
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-T = TypeVar("T")
 
 _SCHEMA = "photocal.adjustment/"
 
@@ -256,60 +252,6 @@ def orientations_alone(names: Sequence[str], poses: Floats) -> Reconstruction:
     return replace(
         nothing, image_names=tuple(names), image_camera=np.full(len(names), -1, dtype=np.int64), poses=poses
     )
-
-
-def read_json(path: Path) -> Any:
-    """Read a JSON object; errors in one line.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
-    text = read_text(path)
-    try:
-        content = json.loads(text, parse_constant=_refuse_constant, parse_float=_finite)
-    except (ValueError, RecursionError) as failure:
-        raise InputMalformedError(
-            f"is no valid JSON ({failure})", where=path, remedy="was it written completely?"
-        ) from failure
-    return content
-
-
-def structured(path: Path, what: str, read: Callable[[], T]) -> T:
-    """Read something of a JSON file; turn what a wrong structure raises into one line.
-
-    Parameters
-    ----------
-    path : Path
-    what : str
-        What the file should be.
-    read : callable
-
-    Returns
-    -------
-    What `read` gives.
-
-    Raises
-    ------
-    InputMalformedError
-    """
-    try:
-        return read()
-    except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError, IndexError) as failure:
-        raise InputMalformedError(
-            f"has not the structure of {what} ({type(failure).__name__}: {str(failure)[:80]})", where=path
-        ) from failure
-
-
-def _refuse_constant(name: str) -> float:
-    raise ValueError(f"the number {name} is not finite")
-
-
-def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(f"the number {text[:40]} is not finite")
-    return value
 
 
 def _camera(name: str, keys: dict[str, Any]) -> Camera:

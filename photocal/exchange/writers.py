@@ -73,7 +73,7 @@ def odm(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ..
 
 def metashape(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
     """A camera XML."""
-    from photocal.exchange.metashape import write_metashape
+    from photocal.exchange.metashape_writer import write_metashape
 
     return write_metashape(folder / "cameras.xml", given)
 

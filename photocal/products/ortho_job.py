@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.block.model import Block
 from photocal.geometry.frames import Frame
+from photocal.products.coverage import footprints
 from photocal.products.displacement import Displacement, displacement
+from photocal.products.grid import Grid
 from photocal.products.kernels import BILINEAR, CUBIC, NEAREST
-from photocal.products.orthophoto import Grid, ImageStore, Recipe, footprints, orthophoto
+from photocal.products.orthophoto import ImageStore, Recipe, orthophoto
 from photocal.products.raster import RasterFile, describe, geotiff, read_image, same_system, system_wkt
 from photocal.products.shots import Shots
 from photocal.products.terrain import Bounds, Terrain, TerrainSource

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
-from photocal.geometry.camera import pixel_to_plane
-from photocal.geometry.distortion import undistorted
 from photocal.geometry.frames import Frame
+from photocal.products.coverage import border_directions, candidates
+from photocal.products.grid import Grid, ground_points
 from photocal.products.kernels import look_up, resample
-from photocal.products.shots import Shots, image_border, lens_tables
-from photocal.products.terrain import Bounds, Terrain, TerrainSource, Transform
+from photocal.products.shots import Shots, lens_tables
+from photocal.products.terrain import TerrainSource
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -26,37 +26,6 @@ Integers = NDArray[np.int64]
 TILE = 512
 # What a pixel needs of memory while its tile is worked on is some 200 bytes; images are the larger part.
 IMAGE_MEMORY = 800_000_000
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Cells of an orthophoto, rows from north to south.
-
-    Attributes
-    ----------
-    west, north : float
-        Corner of the first cell, m.
-    cell : float
-        Size of a cell, m.
-    columns, rows : int
-    """
-
-    west: float
-    north: float
-    cell: float
-    columns: int
-    rows: int
-
-    @property
-    def transform(self) -> Transform:
-        """From column and row to X and Y."""
-        return (self.cell, 0.0, self.west, 0.0, -self.cell, self.north)
-
-    def centers(self, column: int, row: int, columns: int, rows: int) -> tuple[Floats, Floats]:
-        """Coordinates of the cell centres of a window: X, shape (columns,), and Y, shape (rows,)."""
-        x = self.west + (column + np.arange(columns) + 0.5) * self.cell
-        y = self.north - (row + np.arange(rows) + 0.5) * self.cell
-        return np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -171,7 +140,7 @@ def orthophoto(recipe: Recipe, images: ImageStore, workers: int) -> Iterator[Til
         Each part of the grid once.
     """
     lenses = lens_tables(recipe.shots.cameras)
-    borders = _border_directions(recipe.shots)
+    borders = border_directions(recipe.shots)
 
     def make(window: tuple[int, int, int, int]) -> Tile:
         column, row, columns, rows = window
@@ -183,7 +152,7 @@ def orthophoto(recipe: Recipe, images: ImageStore, workers: int) -> Iterator[Til
         place, chosen = np.full((2, count), np.nan), np.full(count, -1, dtype=np.int64)
         shots = recipe.shots
         look_up(ground, lenses.values, lenses.optics, lenses.limit, lenses.pitch, lenses.size, shots.camera,
-                shots.rotation, shots.station, _candidates(shots, borders, ground), place[0], place[1],
+                shots.rotation, shots.station, candidates(shots, borders, ground), place[0], place[1],
                 chosen)  # fmt: skip
         pixels = np.full((recipe.bands, count), recipe.nodata, dtype=recipe.dtype)
         lowest, highest, whole = _range(recipe)
@@ -240,114 +209,3 @@ def _range(recipe: Recipe) -> tuple[float, float, bool]:
     elif recipe.nodata == highest:
         highest -= 1
     return lowest, highest, True
-
-
-def ground_points(x: Floats, y: Floats, terrain: Terrain, frame: Frame) -> Floats:
-    """Ground points of a window in local coordinates.
-
-    Parameters
-    ----------
-    x : ndarray, shape (columns,)
-    y : ndarray, shape (rows,)
-        Of the cell centres, m.
-    terrain : Terrain
-    frame : Frame
-        From the terrain's coordinates to local ones.
-
-    Returns
-    -------
-    ndarray, shape (rows * columns, 3)
-        m; NaN without terrain.
-
-    Notes
-    -----
-    The frame is evaluated on a lattice over the window at its lowest and highest height and interpolated:
-    over a window of a few hundred metres the curvature of the earth between two nodes is micrometres.
-    """
-    xs, ys = np.broadcast_to(x, (len(y), len(x))), np.broadcast_to(y[:, None], (len(y), len(x)))
-    z = terrain.at(xs, ys)
-    if not np.isfinite(z).any():
-        return np.full((z.size, 3), np.nan)
-    low, high = float(np.nanmin(z)), float(np.nanmax(z)) + 1.0
-    nodes = 9
-    gx, gy = np.linspace(x[0], x[-1], nodes), np.linspace(y[0], y[-1], nodes)
-    lattice = np.stack(np.meshgrid([low, high], gy, gx, indexing="ij"), axis=-1)[..., ::-1]
-    local = frame.to_local(lattice.reshape(-1, 3)).reshape(2, nodes, nodes, 3)
-    j, u = _between(len(x), nodes)
-    i, v = _between(len(y), nodes)
-    along = local[:, :, j] * (1 - u)[:, None] + local[:, :, j + 1] * u[:, None]
-    flat = along[:, i] * (1 - v)[:, None, None] + along[:, i + 1] * v[:, None, None]
-    share = ((z - low) / (high - low))[..., None]
-    return np.ascontiguousarray((flat[0] * (1 - share) + flat[1] * share).reshape(-1, 3))
-
-
-def _between(count: int, nodes: int) -> tuple[Integers, Floats]:
-    """Node before each of evenly spaced places, and the share of the way to the next one."""
-    place = np.linspace(0, nodes - 1, count) if count > 1 else np.zeros(1)
-    node = np.minimum(place.astype(np.int64), nodes - 2)
-    return node, place - node
-
-
-def _border_directions(shots: Shots) -> Floats:
-    """Directions in object space of rays around the border of each image, shape (m, k, 3)."""
-    rays = []
-    for camera in shots.cameras:
-        plane = pixel_to_plane(camera.size_px, camera.pitch, image_border(camera, 16))
-        ideal = undistorted(camera, plane)
-        rays.append(np.column_stack([ideal, np.full(len(ideal), -camera.values[0])]))
-    return np.asarray(np.einsum("mkc,mcd->mkd", np.array(rays)[shots.camera], shots.rotation))
-
-
-def _candidates(shots: Shots, borders: Floats, ground: Floats) -> Integers:
-    """Images whose footprint, at the lowest or the highest ground, touches the ground."""
-    finite = ground[np.isfinite(ground[:, 2])]
-    if not len(finite):
-        return np.zeros(0, dtype=np.int64)
-    low, high = finite.min(axis=0), finite.max(axis=0)
-    touches = np.ones(len(shots.names), dtype=np.bool_)
-    for axis in range(2):
-        reach = []
-        for level in (low[2], high[2]):
-            with np.errstate(divide="ignore", invalid="ignore"):
-                steps = (level - shots.station[:, None, 2]) / borders[..., 2]
-                steps[~((borders[..., 2] < 0) & (steps > 0))] = np.nan
-                reach.append(shots.station[:, None, axis] + steps * borders[..., axis])
-        both = np.concatenate(reach, axis=1)
-        seen = np.isfinite(both).all(axis=1)
-        # A border that looks to the horizon, or polynomials without inverse, say nothing of the reach.
-        both[~seen] = 0
-        margin = 0.05 * np.ptp(both, axis=1) + 1e-6
-        apart = (both.min(axis=1) - margin > high[axis]) | (both.max(axis=1) + margin < low[axis])
-        touches &= ~(apart & seen)
-    return np.flatnonzero(touches).astype(np.int64)
-
-
-def footprints(shots: Shots, frame: Frame, height: float) -> Bounds:
-    """Rectangle around what the images show at one height, in the terrain's coordinates.
-
-    Parameters
-    ----------
-    shots : Shots
-    frame : Frame
-    height : float
-        Of the terrain, m.
-
-    Returns
-    -------
-    tuple of float
-        West, south, east, north; images that look to the horizon count with their nadir only.
-    """
-    given = frame.to_given(shots.station)
-    nadir = frame.to_local(np.column_stack([given[:, :2], np.full(len(given), height)]))
-    borders = _border_directions(shots)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        steps = (nadir[:, None, 2] - shots.station[:, None, 2]) / borders[..., 2]
-        points = shots.station[:, None, :] + steps[..., None] * borders
-    downward = ((borders[..., 2] < 0) & (steps > 0)).all(axis=1)
-    corners = [given[:, :2]]
-    if downward.any():
-        corners.append(frame.to_given(points[downward].reshape(-1, 3))[:, :2])
-    reach = np.vstack(corners)
-    west, south = np.nanmin(reach, axis=0)
-    east, north = np.nanmax(reach, axis=0)
-    return float(west), float(south), float(east), float(north)

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputMalformedError
-from photocal.exchange.metashape import read_metashape, to_metashape, write_metashape
+from photocal.exchange.metashape import read_metashape
+from photocal.exchange.metashape_writer import to_metashape, write_metashape
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.camera import camera, plane_to_pixel
 from photocal.geometry.distortion import projected

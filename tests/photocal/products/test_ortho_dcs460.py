@@ -16,8 +16,9 @@ from scipy.optimize import least_squares
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.frames import ShiftedFrame
 from photocal.products.displacement import terrain_points
+from photocal.products.grid import Grid
 from photocal.products.kernels import BILINEAR
-from photocal.products.orthophoto import Grid, ImageStore, Recipe, orthophoto
+from photocal.products.orthophoto import ImageStore, Recipe, orthophoto
 from photocal.products.shots import Shots, shots
 from photocal.products.terrain import Terrain
 from tests.photocal.products.conftest import rows_of

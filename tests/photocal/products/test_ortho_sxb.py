@@ -12,9 +12,10 @@ import pytest
 from photocal.block.process import adjust_block
 from photocal.geometry.camera import plane_to_pixel
 from photocal.products.displacement import terrain_points
+from photocal.products.grid import Grid
 from photocal.products.kernels import BILINEAR
 from photocal.products.oriented import oriented
-from photocal.products.orthophoto import Grid, ImageStore, Recipe, orthophoto
+from photocal.products.orthophoto import ImageStore, Recipe, orthophoto
 from photocal.products.raster import read_image
 from photocal.products.tin import grid_of_points, read_terrain_points
 

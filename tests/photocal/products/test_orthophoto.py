@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from photocal.geometry.camera import Camera, Model, camera
 from photocal.geometry.frames import ShiftedFrame
 from photocal.products.displacement import displacement, image_points, terrain_points
+from photocal.products.grid import Grid, ground_points
 from photocal.products.kernels import BILINEAR, CUBIC, NEAREST
-from photocal.products.orthophoto import Grid, ImageStore, Recipe, Tile, ground_points, orthophoto
+from photocal.products.orthophoto import ImageStore, Recipe, Tile, orthophoto
 from photocal.products.shots import Shots, ideal_limit, shots
 from photocal.products.terrain import Terrain
 from tests.photocal.products.photo import Lens, Photo
