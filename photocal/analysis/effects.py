@@ -6,12 +6,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from photocal.analysis.estimates import Array, Estimates, without
 from photocal.analysis.significance import GROUPS
 from photocal.analysis.stability.calibration import View, sensor_grid, view
 from photocal.analysis.stability.methods import Method, fitted_pose, rotation_misfit
-from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
+from photocal.geometry.distortion import undistorted
 
 _ROTATION = Method("ROT", "two principal distances", "equations", 3, False, (rotation_misfit,))
 
@@ -29,6 +31,8 @@ class Effect:
     remaining_largest_px, remaining_rms_px : float
         The same when the others follow, as in an adjustment without these parameters, and the bundle is
         rotated back: what no other parameter can do.
+
+    NaN where the distortion folds without them.
     """
 
     parameters: tuple[str, ...]
@@ -85,12 +89,25 @@ def effect(camera: Camera, estimates: Estimates, parameters: Iterable[str], pixe
         When the covariance of the parameters is not positive definite.
     """
     removed = tuple(parameters)
+    # Beyond the observations the polynomial may fold: those pixels have no ray to compare.
+    pixels = pixels[_has_ray(camera, pixels)]
     full = view(camera, pixels)
-    alone = view(_with(camera, dict.fromkeys(removed, 0.0)), pixels).ideal - full.ideal
+    bare = _with(camera, dict.fromkeys(removed, 0.0))
     remaining, _ = without(estimates, removed)
     followed = dict(zip(remaining.names, remaining.values.tolist(), strict=True))
-    left = _difference(full, view(_with(camera, followed | dict.fromkeys(removed, 0.0)), pixels))
-    return Effect(removed, *_sizes(alone), *_sizes(left))
+    adjusted = _with(camera, followed | dict.fromkeys(removed, 0.0))
+    alone = left = (np.nan, np.nan)
+    if _has_ray(bare, pixels).all():
+        alone = _sizes(view(bare, pixels).ideal - full.ideal)
+    if _has_ray(adjusted, pixels).all():
+        left = _sizes(_difference(full, view(adjusted, pixels)))
+    return Effect(removed, *alone, *left)
+
+
+def _has_ray(camera: Camera, pixels: Array) -> NDArray[np.bool_]:
+    """Where the distortion of a camera does not fold, (n,)."""
+    plane = pixel_to_plane(camera.size_px, camera.pitch, pixels)
+    return np.asarray(np.isfinite(undistorted(camera, plane)).all(axis=1))
 
 
 def _with(camera: Camera, changed: dict[str, float]) -> Camera:

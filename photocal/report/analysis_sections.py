@@ -128,6 +128,7 @@ def _tests(record: CameraRecord, alpha: float, say: Catalogue) -> Table:
         # What a group of one says was said by the single test.
         effect = None if test.kind == "cumulative" else effects.get(test.parameters)
         px = (effect.largest_px, effect.remaining_largest_px) if effect else (None, None)
+        blank = say("word.none") if effect else ""
         rows.append(
             (
                 " ".join(symbol(name) for name in test.parameters),
@@ -135,7 +136,7 @@ def _tests(record: CameraRecord, alpha: float, say: Catalogue) -> Table:
                 "∞" if test.statistic is None else significant(test.statistic, 4, say.mark),
                 fixed(test.critical, 2, say.mark),
                 say("word.yes" if test.significant else "word.no"),
-                *("" if v is None else fixed(v, 2, say.mark) for v in px),
+                *(blank if v is None else fixed(v, 2, say.mark) for v in px),
             )
         )
     title = say("analysis.parameters_table", alpha=significant(alpha, 2, say.mark))

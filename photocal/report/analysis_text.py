@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from photocal.analysis.camera_analysis import CameraAnalysis
 from photocal.analysis.method import MethodCheck
 from photocal.analysis.outcome import Outcome
@@ -69,7 +71,7 @@ def _tests(one: CameraAnalysis, say: Catalogue) -> list[str]:
     for test in one.tests:
         effect = effects.get(test.parameters)
         in_px = ""
-        if effect is not None and test.kind != "cumulative":
+        if effect is not None and test.kind != "cumulative" and math.isfinite(effect.largest_px):
             alone, left = (_number(v, say) for v in (effect.largest_px, effect.remaining_largest_px))
             in_px = f"   {say('console.alone', alone=alone, remaining=left)}"
         verdict = say("console.is_significant" if test.significant else "console.not_significant")

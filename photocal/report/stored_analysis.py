@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 from photocal.analysis.correlation import StrongCorrelation
-from photocal.analysis.effects import Effect
 from photocal.analysis.exterior_correlation import ExteriorCorrelation
 from photocal.analysis.finding import Figure, Finding, Severity, Size
 from photocal.analysis.hidden.variance_components import AssumedSigma
@@ -52,6 +51,15 @@ class TestRecord:
 
 
 @dataclass(frozen=True)
+class EffectRecord:
+    """Effect of parameters over the format, px; none where the distortion folds without them."""
+
+    parameters: tuple[str, ...]
+    largest_px: float | None
+    remaining_largest_px: float | None
+
+
+@dataclass(frozen=True)
 class FinalComponents:
     """Principal components of the parameters that the removal rule keeps."""
 
@@ -86,7 +94,7 @@ class CameraRecord:
 
     variance_factor_of_tests: float
     significance: tuple[TestRecord, ...]
-    effects: tuple[Effect, ...]
+    effects: tuple[EffectRecord, ...]
     correlations: tuple[StrongCorrelation, ...]
     correlations_with_exterior: tuple[ExteriorCorrelation, ...]
     components: ComponentsRecord

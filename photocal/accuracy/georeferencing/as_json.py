@@ -49,6 +49,15 @@ def to_json(check: BlockCheck) -> dict[str, Any]:
         },
         "systematic_errors": None if check.systematic is None else _systematic(check.systematic),
         "separation": None if check.separation is None else _separation(check.separation),
+        "mistyped": [
+            {
+                "point": one.point,
+                "d_m": one.d.tolist(),
+                "sigma_m": one.sigma.tolist(),
+                "slip": one.slip,
+            }
+            for one in check.mistyped
+        ],
         "findings": [finding.to_json() for finding in block_findings(check)],
     }
 

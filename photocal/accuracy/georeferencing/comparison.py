@@ -23,6 +23,7 @@ from photocal.accuracy.georeferencing.methods import (
     of_method,
     without_weak_images,
 )
+from photocal.accuracy.georeferencing.mistyped import Mistyped, mistyped_control
 from photocal.accuracy.georeferencing.mounted import as_mounted, with_attitude_angles
 from photocal.accuracy.georeferencing.plausible import ground_findings
 from photocal.accuracy.georeferencing.separation import Separation, separation
@@ -85,6 +86,8 @@ class BlockCheck:
     separation : Separation or None
     plausibility : tuple of Finding
         Mistakes in the ground points.
+    mistyped : tuple of Mistyped
+        Control points that contradict the others; systematic errors were looked for without them.
     """
 
     block: Block
@@ -94,6 +97,7 @@ class BlockCheck:
     systematic: SystematicErrors | None
     separation: Separation | None
     plausibility: tuple[Finding, ...]
+    mistyped: tuple[Mistyped, ...] = ()
 
     def of(self, method: Method) -> Judged | None:
         """Give one method's result; None where the block does not allow it."""
@@ -155,7 +159,8 @@ def check_block(
         reasons = "; ".join(f"{method}: {reason}" for method, reason in refused)
         said = _with_findings(f"no method can be computed: {reasons}", plausibility)
         raise IllPosedError(said, where=block.name)
-    systematic, apart = _calibration(block)
+    sound, mistyped = _sound(block, places, judged)
+    systematic, apart = _calibration(sound)
     done("systematic errors")
     return BlockCheck(
         block,
@@ -165,7 +170,15 @@ def check_block(
         systematic,
         apart,
         plausibility,
+        mistyped,
     )
+
+
+def _sound(block: Block, places: Floats, judged: list[Judged]) -> tuple[Block, tuple[Mistyped, ...]]:
+    """The block without control points that contradict the others, where any point is suspected at all."""
+    if not any(one.control.suspected for one in judged):
+        return block, ()
+    return mistyped_control(without_weak_images(block)[0], places)
 
 
 def _with_findings(said: str, findings: tuple[Finding, ...]) -> str:

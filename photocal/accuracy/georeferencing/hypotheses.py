@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from drivers.errors import IllPosedError, NotConvergedError
+from photocal.accuracy.georeferencing.camera_change import Change, best_change, split_at
 from photocal.accuracy.georeferencing.mounted import one_strip
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.mounting import BORESIGHT, COMMON, LEVER, STRIPS, TIME
@@ -45,7 +46,9 @@ MEANING = {
     "strip shifts": "the positions jump from strip to strip (GNSS ambiguities)",
     "principal distance": "the principal distance is not the one given",
     "principal point": "the principal point is not the one given",
+    "camera change": "the principal distance is not the same in all images (zoom, focus, another camera)",
 }
+_CHANGE = "camera change"
 
 
 @dataclass(frozen=True)
@@ -166,7 +169,8 @@ def systematic_errors(block: Block, done: Callable[[], None] = lambda: None) -> 
     """
     base, solution = block, _adjusted(block)
     first = solution
-    names = _names(block)
+    change = best_change(block, solution.cameras[0], _LOOSE_CAMERA)
+    names = _names(block) + (() if change is None else (_CHANGE,))
     accepted: list[str] = []
     errors: list[SystematicError] = []
     tested: tuple[Hypothesis, ...] = ()
@@ -174,10 +178,10 @@ def systematic_errors(block: Block, done: Callable[[], None] = lambda: None) -> 
     for turn in range(_ROUNDS):
         tries: dict[str, Hypothesis] = {}
         for name in names:
-            if name in accepted:
+            if name in accepted or _settled(name, accepted):
                 continue
             try:
-                freed = _freed(base, name)
+                freed = _freed(base, name, change)
                 tries[name] = _compare(block, solution, name, freed, _adjusted(freed), len(names))
             except (IllPosedError, NotConvergedError) as refusal:
                 if turn == 0:
@@ -190,13 +194,19 @@ def systematic_errors(block: Block, done: Callable[[], None] = lambda: None) -> 
             break
         errors.append(SystematicError(best, _same(best, tuple(tries.values()))))
         accepted.append(best.name)
-        base = _freed(base, best.name)
+        base = _freed(base, best.name, change)
         solution = _adjusted(base)
     estimates = tuple(e for name in accepted for e in _estimates(block, base, solution, name))
     own = tuple(
         e for name in _MOUNTED if _left_free(block, name) for e in _estimates(block, block, first, name)
     )
     return SystematicErrors(tested, tuple(errors), estimates, tuple(untested), own)
+
+
+def _settled(name: str, accepted: list[str]) -> bool:
+    """Whether a group is part of one that was accepted: two principal distances leave no common one."""
+    distances = ("principal distance", _CHANGE)
+    return name in distances and any(other in accepted for other in distances)
 
 
 def _left_free(block: Block, name: str) -> bool:
@@ -231,8 +241,10 @@ def _free(estimated: object, prior: float) -> bool:
     return bool(estimated) and not math.isfinite(prior)
 
 
-def _freed(block: Block, name: str) -> Block:
+def _freed(block: Block, name: str, change: Change | None) -> Block:
     """Return the block with one group freed, weakly observed at its given value."""
+    if name == _CHANGE and change is not None:
+        return split_at(block, change, _LOOSE_CAMERA)
     if name in ("principal distance", "principal point"):
         which = [0] if name == "principal distance" else [1, 2]
         cameras = []
@@ -287,17 +299,30 @@ def _best(tries: tuple[Hypothesis, ...], observations: int) -> Hypothesis | None
     significant = [one for one in tries if one.significant]
     if not significant:
         return None
-    return max(significant, key=lambda one: one.gain - one.unknowns * math.log(observations))
+    others = [one for one in significant if one.name != _CHANGE]
+    change = [one for one in significant if one.name == _CHANGE]
+    best = max(others, key=lambda one: one.gain - one.unknowns * math.log(observations), default=None)
+    # Two principal distances imitate a wrong height where there are two heights: they must explain more.
+    if change and (best is None or best.gain < _as_good(change[0])):
+        return change[0]
+    return best
+
+
+def _as_good(one: Hypothesis) -> float:
+    """Gain from which another hypothesis explains as much."""
+    return min(one.gain - _AS_GOOD, _SAME_GAIN * one.gain)
 
 
 def _same(best: Hypothesis, tries: tuple[Hypothesis, ...]) -> tuple[str, ...]:
     """Other hypotheses that explain nearly all of what the best one explains."""
-    limit = min(best.gain - _AS_GOOD, _SAME_GAIN * best.gain)
-    # A shift of its own for each strip can imitate every other error: that says nothing.
+    limit = _as_good(best)
+    silent = ("strip shifts", _CHANGE)
+    # A shift of its own for each strip can imitate every other error, two principal distances those of
+    # c and of the height: that says nothing.
     return tuple(
         one.name
         for one in tries
-        if one is not best and one.name != "strip shifts" and one.significant and one.gain >= limit
+        if one is not best and one.name not in silent and one.significant and one.gain >= limit
     )
 
 
@@ -309,8 +334,8 @@ def _estimates(block: Block, freed: Block, solution: Solution, name: str) -> tup
         t = (value - given) / sigma if sigma > 0 else 0.0
         return Estimate(label, unit, value - given, value, sigma, t, abs(t) > critical)
 
-    if name in ("principal distance", "principal point"):
-        which = [0] if name == "principal distance" else [1, 2]
+    if name in ("principal distance", "principal point", _CHANGE):
+        which = [1, 2] if name == "principal point" else [0]
         return tuple(
             one(
                 f"{PARAMETERS[k]} of {own.id}",
@@ -319,7 +344,7 @@ def _estimates(block: Block, freed: Block, solution: Solution, name: str) -> tup
                 float(own.values[k]),
                 math.sqrt(solution.camera_covariance[index, k, k]),
             )
-            for index, own in enumerate(block.cameras)
+            for index, own in enumerate(freed.cameras if name == _CHANGE else block.cameras)
             for k in which
         )
     common, sigma = solution.state.common, np.sqrt(np.diag(solution.common_covariance))

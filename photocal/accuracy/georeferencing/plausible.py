@@ -58,7 +58,7 @@ def ground_findings(block: Block) -> tuple[Finding, ...]:
     said += place
     # Distances say nothing where the whole frame is wrong.
     if not place and _metric(block):
-        said += feet_for_metres(ground, _by_start_values(block))
+        said += feet_for_metres(ground, by_start_values(block))
     return tuple(said)
 
 
@@ -151,8 +151,18 @@ def _far_in_local_frame(ground: GroundPoints, exposures: Floats) -> tuple[Findin
     )
 
 
-def _by_start_values(block: Block) -> GroundPoints:
-    """Coordinates of all points by intersecting their rays from the given orientations."""
+def by_start_values(block: Block) -> GroundPoints:
+    """Intersect the rays of all points from the given orientations.
+
+    Parameters
+    ----------
+    block : Block
+
+    Returns
+    -------
+    GroundPoints
+        NaN for points without two rays from images with start values.
+    """
     plane, _ = observed_plane(block)
     image = block.observations.image
     camera = block.images.camera[image]

@@ -6,7 +6,9 @@ import math
 
 from photocal.accuracy.findings import Finding
 from photocal.accuracy.georeferencing.comparison import BlockCheck, Judged
+from photocal.accuracy.georeferencing.faults import fault_findings
 from photocal.accuracy.georeferencing.hypotheses import MEANING, Estimate, SystematicErrors
+from photocal.accuracy.georeferencing.mistyped import Mistyped
 from photocal.accuracy.georeferencing.separation import separation_findings
 from photocal.accuracy.ground_points import name_list
 
@@ -25,9 +27,10 @@ def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
     -------
     tuple of Finding
     """
-    said = list(check.plausibility)
+    said = [*check.plausibility, *(_mistyped(one) for one in check.mistyped)]
     if check.systematic is not None:
         said += _systematic(check.systematic)
+        said += fault_findings(check.systematic)
     for judged in check.judged:
         said += _judged(judged)
     if check.separation is not None:
@@ -46,6 +49,20 @@ def estimate_text(estimate: Estimate) -> str:
         f"{estimate.name} {estimate.correction:+.{digits}f} +- {estimate.sigma:.{digits}f} {estimate.unit} "
         f"(t {estimate.t:.1f})"
     )
+
+
+def _mistyped(one: Mistyped) -> Finding:
+    figures = ", ".join(
+        f"{axis} {d:+.3f} +- {s:.3f}" for axis, d, s in zip("XYZ", one.d, one.sigma, strict=True)
+    )
+    cause = (
+        f"as if mistyped, {one.slip}" if one.slip else "look at its coordinates and its image measurements"
+    )
+    text = (
+        f"control point {one.point} contradicts the other control points by {figures} m (given less "
+        f"computed): {cause}. Systematic errors were looked for without it."
+    )
+    return Finding("control-mistyped", text)
 
 
 def _systematic(errors: SystematicErrors) -> list[Finding]:

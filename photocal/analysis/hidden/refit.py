@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.adjustment.covariance import complete
+from photocal.adjustment.datum import with_datum
 from photocal.adjustment.mounting import Attitudes, Positions
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import prepare
@@ -75,8 +76,9 @@ def fit(network: Network, state: State | None = None) -> Fit:
     IllPosedError, NotConvergedError
         As the adjustment does.
     """
-    problem = prepare(network)
-    minimum = minimise(problem, start_state(network) if state is None else state)
+    start = start_state(network) if state is None else state
+    problem = with_datum(prepare(network), start)
+    minimum = minimise(problem, start)
     return Fit(network, minimum.state, complete(problem, minimum))
 
 
@@ -100,7 +102,7 @@ def lowest(network: Network, state: State) -> Lowest:
     IllPosedError, NotConvergedError
         As the adjustment does.
     """
-    minimum = minimise(prepare(network), state)
+    minimum = minimise(with_datum(prepare(network), state), state)
     return Lowest(minimum.state, minimum.iterations[-1].chi_squared)
 
 
