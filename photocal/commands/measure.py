@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from acquire.console import answer, progress
 from drivers.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from photocal.measurement.match_images import MatchingPlan
 
 # A principal distance that is known no better than this is worth a warning.
 WEAK = 0.005
@@ -16,7 +19,10 @@ WEAK = 0.005
 
 def measure(
     output: Annotated[Path, typer.Option("-o", "--output", help="Block folder to write.")],
-    images: Annotated[Path, typer.Option(help="Folder with the images.")],
+    project: Annotated[
+        Path | None, typer.Argument(help="Project file: pictures, camera, control, marks and targets.")
+    ] = None,
+    images: Annotated[Path | None, typer.Option(help="Folder with the images.")] = None,
     board: Annotated[
         str, typer.Option(help="Calibration board: squares in a row and in a column, such as 10x7.")
     ] = "",
@@ -32,18 +38,28 @@ def measure(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print measurement.json.")] = False,
 ) -> None:
-    """Measure images, a calibration board or tie points, as a block folder for `photocal adjust`.
+    """Measure images, a project, a calibration board or tie points, as a block folder for `photocal adjust`.
 
-    Example: `photocal measure --images photos --board 10x7 -o block`; without --board, tie points.
+    Examples: `photocal measure PROJECT.toml -o block`,
+    `photocal measure --images photos --board 10x7 -o block`; with --images alone, tie points.
     """
-    if not board:
-        if charuco:
-            raise ConfigurationError("--charuco needs a board", remedy="give --board COLUMNSxROWS")
-        ties = _ties(images, workers, cache, output)
-        answer(as_json, lambda: ties, lambda: _ties_text(ties, output))
-        return
-    record = _board(images, board, square_m, charuco, output)
-    answer(as_json, lambda: record, lambda: _board_text(record, output))
+    if (project is None) == (images is None):
+        raise ConfigurationError(
+            "what to measure is not clear", remedy="give PROJECT.toml or --images FOLDER"
+        )
+    if charuco and not board:
+        raise ConfigurationError("--charuco needs a board", remedy="give --board COLUMNSxROWS")
+    if images is None:
+        if board:
+            raise ConfigurationError("a project has no board", remedy="give --images with --board")
+        record = _project(project or Path(), workers, cache, output)
+        answer(as_json, lambda: record, lambda: _project_text(record, output))
+    elif board:
+        record = _board(images, board, square_m, charuco, output)
+        answer(as_json, lambda: record, lambda: _board_text(record, output))
+    else:
+        record = _ties(images, workers, cache, output)
+        answer(as_json, lambda: record, lambda: _ties_text(record, output))
 
 
 def _board(images: Path, board: str, square_m: float, charuco: str, output: Path) -> dict[str, Any]:
@@ -80,19 +96,57 @@ def _board_text(record: dict[str, Any], output: Path) -> str:
     return "\n".join(lines)
 
 
-def _ties(images: Path, workers: int, cache: Path | None, output: Path) -> dict[str, Any]:
-    import os
+def _project(path: Path, workers: int, cache: Path | None, output: Path) -> dict[str, Any]:
+    from dataclasses import replace
+
+    import numpy as np
 
     from acquire.outputs import output_folder
+    from photocal.block.folder import read_images
     from photocal.measurement.block_files import write_block
+    from photocal.measurement.project_block import measure_project
+    from photocal.project import read_project
+
+    project = read_project(path)
+    # What `photocal exposures` or `photocal run` left in the work folder: good to start from.
+    exposures = project.output / "exposures" / "images.csv"
+    starts = read_images(exposures, project.cameras) if exposures.exists() else None
+    if starts is not None:
+        starts = replace(starts, sigma=np.full_like(starts.sigma, np.inf))
+    measured = measure_project(project, starts, _plan(workers, cache), progress)
+    with output_folder(output) as aside:
+        write_block(aside, measured.block, measured.record)
+    return measured.record
+
+
+def _project_text(record: dict[str, Any], output: Path) -> str:
+    marks = record["marks"]
+    return "\n".join(
+        [
+            f"marks by hand: {marks['by_hand']}, targets found: {marks['targets']}, used: {marks['used']}",
+            *record["warnings"],
+            _ties_text(record, output),
+        ]
+    )
+
+
+def _plan(workers: int, cache: Path | None) -> MatchingPlan:
+    import os
+
     from photocal.measurement.cache import default_cache
-    from photocal.measurement.image_file import list_images
     from photocal.measurement.match_images import MatchingPlan
+
+    return MatchingPlan(cache or default_cache(), workers or os.cpu_count() or 1)
+
+
+def _ties(images: Path, workers: int, cache: Path | None, output: Path) -> dict[str, Any]:
+    from acquire.outputs import output_folder
+    from photocal.measurement.block_files import write_block
+    from photocal.measurement.image_file import list_images
     from photocal.measurement.measure_ties import measure_ties
 
     paths = list_images(images)
-    plan = MatchingPlan(cache or default_cache(), workers or os.cpu_count() or 1)
-    measured = measure_ties(paths, images.resolve().name, plan, progress)
+    measured = measure_ties(paths, images.resolve().name, _plan(workers, cache), progress)
     with output_folder(output) as aside:
         write_block(aside, measured.block, measured.record)
     return measured.record
@@ -109,7 +163,7 @@ def _ties_text(record: dict[str, Any], output: Path) -> str:
         f"points kept: {record['points']}, {share:.0f} % with four and more rays",
         f"observations rejected: {record['rejected_observations']} of {record['observations']}",
         f"sigma of an image coordinate: {record['sigma_px']:.2f} px; rms {record['rms_px']:.2f} px",
-        f"c from: {', '.join(record['principal_distance_from'])}",
+        *(f"c from: {source}" for source in record.get("principal_distance_from", ())),
         *(line for own in record["cameras"] for line in _camera_lines(own)),
         *(f"left out: {entry['image']}: {entry['reason']}" for entry in record["left_out"]),
         f"block folder: {output}; next: photocal adjust {output} -o RUN",

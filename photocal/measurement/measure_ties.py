@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +15,13 @@ from photocal.block.model import Block
 from photocal.measurement.geographic import local_places
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.match_images import MatchingPlan, detect_all, match_all
-from photocal.measurement.oriented_ties import Progress, figures, orient_ties
-from photocal.measurement.pair_selection import footprints, select_pairs
+from photocal.measurement.oriented_ties import Oriented, Progress, figures, orient_ties
+from photocal.measurement.pair_selection import Footprints, footprints, select_pairs
 from photocal.measurement.refine import Source
 from photocal.measurement.released import camera_figures
 from photocal.measurement.start_block import POSITION_SIGMA_M, position_sigma, start_block
 from photocal.measurement.start_camera import principal_distance_px
+from photocal.measurement.tracks import Tracks, of_images
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,48 @@ class TieBlock:
 
     block: Block
     record: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Sighted:
+    """What features alone say of a set of images.
+
+    Attributes
+    ----------
+    facts : tuple of ImageFacts
+        Of the images that can be used.
+    sources : tuple of Source
+    tracks : Tracks
+    pairs : ndarray of int, shape (k, 2)
+    verified_pairs : int
+    rule : str
+        By which the pairs were chosen.
+    left_out : tuple of dict
+        Images that cannot be used, with the reason.
+    """
+
+    facts: tuple[ImageFacts, ...]
+    sources: tuple[Source, ...]
+    tracks: Tracks
+    pairs: NDArray[np.int64]
+    verified_pairs: int
+    rule: str
+    left_out: tuple[dict[str, str], ...]
+
+    def without(self, reasons: Sequence[str]) -> Sighted:
+        """Leave out the images that have a reason; others have an empty one."""
+        keep = np.array([not reason for reason in reasons])
+        number = np.where(keep, np.cumsum(keep) - 1, -1)
+        pairs = number[self.pairs]
+        left = [{"image": f.name, "reason": r} for f, r in zip(self.facts, reasons, strict=True) if r]
+        return replace(
+            self,
+            facts=tuple(f for f, good in zip(self.facts, keep, strict=True) if good),
+            sources=tuple(s for s, good in zip(self.sources, keep, strict=True) if good),
+            tracks=of_images(self.tracks, keep),
+            pairs=pairs[(pairs >= 0).all(axis=1)],
+            left_out=(*self.left_out, *left),
+        )
 
 
 def measure_ties(paths: Sequence[Path], name: str, plan: MatchingPlan, progress: Progress) -> TieBlock:
@@ -59,6 +102,48 @@ def measure_ties(paths: Sequence[Path], name: str, plan: MatchingPlan, progress:
     PhotocalError
         When too few images can be read, or their tie points do not orient them.
     """
+    sighted = sight(paths, plan, progress, stated_footprints)
+    places, origin = local_places(sighted.facts)
+    start = start_block(sighted.facts, places, name)
+    found = orient_ties(start, sighted.sources, sighted.tracks, sighted.pairs, plan.processes, progress)
+    known = np.isfinite(origin[0])
+    record = {
+        **tie_record(sighted, found),
+        "kind": "tie points",
+        "principal_distance_from": sorted({principal_distance_px(f)[1] for f in sighted.facts}),
+        "positions": _positions(sighted.facts),
+        "origin": {"latitude_deg": origin[0], "longitude_deg": origin[1], "height_m": origin[2]}
+        if known
+        else None,
+    }
+    return TieBlock(found.adjusted.block, record)
+
+
+def sight(
+    paths: Sequence[Path],
+    plan: MatchingPlan,
+    progress: Progress,
+    looking: Callable[[Sequence[ImageFacts]], Footprints],
+) -> Sighted:
+    """Find features in images, match them and join the matches to tracks.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+    plan : MatchingPlan
+    progress : callable
+    looking : callable
+        Gives the footprints of images, by which pairs are chosen.
+
+    Returns
+    -------
+    Sighted
+
+    Raises
+    ------
+    InputNotFoundError
+        When fewer than two images can be read.
+    """
     readable, facts, left_out = _readable(paths)
     with progress("detecting features", len(readable)) as done:
         keys, reasons = detect_all(readable, plan, done)
@@ -71,45 +156,57 @@ def measure_ties(paths: Sequence[Path], name: str, plan: MatchingPlan, progress:
             where=paths[0].parent,
             remedy="; ".join(f"{e['image']}: {e['reason']}" for e in left_out[:3]),
         )
-    places, origin = local_places(facts)
-    pairs, rule = select_pairs(_footprints(facts, places), len(facts))
+    pairs, rule = select_pairs(looking(facts), len(facts))
     with progress("matching pairs of images", len(pairs)) as done:
         tracks, counts = match_all(keys, pairs, plan, done)
-    start = start_block(facts, places, name)
-    sources = [Source(readable[k], key, plan.cache) for k, key in zip(good, keys, strict=True)]
-    found = orient_ties(start, sources, tracks, pairs, plan.processes, progress)
-    left_out += found.left_out
-    block = found.adjusted.block
-    sigma = position_sigma(facts)
-    stated = sum(np.isfinite(f.position_sigma_m).all() for f in facts if f.has_position)
-    record = {
+    sources = tuple(Source(readable[k], key, plan.cache) for k, key in zip(good, keys, strict=True))
+    return Sighted(tuple(facts), sources, tracks, pairs, int(np.count_nonzero(counts)), rule, tuple(left_out))
+
+
+def tie_record(sighted: Sighted, found: Oriented) -> dict[str, Any]:
+    """What was measured and how, for `measurement.json`.
+
+    Parameters
+    ----------
+    sighted : Sighted
+    found : Oriented
+
+    Returns
+    -------
+    dict
+    """
+    return {
         "schema": "photocal.measurement/1",
-        "kind": "tie points",
-        "images": list(block.images.names),
-        "turned_by_exif": [f.name for f in facts if f.orientation != 1],
-        "left_out": left_out,
-        "pairs": {"rule": rule, "examined": len(pairs), "verified": int(np.count_nonzero(counts))},
+        "images": list(found.adjusted.block.images.names),
+        "turned_by_exif": [f.name for f in sighted.facts if f.orientation != 1],
+        "left_out": [*sighted.left_out, *found.left_out],
+        "pairs": {
+            "rule": sighted.rule,
+            "examined": len(sighted.pairs),
+            "verified": sighted.verified_pairs,
+        },
         "tracks": {
-            "of_features": tracks.count,
-            "conflicts_removed": tracks.conflicts,
+            "of_features": sighted.tracks.count,
+            "conflicts_removed": sighted.tracks.conflicts,
             "all": found.verified.count,
             "three_and_more_rays": int(np.count_nonzero(found.verified.rays >= 3)),
         },
-        "principal_distance_from": sorted({principal_distance_px(f)[1] for f in facts}),
-        "positions": {
-            "images": sum(f.has_position for f in facts),
-            "sigma_from_image": int(stated),
-            "sigma_m": np.sqrt(np.mean(sigma**2, axis=0)).tolist(),
-            "sigma_assumed_m": list(POSITION_SIGMA_M),
-        },
-        "origin": None
-        if np.isnan(origin[0])
-        else {"latitude_deg": origin[0], "longitude_deg": origin[1], "height_m": origin[2]},
         "pixel_origin": "centre of the upper-left stored pixel is (0, 0); EXIF orientation is not applied",
         **figures(found),
         "cameras": camera_figures(found.adjusted),
     }
-    return TieBlock(block, record)
+
+
+def _positions(facts: Sequence[ImageFacts]) -> dict[str, Any]:
+    """How well the positions were taken to be known, and who said so."""
+    stated = [bool(np.isfinite(f.position_sigma_m).all()) for f in facts if f.has_position]
+    sigma = position_sigma(facts)[[f.has_position for f in facts]]
+    return {
+        "images": len(stated),
+        "sigma_stated_by_image": sum(stated),
+        "sigma_assumed_m": list(POSITION_SIGMA_M) if not all(stated) else None,
+        "sigma_m": np.sqrt(np.mean(sigma**2, axis=0)).tolist() if len(stated) else None,
+    }
 
 
 def _readable(paths: Sequence[Path]) -> tuple[list[Path], list[ImageFacts], list[dict[str, str]]]:
@@ -123,7 +220,9 @@ def _readable(paths: Sequence[Path]) -> tuple[list[Path], list[ImageFacts], list
     return readable, facts, left_out
 
 
-def _footprints(facts: Sequence[ImageFacts], places: NDArray[np.float64]) -> Any:
+def stated_footprints(facts: Sequence[ImageFacts]) -> Footprints:
+    """Footprints of images as they say where they are, how high and which way they look."""
+    places, _ = local_places(facts)
     return footprints(
         places[:, :2],
         np.array([f.relative_altitude_m for f in facts]),

@@ -195,14 +195,12 @@ def _verified(final: Adjusted, tracks: Tracks) -> Tracks:
 
 def figures(oriented: Oriented) -> dict[str, Any]:
     """Figures of the tie points for `measurement.json`."""
-    final, verified = oriented.adjusted, oriented.verified
+    final = oriented.adjusted
     rays = final.tracks.rays
     ties = slice(-len(final.tracks.track), None)
     residuals = np.empty_like(final.solution.residuals)
     residuals[final.assembly.rays] = final.solution.residuals
     return {
-        "verified_tracks": verified.count,
-        "verified_three_and_more_rays": int(np.count_nonzero(verified.rays >= 3)),
         "points": final.tracks.count,
         "observations": len(final.tracks.track),
         "rejected_observations": final.rejected,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.compiled import allocating
+from photocal.compiled import allocating, compiled, inlined
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -57,35 +59,32 @@ def match_patches(
     count, side, _ = patches.shape
     size = (side - 2) ** 2
     template, sample = np.empty(size), np.empty(size)
-    jacobian = np.empty((size, _UNKNOWNS))
-    state = np.empty(_UNKNOWNS)
+    jacobian, inverse = np.empty((size, _UNKNOWNS)), np.empty((_UNKNOWNS, 2 * _UNKNOWNS))
+    state, step, result = np.empty(_UNKNOWNS), np.empty(_UNKNOWNS), np.empty(2)
     for k in range(count):
-        found[k, :] = np.nan
-        likeness[k] = 0.0
+        found[k, 0], found[k, 1], likeness[k] = np.nan, np.nan, 0.0
         length = _prepare(patches[k], template, jacobian)
-        normal = jacobian.T @ jacobian
-        determinant = normal[0, 0] * normal[1, 1] - normal[0, 1] ** 2
-        if length < _FLAT or not determinant > _STRAIGHT * (normal[0, 0] + normal[1, 1]) ** 2:
+        if length < _FLAT or not _inverted(jacobian, inverse):
             continue
-        for i in range(_UNKNOWNS):
-            normal[i, i] *= 1 + 1e-9
-        inverse = np.linalg.inv(normal)
         state[0], state[1] = place[k, 0], place[k, 1]
         state[2], state[3] = affinity[k, 0, 0], affinity[k, 0, 1]
         state[4], state[5] = affinity[k, 1, 0], affinity[k, 1, 1]
-        alike, squares = _settle(
-            image, side // 2, template, length, jacobian, inverse, farthest, sample, state
-        )
-        if not alike > 0:
+        _settle(image, side // 2, template, length, jacobian, inverse, farthest, sample, state, step, result)
+        if not result[0] > 0:
             continue
-        likeness[k] = alike
+        likeness[k] = result[0]
         found[k, 0], found[k, 1] = state[0], state[1]
-        variance = squares / (size - _UNKNOWNS - 2)
-        turn = state[2:].copy().reshape(2, 2)
-        covariance[k] = turn @ (inverse[:2, :2].copy() * variance) @ turn.T
+        variance = result[1] / (size - _UNKNOWNS - 2)
+        xx, yy = variance * inverse[0, _UNKNOWNS], variance * inverse[1, _UNKNOWNS + 1]
+        xy = variance * inverse[0, _UNKNOWNS + 1]
+        a, b, d, e = state[2], state[3], state[4], state[5]
+        covariance[k, 0, 0] = a * a * xx + 2 * a * b * xy + b * b * yy
+        covariance[k, 1, 1] = d * d * xx + 2 * d * e * xy + e * e * yy
+        covariance[k, 0, 1] = a * d * xx + (a * e + b * d) * xy + b * e * yy
+        covariance[k, 1, 0] = covariance[k, 0, 1]
 
 
-@allocating
+@compiled
 def _prepare(patch: Floats32, template: Floats, jacobian: Floats) -> float:
     """Fill the template and its derivatives to offset and affinity; return its length.
 
@@ -104,17 +103,53 @@ def _prepare(patch: Floats32, template: Floats, jacobian: Floats) -> float:
             jacobian[n, 2], jacobian[n, 3] = gx * x, gx * y
             jacobian[n, 4], jacobian[n, 5] = gy * x, gy * y
             n += 1
-    template -= template.mean()
-    squares = np.sum(template * template)
+    mean = 0.0
+    for m in range(n):
+        mean += template[m] / n
+    squares = 0.0
+    for m in range(n):
+        template[m] -= mean
+        squares += template[m] * template[m]
     for j in range(_UNKNOWNS):
-        column = jacobian[:, j]
-        column -= column.mean()
-        if squares > 0:
-            column -= template * (np.sum(template * column) / squares)
-    return float(np.sqrt(squares))
+        mean, product = 0.0, 0.0
+        for m in range(n):
+            mean += jacobian[m, j] / n
+            product += jacobian[m, j] * template[m]
+        part = product / squares if squares > 0.0 else 0.0
+        for m in range(n):
+            jacobian[m, j] -= mean + part * template[m]
+    return math.sqrt(squares)
 
 
-@allocating
+@compiled
+def _inverted(jacobian: Floats, inverse: Floats) -> bool:
+    """Put the inverse of the normal matrix into the right half (Gauss, Jordan); tell whether there is one."""
+    size = len(jacobian)
+    for i in range(_UNKNOWNS):
+        for j in range(_UNKNOWNS):
+            total = 0.0
+            for m in range(size):
+                total += jacobian[m, i] * jacobian[m, j]
+            inverse[i, j] = total
+            inverse[i, _UNKNOWNS + j] = 1.0 if i == j else 0.0
+    xx, xy, yy = inverse[0, 0], inverse[0, 1], inverse[1, 1]
+    if not xx * yy - xy * xy > _STRAIGHT * (xx + yy) ** 2:
+        return False
+    for i in range(_UNKNOWNS):
+        pivot = inverse[i, i]
+        if not pivot > 0.0:
+            return False
+        for j in range(2 * _UNKNOWNS):
+            inverse[i, j] /= pivot
+        for k in range(_UNKNOWNS):
+            if k != i:
+                part = inverse[k, i]
+                for j in range(2 * _UNKNOWNS):
+                    inverse[k, j] -= part * inverse[i, j]
+    return True
+
+
+@compiled
 def _settle(
     image: Floats32,
     half: int,
@@ -125,35 +160,38 @@ def _settle(
     farthest: float,
     sample: Floats,
     state: Floats,
-) -> tuple[float, float]:
-    """Improve place and affinity; return likeness and squares of the misfit, (0, 0) if it does not settle."""
+    step: Floats,
+    result: Floats,
+) -> None:
+    """Improve place and affinity; give likeness and squares of the misfit, 0 if it does not settle."""
     x, y = state[0], state[1]
-    right = np.empty(_UNKNOWNS)
+    result[0], result[1] = 0.0, 0.0
     settled = False
     for _ in range(_ITERATIONS):
         power = _sampled(image, half, state, sample)
         if power < _FLAT * _FLAT:
-            return 0.0, 0.0
-        scale = length / np.sqrt(power)
+            return
+        scale = length / math.sqrt(power)
         squares, product = 0.0, 0.0
-        right[:] = 0.0
+        for j in range(_UNKNOWNS):
+            step[j] = 0.0
         for m in range(len(sample)):
             product += sample[m] * template[m]
             miss = sample[m] * scale - template[m]
             squares += miss * miss
-            for j in range(_UNKNOWNS):
-                right[j] += jacobian[m, j] * miss
+            for i in range(_UNKNOWNS):
+                step[i] += jacobian[m, i] * miss
         # One look more than steps, so that likeness and misfit belong to the last place.
         if settled:
-            return product / (length * np.sqrt(power)), squares
-        moved = _composed(state, inverse @ right)
+            result[0], result[1] = product / (length * math.sqrt(power)), squares
+            return
+        moved = _composed(state, inverse, step)
         if moved < 0 or (state[0] - x) ** 2 + (state[1] - y) ** 2 > farthest**2:
-            return 0.0, 0.0
+            return
         settled = moved < _SETTLED_PX**2
-    return 0.0, 0.0
 
 
-@allocating
+@compiled
 def _sampled(image: Floats32, half: int, state: Floats, sample: Floats) -> float:
     """Fill the image's values under the patch, less their mean; return their squares, -1 outside."""
     height, width = image.shape
@@ -180,18 +218,27 @@ def _sampled(image: Floats32, half: int, state: Floats, sample: Floats) -> float
     return power
 
 
-@allocating
-def _composed(state: Floats, step: Floats) -> float:
+@inlined
+def _solved(inverse: Floats, right: Floats, i: int) -> float:
+    total = 0.0
+    for j in range(_UNKNOWNS):
+        total += inverse[i, _UNKNOWNS + j] * right[j]
+    return total
+
+
+@compiled
+def _composed(state: Floats, inverse: Floats, right: Floats) -> float:
     """Put the inverse of the patch's small change before the image's; return the square of the move."""
-    s, t, p, q = 1 + step[2], step[3], step[4], 1 + step[5]
+    s, t = 1 + _solved(inverse, right, 2), _solved(inverse, right, 3)
+    p, q = _solved(inverse, right, 4), 1 + _solved(inverse, right, 5)
     area = s * q - t * p
     if not area > _LEAST_AREA:
         return -1.0
     a, b, d, e = state[2], state[3], state[4], state[5]
     state[2], state[3] = (a * q - b * p) / area, (b * s - a * t) / area
     state[4], state[5] = (d * q - e * p) / area, (e * s - d * t) / area
-    x = state[2] * step[0] + state[3] * step[1]
-    y = state[4] * step[0] + state[5] * step[1]
+    u, v = _solved(inverse, right, 0), _solved(inverse, right, 1)
+    x, y = state[2] * u + state[3] * v, state[4] * u + state[5] * v
     state[0] -= x
     state[1] -= y
     return float(x * x + y * y)

@@ -1,0 +1,94 @@
+"""Marks: points that were measured in images by hand or found as targets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.block.model import Block, Observations
+from photocal.block.table import read_table, refuse
+from photocal.exchange.parts import Mark
+
+# A point that somebody clicked, when the table does not say how well.
+BY_HAND_PX = 1.0
+
+
+def read_marks(path: Path) -> tuple[Mark, ...]:
+    """Read marks.csv: image, point, x, y, optional sx, sy, px of the stored pixel grid.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    tuple of Mark
+        Those without sigma have `BY_HAND_PX`.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        Also for a point that is marked twice in an image.
+    """
+    table = read_table(path, ("image", "point", "x", "y"), ("sx", "sy"))
+    xy = np.column_stack([table.numbers("x"), table.numbers("y")])
+    sigma = np.column_stack([table.numbers(c, empty=BY_HAND_PX) for c in ("sx", "sy")])
+    refuse(table, np.asarray((sigma <= 0).any(axis=1)), "the sigma is not positive", "give a positive number")
+    images, points = (_cells(table.names(column)) for column in ("image", "point"))
+    seen: set[tuple[str, str]] = set()
+    again = np.zeros(len(xy), dtype=np.bool_)
+    for row, pair in enumerate(zip(images, points, strict=True)):
+        again[row] = pair in seen
+        seen.add(pair)
+    refuse(table, again, "the point was already marked in this image", "keep one of the marks")
+    return tuple(
+        Mark(image, point, float(x), float(y), (float(sx), float(sy)), table.place(row))
+        for row, (image, point, (x, y), (sx, sy)) in enumerate(zip(images, points, xy, sigma, strict=True))
+    )
+
+
+def with_marks(block: Block, marks: Iterable[Mark]) -> tuple[Block, tuple[Mark, ...]]:
+    """Add marks of known points in known images to a block.
+
+    Parameters
+    ----------
+    block : Block
+        With the points that marks may name.
+    marks : iterable of Mark
+        The first mark of a point in an image counts.
+
+    Returns
+    -------
+    block : Block
+    unknown : tuple of Mark
+        Those whose image or point the block does not have.
+    """
+    image = {name: k for k, name in enumerate(block.images.names)}
+    point = {name: k for k, name in enumerate(block.points.names)}
+    rows: dict[tuple[int, int], Mark] = {}
+    unknown = []
+    for mark in marks:
+        if mark.image in image and mark.point in point:
+            rows.setdefault((image[mark.image], point[mark.point]), mark)
+        else:
+            unknown.append(mark)
+    keys = np.array(list(rows), dtype=np.int64).reshape(-1, 2)
+    seen = block.observations
+    observations = Observations(
+        "px",
+        "pixel",
+        np.concatenate([seen.image, keys[:, 0]]),
+        np.concatenate([seen.point, keys[:, 1]]),
+        np.vstack([seen.values, np.array([(m.x, m.y) for m in rows.values()]).reshape(-1, 2)]),
+        np.vstack([seen.sigma, np.array([m.sigma for m in rows.values()]).reshape(-1, 2)]),
+    )
+    return replace(block, observations=observations), tuple(unknown)
+
+
+def _cells(names: tuple[NDArray[np.int64], Sequence[str]]) -> list[str]:
+    index, found = names
+    return [found[k] for k in index]

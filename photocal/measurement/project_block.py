@@ -1,0 +1,276 @@
+"""From a project to its block: tie points, coded targets and marks in all images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError, InputNotFoundError
+from photocal.block.folder import read_points
+from photocal.block.model import Block, Images, ObjectPoints
+from photocal.exchange.parts import Mark
+from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
+from photocal.geometry.rotation import matrix_from_angles
+from photocal.measurement.coded_targets import find_coded_targets
+from photocal.measurement.georeferenced import map_places
+from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.image_file import list_images
+from photocal.measurement.marks import read_marks, with_marks
+from photocal.measurement.match_images import MatchingPlan
+from photocal.measurement.measure_ties import Sighted, TieBlock, sight, stated_footprints, tie_record
+from photocal.measurement.oriented_ties import Progress, orient_ties
+from photocal.measurement.pair_selection import Footprints, footprints
+from photocal.measurement.start_block import NO_OBSERVATIONS, POSITION_SIGMA_M
+from photocal.measurement.tie_adjustment import GROSS, Adjusted
+from photocal.measurement.views import local_poses
+from photocal.project import Project
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+# While gross errors are sought these are held: a level block determines them only with precise positions,
+# which the measurement does not use.
+HELD = ("c", "x0", "y0")
+# With so many control points heights of the images are not needed.
+FEWEST_CONTROL = 3
+
+
+def measure_project(
+    project: Project, starts: Images | None, plan: MatchingPlan, progress: Progress
+) -> TieBlock:
+    """Measure the images of a project.
+
+    Parameters
+    ----------
+    project : Project
+        Of it: the folder of the pictures, cameras, control points, marks and targets, system and heights.
+    starts : Images or None
+        Exterior orientations of some or all images in the project's system, NaN where unknown; where a
+        sigma stands the value is an observation. Without: the positions that the images state.
+    plan : MatchingPlan
+    progress : callable
+
+    Returns
+    -------
+    TieBlock
+        Block in the project's system with the project's cameras; exterior orientations without sigma are
+        those of the tie points, good enough to start from.
+
+    Raises
+    ------
+    PhotocalError
+        When too few images can be read, fit a camera, or are oriented.
+    """
+    control = read_points(project.control.points)
+    by_hand = _marks_by_hand(project)
+    if starts is None and project.crs == "local" and not by_hand and project.control.targets is None:
+        raise _nowhere(project.name)
+    looking = stated_footprints if starts is None else partial(_footprints, project, starts, control)
+    sighted = sight(list_images(project.picture_folder), plan, progress, looking)
+    sighted, camera = _with_cameras(sighted, project.cameras, starts)
+    given = _starts(project, sighted.facts, camera, starts)
+    block = Block(
+        project.name,
+        project.crs,
+        project.height if project.crs != "local" else "",
+        "control",
+        (),
+        project.cameras,
+        given,
+        control,
+        NO_OBSERVATIONS,
+        (),
+    )
+    found, strangers = _targets(project, sighted, plan, progress)
+    block, unknown = with_marks(block, (*by_hand, *found))
+    soft = _softened(block)
+    oriented = orient_ties(soft, sighted.sources, sighted.tracks, sighted.pairs, plan.processes, progress)
+    suspects = suspected_marks(oriented.adjusted, control)
+    record = {
+        **tie_record(sighted, oriented),
+        "kind": "project",
+        "marks": {
+            "by_hand": len(by_hand),
+            "targets": len(found),
+            "used": _marked(oriented.adjusted, control),
+        },
+        "unknown_marks": [f"{mark.point} in {mark.image}" for mark in unknown],
+        "unknown_targets": list(strangers),
+        "suspected_marks": suspects,
+        "warnings": _warnings(unknown, strangers, suspects, oriented.left_out),
+    }
+    return TieBlock(_restored(oriented.adjusted, block), record)
+
+
+def _with_cameras(
+    sighted: Sighted, cameras: Sequence[Camera], starts: Images | None
+) -> tuple[Sighted, NDArray[np.int64]]:
+    """Camera of each image: as the exposures say, else the one of its size; others are left out."""
+    if not cameras:
+        raise ConfigurationError("the project has no [[camera]]", remedy="add one: see docs/block-folder.md")
+    said = {} if starts is None else dict(zip(starts.names, starts.camera.tolist(), strict=True))
+    camera, reasons = [], []
+    for own in sighted.facts:
+        alike = [k for k, one in enumerate(cameras) if one.size_px == own.size_px]
+        k = said.get(own.name, alike[0] if alike else 0)
+        camera.append(k)
+        fits = cameras[k].size_px == own.size_px
+        width, height = own.size_px
+        reasons.append("" if fits else f"its {width} x {height} px are not those of camera {cameras[k].id}")
+    sighted = sighted.without(reasons)
+    return sighted, np.array([k for k, why in zip(camera, reasons, strict=True) if not why], dtype=np.int64)
+
+
+def _starts(
+    project: Project, facts: Sequence[ImageFacts], camera: NDArray[np.int64], starts: Images | None
+) -> Images:
+    values, sigma = np.full((len(facts), 6), np.nan), np.full((len(facts), 6), np.inf)
+    if starts is None:
+        if project.crs != "local":
+            values[:, 3:] = map_places(facts, project.crs)
+    else:
+        place = {name: k for k, name in enumerate(starts.names)}
+        rows = np.array([place.get(own.name, -1) for own in facts])
+        values[rows >= 0], sigma[rows >= 0] = starts.values[rows[rows >= 0]], starts.sigma[rows[rows >= 0]]
+    return Images(tuple(own.name for own in facts), camera, values, sigma)
+
+
+def _footprints(
+    project: Project, starts: Images, control: ObjectPoints, facts: Sequence[ImageFacts]
+) -> Footprints:
+    """Footprints by the exposures, on the level of the control points."""
+    places = np.vstack([starts.values[:, 3:], control.values])
+    middle = np.nanmean(places, axis=0)
+    local = project.crs == "local"
+    frame: Frame = ShiftedFrame(middle) if local else reference_frame(project.crs, project.height, middle)
+    poses = local_poses(frame, starts.values)
+    view = -matrix_from_angles(poses[:, :3])[:, 2]
+    ground = float(np.mean(frame.to_local(control.values)[:, 2]))
+    row = {name: k for k, name in enumerate(starts.names)}
+    rows = [row.get(f.name) for f in facts]
+    unknown = np.full(6, np.nan)
+    mine = np.array([unknown if k is None else poses[k] for k in rows])
+    looks = np.array([unknown[:3] if k is None else view[k] for k in rows])
+    yaw_pitch = np.column_stack([np.arctan2(looks[:, 0], looks[:, 1]), np.arcsin(looks[:, 2])])
+    cameras = [project.cameras[0 if k is None else starts.camera[k]] for k in rows]
+    return footprints(
+        mine[:, 3:5],
+        mine[:, 5] - ground,
+        yaw_pitch,
+        np.array([f.size_px for f in facts], dtype=float),
+        np.array([own.value("c") / own.pitch[0] for own in cameras]),
+    )
+
+
+def _marks_by_hand(project: Project) -> tuple[Mark, ...]:
+    path = project.control.marks
+    return read_marks(path) if path is not None and path.exists() else ()
+
+
+def _targets(
+    project: Project, sighted: Sighted, plan: MatchingPlan, progress: Progress
+) -> tuple[tuple[Mark, ...], tuple[str, ...]]:
+    wanted = project.control.targets
+    if wanted is None:
+        return (), ()
+    with progress("looking for targets", len(sighted.sources)) as done:
+        return find_coded_targets(sighted.sources, wanted.dictionary, wanted.names, plan.processes, done)
+
+
+def _nowhere(name: str) -> InputNotFoundError:
+    return InputNotFoundError(
+        "neither the images nor marks of control points say where the block is",
+        where=name,
+        remedy="give exposures, images with positions, or marks of at least three control points",
+    )
+
+
+def _softened(block: Block) -> Block:
+    """Block for finding gross errors: positions without sigma are loosely observed, c is held."""
+    known: Flags = np.asarray(np.isfinite(block.images.values[:, 3:]).all(axis=1))
+    marked = np.unique(block.observations.point[block.points.of_role("control")[block.observations.point]])
+    # The images' own heights may count from another surface than the control's.
+    east, north, up = POSITION_SIGMA_M
+    loosely = (east, north, np.inf if len(marked) >= FEWEST_CONTROL else up)
+    sigma = block.images.sigma.copy()
+    loose = known[:, None] & np.isinf(sigma[:, 3:])
+    sigma[:, 3:] = np.where(loose, loosely, sigma[:, 3:])
+    estimated = np.array([name not in HELD for name in PARAMETERS])
+    cameras = tuple(replace(own, estimated=own.estimated & estimated) for own in block.cameras)
+    if not known.any() and not len(block.observations.image):
+        raise _nowhere(block.name)
+    return replace(block, cameras=cameras, images=replace(block.images, sigma=sigma))
+
+
+def _restored(adjusted: Adjusted, block: Block) -> Block:
+    """The adjusted block with cameras and observed values as they were given."""
+    made = adjusted.block
+    place = {name: k for k, name in enumerate(block.images.names)}
+    rows = np.array([place[name] for name in made.images.names])
+    sigma = block.images.sigma[rows]
+    values = np.where(np.isfinite(sigma), block.images.values[rows], adjusted.values)
+    images = replace(made.images, values=values, sigma=sigma)
+    count = len(block.points.names)
+    # Surveyed coordinates stay as they were surveyed.
+    points = made.points.values.copy()
+    points[:count] = block.points.values
+    return replace(made, cameras=block.cameras, images=images, points=replace(made.points, values=points))
+
+
+def _marked(adjusted: Adjusted, control: ObjectPoints) -> int:
+    return int(np.count_nonzero(adjusted.block.observations.point < len(control.names)))
+
+
+def suspected_marks(adjusted: Adjusted, control: ObjectPoints) -> list[dict[str, Any]]:
+    """Marks whose residual is too large for their sigma, the largest first.
+
+    Parameters
+    ----------
+    adjusted : Adjusted
+    control : ObjectPoints
+        The points that marks name; they stand first in the block.
+
+    Returns
+    -------
+    list of dict
+        Image, point, residual in px and in standard deviations.
+    """
+    block, solution, rays = adjusted.block, adjusted.solution, adjusted.assembly.rays
+    residual, redundancy = np.empty((len(rays), 2)), np.empty(len(rays))
+    residual[rays], redundancy[rays] = solution.residuals, solution.redundancy.mean(axis=1)
+    seen = block.observations
+    size = np.hypot(*residual.T)
+    spread = np.sqrt((seen.sigma**2).sum(axis=1) * np.maximum(redundancy, 0.05))
+    bad = np.flatnonzero((seen.point < len(control.names)) & (size > GROSS * spread))
+    order = bad[np.argsort(-(size / spread)[bad])]
+    return [
+        {
+            "image": block.images.names[seen.image[k]],
+            "point": block.points.names[seen.point[k]],
+            "residual_px": float(size[k]),
+            "in_sigmas": float(size[k] / spread[k]),
+        }
+        for k in order
+    ]
+
+
+def _warnings(
+    unknown: Sequence[Mark],
+    strangers: Sequence[str],
+    suspects: Sequence[dict[str, Any]],
+    left_out: Sequence[dict[str, str]],
+) -> list[str]:
+    said = [f"image {entry['image']} is left out: {entry['reason']}" for entry in left_out]
+    said += [f"mark of {mark.point} in {mark.image}: no such image or control point" for mark in unknown]
+    said += [f"a target without a name: {name}" for name in strangers]
+    said += [
+        f"mark of {s['point']} in {s['image']} is {s['residual_px']:.1f} px off ({s['in_sigmas']:.1f} sigma)"
+        for s in suspects
+    ]
+    return said

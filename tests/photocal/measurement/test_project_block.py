@@ -1,0 +1,155 @@
+"""A project measured as a whole: tie points, coded plates and marks."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from photocal.adjustment.adjust import adjust
+from photocal.block.folder import read_block
+from photocal.block.network import assemble
+from photocal.measurement.markers import dictionary
+
+from .site import SIDE, Site, flight, plate_place, texture, with_plate
+
+PLACES = {"P1": (-9.0, -6.0), "P2": (9.0, -6.0), "P3": (9.0, 6.0), "P4": (-9.0, 6.0), "P5": (0.5, 0.3)}
+
+
+class Answer(Protocol):
+    """What a command said."""
+
+    code: int
+    out: str
+    err: str
+
+
+def _plate(code: int) -> NDArray[np.uint8]:
+    """Half a metre of black and white with a margin."""
+    marker = cv2.aruco.generateImageMarker(dictionary("apriltag_36h11"), code, 64)
+    return np.asarray(cv2.copyMakeBorder(marker, 10, 10, 10, 10, cv2.BORDER_CONSTANT, value=255), np.uint8)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Site, dict[str, tuple[float, float]]]:
+    """A rendered survey with five plates, of which one has no name in the project."""
+    folder = tmp_path_factory.mktemp("site")
+    (folder / "images").mkdir()
+    ground, lain = texture(5, SIDE), {}
+    for code, (name, place) in enumerate(PLACES.items()):
+        with_plate(ground, _plate(code), place)
+        lain[name] = plate_place(_plate(code), place)
+    with_plate(ground, _plate(77), (-3.0, 0.0))
+    own = flight()
+    own.render(ground, folder / "images")
+    Image.new("L", (300, 200)).save(folder / "images/other.png")
+    roles = {"P5": "check"}
+    rows = [f"{n},{x:.4f},{y:.4f},0.0,0.01,0.01,0.01,{roles.get(n, 'control')}" for n, (x, y) in lain.items()]
+    (folder / "control.csv").write_text("point,X,Y,Z,sX,sY,sZ,role\n" + "\n".join(rows) + "\n")
+    truth = own.views.project(np.array([1]), np.array([[*lain["P5"], 0.0]]))
+    marks = [f"p2.png,P5,{truth[0, 0] + 0.1:.3f},{truth[0, 1]:.3f},0.3,0.3", "none.png,P1,5,5,1,1"]
+    (folder / "marks.csv").write_text("image,point,x,y,sx,sy\n" + "\n".join(marks) + "\n")
+    (folder / "project.toml").write_text(
+        """
+[project]
+name = "site"
+crs = "local"
+height = "local"
+output = "work"
+[images]
+folder = "images"
+[[camera]]
+id = "cam"
+model = "brown-ideal"
+unit = "px"
+size_px = [480, 360]
+parameters = { c = 450.0 }
+estimate = ["c", "K1"]
+[control]
+points = "control.csv"
+marks = "marks.csv"
+[control.targets]
+dictionary = "apriltag_36h11"
+side_m = 1.28
+names = { "0" = "P1", "1" = "P2", "2" = "P3", "3" = "P4", "4" = "P5" }
+"""
+    )
+    return folder, own, lain
+
+
+def test_a_project_becomes_a_block(
+    site: tuple[Path, Site, dict[str, tuple[float, float]]], tmp_path: Path, photocal: Callable[..., Answer]
+) -> None:
+    folder, own, lain = site
+    said = photocal(
+        "measure",
+        folder / "project.toml",
+        "-o",
+        tmp_path / "block",
+        "--workers",
+        1,
+        "--cache",
+        tmp_path / "cache",
+        "--json",
+    )
+    assert said.code == 0, said.err
+    record = json.loads(said.out)
+    assert record["left_out"] == [
+        {"image": "other.png", "reason": "its 300 x 200 px are not those of camera cam"}
+    ]
+    assert record["unknown_marks"] == ["P1 in none.png"]
+    assert any("code 77" in name for name in record["unknown_targets"])
+    block = read_block(tmp_path / "block")
+    assert block.cameras[0].value("c") == 450.0
+    seen = block.observations
+    # Every plate is found where the truth puts it, as well as its own sigma says.
+    misses, sigmas = [], []
+    for k in np.flatnonzero(seen.point < 5):
+        name, image = block.points.names[seen.point[k]], int(block.images.names[seen.image[k]][1]) - 1
+        place = np.array([[*lain[name], 0.0]])
+        misses.append(seen.values[k] - own.views.project(np.array([image]), place)[0])
+        sigmas.append(seen.sigma[k])
+    assert len(misses) >= 15
+    automatic = np.array([s[0] != 0.3 for s in sigmas])
+    assert np.count_nonzero(~automatic) == 1
+    assert np.sqrt(np.mean(np.array(misses)[automatic] ** 2)) < 0.05
+    # The block orients and calibrates: truth within what the adjustment says of itself.
+    assembly = assemble(block)
+    solution = adjust(assembly.network)
+    # Sigmas of tie points are not taken below 0.02 px, which they reach here.
+    assert solution.variance_factor < 1.25
+    assert np.sqrt(np.mean(solution.residuals**2)) < 0.02
+    assert record["suspected_marks"] == []
+    centres = assembly.frame.to_given(solution.exposures[:, 3:])
+    order = [int(name[1]) - 1 for name in block.images.names]
+    sigma = np.sqrt(np.diagonal(solution.exposure_covariance[:, 3:, 3:], axis1=1, axis2=2))
+    assert (np.abs(centres - own.poses[order, 3:]) < 4 * sigma).all()
+    check = assembly.points.tolist().index(block.points.names.index("P5"))
+    found = assembly.frame.to_given(solution.points)[check]
+    assert np.abs(found - [*lain["P5"], 0.0]).max() < 0.02
+
+
+def test_a_project_needs_something_that_says_where_it_is(
+    site: tuple[Path, Site, dict[str, tuple[float, float]]], tmp_path: Path, photocal: Callable[..., Answer]
+) -> None:
+    folder, _, _ = site
+    text = (folder / "project.toml").read_text()
+    bare = "\n".join(
+        line
+        for line in text.splitlines()
+        if not line.startswith(("marks", "[control.", "dict", "side_", "names"))
+    )
+    (folder / "bare.toml").write_text(bare)
+    said = photocal(
+        "measure", folder / "bare.toml", "-o", tmp_path / "b", "--workers", 1, "--cache", tmp_path / "cache"
+    )
+    assert said.code != 0
+    assert "marks of at least three control points" in said.err
+    assert not (tmp_path / "b").exists()
