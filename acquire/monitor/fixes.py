@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -38,6 +39,18 @@ STEADY_NS = 5 * SECOND_NS
 OLD_CORRECTION_S, DEAD_CORRECTION_S = 5.0, 30.0
 
 
+def number(row: Mapping[str, Any], name: str) -> float | None:
+    """Return a number of a message; None when it is not told or infinite.
+
+    Raises
+    ------
+    ValueError, TypeError
+        When it is none.
+    """
+    value = row.get(name)
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
 def receiver_after(
     before: Receiver | None, row: Mapping[str, Any], time_ns: int
 ) -> tuple[Receiver, list[tuple[str, str]]]:
@@ -57,9 +70,9 @@ def receiver_after(
     now = Receiver(
         link=row["link"],
         fix=fix,
-        satellites=int(row.get("satellites", -1)),
-        horizontal_m=row.get("horizontal_m"),
-        correction_age_s=row.get("correction_age_s"),
+        satellites=round(number(row, "satellites") or 0) if row.get("satellites") is not None else -1,
+        horizontal_m=number(row, "horizontal_m"),
+        correction_age_s=number(row, "correction_age_s"),
         time_ns=time_ns,
         expected=fix if before is None else before.expected,
         since_ns=before.since_ns if before is not None and same else time_ns,

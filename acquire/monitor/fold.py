@@ -10,26 +10,20 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from acquire.channels.decoded import SECOND_NS
 from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, HEALTH, STATION
-from acquire.log.link import DAMAGE_ENCODING
 from acquire.log.reader import Messages
-from acquire.log.summary import GAP_S
 from acquire.monitor.exposures import Exposures, Trigger, numbers, reported, settled, triggered
-from acquire.monitor.fixes import correction_age_s, fed, receiver_after
+from acquire.monitor.fixes import correction_age_s, fed, number, receiver_after
 from acquire.monitor.state import Battery, Link, State, in_order, raised
 from acquire.monitor.track import Track, extended, place_at
+from acquire.monitor.traffic import OCTETS, link_after
 from acquire.recording.alarms import ALARM
-from drivers.frames import Wire
-from drivers.identify import batch_of_payloads
-from drivers.mavlink.dialect import Dialect, ardupilotmega
 
-# Rates are those of the last whole seconds.
-RATE_OVER_S = 5
 # Error and worse, as MAVLink counts severity.
 _SEVERE = 3
 _LEVELS = {"lost": "bad", "silent": "bad", "disk_full": "bad", "disk_low": "bad", "clock_jump": "bad"}
 _LEVELS |= {"source_changed": "warn", "device": "warn"}
+_TEXTS = {"link", "edge", "fix", "kind", "text"}
 _TROUBLE = {"lost", "silent"}
 _RELIEF = {"back", "heard_again"}
 
@@ -56,8 +50,20 @@ def fold(state: State, chunk: Sequence[Messages]) -> State:
     for part in sorted(chunk, key=_rank):
         handler = _HANDLERS.get(part.channel.schema.name) if part.channel.schema else _octets
         if handler is not None and len(part.payloads):
-            state = handler(state, part)
+            state = _read(state, handler, part)
     return in_order(_settled(state), known)
+
+
+def _read(state: State, handler: Callable[[State, Messages], State], part: Messages) -> State:
+    """Return the state after messages; those that are not what their schema says are told and passed over."""
+    try:
+        return handler(state, part)
+    except (LookupError, ValueError, TypeError, OverflowError):
+        # A log of another program must not end the view of the rest.
+        text = f"messages on {part.channel.topic} cannot be read"
+        if any(alarm.text == text for alarm in state.alarms):
+            return state
+        return raised(state, "warn", "", text, state.last_ns)
 
 
 def _rank(part: Messages) -> bool:
@@ -66,52 +72,11 @@ def _rank(part: Messages) -> bool:
 
 
 def _octets(state: State, part: Messages) -> State:
-    """Count the frames and the damage of a link, and take note of corrections that were sent to it."""
-    name, what = part.channel.topic.split("/")[1:3]
-    link = state.links.get(name, Link())
-    if what == "sent":
-        corrections = _correction_times(part)
-        if not corrections:
-            return state
-        return replace(state, links=_with(state.links, name, replace(link, corrected_ns=corrections[-1])))
-    size = sum(map(len, part.payloads))
-    if part.channel.encoding == DAMAGE_ENCODING:
-        link = replace(link, damage_bytes=link.damage_bytes + size)
-    elif what == "raw":
-        link = _after_frames(link, part, size)
+    name, _, what = part.channel.topic.removeprefix("/").partition("/")
+    if what not in OCTETS:
+        return state
+    link = link_after(state.links.get(name, Link()), what, part)
     return replace(state, links=_with(state.links, name, link))
-
-
-def _after_frames(link: Link, part: Messages, size: int) -> Link:
-    times = np.sort(part.log_ns)
-    steps = np.diff(times, prepend=link.last_ns or times[0])
-    sizes = np.fromiter(map(len, part.payloads), np.int64, len(part.payloads))
-    per_second = {second: (frames, octets) for second, frames, octets in link.recent}
-    seconds = part.log_ns // SECOND_NS
-    for second in np.unique(seconds).tolist():
-        own = seconds == second
-        frames, octets = per_second.get(second, (0, 0))
-        per_second[second] = frames + int(own.sum()), octets + int(sizes[own].sum())
-    newest = max(per_second)
-    return replace(
-        link,
-        frames=link.frames + len(times),
-        frame_bytes=link.frame_bytes + size,
-        first_ns=link.first_ns or int(times[0]),
-        last_ns=max(link.last_ns, int(times[-1])),
-        recent=tuple((s, *v) for s, v in sorted(per_second.items()) if s >= newest - RATE_OVER_S - 1),
-        gaps=link.gaps + int((steps > GAP_S * SECOND_NS).sum()),
-        longest_gap_ns=max(link.longest_gap_ns, int(steps.max())),
-    )
-
-
-def _correction_times(part: Messages) -> list[int]:
-    times: list[int] = part.log_ns.tolist()
-    if part.channel.encoding != Wire.MAVLINK.encoding:
-        return times if part.channel.encoding == Wire.RTCM3.encoding else []
-    dialect = _dialect()
-    kinds = batch_of_payloads(Wire.MAVLINK, part.payloads, dialect).kind
-    return [t for t, k in zip(times, kinds.tolist(), strict=True) if k == dialect.number("GPS_RTCM_DATA")]
 
 
 def _fix_status(state: State, part: Messages) -> State:
@@ -125,28 +90,25 @@ def _fix_status(state: State, part: Messages) -> State:
 
 
 def _location(state: State, part: Messages) -> State:
-    message = _location_fix()
-    points = []
-    for payload in part.payloads:
-        fix = message.FromString(payload)
-        points.append((fix.latitude, fix.longitude))
+    points = np.array([_latitude_longitude(payload) for payload in part.payloads])
+    there = np.array([_on_earth(*point) for point in points.tolist()])
     name = part.channel.topic.strip("/")
-    track = extended(state.tracks.get(name, Track()), np.array(points), part.log_ns)
+    track = extended(state.tracks.get(name, Track()), points[there], part.log_ns[there])
     return replace(state, tracks=_with(state.tracks, name, track))
 
 
 def _exposure(state: State, part: Messages) -> State:
     for row, time_ns in _rows(part):
-        name, edge, number = row["link"], row["edge"], int(row["sequence"])
+        name, edge, count = row["link"], row["edge"], int(row["sequence"])
         if edge == "falling":
             continue
         place = _told_place(row) or _whereabouts(state, name, time_ns)
         counts = state.marks if edge == "rising" else state.exposures
         counted = counts.get(name, Exposures())
         if edge == "trigger":
-            state = _pictures(state, name, triggered(counted, Trigger(number, time_ns, place)))
+            state = _pictures(state, name, triggered(counted, Trigger(count, time_ns, place)))
             continue
-        counted = reported(counted, number, time_ns, place)
+        counted = reported(counted, count, time_ns, place)
         state = _marks(state, name, counted) if edge == "rising" else _pictures(state, name, counted)
         if place is not None:
             key = (name, edge)
@@ -193,9 +155,9 @@ def _settled(state: State) -> State:
 
 def _clock(state: State, part: Messages) -> State:
     for row, _ in _rows(part):
-        offset = row.get("host_minus_device_s")
+        offset = number(row, "host_minus_device_s")
         if offset is not None and row.get("device") is not None:
-            link = replace(state.links.get(row["link"], Link()), clock_offset_s=float(offset))
+            link = replace(state.links.get(row["link"], Link()), clock_offset_s=offset)
             state = replace(state, links=_with(state.links, row["link"], link))
     return state
 
@@ -215,9 +177,9 @@ def _health(state: State, part: Messages) -> State:
         name = row["link"]
         if row.get("text") and row.get("severity", 7) <= _SEVERE:
             state = raised(state, "warn", name, f"says: {row['text']}", time_ns)
-        if row.get("voltage_v") is not None:
-            percent = row.get("battery_percent", -1)
-            battery = Battery(row["voltage_v"], percent if percent >= 0 else None)
+        voltage, percent = number(row, "voltage_v"), number(row, "battery_percent")
+        if voltage is not None:
+            battery = Battery(voltage, None if percent is None or percent < 0 else round(percent))
             state = replace(state, batteries=_with(state.batteries, name, battery))
     return state
 
@@ -227,6 +189,8 @@ def _station(state: State, part: Messages) -> State:
     if all(row[axis] == 0 for axis in ("x_m", "y_m", "z_m")):
         return state
     longitude, latitude, _height = _geodetic().transform(row["x_m"], row["y_m"], row["z_m"])
+    if not _on_earth(latitude, longitude):
+        raise ValueError("a place on earth was expected")
     name = part.channel.topic.split("/")[2]
     return replace(state, stations=_with(state.stations, name, (latitude, longitude)))
 
@@ -243,7 +207,11 @@ _HANDLERS: dict[str, Callable[[State, Messages], State]] = {
 
 
 def _rows(part: Messages) -> list[tuple[dict[str, Any], int]]:
-    rows = map(json.loads, part.payloads)
+    # What JSON does not know (NaN) is nothing.
+    rows = [json.loads(payload, parse_constant=lambda _: None) for payload in part.payloads]
+    for row in rows:
+        if any(not isinstance(row[name], str) for name in _TEXTS & row.keys()):
+            raise TypeError("a text was expected")
     return list(zip(rows, part.log_ns.tolist(), strict=True))
 
 
@@ -252,8 +220,13 @@ def _with(mapping: Mapping[Any, V], key: Any, value: V) -> dict[Any, V]:
 
 
 def _told_place(row: Mapping[str, Any]) -> tuple[float, float] | None:
-    latitude, longitude = row.get("latitude_deg") or 0.0, row.get("longitude_deg") or 0.0
-    return (latitude, longitude) if latitude or longitude else None
+    latitude, longitude = number(row, "latitude_deg") or 0.0, number(row, "longitude_deg") or 0.0
+    there = (latitude or longitude) and _on_earth(latitude, longitude)
+    return (latitude, longitude) if there else None
+
+
+def _on_earth(latitude: float, longitude: float) -> bool:
+    return abs(latitude) <= 90 and abs(longitude) <= 360
 
 
 def _whereabouts(state: State, link: str, time_ns: int) -> tuple[float, float] | None:
@@ -265,16 +238,15 @@ def _whereabouts(state: State, link: str, time_ns: int) -> tuple[float, float] |
     return next((place for place in places if place is not None), None)
 
 
-@cache
-def _dialect() -> Dialect:
-    return ardupilotmega()
+def _latitude_longitude(payload: bytes) -> tuple[float, float]:
+    from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
+    from google.protobuf.message import DecodeError
 
-
-@cache
-def _location_fix() -> Any:
-    from foxglove_schemas_protobuf import LocationFix_pb2
-
-    return LocationFix_pb2.LocationFix
+    try:
+        fix = LocationFix.FromString(payload)
+    except DecodeError as damage:
+        raise ValueError("a LocationFix was expected") from damage
+    return fix.latitude, fix.longitude
 
 
 @cache

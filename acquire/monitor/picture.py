@@ -15,9 +15,9 @@ from acquire.monitor.fixes import (
     WORTH,
     correction_age_s,
 )
-from acquire.monitor.fold import RATE_OVER_S
 from acquire.monitor.looks import bytes_per_s
 from acquire.monitor.state import Alarm, Link, Receiver, State
+from acquire.monitor.traffic import RATE_OVER_S
 
 SCHEMA = "acquire.monitor/1"
 # From so much silence of a link or a receiver on it is said.

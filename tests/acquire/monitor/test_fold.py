@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections import Counter
 from dataclasses import replace
@@ -11,9 +12,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from mcap.reader import make_reader
+from rich.console import Console
 
-from acquire.channels.layouts import EXPOSURE, GNSS_STATUS, HEALTH
+from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, HEALTH, STATION
 from acquire.importing.importer import import_recordings
 from acquire.log.reader import LogReader, Messages
 from acquire.log.records import Channel
@@ -22,8 +26,11 @@ from acquire.monitor.fold import fold
 from acquire.monitor.looks import looked
 from acquire.monitor.picture import picture
 from acquire.monitor.state import Look, State
+from acquire.monitor.terminal import render
 from acquire.monitor.track import LONGEST, Track, extended, place_at
 from acquire.recording.alarms import ALARM
+from drivers.mavlink.dialect import ardupilotmega
+from drivers.mavlink.encode import encode
 
 SECOND = 1_000_000_000
 START = 1_777_626_000 * SECOND
@@ -192,6 +199,18 @@ def test_the_age_of_corrections_is_what_the_receiver_says_else_since_they_were_s
     assert (ages["sent"].correction.text, ages["sent"].correction.level) == ("12 s old", "warn")
 
 
+def test_corrections_to_a_vehicle_are_known_by_their_message() -> None:
+    """The time comparisons that are sent on the same channel feed nobody."""
+    dialect = ardupilotmega()
+    names = ["GPS_RTCM_DATA", "TIMESYNC", "TIMESYNC"]
+    frames = [encode(dialect, dialect.number(n), {}, sequence=1, system=245, component=191) for n in names]
+    times = START + np.arange(3) * SECOND
+    sent = Messages(Channel("/vehicle/sent", "mavlink"), frames, times, times, np.arange(3))
+    told_fix = rows("/gnss/vehicle/status", GNSS_STATUS, {**status("3d"), "link": "vehicle"})
+    row = picture(fold(State(), [told_fix, sent])).receivers[0]
+    assert row.correction_age_s == 2.0
+
+
 def test_corrections_that_stop_are_told_once_and_their_return_too() -> None:
     state = State()
     for second in range(100):
@@ -308,3 +327,52 @@ def test_what_hovers_makes_no_track() -> None:
     noise = np.random.default_rng(2).normal(0, 1e-7, (5000, 2))
     track = extended(Track(), np.array([47.0, 8.0]) + noise, np.arange(5000))
     assert len(track.points) < 5
+
+
+VALUES: st.SearchStrategy[Any] = (
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5) | st.just([1]) | st.just({})
+)
+NAMES = st.sampled_from(
+    [
+        *("link", "edge", "sequence", "fix", "satellites", "horizontal_m", "kind", "text", "severity"),
+        *("latitude_deg", "longitude_deg", "voltage_v", "host_minus_device_s", "device", "x_m", "y_m", "z_m"),
+    ]
+)
+ODD = {
+    "/gnss/rover/status": GNSS_STATUS,
+    "/camera/exposure": EXPOSURE,
+    "/alarm": ALARM,
+    "/health": HEALTH,
+    "/clock": CLOCK,
+    "/gnss/base/station": STATION,
+}
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.dictionaries(st.sampled_from(list(ODD)), st.dictionaries(NAMES, VALUES), min_size=1),
+    st.binary(max_size=30),
+    st.sampled_from(["/", "/x", "raw", "/a/b/c", "//raw", "/é/raw"]),
+)
+def test_a_log_of_another_program_never_ends_the_view(
+    messages: dict[str, dict[str, Any]], payload: bytes, topic: str
+) -> None:
+    from acquire.log import foxglove
+
+    parts = [rows(name, ODD[name], {"link": "rover", **message}) for name, message in messages.items()]
+    times, number = np.array([START], np.int64), np.zeros(1, np.int64)
+    place = Channel("/gnss/rover/fix", "protobuf", foxglove.schema("foxglove.LocationFix"))
+    channels = (place, Channel(topic, "ubx"))
+    parts += [Messages(channel, [payload], times, times, number) for channel in channels]
+    state = fold(State(), [raw("rover", [0.0]), *parts])
+    assert state.links["rover"].frames == 1
+    json.dumps(picture(state).as_json(), allow_nan=False)
+    json.dumps([layer.points.tolist() for layer in layers(state)], allow_nan=False)
+    Console(file=io.StringIO()).print(render(picture(state), layers(state), 80, 24))
+
+
+def test_what_cannot_be_read_is_told_once() -> None:
+    odd = rows("/gnss/rover/status", GNSS_STATUS, {"link": "rover"}, {"link": "rover"})
+    state = fold(fold(State(), [odd]), [odd, raw("base", [0.0])])
+    assert told(state, "warn") == ["messages on /gnss/rover/status cannot be read"]
+    assert state.links["base"].frames == 1
