@@ -10,6 +10,10 @@ import typer
 from acquire.console import answer, application, progress
 from drivers.errors import ConfigurationError, OutputError
 
+FAULTS = (
+    "Switch on a fault; may be repeated: wrong_antenna_height, base_off, event_time_base, lever_arm_axis, "
+    "zoom, control_digits, missing_images, telemetry_gap, cycle_slips."
+)
 app = application("Simulate flights: a minute of telemetry, a whole survey with its truth, devices on ports.")
 
 
@@ -58,7 +62,7 @@ def flight(
         bool, typer.Option("--observations-only", help="The same as --level block: fast, for statistics.")
     ] = False,
     seed: Annotated[int | None, typer.Option(min=0, help="Instead of the file's.")] = None,
-    fault: Annotated[list[str] | None, typer.Option(help="Switch on a fault; may be repeated.")] = None,
+    fault: Annotated[list[str] | None, typer.Option(help=FAULTS)] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
     """Simulate a survey flight: what a surveyor brings home in site/, the truth in truth/.

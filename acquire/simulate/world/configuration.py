@@ -222,10 +222,15 @@ class Judgement(Section):
 
 
 class Configuration(Section):
-    """The whole file."""
+    """The whole file.
+
+    `seed` draws everything; with `field_seed` ground, targets, their survey and the rig stay the same for all
+    seeds, as when one vehicle flies over one test field again.
+    """
 
     name: str = "simulated flight"
     seed: Annotated[int, Field(ge=0)] = 1
+    field_seed: Annotated[int, Field(ge=0)] | None = None
     level: Level = Level.PICTURES
     place: Place
     terrain: Terrain = Terrain()

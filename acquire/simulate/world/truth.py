@@ -96,7 +96,7 @@ def _figures(world: World) -> dict[str, object]:
 
 def _settings(world: World) -> str:
     """Give the configuration with everything that was not written into it, so that it can be flown again."""
-    content = world.configuration.model_dump(by_alias=True, mode="json")
+    content = world.configuration.model_dump(by_alias=True, mode="json", exclude_none=True)
     content["faults"] = sorted(content["faults"])
     plan = content["plan"]
     passes = plan.pop("pass")

@@ -27,6 +27,7 @@ STREAMS = (
     "terrain", "targets", "rig", "motion", "exposures", "sky", "telemetry", "wires", "texture", "pictures",
     "observations", "faults",
 )  # fmt: skip
+LASTING = ("terrain", "targets", "rig", "texture")
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ class World:
 
     def random(self, part: str) -> np.random.Generator:
         """Give the random numbers of a part."""
-        return generator(self.configuration.seed, part)
+        return generator(self.configuration, part)
 
     def has(self, fault: Fault) -> bool:
         """Tell whether a fault is switched on."""
@@ -89,8 +90,10 @@ class World:
         return np.asarray((gps_ns - self.start_gps_ns) / 1e9)
 
 
-def generator(seed: int, part: str) -> np.random.Generator:
+def generator(configuration: Configuration, part: str) -> np.random.Generator:
     """Give the random numbers of one part of a simulation, independent of the other parts."""
+    lasting = configuration.field_seed if part in LASTING else None
+    seed = configuration.seed if lasting is None else lasting
     return np.random.default_rng([seed, STREAMS.index(part)])
 
 
@@ -105,24 +108,23 @@ def make_world(configuration: Configuration) -> World:
     -------
     World
     """
-    seed = configuration.seed
     area = np.array(configuration.plan.area_m)
     far = np.abs(area).max() + 1.3 * max(one.height_m for one in configuration.plan.passes)
     half = max(float(far), float(np.abs(configuration.gnss.base_m).max()) + 5.0)
-    terrain = make_terrain(configuration.terrain, half, generator(seed, "terrain"))
-    targets = make_targets(configuration.targets, area, terrain, generator(seed, "targets"))
+    terrain = make_terrain(configuration.terrain, half, generator(configuration, "terrain"))
+    targets = make_targets(configuration.targets, area, terrain, generator(configuration, "targets"))
     camera = Camera.of(configuration.camera)
-    rig = make_rig(configuration.rig, generator(seed, "rig"))
+    rig = make_rig(configuration.rig, generator(configuration, "rig"))
     lines = strips(configuration.plan, configuration.camera)
     home = np.array(configuration.plan.take_off_m)
     ground = float(terrain.height(home[:1], home[1:])[0]) + 0.3
     start, way = legs(configuration.plan, lines, ground)
-    motion = make_motion(start, way, configuration.vehicle, generator(seed, "motion"))
+    motion = make_motion(start, way, configuration.vehicle, generator(configuration, "motion"))
     zoomed = Fault.ZOOM in configuration.faults
     passes = configuration.plan.passes
     cameras = tuple(camera.zoomed(ZOOM_FACTOR) if zoomed and k > 0 else camera for k in range(len(passes)))
     spreads = tuple(one.spacing_spread for one in passes)
-    exposures = make_exposures(motion, rig, lines, spreads, cameras, generator(seed, "exposures"))
+    exposures = make_exposures(motion, rig, lines, spreads, cameras, generator(configuration, "exposures"))
     base = np.array([*configuration.gnss.base_m, 0.0])
     base[2] = float(terrain.height(base[:1], base[1:2])[0])
     start_utc_s = round(configuration.place.start_utc.timestamp())

@@ -223,6 +223,22 @@ def test_faults_that_do_not_show_are_refused(tmp_path: Path) -> None:
         flown(tmp_path, level="block", faults=["cycle_slips"])
 
 
+def test_one_field_for_several_flights() -> None:
+    from acquire.simulate.world.world import make_world
+
+    one, two = (make_world(configured("small", seed=seed, field_seed=7)) for seed in (1, 2))
+    assert np.array_equal(one.terrain.coefficients, two.terrain.coefficients)
+    assert np.array_equal(one.targets.surveyed_m, two.targets.surveyed_m)
+    assert np.array_equal(one.rig.boresight, two.rig.boresight)
+    assert not np.array_equal(one.exposures.event_s, two.exposures.event_s)
+
+
+def test_the_help_names_every_fault() -> None:
+    from acquire.commands.simulate import FAULTS
+
+    assert all(fault.value in FAULTS for fault in Fault)
+
+
 def test_the_command(acquire: Acquire, tmp_path: Path) -> None:
     config = DEMO / "small.toml"
     done = acquire(
