@@ -27,8 +27,3 @@ def octets(bits: str) -> bytes:
     """Return whole bytes, the last one filled up with zeros."""
     length = (len(bits) + 7) // 8
     return int(bits.ljust(8 * length, "0"), 2).to_bytes(length, "big") if bits else b""
-
-
-def sign_magnitude(value: int, width: int) -> str:
-    """Return a sign bit and the magnitude."""
-    return ("1" if value < 0 else "0") + field(abs(value), width - 1)

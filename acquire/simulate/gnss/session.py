@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from re import compile as pattern
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +14,11 @@ from acquire.simulate.gnss.constellation import Satellite, constellation
 from acquire.simulate.gnss.geometry import axes
 from acquire.simulate.gnss.observations import Observations, observe
 from acquire.simulate.gnss.settings import BASE, ROVER, Faults, ReceiverModel, SkySettings
+from drivers.errors import ConfigurationError
+from drivers.gnsstime import SECOND_NS
 
 Floats = NDArray[np.float64]
+_SATELLITE = pattern(r"[GE][0-3]\d")
 
 
 @dataclass(frozen=True)
@@ -76,8 +80,14 @@ def simulate(
     -------
     Session
         Measurements, from which the streams are made.
+
+    Raises
+    ------
+    ConfigurationError
+        When no receiver has an epoch between start and stop, or a satellite is named that does not exist.
     """
     sky, faults = sky or SkySettings(), faults or Faults()
+    _refuse(start_gps_ns, stop_gps_ns, (rover_model, base_model), faults)
     # Each part has its own chance: a fault at the rover changes nothing at the base.
     for_sky, for_air, for_rover, for_base = rng.spawn(4)
     satellites = constellation(start_gps_ns, stop_gps_ns, for_sky, sky.unhealthy)
@@ -105,6 +115,23 @@ def simulate(
     at = still.place
     shift = np.array(faults.base_shift_m) @ axes(at.lat[:1], at.lon[:1])[0]
     return Session(span, sky, satellites, moving, still, at.position_m[0] + shift)
+
+
+def _refuse(start_gps_ns: int, stop_gps_ns: int, models: tuple[ReceiverModel, ...], faults: Faults) -> None:
+    longest = max(model.interval_s for model in models)
+    if stop_gps_ns - start_gps_ns < 2 * longest * SECOND_NS:
+        seconds = (stop_gps_ns - start_gps_ns) / SECOND_NS
+        raise ConfigurationError(
+            f"the session of {seconds:g} s is too short for measurements every {longest:g} s",
+            where="GNSS simulation",
+            remedy="fly longer or measure more often",
+        )
+    named = {outage.satellite for outage in faults.outages}
+    wrong = sorted(name for name in named if not _SATELLITE.fullmatch(name))
+    if wrong:
+        raise ConfigurationError(
+            f"{wrong[0]!r} is no satellite", where="outages", remedy="name them as G05 or E24"
+        )
 
 
 def _slipping(model: ReceiverModel, rate: float | None) -> ReceiverModel:

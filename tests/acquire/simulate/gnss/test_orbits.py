@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 from acquire.simulate.gnss.constellation import Satellite, constellation
 from acquire.simulate.gnss.ephemeris import Ephemeris, fields_of, renewed
 from acquire.simulate.gnss.geometry import link, place
+from acquire.simulate.gnss.lnav import Broadcast, subframe
+from acquire.simulate.gnss.settings import SkySettings
 from tests.acquire.simulate.gnss.flights import BASE_M, SECOND, START, Flight, Floats, Loop, gps_ns
 from tests.acquire.simulate.gnss.rtklib import Rinex
 
@@ -155,6 +157,45 @@ def test_range_rate_is_the_derivative(flight: Flight) -> None:
     for satellite in flight.session.satellites[::6]:
         found = link(satellite, seconds, START, here)
         assert found.range_rate_m_s[1] == pytest.approx((found.range_m[2] - found.range_m[0]) / 0.2, abs=5e-3)
+
+
+def test_almanacs_are_near_the_ephemerides(flight: Flight) -> None:
+    """The pages of subframes 4 and 5 by their bits (IS-GPS-200N, figure 20-1 sheet 4): some kilometres."""
+    truths = {s.truth.number: s for s in flight.session.satellites if s.system == "G"}
+    broadcast = Broadcast(SkySettings().klobuchar, 18, tuple(s.truth for s in truths.values()))
+    found = set()
+    first = START // SECOND // 750 * 750
+    for at in range(first, first + 750, 6):
+        words = subframe(truths[min(truths)].truth, at, broadcast)
+        bits = "".join(format(word >> 6 & 0xFF_FFFF, "024b") for word in words)
+        number = int(bits[50:56], 2)
+        if bits[43:46] not in ("100", "101") or number not in truths:
+            continue
+        places = [(56, 16), (72, 8), (80, 16), (96, 16), (120, 24), (144, 24), (168, 24), (192, 24)]
+        e, toa, tilt, node_rate, root, node, argument, mean = (signed(bits[a : a + n]) for a, n in places)
+        # Two of them have no sign.
+        toa, root = toa % 256 * 4096, root % (1 << 24)
+        parameters = dict.fromkeys(NAMES[:21], 0.0) | {
+            "toe": toa,
+            "toc": 0.0,
+            "week": START // SECOND // 604_800,
+            "e": e * 2**-21,
+            "sqrt_a": root * 2**-11,
+            "i0": (0.3 + tilt * 2**-19) * np.pi,
+            "omega_dot": node_rate * 2**-38 * np.pi,
+            "omega0": node * 2**-23 * np.pi,
+            "omega": argument * 2**-23 * np.pi,
+            "m0": mean * 2**-23 * np.pi,
+        }
+        position, _ = by_rotations("G", parameters, START // SECOND, 0.0)
+        assert abs(toa - START // SECOND % 604_800) < 3 * 4096
+        assert np.linalg.norm(position - truths[number].state(np.array([0.0]), START).position_m[0]) < 10e3
+        found.add(number)
+    assert found == set(truths)
+
+
+def signed(bits: str) -> int:
+    return int(bits, 2) - (1 << len(bits) if bits[0] == "1" else 0)
 
 
 @pytest.mark.parametrize("when", [(2025, 6, 15, 13, 7, 0), (2025, 6, 14, 23, 50, 0)])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,9 @@ from acquire.simulate.gnss.settings import Faults, Outage, ReceiverModel, SkySet
 from acquire.simulate.gnss.streams import base_rtcm, base_ubx, rover_ubx
 from acquire.simulate.gnss.time_marks import Events, messages
 from acquire.simulate.gnss.tracking import track
-from tests.acquire.simulate.gnss.flights import BASE_M, SECOND, START, fly, gps_ns
+from drivers.errors import ConfigurationError
+from tests.acquire.simulate.gnss.flights import BASE_M, SECOND, START, fly, gps_ns, streams
+from tests.acquire.simulate.gnss.rtklib import to_rinex
 
 SECONDS = np.arange(0, 3600, 0.2)
 
@@ -156,6 +160,44 @@ def test_an_unhealthy_satellite_says_so() -> None:
     session = fly(duration_s=40, sky=SkySettings(unhealthy=("G01", "E01")))
     bad = {s.name for s in session.satellites if s.truth.health != 0}
     assert bad == {"G01", "E01"} & {s.name for s in session.satellites}
+
+
+def test_rtklib_sees_the_slips(tmp_path: Path) -> None:
+    """Loss of lock: bit 0 where an arc begins or half a cycle goes, bit 1 while half a cycle is not known."""
+    session = fly(faults=Faults(rover_slips_per_hour=360.0))
+    lines = to_rinex(streams(session), tmp_path).rover.read_text().split("END OF HEADER")[1].splitlines()[1:]
+    seen: dict[tuple[str, int, int], int] = {}
+    epoch = -1
+    for line in lines:
+        if line.startswith(">"):
+            epoch += 1
+            continue
+        for signal, at in ((0, 19), (1, 83)):
+            if line[at : at + 14].strip():
+                seen[line[:3], signal, epoch] = int(line[at + 14 : at + 15].strip() or 0)
+    rows = session.rover.rows
+    begun = lost = 0
+    for index, satellite in enumerate(session.satellites):
+        for signal in (0, 1):
+            mine = rows[(rows["satellite"] == index) & (rows["signal"] == signal) & rows["has_phase"]]
+            flags = np.array([seen[satellite.name, signal, e] for e in mine["epoch"].tolist()], int)
+            passed = np.diff(mine["epoch"]) * 0.2
+            new = np.diff(mine["lock_s"]) < passed - 0.05
+            new |= mine["half_subtracted"][1:] != mine["half_subtracted"][:-1]
+            assert np.array_equal(flags[1:] & 1 > 0, new)
+            assert np.array_equal(flags & 2 > 0, ~mine["half_valid"])
+            begun += int(new.sum())
+            lost += int((~mine["half_valid"]).sum())
+    # 36 signals, a slip every ten seconds.
+    assert begun > 250
+    assert lost > 500
+
+
+def test_sessions_that_cannot_be_are_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"0 s is too short for measurements every 1 s"):
+        fly(duration_s=0)
+    with pytest.raises(ConfigurationError, match="'R05' is no satellite"):
+        fly(faults=Faults(outages=(Outage("R05", 0.0, 1.0),)))
 
 
 def decoded(events: Events, start: int = START) -> list[tuple[int, int, int, int]]:
