@@ -94,7 +94,12 @@ def assemble(block: Block) -> Assembly:
     names = tuple(block.points.names[j] for j in used)
     relations = _relations(block, position)
     exposures, values = with_start_values(
-        block, exposures, rays, frame.to_local(block.points.values[used]), control, relations
+        block,
+        exposures,
+        rays,
+        frame.to_local(block.points.values[used]),
+        _known_directions(weight, held) * control[:, None, None],
+        relations,
     )
     network = Network(
         block.cameras,
@@ -150,6 +155,14 @@ def _local_weights(frame: Frame, places: Floats, weight: Floats) -> Floats:
         back = np.linalg.inv(frame.derivative(places[weighted]))
         local[weighted] = np.swapaxes(back, 1, 2) @ weight[weighted] @ back
     return local
+
+
+def _known_directions(weight: Floats, held: NDArray[np.bool_]) -> Floats:
+    """Projections onto the directions in which coordinates are held or weighted, shape (n, 3, 3)."""
+    size, vectors = np.linalg.eigh(weight)
+    known = size > 1e-12 * np.maximum(size[:, -1:], np.finfo(float).tiny)
+    of_weights = np.einsum("nab,nb,ncb->nac", vectors, known.astype(float), vectors)
+    return np.asarray(np.where((held[:, :, None] & np.eye(3, dtype=np.bool_)), 1.0, of_weights))
 
 
 def _local_positions(positions: Positions, frame: Frame) -> Positions:

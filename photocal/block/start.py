@@ -23,7 +23,7 @@ def with_start_values(
     exposures: Exposures,
     rays: Rays,
     points: Floats,
-    control: NDArray[np.bool_],
+    known: Floats,
     relations: Relations,
 ) -> tuple[Exposures, Floats]:
     """Fill what is missing among the start values.
@@ -38,8 +38,8 @@ def with_start_values(
         Sorted by point.
     points : ndarray, shape (n, 3)
         Coordinates in the local frame, NaN where a point has none.
-    control : ndarray of bool, shape (n,)
-        Points whose coordinates were surveyed as control.
+    known : ndarray, shape (n, 3, 3)
+        Projections onto the directions in which points were surveyed as control; zero for all others.
     relations : Relations
         Their distances give scale where nothing else does.
 
@@ -58,11 +58,16 @@ def with_start_values(
         # The search needs computer vision: blocks that are complete do not wait for it.
         from photocal.adjustment.start.values import start_values
 
-        # Coordinates of check and tie points may be wrong without anybody having noticed.
-        trusted = points if block.datum == "free" else np.where(control[:, None], points, np.nan)
-        found = start_values(
-            block.cameras, exposures.camera, values, trusted, rays, relations, free=block.datum == "free"
-        )
+        # Coordinates of check and tie points may be wrong without anybody having noticed, and so may those
+        # of control points that have no sigma: these serve only where nothing else does.
+        directions = np.trace(known, axis1=1, axis2=2)
+        for surveyed in (directions > 2.5, directions > 0.5):
+            trusted = points if block.datum == "free" else np.where(surveyed[:, None], points, np.nan)
+            found = start_values(
+                block.cameras, exposures.camera, values, trusted, rays, relations, free=block.datum == "free"
+            )
+            if not len(found.lost):
+                break
         if len(found.lost):
             some = ", ".join(block.images.names[i] for i in found.lost[:5])
             raise IllPosedError(
@@ -72,6 +77,11 @@ def with_start_values(
             )
         exposures = replace(exposures, values=found.exposures)
         points = np.where(np.isnan(points), found.points, points)
+        # The directions in which a control point is free start where its rays meet.
+        partly = (directions > 0.5) & (directions < 2.5) & np.isfinite(found.points).all(axis=1)
+        open_ones = np.eye(3) - known[partly]
+        away = (found.points - points)[partly]
+        points[partly] += np.einsum("nab,nb->na", open_ones, away)
     return exposures, _intersected(block.cameras, exposures, rays, points)
 
 

@@ -39,6 +39,22 @@ def test_same_minimum_without_orientation(images: frozenset[str], tmp_path: Path
     assert result["cameras"]["dcs460"]["parameters"]["c"]["value"] == pytest.approx(20.5004666, abs=1e-5)
 
 
+def test_control_that_is_known_in_some_coordinates_only(tmp_path: Path) -> None:
+    """A third of the control has no surveyed height, and a nonsense in its place."""
+    results = []
+    for name, images, height in (("given", frozenset[str](), None), ("none", ALL, "99.0")):
+        folder = without_orientation(tmp_path / name, images)
+        with (folder / "points.csv").open(encoding="utf-8") as text:
+            rows = list(csv.DictReader(text))
+        for row in rows[::3]:
+            row["sZ"] = ""
+            row["Z"] = height or row["Z"]
+        lines = [",".join(rows[0]), *(",".join(row.values()) for row in rows)]
+        (folder / "points.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        results.append(adjust_block(folder, tmp_path / f"run-{name}"))
+    assert results[1]["chi_squared"] == pytest.approx(results[0]["chi_squared"], rel=1e-7)
+
+
 def test_an_image_that_nothing_connects(tmp_path: Path) -> None:
     folder = without_orientation(tmp_path / "block", frozenset({"8"}))
     rows = (folder / "observations.csv").read_text(encoding="utf-8").splitlines()
