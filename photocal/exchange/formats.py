@@ -182,14 +182,23 @@ orientations and ODM's lists keep map coordinates and angles.
 
 {table}
 
-`photocal adjust` reads the files of the formats marked "adjust" directly; where a format has no standard
-deviations of image coordinates, all of them get 1 px, and the a posteriori variance factor says what they
-are worth. MicMac is read through its files (`read_micmac`), GCP lists by `photocal measure --gcp`.
+`photocal adjust` reads the files of the formats marked "adjust" directly, and PhotoScan projects (.psz);
+where a format has no standard deviations of image coordinates, all of them get 1 px, and the a posteriori
+variance factor says what they are worth. "yes": read by the package; a .cam file needs the image size
+beside it, GCP lists go to `photocal measure --gcp`. Of PhotoModeler its tables of 2-D and 3-D points are
+read too.
+
+What a format wants and an adjustment does not know is filled in: OPF gets 1970-01-01 as time of exposure
+and 8-bit colour images; standard deviations that are not known are written as 0. Control points carry the
+standard deviations of the adjusted coordinates.
 """
 # What `photocal adjust` takes: see `foreign`.
 ADJUSTED = (
     "colmap", "colmap-binary", "opensfm", "metashape", "opf", "photomodeler", "dbat", "jaicov",
 )  # fmt: skip
+
+# Read one by one, or with what only their reader is told: ground points, references, image size.
+IN_PARTS = ("odm", "metashape-csv", "pix4d")
 
 
 def page() -> str:
@@ -216,7 +225,7 @@ def page() -> str:
             form.axes,
             form.distortion,
             form.units,
-            "adjust" if form.name in ADJUSTED else "yes" if form.read else "no",
+            "adjust" if form.name in ADJUSTED else "yes" if form.read or form.name in IN_PARTS else "no",
         )
         for form in FORMATS
     ]

@@ -8,15 +8,19 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
 from photocal.block.process import adjust_block
 from photocal.geometry.camera import plane_to_pixel
-from photocal.products.displacement import terrain_points
+from photocal.geometry.frames import Frame
+from photocal.products.displacement import image_points, terrain_points
 from photocal.products.grid import Grid
 from photocal.products.kernels import BILINEAR
 from photocal.products.oriented import oriented
-from photocal.products.orthophoto import ImageStore, Recipe, orthophoto
+from photocal.products.orthophoto import ImageStore, Recipe, Tile, orthophoto
 from photocal.products.raster import read_image
+from photocal.products.shots import Shots
+from photocal.products.terrain import Terrain
 from photocal.products.tin import grid_of_points, read_terrain_points
 
 CELL = 0.1
@@ -52,6 +56,7 @@ def test_the_orthophoto_has_the_check_points_in_their_places(shared: Path, tmp_p
         one = shots.only([number])
         recipe = Recipe(one, frame, lambda _: terrain, grid, BILINEAR, 3, "uint8", 0.0)
         (tile,) = orthophoto(recipe, ImageStore([image].__getitem__), 1)
+        _same_as_peers(tile, image, one, frame, terrain, grid)
         corners = terrain_points(one, 0, measured[0] + 40 * np.eye(3, 2, -1), terrain, frame)
         across = np.linalg.inv((corners[1:, :2] - corners[0, :2]).T / 40)
         steps = (np.arange(SIDE) + 0.5) * CELL - CELL * SIDE / 2
@@ -65,6 +70,35 @@ def test_the_orthophoto_has_the_check_points_in_their_places(shared: Path, tmp_p
         assert response > 0.3
         gap = terrain_points(one, 0, measured[:1], terrain, frame)[0] - surveyed
         assert np.array(shift) * CELL * [1, -1] == pytest.approx(gap[:2], abs=0.05)
+
+
+def _same_as_peers(
+    tile: Tile, image: np.ndarray[tuple[int, ...], np.dtype[np.uint8]], one: Shots, frame: Frame,
+    terrain: Terrain, grid: Grid,
+) -> None:  # fmt: skip
+    """SciPy and OpenCV resample the image by the same map: equal to one grey level.
+
+    OpenCV rounds places to 1/32 px, which at hard edges is more: there only most cells agree.
+    """
+    x, y = grid.centers(0, 0, grid.columns, grid.rows)
+    xs, ys = np.meshgrid(x, y)
+    given = np.column_stack([xs.ravel(), ys.ravel(), terrain.at(xs, ys).ravel()])
+    place = image_points(one, 0, frame.to_local(given)).reshape(*xs.shape, 2)
+    seen = np.isfinite(place).all(axis=2) & (tile.chosen >= 0)
+    assert seen.mean() > 0.9
+    low, high = (np.floor(edge(place[seen], axis=0)).astype(int) for edge in (np.min, np.max))
+    first = np.maximum(low - 2, 0)
+    around_it = image[first[1] : high[1] + 4, first[0] : high[0] + 4]
+    place -= first
+    for band in range(3):
+        values = around_it[..., band].astype(np.float32)
+        exact = map_coordinates(values, place[seen].T[::-1], order=1, mode="nearest")
+        assert np.abs(exact - tile.pixels[band][seen]).max() <= 1
+    columns, rows = (np.ascontiguousarray(place[..., k], dtype=np.float32) for k in (0, 1))
+    around = cv2.remap(around_it, columns, rows, cv2.INTER_LINEAR)
+    apart = np.abs(np.moveaxis(around, 2, 0).astype(int) - tile.pixels.astype(int)).max(axis=0)[seen]
+    assert (apart <= 1).mean() > 0.95
+    assert apart.max() <= 255 / 32
 
 
 def _pixel(block: object, row: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
