@@ -8,25 +8,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.leap_seconds import installed_leap_seconds
+
 SECOND_NS = 1_000_000_000
 WEEK_S = 604_800
 DAY_NS = 86_400 * SECOND_NS
 GPS_EPOCH_NS = 315_964_800 * SECOND_NS
 
-# GPS time minus UTC in seconds from the given date on (IERS Bulletin C, as published by the IETF leap second
-# list). The list is good until EXPIRES; receivers announce later changes themselves.
-_LEAPS = (
-    (1980, 1, 6, 0), (1981, 7, 1, 1), (1982, 7, 1, 2), (1983, 7, 1, 3), (1985, 7, 1, 4), (1988, 1, 1, 5),
-    (1990, 1, 1, 6), (1991, 1, 1, 7), (1992, 7, 1, 8), (1993, 7, 1, 9), (1994, 7, 1, 10), (1996, 1, 1, 11),
-    (1997, 7, 1, 12), (1999, 1, 1, 13), (2006, 1, 1, 14), (2009, 1, 1, 15), (2012, 7, 1, 16), (2015, 7, 1,
-    17), (2017, 1, 1, 18),
-)  # fmt: skip
-EXPIRES = dt.date(2026, 6, 28)
+# Receivers announce leap seconds that come after the table's expiry themselves.
+_TABLE = installed_leap_seconds()
+EXPIRES = _TABLE.expires
 
 _FROM_NS = np.array(
-    [int(dt.datetime(y, m, d, tzinfo=dt.UTC).timestamp()) * SECOND_NS for y, m, d, _ in _LEAPS], np.int64
+    [int(dt.datetime.combine(date, dt.time(), dt.UTC).timestamp()) * SECOND_NS for date in _TABLE.dates],
+    np.int64,
 )
-_OFFSET_S = np.array([leap for *_, leap in _LEAPS], np.int64)
+_OFFSET_S = np.array(_TABLE.offsets_s, np.int64)
 
 
 def gps_to_utc_ns(gps_ns: NDArray[np.int64], leap_s: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
@@ -66,7 +63,7 @@ def expiry_warning(utc_ns: int) -> str:
         return ""
     return (
         f"the table of leap seconds ends on {EXPIRES.isoformat()}: later times agree with UTC only if no "
-        "leap second has come since; update the program or trust what the receiver announces"
+        "leap second has come since; update the package tzdata or trust what the receiver announces"
     )
 
 
