@@ -9,7 +9,7 @@ import numpy as np
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.network import Exposures, Network, Points, Rays, Relations, point_weights
 from photocal.adjustment.snooping import snoop
-from photocal.geometry.camera import camera
+from photocal.geometry.camera import PARAMETERS, camera
 
 
 def compile_kernels() -> None:
@@ -36,6 +36,9 @@ def compile_kernels() -> None:
     )
     adjust(network)
     snoop(network)
+    # With a few photo-variant parameters every image has columns for them.
+    varied = replace(lens, deviation_sigma=np.where(np.arange(len(PARAMETERS)) == 1, 0.1, 0.0))
+    adjust(replace(network, cameras=(varied,)))
     # A free network with a scale bar passes through what the datum and kept points need.
     length = np.linalg.norm(grid[15:] - grid[:1], axis=1)
     ends = np.zeros(1, np.int64), np.full(1, 15)
