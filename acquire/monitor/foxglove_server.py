@@ -10,7 +10,7 @@ from acquire.log.reader import Messages
 from acquire.log.records import Channel, Schema
 from drivers.errors import ConfigurationError, ProgramMissingError
 
-# The protocol knows no token: what others could reach would be open to all.
+# The protocol knows no token: what other computers could reach would be open to all of them.
 _HOST = "127.0.0.1"
 
 
