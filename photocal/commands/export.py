@@ -59,6 +59,7 @@ def export(
         "format": form,
         "frame": "local" if chosen.space == "cartesian" else given.frame,
         "origin": _origin_of(given) if chosen.space == "cartesian" else None,
+        "distortion": chosen.distortion,
         "files": files,
         "cameras": [
             {"camera": made.camera.id, "rms_px": made.rms_px, "largest_px": made.largest_px}
@@ -110,8 +111,9 @@ def _text(result: dict[str, Any], output: Path) -> str:
         at = f"{place['x']:.3f}, {place['y']:.3f}, {place['z']:.3f} of {place['frame']}"
         lines.append(f"coordinates: east, north, up in m from {at} ({place['height']} height)")
     for camera in result["cameras"]:
+        how = "the distortion is left out" if result["distortion"] == "none" else "fitted"
         cost = (
-            f"fitted, {camera['rms_px']:.2g} px rms, {camera['largest_px']:.2g} px at most"
+            f"{how}, {camera['rms_px']:.2g} px rms, {camera['largest_px']:.2g} px at most"
             if camera["largest_px"]
             else "the same model, nothing lost"
         )

@@ -108,6 +108,8 @@ def write_inpho(path: Path, given: Reconstruction) -> tuple[Conversion, ...]:
 
 
 def _without_distortion(own: Camera) -> Conversion:
+    if not own.values[3:].any():
+        return Conversion(own)
     plain = replace(own.with_values([*own.values[:3], *[0.0] * 10]), reference_radius=0.0)
     return Conversion(plain, *apart_px(own, plain))
 

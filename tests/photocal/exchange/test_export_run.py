@@ -103,7 +103,10 @@ def test_help_names_every_format() -> None:
 def test_text_says_what_the_conversion_costs(run_in_mm: Path, tmp_path: Path) -> None:
     arguments = ["export", str(run_in_mm), "--format", "colmap", "-o", str(tmp_path / "out")]
     result = CliRunner().invoke(app, arguments, catch_exceptions=False)
-    assert "px rms" in result.stdout
+    assert "fitted, " in result.stdout
+    arguments[3] = "inpho"
+    result = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert "the distortion is left out, " in result.stdout
 
 
 @pytest.mark.parametrize(
