@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.simulate.world.configuration import Configuration, Fault
+from acquire.simulate.world.configuration import LEAP_S, Configuration, Fault
 from acquire.simulate.world.exposures import antenna_at, antenna_velocity
 from acquire.simulate.world.observations import Observations, kept_images
 from acquire.simulate.world.survey import ANTENNA_HEIGHT_ERROR_M, BASE_ERROR_M, take_notes
 from acquire.simulate.world.tables import toml_text, write_table
-from acquire.simulate.world.world import LEAP_S, World
+from acquire.simulate.world.world import World
 from drivers.errors import ConfigurationError
 
 Floats = NDArray[np.float64]

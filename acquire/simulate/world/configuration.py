@@ -27,6 +27,11 @@ Sigmas = tuple[NonNegative, NonNegative, NonNegative]
 Share = Annotated[float, Field(ge=0, lt=1)]
 
 
+# GPS time less UTC, and how long that is known to hold (IERS Bulletins C 52 and C 70).
+LEAP_S = 18
+LEAP_SECONDS_SINCE, LEAP_SECONDS_KNOWN_TO = dt.date(2017, 1, 1), dt.date(2026, 6, 28)
+
+
 class Level(StrEnum):
     """How far a flight is simulated.
 
@@ -59,6 +64,11 @@ class Place(Section):
     def _has_zone(self) -> Self:
         if self.start_utc.utcoffset() is None:
             raise ValueError("start_utc needs its zone, such as 2025-06-15T14:00:00Z")
+        if not LEAP_SECONDS_SINCE <= self.start_utc.date() < LEAP_SECONDS_KNOWN_TO:
+            raise ValueError(
+                f"start_utc must lie between {LEAP_SECONDS_SINCE} and {LEAP_SECONDS_KNOWN_TO}, "
+                f"when GPS time was {LEAP_S} s ahead of UTC"
+            )
         return self
 
 
@@ -78,7 +88,7 @@ class Pass(Section):
     speed_m_s: PositiveFloat
     forward_overlap: Share = 0.75
     side_overlap: Share = 0.6
-    spacing_spread: Share = 0.04
+    spacing_spread: Annotated[float, Field(ge=0, le=0.15)] = 0.04
 
 
 class Plan(Section):
@@ -88,6 +98,17 @@ class Plan(Section):
     passes: Annotated[tuple[Pass, ...], Field(min_length=1)] = Field(alias="pass")
     on_ground_s: Annotated[float, Field(ge=2)] = 40.0
     take_off_m: Pair = (0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _has_area(self) -> Self:
+        east, north = zip(*self.area_m, strict=True)
+        twice = sum(
+            e * n2 - e2 * n
+            for e, n, e2, n2 in zip(east, north, east[1:] + east[:1], north[1:] + north[:1], strict=True)
+        )
+        if abs(twice) < 2.0:
+            raise ValueError("area_m encloses less than a square metre")
+        return self
 
 
 class Vehicle(Section):
@@ -133,8 +154,8 @@ class Rig(Section):
     boresight_sigma_deg: Sigmas = (1.0, 1.0, 1.0)
     time_offset_s: FiniteFloat = 0.0
     time_offset_sigma_s: NonNegative = 0.005
-    position_sigma_m: Sigmas = (0.012, 0.012, 0.025)
-    attitude_sigma_deg: Sigmas = (0.3, 0.3, 0.6)
+    position_sigma_m: tuple[PositiveFloat, PositiveFloat, PositiveFloat] = (0.012, 0.012, 0.025)
+    attitude_sigma_deg: tuple[PositiveFloat, PositiveFloat, PositiveFloat] = (0.3, 0.3, 0.6)
 
 
 class Targets(Section):
@@ -144,7 +165,7 @@ class Targets(Section):
     check: Annotated[int, Field(ge=0)] = 12
     dictionary: str = "apriltag_36h11"
     side_m: PositiveFloat = 1.0
-    sigma_m: Sigmas = (0.008, 0.008, 0.012)
+    sigma_m: tuple[PositiveFloat, PositiveFloat, PositiveFloat] = (0.008, 0.008, 0.012)
 
 
 class Pictures(Section):

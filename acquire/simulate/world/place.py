@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquire.simulate.world import configuration
+from drivers.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from pyproj import Transformer
 
 Floats = NDArray[np.float64]
 
@@ -67,14 +72,24 @@ class Place:
 
     def to_projected(self, local_m: Floats) -> Floats:
         """Give east, north and ellipsoidal height in the projected system, shape (n, 3)."""
-        from pyproj import CRS, Transformer
-
-        system = CRS.from_user_input(self.crs)
-        # Geographic coordinates of the system itself: no change of datum is involved.
-        transformer = Transformer.from_crs(system.geodetic_crs, system, always_xy=True)
         place = self.to_geodetic(local_m)
-        east, north = transformer.transform(*np.degrees(place[:, 1::-1]).T)
+        east, north = self._projection.transform(*np.degrees(place[:, 1::-1]).T)
         return np.column_stack([east, north, place[:, 2]])
+
+    @cached_property
+    def _projection(self) -> Transformer:
+        from pyproj import CRS, Transformer
+        from pyproj.exceptions import CRSError
+
+        remedy = "name a projected system in metres, such as EPSG:31982"
+        try:
+            system = CRS.from_user_input(self.crs)
+        except CRSError as refusal:
+            raise ConfigurationError(f"{self.crs} is not known", where="[place]", remedy=remedy) from refusal
+        if not system.is_projected or {axis.unit_name for axis in system.axis_info[:2]} != {"metre"}:
+            raise ConfigurationError(f"{self.crs} is no map in metres", where="[place]", remedy=remedy)
+        # Geographic coordinates of the system itself: no change of datum is involved.
+        return Transformer.from_crs(system.geodetic_crs, system, always_xy=True)
 
 
 def geocentric(place: Floats) -> Floats:

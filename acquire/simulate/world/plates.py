@@ -72,6 +72,12 @@ class Plate:
 def make_plate(centre_m: Floats, turn: float, code: int, dictionary: str, side_m: float) -> Plate:
     """Make the plate of a code; `side_m` is the side of the dark border, as surveyors give it."""
     codes = dictionary_of(dictionary)
+    if code >= len(codes.bytesList):
+        raise ConfigurationError(
+            f"{dictionary} has no more than {len(codes.bytesList) - 1} codes for plates",
+            where="[targets]",
+            remedy="lay fewer, or take a larger dictionary",
+        )
     cells = int(codes.markerSize) + 2
     marker = codes.generateImageMarker(code, cells)
     pattern = np.where(np.asarray(marker) > 0, WHITE, BLACK)

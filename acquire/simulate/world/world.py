@@ -8,20 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.simulate.world.camera import Camera
-from acquire.simulate.world.configuration import Configuration, Fault
+from acquire.simulate.world.configuration import LEAP_S, Configuration, Fault
 from acquire.simulate.world.exposures import Exposures, Rig, make_exposures, make_rig
 from acquire.simulate.world.motion import Motion, make_motion
 from acquire.simulate.world.place import Place
 from acquire.simulate.world.plan import legs, strips
 from acquire.simulate.world.targets import Targets, make_targets
 from acquire.simulate.world.terrain import Terrain, make_terrain
+from drivers.errors import ConfigurationError
 
 Floats = NDArray[np.float64]
 
 GPS_EPOCH_UNIX_S = 315_964_800
-# GPS time less UTC since 2017-01-01 (IERS Bulletin C 52).
-LEAP_S = 18
 ZOOM_FACTOR = 1.004
+LEAST_ABOVE_GROUND_M = 5.0
 # Parts of the truth that are drawn one by one, so that a change of one leaves the others as they are.
 STREAMS = (
     "terrain", "targets", "rig", "motion", "exposures", "sky", "telemetry", "wires", "texture", "pictures",
@@ -112,6 +112,7 @@ def make_world(configuration: Configuration) -> World:
     far = np.abs(area).max() + 1.3 * max(one.height_m for one in configuration.plan.passes)
     half = max(float(far), float(np.abs(configuration.gnss.base_m).max()) + 5.0)
     terrain = make_terrain(configuration.terrain, half, generator(configuration, "terrain"))
+    _require_room(configuration, terrain)
     targets = make_targets(configuration.targets, area, terrain, generator(configuration, "targets"))
     camera = Camera.of(configuration.camera)
     rig = make_rig(configuration.rig, generator(configuration, "rig"))
@@ -141,3 +142,17 @@ def make_world(configuration: Configuration) -> World:
         base,
         start_gps,
     )
+
+
+def _require_room(configuration: Configuration, terrain: Terrain) -> None:
+    """Refuse a flight into the ground."""
+    area = np.array(configuration.plan.area_m)
+    reach = np.linspace(1.3 * area.min(axis=0), 1.3 * area.max(axis=0), 40)
+    top = float(terrain.height(*(axis.ravel() for axis in np.meshgrid(*reach.T))).max())
+    lowest = min(one.height_m for one in configuration.plan.passes)
+    if lowest < top + LEAST_ABOVE_GROUND_M:
+        raise ConfigurationError(
+            f"a pass at {lowest:g} m is too low: the ground reaches {top:.1f} m",
+            where="[[plan.pass]]",
+            remedy=f"fly at least {top + LEAST_ABOVE_GROUND_M:.0f} m above the origin, or take less relief_m",
+        )

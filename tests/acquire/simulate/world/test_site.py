@@ -233,6 +233,28 @@ def test_one_field_for_several_flights() -> None:
     assert not np.array_equal(one.exposures.event_s, two.exposures.event_s)
 
 
+@pytest.mark.parametrize(
+    ("section", "keys", "words"),
+    [
+        ("place", {"start_utc": "2025-06-15T14:00:00"}, "zone"),
+        ("place", {"start_utc": "2031-06-15T14:00:00Z"}, "must lie between"),
+        ("place", {"crs": "EPSG:4326"}, "no map in metres"),
+        ("place", {"crs": "EPSG:1"}, "not known"),
+        ("plan", {"area_m": [[0, 0], [9, 9], [18, 18]]}, "square metre"),
+        ("plan", {"pass": [{"height_m": 3, "course_deg": 0, "speed_m_s": 3}]}, "too low"),
+        ("targets", {"dictionary": "apriltag_1h1"}, "no dictionary"),
+        ("targets", {"dictionary": "apriltag_16h5", "check": 40}, "29 codes"),
+        ("camera", {"fx": -3}, "camera.fx"),
+        ("gnss", {"rate": 3}, "gnss.rate"),
+    ],
+)
+def test_what_cannot_be_flown(section: str, keys: dict[str, Any], words: str, tmp_path: Path) -> None:
+    with (DEMO / "small.toml").open("rb") as text:
+        content = tomllib.load(text)[section] | keys
+    with pytest.raises(ConfigurationError, match=words):
+        flown(tmp_path, **{section: content})
+
+
 def test_the_help_names_every_fault() -> None:
     from acquire.commands.simulate import FAULTS
 
