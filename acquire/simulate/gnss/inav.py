@@ -5,21 +5,27 @@ Source: Galileo OS SIS ICD 2.1, sections 4.3.2 (pages), 4.3.4 (sequence), 4.3.5 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from acquire.simulate.gnss.bits import field, joined
 from acquire.simulate.gnss.ephemeris import Ephemeris
+from acquire.simulate.gnss.inav_almanac import almanac_word
 from drivers.checksums import crc24q
 
 PAGE_S = 2
 GST_BEHIND_WEEKS = 1024
 _SUBFRAME_PAGES = 15
-# Word types of one subframe of 30 s; 0 is the spare word, which carries the time (tables 42 and 43).
-_E1B = (2, 4, 6, 0, 0, 0, 0, 0, 0, 0, 1, 3, 5, 0, 0)
-_E5B = (1, 3, 5, 0, 0, 0, 0, 0, 0, 0, 2, 4, 6, 0, 0)
+# Word types of one subframe of 30 s (tables 42 and 43). 0 is the spare word, which carries the time; in the
+# places of 7 and 8 every other subframe has 9 and 10.
+_E1B = (2, 4, 6, 7, 8, 0, 0, 0, 0, 0, 1, 3, 5, 0, 0)
+_E5B = (1, 3, 5, 7, 8, 0, 0, 0, 0, 0, 2, 4, 6, 0, 0)
 _SEQUENCE = {"E1B": _E1B, "E5b": _E5B}
 _TAIL = "0" * 6
 
 
-def page(ephemeris: Ephemeris, gps_s: int, band: str, leap_s: int) -> list[int]:
+def page(
+    ephemeris: Ephemeris, gps_s: int, band: str, leap_s: int, almanacs: Sequence[Ephemeris]
+) -> list[int]:
     """Return the page that begins at a time, as u-blox hands it over.
 
     Parameters
@@ -32,6 +38,8 @@ def page(ephemeris: Ephemeris, gps_s: int, band: str, leap_s: int) -> list[int]:
         ``E1B`` or ``E5b``.
     leap_s : int
         GPS time minus UTC, which Galileo's is as well.
+    almanacs : sequence of Ephemeris
+        Of all satellites.
 
     Returns
     -------
@@ -40,7 +48,10 @@ def page(ephemeris: Ephemeris, gps_s: int, band: str, leap_s: int) -> list[int]:
     """
     week, tow = divmod(gps_s, 604_800)
     kind = _SEQUENCE[band][tow // PAGE_S % _SUBFRAME_PAGES]
-    data = _word(kind, ephemeris, week - GST_BEHIND_WEEKS, tow, leap_s)
+    if kind in (7, 8):
+        data = almanac_word(kind == 8, tow, almanacs)
+    else:
+        data = _word(kind, ephemeris, week - GST_BEHIND_WEEKS, tow, leap_s)
     even = "00" + data[:112]
     # E1B carries 40 reserved, 22 search and rescue and 2 spare bits here; a message for nobody is all ones.
     between = "10" * 20 + "1" + "0" * 21 + "00" if band == "E1B" else "10" * 32

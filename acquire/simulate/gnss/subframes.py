@@ -56,8 +56,10 @@ def messages(
         What subframe 4 tells to all.
     """
     seconds = (observations.clock.tag_gps_ns - span_gps_ns[0]) / SECOND_NS
-    almanacs = tuple(s.truth for s in observations.satellites if s.system == GPS)
-    broadcast = lnav.Broadcast(sky.klobuchar, sky.leap_s, almanacs)
+    almanacs = {
+        system: tuple(s.truth for s in observations.satellites if s.system == system) for system in _SOURCES
+    }
+    broadcast = lnav.Broadcast(sky.klobuchar, sky.leap_s, almanacs[GPS])
     for index, satellite in enumerate(observations.satellites):
         for source in _SOURCES[satellite.system]:
             count = _tracked(observations, index, source.number)
@@ -68,7 +70,7 @@ def messages(
                 if sent.system == GPS:
                     words = lnav.subframe(sent, gps_s, broadcast)
                 else:
-                    words = inav.page(sent, gps_s, source.band, sky.leap_s)
+                    words = inav.page(sent, gps_s, source.band, sky.leap_s, almanacs[GALILEO])
                 head = struct.pack(
                     "8B", UBX_SYSTEM[sent.system], sent.number, source.ubx, 0, len(words), index % 60, 2, 0
                 )

@@ -209,11 +209,11 @@ def crc24q(bits: str) -> int:
 
 
 def test_galileo_pages(flight: Flight) -> None:
-    truth = next(s.truth for s in flight.session.satellites if s.system == "E")
+    truths = [s.truth for s in flight.session.satellites if s.system == "E"]
     kinds: Counter[tuple[str, int]] = Counter()
     for band, shift in (("E1B", 1), ("E5b", 0)):
         for k in range(15):
-            words = inav.page(truth, START // SECOND + shift + 2 * k + 10, band, 18)
+            words = inav.page(truths[0], START // SECOND + shift + 2 * k + 10, band, 18, truths)
             bits = "".join(format(word, "032b") for word in words[:8])
             even, odd = bits[:128], bits[128:]
             assert (even[:2], odd[:2]) == ("00", "10")
