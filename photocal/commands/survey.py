@@ -15,7 +15,9 @@ def survey(
         Path,
         typer.Argument(
             help="TOML: required_minutes, optional crs; [[known]] name, lat_deg, lon_deg, height_m, sigma_m; "
-            "[[baseline]] name, start, end, base, rover, nav, base_antenna_m, rover_antenna_m."
+            "[[baseline]] name, start, end, base, rover (RINEX or flight logs, with base_link, rover_link), "
+            "nav, products, base_antenna_m, rover_antenna_m; "
+            "[[ppp]] name, rover, nav, products (SP3, CLK), rover_antenna_m."
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for points.csv and the summary.")],
@@ -32,14 +34,15 @@ def survey(
 
     from acquire.outputs import output_folder
     from photocal.navigation.engine import Rtklib
-    from photocal.navigation.survey import run_survey, survey_figures, survey_text, write_points
+    from photocal.navigation.survey import Survey, run_survey
+    from photocal.navigation.survey_report import survey_figures, survey_text, write_points
     from photocal.navigation.survey_setup import read_setup
 
     plan = read_setup(setup)
     with tempfile.TemporaryDirectory() as scratch:
-        solution, sessions = run_survey(plan, setup.parent, Rtklib(), Path(scratch))
+        solution, sessions = run_survey(Survey(plan, setup.parent, Rtklib(), Path(scratch)))
     figures = survey_figures(solution, sessions)
     with output_folder(output) as folder:
-        figures["points"] = write_points(folder / "points.csv", solution, plan.crs)
+        figures["points_csv"] = write_points(folder / "points.csv", solution, plan.crs)
         (folder / "survey.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
     answer(as_json, lambda: figures, lambda: survey_text(figures))

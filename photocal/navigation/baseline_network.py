@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import IllPosedError
+from photocal.adjustment.reliability import noncentrality
+from photocal.adjustment.solution import GlobalTest, global_test
 from photocal.navigation.trajectory import enu_axes, geodetic
 
 Floats = NDArray[np.float64]
 # Two-sided 0.1 % for one component (Baarda 1968: alpha 0.001, beta 0.80 give lambda 17.075).
 CRITICAL = 3.2905
-_DELTA = 4.1321
+_DELTA = noncentrality(0.001, 0.80)
 
 
 @dataclass(frozen=True)
@@ -112,6 +114,13 @@ class NetworkSolution:
     blunders: list[Blunder]
     degrees_of_freedom: int
     sigma0_squared: float
+
+    @property
+    def test(self) -> GlobalTest | None:
+        """Global test of the network; None without redundancy."""
+        if self.degrees_of_freedom <= 0:
+            return None
+        return global_test(self.sigma0_squared * self.degrees_of_freedom, self.degrees_of_freedom)
 
 
 def adjust_baselines(baselines: list[Baseline], control: list[Mark]) -> NetworkSolution:

@@ -19,7 +19,7 @@ from drivers.errors import IllPosedError, ProgramMissingError
 from photocal.navigation.engine_output import EngineSolution, read_solution
 from photocal.navigation.time import GpsTime
 
-Mode = Literal["kinematic", "static", "single"]
+Mode = Literal["kinematic", "static", "single", "ppp-static"]
 Direction = Literal["forward", "backward", "combined"]
 _SYSTEMS = {"G": 1, "S": 2, "R": 4, "E": 8, "J": 16, "C": 32}
 
@@ -40,6 +40,8 @@ class ProcessingOptions:
         Least ratio of the second best to the best ambiguities for a fix.
     rover_antenna_m, base_antenna_m : float or None
         Heights of the antenna reference points above the marks; None: as in the RINEX header.
+    precise : bool
+        Whether orbits and clocks come from products (SP3, CLK) instead of broadcast ephemerides.
     """
 
     systems: str
@@ -48,6 +50,7 @@ class ProcessingOptions:
     ratio: float = 3.0
     rover_antenna_m: float | None = None
     base_antenna_m: float | None = None
+    precise: bool = False
 
 
 @dataclass(frozen=True)
@@ -132,12 +135,12 @@ def configuration(mode: Mode, direction: Direction, options: ProcessingOptions) 
     systems = sum(_SYSTEMS.get(letter, 0) for letter in options.systems)
     settings = {
         "pos1-posmode": mode,
-        "pos1-frequency": "l1+l2" if options.two_frequencies else "l1",
+        "pos1-frequency": "l1+2" if options.two_frequencies else "l1",
         "pos1-soltype": direction,
         "pos1-elmask": f"{options.elevation_deg:g}",
         "pos1-ionoopt": "brdc",
         "pos1-tropopt": "saas",
-        "pos1-sateph": "brdc",
+        "pos1-sateph": "precise" if options.precise else "brdc",
         "pos1-dynamics": "off",
         "pos1-navsys": str(systems),
         "pos2-armode": "continuous",
@@ -157,6 +160,10 @@ def configuration(mode: Mode, direction: Direction, options: ProcessingOptions) 
         # With the type "*" the engine takes type and height from the header and passes over the height here.
         settings[f"{antenna}-anttype"] = "*" if height_m is None else ""
         settings[f"{antenna}-antdelu"] = f"{height_m or 0.0:.4f}"
+    if mode == "ppp-static":
+        # Two frequencies remove the ionosphere; the wet troposphere is an unknown, the earth's tides are not.
+        settings |= {"pos1-ionoopt": "dual-freq", "pos1-tropopt": "est-ztd", "pos1-tidecorr": "on"}
+        settings["pos2-armode"] = "off"
     if mode == "single":
         # Without a base there is nothing that removes the ionosphere's and troposphere's common part.
         settings["pos1-frequency"] = "l1"

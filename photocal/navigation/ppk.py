@@ -19,7 +19,7 @@ from photocal.navigation.trajectory import Trajectory, enu_axes, enu_offsets, ge
 
 _STATUS = {1: "fixed", 2: "float"}
 _LEAST_EPOCHS = 10
-_DIFFERENTIAL = 2
+_DIFFERENTIAL, _PRECISE = 2, 6
 _BASE_LIMIT_M = 10.0
 # The engine uses base observations up to 30 s old.
 _BASE_AGE_NS = 30_000_000_000
@@ -177,6 +177,58 @@ def process(
     return PpkResult(
         inputs, options, mode, engine.name, combined, judgement, trajectory, off_m, gaps, int(replaced.sum())
     )
+
+
+def precise_point(
+    rover: ObservationFile, files: list[Path], options: ProcessingOptions, engine: Engine, folder: Path
+) -> Trajectory:
+    """Compute the position of a receiver that stood still by itself, with precise orbits and clocks.
+
+    Parameters
+    ----------
+    rover : ObservationFile
+        Observations of two frequencies.
+    files : list of Path
+        Navigation files and products (SP3, CLK).
+    options : ProcessingOptions
+        With `precise`.
+    engine : Engine
+        What computes positions.
+    folder : Path
+        Where the engine may leave its files.
+
+    Returns
+    -------
+    Trajectory
+        One position. Its covariance has the way that the estimate went over the last half of the time, the
+        formal sigmas of such a solution being far too small.
+
+    Raises
+    ------
+    IllPosedError
+        With one frequency only, or without a solution.
+    """
+    if "2" not in rover.bands:
+        raise IllPosedError(
+            "a precise point needs two frequencies",
+            where=rover.path.name,
+            remedy="measure a baseline instead",
+        )
+    found = _rising(engine.solve("ppp-static", "forward", [rover.path, *files], options, None, folder))
+    found = found.rows(found.quality == _PRECISE)
+    if not len(found):
+        raise IllPosedError(
+            "the engine found no precise position",
+            where=rover.path.name,
+            remedy="check that the products cover the observations",
+        )
+    last = found.rows(np.array([len(found) - 1]))
+    origin = np.array([last.lat_deg[0], last.lon_deg[0], last.height_m[0]])
+    half = found.rows(np.arange(len(found) // 2, len(found)))
+    way = enu_offsets(half.lat_deg, half.lon_deg, half.height_m, origin)
+    spread = np.maximum(np.sqrt(np.mean(way**2, axis=0)), 10 * _STATIC_FLOOR_M)
+    settled = last.with_quality(last.quality, last.covariance_m2 + np.diag(spread**2))
+    return _trajectory(settled, 0.0, geocentric(*origin[:, None])[0])
 
 
 def refuse_apart(rover: ObservationFile, base: ObservationFile) -> None:

@@ -76,7 +76,7 @@ def gather_inputs(sources: Sources, engine: Engine, folder: Path) -> tuple[Input
         recording = pick(receivers, sources.rover_link, "rover", logs)
         refuse_unusable(recording, "rover", logs)
         _refuse_without_ephemerides(recording, sources)
-        made = _convert(recording, engine, folder / "rover", None)
+        made = converted(recording, engine, folder / "rover", None)
         rover_path = made.observations
         navigation.append(made.navigation)
         remarks += _remarks(recording, "rover")
@@ -87,7 +87,7 @@ def gather_inputs(sources: Sources, engine: Engine, folder: Path) -> tuple[Input
         logs = _needed(sources.logs, "base")
         base_recording = pick(receivers, sources.base_link, "base", logs)
         refuse_unusable(base_recording, "base", logs)
-        made = _convert(base_recording, engine, folder / "base", near)
+        made = converted(base_recording, engine, folder / "base", near)
         base_path = made.observations
         navigation.append(made.navigation)
         remarks += _remarks(base_recording, "base")
@@ -119,12 +119,34 @@ def _refuse_without_ephemerides(recording: ReceiverRecording, sources: Sources) 
         )
 
 
-def _convert(recording: ReceiverRecording, engine: Engine, stem: Path, near: GpsTime | None) -> RinexFiles:
+def converted(
+    recording: ReceiverRecording, engine: Engine, stem: Path, near: GpsTime | None = None
+) -> RinexFiles:
+    """Convert what a receiver recorded to RINEX.
+
+    Parameters
+    ----------
+    recording : ReceiverRecording
+        Intact frames.
+    engine : Engine
+        What converts.
+    stem : Path
+        Where the files go.
+    near : GpsTime, optional
+        Settles the week of RTCM; without: the first epoch, else the time of receipt.
+
+    Raises
+    ------
+    IllPosedError
+        When no observations come out.
+    """
     # A base that sends both repeats the same observations; the raw ones are finer.
     form = "ubx" if recording.epochs else "rtcm3"
     frames = recording.ubx if form == "ubx" else recording.rtcm
     if near is None:
-        near = UtcTime(np.array([recording.first_log_ns])).to_gps()
+        epochs, _ = recording.epochs_and_arrivals()
+        # The receiver knows the time; the recording computer's clock may be years off.
+        near = GpsTime(epochs[:1]) if len(epochs) else UtcTime(np.array([recording.first_log_ns])).to_gps()
     made = engine.convert(b"".join(frames), "ubx" if form == "ubx" else "rtcm3", stem, near)
     if not made.observations.exists():
         raise IllPosedError(

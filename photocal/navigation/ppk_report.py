@@ -123,21 +123,33 @@ def ppk_text(figures: dict[str, Any]) -> str:
     lines += [f"  gap of {g['seconds']:.0f} s from {g['from_gps']}" for g in base["longest_gaps"][:3]]
     validation = figures.get("validation")
     if validation:
-        lines.append(f"fixed by the engine {validation['fixed_by_the_engine']}, of these made float:")
-        lines += [f"  {count} {reason}" for reason, count in validation["demoted"].items() if count]
-        replaced = validation["combinations_replaced"]
-        if replaced:
-            lines.append(
-                f"{replaced} epochs: the engine's combination lay apart from both directions, replaced"
-            )
-        factors = ", ".join(f"{v:.0f}" for v in validation["float_sigma_factor_enu"])
-        lines.append(f"the engine's float sigmas are too small by {factors} (E, N, U)")
+        lines += _validation_text(validation)
     position = figures.get("position")
     if position:
         lines.append(
             f"position {position['lat_deg']:.9f} {position['lon_deg']:.9f} {position['height_m']:.4f} m"
         )
     return "\n".join([*lines, *figures["remarks"]])
+
+
+def _validation_text(validation: dict[str, Any]) -> list[str]:
+    demoted = {reason: count for reason, count in validation["demoted"].items() if count}
+    lines = [f"fixed by the engine {validation['fixed_by_the_engine']}, of these made float:"]
+    lines += [f"  {count} {reason}" for reason, count in demoted.items()] or ["  none"]
+    if validation["combinations_replaced"]:
+        lines.append(
+            f"replaced because the combination lay apart from both directions: "
+            f"{validation['combinations_replaced']}"
+        )
+    if validation["median_ratio_of_fixes"] is not None:
+        lines.append(f"ratio of the fixes (median): {validation['median_ratio_of_fixes']:.1f}")
+    for kind, rms in validation["forward_minus_backward_rms_enu_m"].items():
+        if rms is not None:
+            told = " ".join(f"{v:.3f}" for v in rms)
+            lines.append(f"forward less backward, {kind}: {told} m rms (E N U)")
+    factors = ", ".join(f"{v:.0f}" for v in validation["float_sigma_factor_enu"])
+    lines.append(f"the engine's float sigmas are too small by {factors} (E, N, U)")
+    return lines
 
 
 def plot_ppk(result: PpkResult, path: Path) -> None:

@@ -1,32 +1,31 @@
-"""A control survey: static baselines computed, adjusted as a network, written as points."""
+"""A control survey: static baselines and precise points computed, adjusted as a network."""
 
 from __future__ import annotations
 
-import csv
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.navigation.baseline_network import Baseline, Mark, NetworkSolution, adjust_baselines
 from photocal.navigation.engine import Engine
-from photocal.navigation.exposure_files import projected
-from photocal.navigation.ppk import Inputs, options_for, process
-from photocal.navigation.rinex import read_observation_file
-from photocal.navigation.survey_setup import MeasuredBaseline, SurveySetup
-from photocal.navigation.trajectory import enu_axes, enu_offsets, geocentric, geodetic
+from photocal.navigation.ppk import Inputs, options_for, precise_point, process
+from photocal.navigation.ppk_inputs import converted
+from photocal.navigation.receiver_recording import pick, read_receivers, refuse_unusable
+from photocal.navigation.rinex import ObservationFile, read_observation_file
+from photocal.navigation.survey_setup import KnownMark, MeasuredBaseline, PrecisePoint, SurveySetup
+from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric
 
 Floats = NDArray[np.float64]
-COLUMNS = ("point", "X", "Y", "Z", "sX", "sY", "sZ", "sXY", "sXZ", "sYZ", "role")
+_LOG = ".mcap"
 
 
-def run_survey(
-    setup: SurveySetup, folder: Path, engine: Engine, scratch: Path
-) -> tuple[NetworkSolution, list[dict[str, Any]]]:
-    """Compute the baselines of a survey one after the other and adjust them.
+@dataclass(frozen=True)
+class Survey:
+    """A survey with the engine and the folders that it works in.
 
     Parameters
     ----------
@@ -38,17 +37,39 @@ def run_survey(
         What computes positions.
     scratch : Path
         Where the engine may leave its files.
+    """
+
+    setup: SurveySetup
+    folder: Path
+    engine: Engine
+    scratch: Path
+
+
+def run_survey(survey: Survey) -> tuple[NetworkSolution, list[dict[str, Any]]]:
+    """Compute precise points, then the baselines one after the other, and adjust them.
 
     Returns
     -------
     solution : NetworkSolution
     sessions : list of dict
-        Times against the required ones, status and length of every baseline.
+        Times against the required ones, status and length of every session.
+
+    Raises
+    ------
+    ConfigurationError
+        When no chain of baselines reaches a start.
+    InputNotFoundError
+        When a file is missing.
     """
-    control = [_mark(mark) for mark in setup.known]
+    sessions: list[dict[str, Any]] = []
+    control = [_mark(mark) for mark in survey.setup.known]
+    for point in survey.setup.ppp:
+        mark, session = _precise(point, survey)
+        control.append(mark)
+        sessions.append(session)
     known = {mark.name: mark.xyz_m for mark in control}
-    baselines, sessions = [], []
-    waiting = list(setup.baseline)
+    baselines = []
+    waiting = list(survey.setup.baseline)
     while waiting:
         ready = next((b for b in waiting if b.start in known), None)
         if ready is None:
@@ -57,123 +78,97 @@ def run_survey(
                 remedy="let every baseline start at a known mark or at the end of another one",
             )
         waiting.remove(ready)
-        baseline, session = _session(ready, setup, known[ready.start], folder, engine, scratch)
+        baseline, session = _session(ready, survey, known[ready.start])
         baselines.append(baseline)
         sessions.append(session)
         known.setdefault(ready.end, known[ready.start] + baseline.vector_m)
     return adjust_baselines(baselines, control), sessions
 
 
-def _mark(mark: Any) -> Mark:
+def _mark(mark: KnownMark) -> Mark:
     xyz = geocentric(np.array([mark.lat_deg]), np.array([mark.lon_deg]), np.array([mark.height_m]))[0]
     axes = enu_axes(mark.lat_deg, mark.lon_deg)
     return Mark(mark.name, xyz, axes.T @ np.diag(np.square(mark.sigma_m)) @ axes)
 
 
-def _session(
-    measured: MeasuredBaseline,
-    setup: SurveySetup,
-    start_m: Floats,
-    folder: Path,
-    engine: Engine,
-    scratch: Path,
-) -> tuple[Baseline, dict[str, Any]]:
-    rover, base = (read_observation_file(folder / path) for path in (measured.rover, measured.base))
-    inputs = Inputs(rover, base, [folder / p for p in measured.nav], start_m, f"mark {measured.start}")
+def _observations(
+    path: Path, link: str, role: str, survey: Survey, stem: Path
+) -> tuple[ObservationFile, list[Path]]:
+    """Return the observations of a RINEX file or of a link of a log, and ephemerides recorded there."""
+    source = survey.folder / path
+    if not source.is_file():
+        raise InputNotFoundError("does not exist", where=source, remedy="check the set-up file")
+    if source.suffix != _LOG:
+        return read_observation_file(source), []
+    logs = (source,)
+    recording = pick(read_receivers(logs), link, role, logs)
+    refuse_unusable(recording, role, logs)
+    made = converted(recording, survey.engine, stem)
+    recorded = [made.navigation] if made.navigation.exists() else []
+    return read_observation_file(made.observations), recorded
+
+
+def _session(measured: MeasuredBaseline, survey: Survey, start_m: Floats) -> tuple[Baseline, dict[str, Any]]:
+    own = _own_folder(survey, measured.name)
+    rover, of_rover = _observations(measured.rover, measured.rover_link, "rover", survey, own / "rover")
+    base, of_base = _observations(measured.base, measured.base_link, "base", survey, own / "base")
+    named = [survey.folder / p for p in (*measured.nav, *measured.products)]
+    inputs = Inputs(rover, base, [*of_rover, *of_base, *named], start_m, f"mark {measured.start}")
     options = replace(
         options_for(rover, base),
         rover_antenna_m=measured.rover_antenna_m,
         base_antenna_m=measured.base_antenna_m,
+        precise=bool(measured.products),
     )
-    own = scratch / measured.name
-    own.mkdir()
-    t = process(inputs, options, "static", engine, own).trajectory
-    end = geocentric(t.lat_deg, t.lon_deg, t.height_m)[0]
-    axes = enu_axes(float(t.lat_deg[0]), float(t.lon_deg[0]))
-    length = float(np.linalg.norm(end - start_m))
-    covariance = axes.T @ t.covariance_m2[0] @ axes
+    found = process(inputs, options, "static", survey.engine, own).trajectory
+    end, covariance = _earth_centred(found)
     first, last = max(rover.time.ns[0], base.time.ns[0]), min(rover.time.ns[-1], base.time.ns[-1])
-    minutes = float(last - first) / 60e9
     session = {
         "name": measured.name,
         "start": measured.start,
         "end": measured.end,
-        "status": str(t.status[0]),
-        "length_m": length,
-        "minutes": minutes,
-        "required_minutes": setup.required_minutes,
-        "long_enough": minutes >= setup.required_minutes,
+        "status": str(found.status[0]),
+        "length_m": float(np.linalg.norm(end - start_m)),
+        "base_antenna_m": measured.base_antenna_m,
+        "rover_antenna_m": measured.rover_antenna_m,
+        **_duration(float(last - first) / 60e9, survey),
     }
     return Baseline(measured.name, measured.start, measured.end, end - start_m, covariance), session
 
 
-def survey_figures(solution: NetworkSolution, sessions: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the figures of a survey, ready for JSON."""
-    sigma0 = solution.sigma0_squared
-    return {
-        "schema": "photocal.survey/1",
-        "marks": len(solution.names),
-        "sessions": sessions,
-        "degrees_of_freedom": solution.degrees_of_freedom,
-        "sigma0_squared": sigma0 if np.isfinite(sigma0) else None,
-        "blunders": [vars(blunder) for blunder in solution.blunders],
-        "baselines": [
-            {
-                "name": b.name,
-                "residual_enu_m": solution.residuals_m[i].tolist(),
-                "redundancy_enu": solution.redundancy[i].tolist(),
-                "detectable_enu_m": _finite(solution.detectable_m[i]),
-            }
-            for i, b in enumerate(solution.used)
-        ],
+def _precise(point: PrecisePoint, survey: Survey) -> tuple[Mark, dict[str, Any]]:
+    own = _own_folder(survey, f"ppp-{point.name}")
+    observed, recorded = _observations(point.rover, point.rover_link, "rover", survey, own / "rover")
+    named = [survey.folder / p for p in (*point.nav, *point.products)]
+    options = replace(options_for(observed, observed), rover_antenna_m=point.rover_antenna_m, precise=True)
+    found = precise_point(observed, [*recorded, *named], options, survey.engine, own)
+    place, covariance = _earth_centred(found)
+    session = {
+        "name": f"precise point {point.name}",
+        "start": "",
+        "end": point.name,
+        "status": "precise point",
+        "length_m": 0.0,
+        "rover_antenna_m": point.rover_antenna_m,
+        **_duration(float(observed.time.ns[-1] - observed.time.ns[0]) / 60e9, survey),
     }
+    return Mark(point.name, place, covariance), session
 
 
-def _finite(values: Floats) -> list[float | None]:
-    return [v if np.isfinite(v) else None for v in values.tolist()]
+def _own_folder(survey: Survey, name: str) -> Path:
+    # A session's name may hold what no file name may.
+    own = survey.scratch / "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
+    own.mkdir(exist_ok=True)
+    return own
 
 
-def write_points(path: Path, solution: NetworkSolution, crs: str | None) -> dict[str, Any]:
-    """Write the block's `points.csv` with full covariances; return the frame of its coordinates."""
-    lat, lon, height = geodetic(solution.xyz_m)
-    if crs is None:
-        origin = np.array([lat[0], lon[0], height[0]])
-        xyz = enu_offsets(lat, lon, height, origin)
-        turn = np.broadcast_to(enu_axes(float(lat[0]), float(lon[0])), (len(lat), 3, 3))
-        frame: dict[str, Any] = {"frame": "local", "origin_lat_lon_height": origin.tolist()}
-    else:
-        xyz, from_enu = projected(lat, lon, height, crs)
-        local = np.array([enu_axes(a, b) for a, b in zip(lat.tolist(), lon.tolist(), strict=True)])
-        turn = from_enu @ local
-        frame = {"frame": crs}
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for i, name in enumerate(solution.names):
-            block = solution.covariance_m2[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
-            c = turn[i] @ block @ turn[i].T
-            sigma = np.sqrt(np.maximum(np.diag(c), 0.0))
-            cross = [f"{v:.10f}" for v in (c[0, 1], c[0, 2], c[1, 2])]
-            place = [f"{v:.5f}" for v in xyz[i].tolist()]
-            writer.writerow([name, *place, *(f"{v:.5f}" for v in sigma.tolist()), *cross, "control"])
-    return frame
+def _duration(minutes: float, survey: Survey) -> dict[str, Any]:
+    required = survey.setup.required_minutes
+    return {"minutes": minutes, "required_minutes": required, "long_enough": minutes >= required}
 
 
-def survey_text(figures: dict[str, Any]) -> str:
-    """Return the summary in words."""
-    lines = [f"{figures['marks']} marks, {len(figures['sessions'])} baselines"]
-    for s in figures["sessions"]:
-        short = "" if s["long_enough"] else f", SHORTER than the required {s['required_minutes']:g} min"
-        lines.append(
-            f"{s['name']}: {s['start']} to {s['end']}, {s['length_m']:.3f} m, {s['status']}, "
-            f"{s['minutes']:.1f} min{short}"
-        )
-    lines += [
-        f"left out: {b['name']} ({b['start']} to {b['end']}), {b['component']} wrong by "
-        f"{b['size_m']:+.3f} m, test {b['test']:.1f}; check its antenna heights"
-        for b in figures["blunders"]
-    ]
-    lines.append(f"redundancy {figures['degrees_of_freedom']}")
-    if figures["degrees_of_freedom"] == 0:
-        lines.append("no redundancy: nothing checks these baselines")
-    return "\n".join(lines)
+def _earth_centred(t: Trajectory) -> tuple[Floats, Floats]:
+    """Return the position of a static run and its covariance in earth-centred axes."""
+    axes = enu_axes(float(t.lat_deg[0]), float(t.lon_deg[0]))
+    place = geocentric(t.lat_deg, t.lon_deg, t.height_m)[0]
+    return np.asarray(place), np.asarray(axes.T @ t.covariance_m2[0] @ axes)

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
-from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
-from drivers.errors import ConfigurationError, InputNotFoundError
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+from photocal.checked_toml import Table, read_toml
 
 
-class KnownMark(_Strict):
+class KnownMark(Table):
     """A mark with a known position: degrees, ellipsoidal height, sigmas east, north, up (0: held)."""
 
     name: str
@@ -25,26 +19,59 @@ class KnownMark(_Strict):
     sigma_m: tuple[float, float, float]
 
 
-class MeasuredBaseline(_Strict):
-    """A session: files (relative to the set-up file) and antenna heights above the marks, metres."""
+class MeasuredBaseline(Table):
+    """A session between two marks; files relative to the set-up file.
+
+    Parameters
+    ----------
+    name : str
+        Of the session.
+    start, end : str
+        Marks of base and rover.
+    base, rover : Path
+        RINEX observations, or flight logs (MCAP) with raw frames.
+    base_link, rover_link : str
+        Links of flight logs.
+    nav : tuple of Path
+        RINEX navigation files, beside the ephemerides that logs recorded.
+    products : tuple of Path
+        Precise orbits and clocks (SP3, CLK) that take the place of broadcast ones.
+    base_antenna_m, rover_antenna_m : float
+        Heights of the antenna reference points above the marks.
+    """
 
     name: str
     start: str
     end: str
     base: Path
     rover: Path
-    nav: list[Path]
+    base_link: str = "base"
+    rover_link: str = "rover"
+    nav: tuple[Path, ...] = ()
+    products: tuple[Path, ...] = ()
     base_antenna_m: float
     rover_antenna_m: float
 
 
-class SurveySetup(_Strict):
+class PrecisePoint(Table):
+    """A mark that is positioned by itself with precise orbits and clocks; keys as of a baseline's rover."""
+
+    name: str
+    rover: Path
+    rover_link: str = "base"
+    nav: tuple[Path, ...] = ()
+    products: tuple[Path, ...] = Field(min_length=1)
+    rover_antenna_m: float
+
+
+class SurveySetup(Table):
     """A survey."""
 
     crs: str | None = None
     required_minutes: float = Field(gt=0)
-    known: list[KnownMark]
-    baseline: list[MeasuredBaseline]
+    known: tuple[KnownMark, ...] = ()
+    ppp: tuple[PrecisePoint, ...] = ()
+    baseline: tuple[MeasuredBaseline, ...] = ()
 
 
 def read_setup(path: Path) -> SurveySetup:
@@ -55,18 +82,4 @@ def read_setup(path: Path) -> SurveySetup:
     InputNotFoundError, ConfigurationError
         When it cannot be read, or has an unknown key or an impossible value.
     """
-    try:
-        content: dict[str, Any] = tomllib.loads(path.read_text("utf-8"))
-    except OSError as refusal:
-        reason = (refusal.strerror or str(refusal)).lower()
-        raise InputNotFoundError(f"cannot be read ({reason})", where=path) from refusal
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as damage:
-        raise ConfigurationError(f"is no TOML ({damage})", where=path) from damage
-    try:
-        return SurveySetup.model_validate(content)
-    except ValidationError as refusal:
-        first = refusal.errors()[0]
-        place = ".".join(map(str, first["loc"]))
-        raise ConfigurationError(
-            f"{place}: {first['msg'].lower()}", where=path, remedy="see photocal survey --help"
-        ) from refusal
+    return read_toml(path, SurveySetup)

@@ -1,0 +1,142 @@
+"""Results of a control survey: points with full covariances, figures, sentences."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.adjustment.ellipses import ellipses
+from photocal.adjustment.reliability import external_reliability, noncentrality
+from photocal.navigation.baseline_network import NetworkSolution
+from photocal.navigation.exposure_files import projected
+from photocal.navigation.trajectory import enu_axes, enu_offsets, geodetic
+
+Floats = NDArray[np.float64]
+COLUMNS = ("point", "X", "Y", "Z", "sX", "sY", "sZ", "sXY", "sXZ", "sYZ", "role")
+_PROBABILITY = 0.95
+
+
+def survey_figures(solution: NetworkSolution, sessions: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the figures of a survey, ready for JSON."""
+    sigma0 = solution.sigma0_squared
+    test = solution.test
+    checked = np.isfinite(solution.detectable_m)
+    some = np.where(checked, solution.redundancy, 0.5)
+    outer = np.where(checked, external_reliability(some, noncentrality(0.001, 0.80)), np.inf)
+    return {
+        "schema": "photocal.survey/1",
+        "marks": _marks(solution),
+        "sessions": sessions,
+        "degrees_of_freedom": solution.degrees_of_freedom,
+        "sigma0_squared": sigma0 if np.isfinite(sigma0) else None,
+        "global_test": None if test is None else dict(vars(test)),
+        "blunders": [vars(blunder) for blunder in solution.blunders],
+        "baselines": [
+            {
+                "name": b.name,
+                "residual_enu_m": solution.residuals_m[i].tolist(),
+                "redundancy_enu": solution.redundancy[i].tolist(),
+                "detectable_enu_m": _finite(solution.detectable_m[i]),
+                "external_reliability_enu": _finite(outer[i]),
+            }
+            for i, b in enumerate(solution.used)
+        ],
+    }
+
+
+def _marks(solution: NetworkSolution) -> list[dict[str, Any]]:
+    lat, lon, height = geodetic(solution.xyz_m)
+    local = _local_covariances(solution, lat, lon)
+    found = ellipses(local, _PROBABILITY)
+    return [
+        {
+            "name": name,
+            "lat_deg": float(lat[i]),
+            "lon_deg": float(lon[i]),
+            "height_m": float(height[i]),
+            "sigma_enu_m": np.sqrt(np.maximum(np.diag(local[i]), 0.0)).tolist(),
+            "ellipse_95_m": found.semi_axes[i].tolist(),
+            "ellipse_azimuth_deg": float(np.degrees(found.azimuth[i])),
+        }
+        for i, name in enumerate(solution.names)
+    ]
+
+
+def _local_covariances(solution: NetworkSolution, lat: Floats, lon: Floats) -> Floats:
+    turn = np.array([enu_axes(a, b) for a, b in zip(lat.tolist(), lon.tolist(), strict=True)])
+    blocks = np.array(
+        [solution.covariance_m2[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in range(len(solution.names))]
+    )
+    return np.asarray(turn @ blocks @ np.swapaxes(turn, 1, 2))
+
+
+def _finite(values: Floats) -> list[float | None]:
+    return [v if np.isfinite(v) else None for v in values.tolist()]
+
+
+def write_points(path: Path, solution: NetworkSolution, crs: str | None) -> dict[str, Any]:
+    """Write the block's `points.csv` with full covariances; return the frame of its coordinates."""
+    lat, lon, height = geodetic(solution.xyz_m)
+    local = _local_covariances(solution, lat, lon)
+    if crs is None:
+        origin = np.array([lat[0], lon[0], height[0]])
+        xyz = enu_offsets(lat, lon, height, origin)
+        axes = enu_axes(float(lat[0]), float(lon[0]))
+        turn = np.array([axes @ enu_axes(a, b).T for a, b in zip(lat.tolist(), lon.tolist(), strict=True)])
+        frame: dict[str, Any] = {"frame": "local", "origin_lat_lon_height": origin.tolist()}
+    else:
+        xyz, turn = projected(lat, lon, height, crs)
+        frame = {"frame": crs}
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for i, name in enumerate(solution.names):
+            c = turn[i] @ local[i] @ turn[i].T
+            sigma = np.sqrt(np.maximum(np.diag(c), 0.0))
+            cross = [f"{v:.10f}" for v in (c[0, 1], c[0, 2], c[1, 2])]
+            place = [f"{v:.5f}" for v in xyz[i].tolist()]
+            writer.writerow([name, *place, *(f"{v:.6f}" for v in sigma.tolist()), *cross, "control"])
+    return frame
+
+
+def survey_text(figures: dict[str, Any]) -> str:
+    """Return the summary in words."""
+    lines = [f"{len(figures['marks'])} marks, {len(figures['sessions'])} sessions"]
+    for s in figures["sessions"]:
+        short = "" if s["long_enough"] else f", SHORTER than the required {s['required_minutes']:g} min"
+        way = f": {s['start']} to {s['end']}, {s['length_m']:.3f} m" if s["start"] else ""
+        lines.append(f"{s['name']}{way}, {s['status']}, {s['minutes']:.1f} min{short}")
+    named = {s["name"]: s for s in figures["sessions"]}
+    for b in figures["blunders"]:
+        heights = named.get(b["name"], {})
+        told = (
+            f"; check its antenna heights (base {heights['base_antenna_m']:.3f} m, "
+            f"rover {heights['rover_antenna_m']:.3f} m)"
+            if b["component"] == "height" and heights
+            else "; check which marks were occupied and the times"
+        )
+        lines.append(
+            f"left out: {b['name']} ({b['start']} to {b['end']}), {b['component']} wrong by "
+            f"{b['size_m']:+.3f} m (sigma {b['size_sigma_m']:.3f} m), test {b['test']:.1f}{told}"
+        )
+    for mark in figures["marks"]:
+        sigma = " ".join(f"{1e3 * v:.1f}" for v in mark["sigma_enu_m"])
+        major, minor = (1e3 * v for v in mark["ellipse_95_m"])
+        lines.append(
+            f"{mark['name']}: sigma E N U {sigma} mm, ellipse (95 %) {major:.1f} x {minor:.1f} mm towards "
+            f"{mark['ellipse_azimuth_deg']:.0f} deg"
+        )
+    lines.append(f"redundancy {figures['degrees_of_freedom']}")
+    test = figures["global_test"]
+    if test is None:
+        lines.append("no redundancy: nothing checks these baselines")
+    elif not test["accepted"]:
+        lines.append(
+            f"global test failed: variance factor {figures['sigma0_squared']:.2f}; the baselines' sigmas are "
+            f"{'too small' if figures['sigma0_squared'] > 1 else 'too large'}"
+        )
+    return "\n".join(lines)
