@@ -154,9 +154,12 @@ def host_by_timesync(boot_ns: Integers, host_ns: Integers, round_trip_ns: Intege
     )
 
 
-def host_by_arrival(name: str, device_ns: Integers, host_ns: Integers) -> ComparedClocks | None:
-    """Fit the recording computer's clock to a device's by arrivals, which are late by the way."""
-    return _compared(name, device_ns, host_ns, 1e-3)
+def device_by_arrival(name: str, device_ns: Integers, host_ns: Integers) -> ComparedClocks | None:
+    """Fit a device's clock to that of the recording computer by arrivals, which are late by the way.
+
+    This way round an uneven playback keeps its stretches: the host's clock is the even one.
+    """
+    return _compared(name, host_ns, device_ns, 1e-3)
 
 
 def _compared(
@@ -166,6 +169,11 @@ def _compared(
         return ComparedClocks(name, (fit_clock(device_ns, host_ns, resolution_s),))
     except IllPosedError:
         return None
+
+
+def _typical_rate(clock: ComparedClocks) -> float:
+    stretches = [s for model in clock.cycles for s in model.segments]
+    return max(stretches, key=lambda s: s.readings).rate
 
 
 def clock_sentences(clocks: list[ComparedClocks]) -> list[str]:
@@ -178,12 +186,11 @@ def clock_sentences(clocks: list[ComparedClocks]) -> list[str]:
         if jumps:
             told = ", ".join(f"{jump:+.3f} s" for jump in jumps[:5])
             found.append(f"{clock.name}: {len(jumps)} jumps, {told}{', ...' if len(jumps) > 5 else ''}")
-        rates = [s.rate for model in clock.cycles for s in model.segments if s.played_back]
-        if rates:
-            fastest = max(rates, key=lambda rate: abs(rate - 1))
-            speed = 1 / fastest if "recording computer" in clock.name else fastest
+        if clock.played_back:
+            # The median of the stretches, by their readings.
+            speed = _typical_rate(clock)
             found.append(
-                f"{clock.name}: not real time, played back at {speed:.2f} times the speed: "
+                f"{clock.name}: not real time, mostly {speed:.2f} times the speed: "
                 "times of arrival are not used"
             )
     return found

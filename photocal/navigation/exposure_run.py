@@ -11,7 +11,7 @@ import numpy as np
 from drivers.errors import ConfigurationError
 from photocal.navigation.attitude import Attitudes
 from photocal.navigation.check import Check
-from photocal.navigation.device_clocks import host_by_arrival
+from photocal.navigation.device_clocks import device_by_arrival
 from photocal.navigation.engine import Engine
 from photocal.navigation.events import Events
 from photocal.navigation.exposure_checks import Evidence, check_exposures, judge_positions
@@ -237,7 +237,7 @@ def _judged(
     clocks = [] if flight.vehicle is None else list(flight.vehicle.clocks)
     if rover is not None:
         epochs, arrivals = rover.epochs_and_arrivals()
-        made = host_by_arrival("recording computer by GNSS time (arrival of RXM-RAWX)", epochs, arrivals)
+        made = device_by_arrival("GNSS time by the recording computer's clock (RXM-RAWX)", epochs, arrivals)
         clocks += [] if made is None else [made]
     vehicle, listed, images = flight.vehicle, flight.listed, flight.images
     evidence = Evidence(choices.rig, events, others, antenna, trajectory, rover, vehicle, listed, images, ppk)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, IllPosedError
+from drivers.gnsstime import GPS_EPOCH_NS
 from photocal.navigation.engine import Engine, RinexFiles
 from photocal.navigation.flight_log import named
 from photocal.navigation.ppk import Inputs, parse_position
@@ -19,7 +20,7 @@ from photocal.navigation.receiver_recording import (
     refuse_unusable,
 )
 from photocal.navigation.rinex import count_ephemerides, read_observation_file
-from photocal.navigation.time import GpsTime, UtcTime
+from photocal.navigation.time import GpsTime
 
 NAV_OF_BASE = "base"
 
@@ -146,7 +147,9 @@ def converted(
     if near is None:
         epochs, _ = recording.epochs_and_arrivals()
         # The receiver knows the time; the recording computer's clock may be years off.
-        near = GpsTime(epochs[:1]) if len(epochs) else UtcTime(np.array([recording.first_log_ns])).to_gps()
+        near = (
+            GpsTime(epochs[:1]) if len(epochs) else GpsTime(np.array([recording.first_log_ns - GPS_EPOCH_NS]))
+        )
     made = engine.convert(b"".join(frames), "ubx" if form == "ubx" else "rtcm3", stem, near)
     if not made.observations.exists():
         raise IllPosedError(

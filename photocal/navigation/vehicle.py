@@ -19,11 +19,12 @@ from photocal.navigation.device_clocks import (
     AutopilotClock,
     ComparedClocks,
     autopilot_clock,
-    host_by_arrival,
+    device_by_arrival,
     host_by_timesync,
 )
 from photocal.navigation.flight_log import messages_of
 from photocal.navigation.time import GpsTime, HostTime, UtcTime
+from photocal.navigation.vehicle_topics import decoded_attitude, decoded_positions
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -96,7 +97,9 @@ class _Received:
 
 
 def read_vehicle(logs: tuple[Path, ...], link: str | None = None) -> VehicleTrack:
-    """Read positions, attitudes and clocks of the autopilot from the raw frames of flight logs.
+    """Read positions, attitudes and clocks of the autopilot from flight logs.
+
+    Raw MAVLink frames go first; what was imported from an autopilot's own log stands in decoded topics.
 
     Parameters
     ----------
@@ -106,6 +109,8 @@ def read_vehicle(logs: tuple[Path, ...], link: str | None = None) -> VehicleTrac
         Link of the autopilot; without: all links, the first system that tells a position.
     """
     found = _received(logs, link)
+    if not any(received.fields for received in found.values()):
+        return _of_topics(logs, link or "vehicle")
     clock, clocks = _clocks(found)
     untimed = 0
     tracks: dict[str, tuple[Integers, Integers, NDArray[Any]] | None] = {}
@@ -128,6 +133,20 @@ def read_vehicle(logs: tuple[Path, ...], link: str | None = None) -> VehicleTrac
         clocks,
         _geoid(found["GPS_RAW_INT"]),
         untimed,
+    )
+
+
+def _of_topics(logs: tuple[Path, ...], link: str) -> VehicleTrack:
+    utc, host, place = decoded_positions(logs, link)
+    unknown = np.full(len(utc), np.nan)
+    return VehicleTrack(
+        UtcTime(utc).to_gps(),
+        HostTime(host),
+        place[:, 0],
+        place[:, 1],
+        place[:, 2],
+        unknown,
+        decoded_attitude(logs, link),
     )
 
 
@@ -167,8 +186,10 @@ def _clocks(found: dict[str, _Received]) -> tuple[AutopilotClock | None, list[Co
         good = utc > 0
         good &= np.abs(utc - np.median(utc[good])) < 86_400 * 10**9 if good.any() else False
         clock = autopilot_clock(boot[good], utc[good], host[good])
-        arrival = host_by_arrival(
-            "recording computer by the autopilot's UTC (arrival of SYSTEM_TIME)", utc[good], host[good]
+        arrival = device_by_arrival(
+            "autopilot's UTC by the recording computer's clock (SYSTEM_TIME)",
+            utc[good],
+            host[good],
         )
         clocks += [c for c in (clock.compared if clock else None, arrival) if c is not None]
     sync = found["TIMESYNC"].joined()

@@ -23,6 +23,7 @@ from photocal.navigation.rig import Rig, rig_of_mounting
 from photocal.navigation.time import GpsTime, UtcTime
 from photocal.navigation.trajectory import enu_offsets
 from photocal.navigation.vehicle import read_vehicle
+from photocal.navigation.vehicle_topics import decoded_attitude, decoded_positions
 from tests.photocal.conftest import Answer
 from tests.photocal.navigation.conftest import ImportLog, Run
 
@@ -128,7 +129,11 @@ def test_images_named_by_the_recording_computer(
     assert 0.1 < np.hypot(offset[0], offset[1]) < 1.5
     # The autopilot's date, not that of the playback two months later.
     assert GpsTime(np.array([int(first["time_gps_ns"])])).iso()[0].startswith("2016-09-07")
-    assert "mean sea level" in json.loads(answer.out)["height"]
+    figures = json.loads(answer.out)
+    assert "mean sea level" in figures["height"]
+    # README of the data: played back at about 4.6 times the speed, unevenly.
+    assert any("mostly 4." in remark for remark in figures["remarks"])
+    assert all(abs(s["rate"] - 1) < 1e-3 for s in figures["clocks"][0]["stretches"])
     assert all(row["yaw_deg"] for row in table(tmp_path / "out" / "exposures.csv"))
 
 
@@ -190,3 +195,21 @@ def test_nothing_to_work_with(photocal: Photocal, tmp_path: Path) -> None:
     assert answer.code == 5
     assert "no camera events" in answer.err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.shared
+def test_decoded_topics_say_the_same_as_raw_frames(shared: Path, import_log: ImportLog) -> None:
+    log = import_log("decoded", {"vehicle": shared / "data/mavlink-tlog-cuav-images/flight.tlog"})
+    raw = read_vehicle((log,))
+    assert raw.attitude is not None
+    decoded = decoded_attitude((log,), "vehicle")
+    assert decoded is not None
+    assert decoded.source == raw.attitude.source == "ATTITUDE"
+    assert abs(len(decoded) - len(raw.attitude)) <= 2
+    # By the clock model here, by the last SYSTEM_TIME there: milliseconds apart, 0.5 s between messages.
+    place = np.searchsorted(decoded.time.ns, raw.attitude.time.ns[100:900] - 200_000_000)
+    assert np.abs(decoded.time.ns[place] - raw.attitude.time.ns[100:900]).max() < 150_000_000
+    assert np.abs(decoded.rotation[place] - raw.attitude.rotation[100:900]).max() < 1e-6
+    utc, _, position = decoded_positions((log,), "vehicle")
+    assert len(utc) >= len(raw.position_time) - 2
+    assert np.median(position[:, 0]) == pytest.approx(np.median(raw.lat_deg), abs=1e-5)

@@ -1,0 +1,67 @@
+"""Positions and attitudes of a vehicle as decoded in the flight log, whatever they came from.
+
+Logs of autopilots that were imported (DataFlash, ULog) have no MAVLink frames; their positions and attitudes
+stand in the log's own topics, by the device's UTC.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.gnsstime import SECOND_NS
+from photocal.navigation.attitude import AttitudeTrack, rotations_of_quaternions
+from photocal.navigation.flight_log import messages_of
+from photocal.navigation.time import UtcTime
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+def decoded_positions(logs: tuple[Path, ...], link: str) -> tuple[Integers, Integers, Floats]:
+    """Return the positions in `/<link>/position`.
+
+    Returns
+    -------
+    utc_ns, log_ns : int64 (n,)
+        Time of validity and of receipt, increasing UTC.
+    place : float64 (n, 3)
+        Latitude, longitude (deg), height (m, of the kind that the channel states).
+    """
+    from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
+
+    stamps, logged, places = [], [], []
+    for messages in messages_of(logs):
+        if messages.channel.topic != f"/{link}/position" or messages.channel.encoding != "protobuf":
+            continue
+        for payload, log_ns in zip(messages.payloads, messages.log_ns.tolist(), strict=True):
+            fix = LocationFix.FromString(payload)
+            stamps.append(fix.timestamp.seconds * SECOND_NS + fix.timestamp.nanos)
+            logged.append(log_ns)
+            places.append((fix.latitude, fix.longitude, fix.altitude))
+    utc, first = np.unique(np.array(stamps, np.int64), return_index=True)
+    return utc, np.array(logged, np.int64)[first], np.array(places).reshape(-1, 3)[first]
+
+
+def decoded_attitude(logs: tuple[Path, ...], link: str) -> AttitudeTrack | None:
+    """Return the rotations in `/<link>/attitude`: body (forward, right, down) to north, east, down."""
+    from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+
+    stamps, turns, source = [], [], ""
+    for messages in messages_of(logs):
+        if messages.channel.topic != f"/{link}/attitude" or messages.channel.encoding != "protobuf":
+            continue
+        source = messages.channel.metadata.get("source", "attitude")
+        for payload in messages.payloads:
+            found = FrameTransform.FromString(payload)
+            stamps.append(found.timestamp.seconds * SECOND_NS + found.timestamp.nanos)
+            q = found.rotation
+            turns.append((q.w, q.x, q.y, q.z))
+    wxyz = np.array(turns).reshape(-1, 4)
+    sound = np.abs(np.linalg.norm(wxyz, axis=1) - 1) < 0.01
+    if not sound.any():
+        return None
+    utc, first = np.unique(np.array(stamps, np.int64)[sound], return_index=True)
+    return AttitudeTrack(UtcTime(utc).to_gps(), rotations_of_quaternions(wxyz[sound][first]), source)
