@@ -23,6 +23,21 @@ def measure(
         Path | None, typer.Argument(help="Project file: pictures, camera, control, marks and targets.")
     ] = None,
     images: Annotated[Path | None, typer.Option(help="Folder with the images.")] = None,
+    gcp: Annotated[
+        Path | None,
+        typer.Option(
+            help="Marked control points: gcp_list.txt, Metashape's markers (.xml), OpenSfM's (.json)."
+        ),
+    ] = None,
+    height: Annotated[
+        str, typer.Option(help="What the control points' heights are: ellipsoidal or orthometric.")
+    ] = "",
+    crs: Annotated[
+        str, typer.Option(help="System of the control points where their file does not say it right.")
+    ] = "",
+    gcp_sigma: Annotated[
+        str, typer.Option(help="Sigma of control points, horizontal,vertical, m, where their file has none.")
+    ] = "0.02,0.03",
     board: Annotated[
         str, typer.Option(help="Calibration board: squares in a row and in a column, such as 10x7.")
     ] = "",
@@ -41,6 +56,7 @@ def measure(
     """Measure images, a project, a calibration board or tie points, as a block folder for `photocal adjust`.
 
     Examples: `photocal measure PROJECT.toml -o block`,
+    `photocal measure --images photos --gcp gcp_list.txt --height ellipsoidal -o block`,
     `photocal measure --images photos --board 10x7 -o block`; with --images alone, tie points.
     """
     if (project is None) == (images is None):
@@ -50,13 +66,18 @@ def measure(
     if charuco and not board:
         raise ConfigurationError("--charuco needs a board", remedy="give --board COLUMNSxROWS")
     if images is None:
-        if board:
-            raise ConfigurationError("a project has no board", remedy="give --images with --board")
+        if board or gcp is not None:
+            raise ConfigurationError(
+                "a project names its own control", remedy="give --images with --board or --gcp"
+            )
         record = _project(project or Path(), workers, cache, output)
         answer(as_json, lambda: record, lambda: _project_text(record, output))
     elif board:
         record = _board(images, board, square_m, charuco, output)
         answer(as_json, lambda: record, lambda: _board_text(record, output))
+    elif gcp is not None:
+        record = _gcp(images, gcp, (crs, height), gcp_sigma, _plan(workers, cache), output)
+        answer(as_json, lambda: record, lambda: _marked_text(record, output))
     else:
         record = _ties(images, workers, cache, output)
         answer(as_json, lambda: record, lambda: _ties_text(record, output))
@@ -124,6 +145,41 @@ def _project_text(record: dict[str, Any], output: Path) -> str:
     return "\n".join(
         [
             f"marks by hand: {marks['by_hand']}, targets found: {marks['targets']}, used: {marks['used']}",
+            *record["warnings"],
+            _ties_text(record, output),
+        ]
+    )
+
+
+def _gcp(
+    images: Path, gcp: Path, system: tuple[str, str], sigma: str, plan: MatchingPlan, output: Path
+) -> dict[str, Any]:
+    from acquire.outputs import output_folder
+    from photocal.measurement.block_files import write_block
+    from photocal.measurement.gcp_block import measure_gcp
+    from photocal.measurement.image_file import list_images
+
+    try:
+        horizontal, vertical = (float(part) for part in sigma.split(","))
+    except ValueError:
+        horizontal, vertical = -1.0, -1.0
+    if not (horizontal > 0 and vertical > 0):
+        raise ConfigurationError(
+            f"--gcp-sigma {sigma} is not understood", remedy="give two numbers in metres, such as 0.02,0.03"
+        )
+    measured = measure_gcp(
+        list_images(images), gcp, (horizontal, vertical), system, images.resolve().name, plan, progress
+    )
+    with output_folder(output) as aside:
+        write_block(aside, measured.block, measured.record)
+    return measured.record
+
+
+def _marked_text(record: dict[str, Any], output: Path) -> str:
+    control, system = record["control"], record["system"]
+    return "\n".join(
+        [
+            f"{control['marks']} marks of control points in {control['file']}, system {system['crs']}",
             *record["warnings"],
             _ties_text(record, output),
         ]

@@ -37,8 +37,8 @@ Flags = NDArray[np.bool_]
 # While gross errors are sought these are held: a level block determines them only with precise positions,
 # which the measurement does not use.
 HELD = ("c", "x0", "y0")
-# With so many control points heights of the images are not needed.
-FEWEST_CONTROL = 3
+# With so many control points heights of the images are hardly needed; they may count from another surface.
+FEWEST_CONTROL, OTHER_SURFACE_M = 3, 50.0
 
 
 def measure_project(
@@ -103,7 +103,7 @@ def measure_project(
         "unknown_marks": [f"{mark.point} in {mark.image}" for mark in unknown],
         "unknown_targets": list(strangers),
         "suspected_marks": suspects,
-        "warnings": _warnings(unknown, strangers, suspects, oriented.left_out),
+        "warnings": warnings_of(unknown, strangers, suspects, oriented.left_out),
     }
     return TieBlock(_restored(oriented.adjusted, block), record)
 
@@ -195,9 +195,10 @@ def _softened(block: Block) -> Block:
     """Block for finding gross errors: positions without sigma are loosely observed, c is held."""
     known: Flags = np.asarray(np.isfinite(block.images.values[:, 3:]).all(axis=1))
     marked = np.unique(block.observations.point[block.points.of_role("control")[block.observations.point]])
-    # The images' own heights may count from another surface than the control's.
-    east, north, up = POSITION_SIGMA_M
-    loosely = (east, north, np.inf if len(marked) >= FEWEST_CONTROL else up)
+    loosely = (
+        *POSITION_SIGMA_M[:2],
+        OTHER_SURFACE_M if len(marked) >= FEWEST_CONTROL else POSITION_SIGMA_M[2],
+    )
     sigma = block.images.sigma.copy()
     loose = known[:, None] & np.isinf(sigma[:, 3:])
     sigma[:, 3:] = np.where(loose, loosely, sigma[:, 3:])
@@ -260,12 +261,27 @@ def suspected_marks(adjusted: Adjusted, control: ObjectPoints) -> list[dict[str,
     ]
 
 
-def _warnings(
+def warnings_of(
     unknown: Sequence[Mark],
     strangers: Sequence[str],
     suspects: Sequence[dict[str, Any]],
     left_out: Sequence[dict[str, str]],
 ) -> list[str]:
+    """What must not pass silently, in words.
+
+    Parameters
+    ----------
+    unknown : sequence of Mark
+    strangers : sequence of str
+        Targets without a name.
+    suspects : sequence of dict
+        From `suspected_marks`.
+    left_out : sequence of dict
+
+    Returns
+    -------
+    list of str
+    """
     said = [f"image {entry['image']} is left out: {entry['reason']}" for entry in left_out]
     said += [f"mark of {mark.point} in {mark.image}: no such image or control point" for mark in unknown]
     said += [f"a target without a name: {name}" for name in strangers]

@@ -45,7 +45,7 @@ def camera_figures(adjusted: Adjusted) -> list[dict[str, Any]]:
                     n: float(v) for n, v in zip(PARAMETERS, solution.cameras[k], strict=True) if v
                 },
                 "sigma": {n: float(s) for n, s in zip(PARAMETERS, sigma, strict=True) if estimated[n]},
-                "held": [n for n in PARAMETERS[:3] if not estimated[n]],
+                "held": [n for n in (*PARAMETERS[:3], "K1") if not estimated[n]],
                 "released": None if freed is None or estimated["c"] else _released(adjusted, freed, k),
             }
         )

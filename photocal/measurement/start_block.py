@@ -81,7 +81,7 @@ def position_sigma(facts: Sequence[ImageFacts]) -> Floats:
 
 
 def without_images(block: Block, gone: NDArray[np.bool_]) -> Block:
-    """Take images out of a block, with their observations; points stay.
+    """Take images out of a block, with their observations and the cameras of no other image; points stay.
 
     Parameters
     ----------
@@ -97,11 +97,13 @@ def without_images(block: Block, gone: NDArray[np.bool_]) -> Block:
     place = np.full(len(gone), -1)
     place[keep] = np.arange(len(keep))
     left = place[seen.image] >= 0
+    cameras, camera = np.unique(images.camera[keep], return_inverse=True)
     return replace(
         block,
+        cameras=tuple(block.cameras[k] for k in cameras),
         images=Images(
             tuple(images.names[k] for k in keep),
-            images.camera[keep],
+            camera.astype(np.int64),
             images.values[keep],
             images.sigma[keep],
         ),

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import IllPosedError
+from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.solution import Solution
 from photocal.block.model import Block, Images
@@ -82,10 +82,8 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
         block = _with_points(start, poses, tracks, sigma)
         _require_rays(block)
         # Gross errors first: they must not go into the camera.
-        assembly = assemble(block) if round_ else _with_held_cameras(assemble(block))
-        solution = adjust(assembly.network)
+        start, assembly, solution = _solved(start, assemble(block), held=round_ == 0)
         poses = given_exposures(assembly, solution)[0]
-        start = replace(start, cameras=_moved_cameras(start, solution))
         size, redundancy = _by_ray(assembly, solution)
         ties = slice(len(start.observations.image), None)
         sigma = class_sigmas(tracks.scale, size[ties], redundancy[ties])
@@ -96,15 +94,14 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
             break
         tracks, sigma = _with(tracks, sigma, good)
     block = _with_points(start, poses, tracks, sigma)
-    assembly = assemble(block)
-    solution = adjust(assembly.network)
+    start, assembly, solution = _solved(start, assemble(block), held=False)
     values = given_exposures(assembly, solution)[0]
     points = block.points.values.copy()
     tie = assembly.points >= len(start.points.names)
     points[assembly.points[tie]] = given_points(assembly, solution)[0][tie]
     block = replace(
         block,
-        cameras=_moved_cameras(block, solution),
+        cameras=start.cameras,
         images=_kept(block, values),
         points=replace(block.points, values=points),
     )
@@ -158,7 +155,7 @@ def _with(tracks: Tracks, sigma: Floats, good: Flags) -> tuple[Tracks, Floats]:
 
 def _with_points(start: Block, poses: Floats, tracks: Tracks, sigma: Floats) -> Block:
     """Block at its present values; observed positions and angles stay as they were observed."""
-    values = place(_oriented(start, poses), tracks)
+    values = place(_oriented(start, poses), tracks, 0.0)
     return with_ties(replace(start, images=_kept(start, poses)), tracks, values, sigma)
 
 
@@ -171,13 +168,28 @@ def _oriented(block: Block, poses: Floats) -> Block:
     return replace(block, images=replace(block.images, values=poses))
 
 
-def _moved_cameras(block: Block, solution: Solution) -> tuple[Camera, ...]:
-    return tuple(own.with_values(v) for own, v in zip(block.cameras, solution.cameras, strict=True))
+def _solved(start: Block, assembly: Assembly, *, held: bool) -> tuple[Block, Assembly, Solution]:
+    """Adjust, and give the cameras their new values; where the block does not bear them they are held."""
+    if held:
+        assembly = _with_cameras(assembly, _held(assembly.network.cameras))
+    try:
+        solution = adjust(assembly.network)
+    except (IllPosedError, NotConvergedError):
+        cameras = _held(assembly.network.cameras)
+        if not any(own.estimated.any() for own in assembly.network.cameras):
+            raise
+        start, assembly = replace(start, cameras=cameras), _with_cameras(assembly, cameras)
+        solution = adjust(assembly.network)
+    cameras = tuple(own.with_values(v) for own, v in zip(start.cameras, solution.cameras, strict=True))
+    return replace(start, cameras=cameras), assembly, solution
 
 
-def _with_held_cameras(assembly: Assembly) -> Assembly:
-    held = tuple(replace(own, estimated=np.zeros_like(own.estimated)) for own in assembly.network.cameras)
-    return replace(assembly, network=replace(assembly.network, cameras=held))
+def _held(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
+    return tuple(replace(own, estimated=np.zeros_like(own.estimated)) for own in cameras)
+
+
+def _with_cameras(assembly: Assembly, cameras: tuple[Camera, ...]) -> Assembly:
+    return replace(assembly, network=replace(assembly.network, cameras=cameras))
 
 
 def _by_ray(assembly: Assembly, solution: Solution) -> tuple[Floats, Floats]:

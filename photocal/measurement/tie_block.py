@@ -13,7 +13,7 @@ from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.network import block_frame, observed_plane
 from photocal.geometry.resection import ray_residuals
 from photocal.measurement.tracks import Tracks
-from photocal.measurement.views import given_places, given_poses, intersected, local_poses, views_of
+from photocal.measurement.views import given_places, given_poses, intersected, local_poses, spread, views_of
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -21,6 +21,8 @@ Flags = NDArray[np.bool_]
 TIE = ROLES.index("tie")
 # At the start, when the camera is not calibrated, a ray is wrong when its residual exceeds so many medians.
 START_GROSS = 8.0
+# Points whose rays deviate less from their mean lie too far away to be determined, rad.
+LEAST_SPREAD = 0.005
 
 
 def with_ties(block: Block, tracks: Tracks, values: Floats, sigma: Floats) -> Block:
@@ -94,21 +96,27 @@ def orient(block: Block, tracks: Tracks) -> Block:
     return replace(block, images=replace(block.images, values=given_poses(frame, poses)))
 
 
-def place(block: Block, tracks: Tracks) -> Floats:
+def place(block: Block, tracks: Tracks, least_spread: float = LEAST_SPREAD) -> Floats:
     """Intersect the rays of tracks in the oriented images of a block.
 
     Parameters
     ----------
     block : Block
     tracks : Tracks
+    least_spread : float
+        Of a point's rays from their mean, rad.
 
     Returns
     -------
     ndarray, shape (tracks.count, 3)
-        In the block's frame; NaN where the rays do not meet.
+        In the block's frame; NaN where the rays do not meet, or are almost parallel.
     """
     frame = block_frame(block)
-    return given_places(frame, intersected(views_of(block, frame), tracks))
+    views = views_of(block, frame)
+    points = intersected(views, tracks)
+    with np.errstate(invalid="ignore"):
+        points[~(spread(views, tracks, points) >= least_spread)] = np.nan
+    return given_places(frame, points)
 
 
 def fitting(block: Block) -> Flags:

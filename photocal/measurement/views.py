@@ -92,6 +92,31 @@ def misses(views: Views, tracks: Tracks, points: Floats) -> Floats:
     )
 
 
+def spread(views: Views, tracks: Tracks, points: Floats) -> Floats:
+    """Largest angle of a point's rays from their mean, rad, shape (tracks.count,).
+
+    Parameters
+    ----------
+    views : Views
+    tracks : Tracks
+    points : ndarray, shape (tracks.count, 3)
+
+    Returns
+    -------
+    ndarray
+        NaN for points without coordinates.
+    """
+    towards = views.station[tracks.image] - points[tracks.track]
+    towards = towards / np.linalg.norm(towards, axis=1)[:, None]
+    mean = np.column_stack([np.bincount(tracks.track, towards[:, k], tracks.count) for k in range(3)])
+    mean = mean / np.linalg.norm(mean, axis=1)[:, None]
+    # The chord keeps small angles exact.
+    chord = np.linalg.norm(towards - mean[tracks.track], axis=1)
+    angle = np.zeros(tracks.count)
+    np.maximum.at(angle, tracks.track, 2 * np.arcsin(np.minimum(chord / 2, 1)))
+    return angle
+
+
 def views_of(block: Block, frame: Frame) -> Views:
     """Make the views of a block's images at their present values; NaN where they are not oriented.
 

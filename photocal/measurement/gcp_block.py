@@ -1,0 +1,106 @@
+"""From a folder of images and a file of marked control points to a block in the control's system."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError
+from photocal.measurement.control_files import ControlMarks, in_map_system, read_control_marks
+from photocal.measurement.georeferenced import map_places
+from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.marks import with_marks
+from photocal.measurement.match_images import MatchingPlan
+from photocal.measurement.measure_ties import TieBlock, sight, stated_footprints, tie_record
+from photocal.measurement.oriented_ties import Progress, orient_ties
+from photocal.measurement.project_block import FEWEST_CONTROL, OTHER_SURFACE_M, suspected_marks, warnings_of
+from photocal.measurement.start_block import start_block
+from photocal.measurement.start_camera import principal_distance_px
+
+
+def measure_gcp(
+    paths: Sequence[Path],
+    control_file: Path,
+    sigma_m: tuple[float, float],
+    system: tuple[str, str],
+    name: str,
+    plan: MatchingPlan,
+    progress: Progress,
+) -> TieBlock:
+    """Measure tie points in images and join them with marked control points.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Of the images.
+    control_file : Path
+        See `read_control_marks`.
+    sigma_m : tuple of float
+        Horizontal and vertical, of points whose file does not say it.
+    system : tuple of str
+        Coordinate reference system in place of the file's, or empty; and the kind of the heights.
+    name : str
+        Of the block.
+    plan : MatchingPlan
+    progress : callable
+
+    Returns
+    -------
+    TieBlock
+
+    Raises
+    ------
+    PhotocalError
+        When the file cannot be read, or the images are not oriented.
+    """
+    # What is wrong with the file is told before the images are looked at.
+    first = read_control_marks(control_file, sigma_m, {})
+    if first.crs != "local" and system[1] not in ("ellipsoidal", "orthometric"):
+        raise ConfigurationError(
+            "does not say what its heights are",
+            where=control_file,
+            remedy="give --height ellipsoidal or --height orthometric",
+        )
+    sighted = sight(paths, plan, progress, stated_footprints)
+    sizes = {own.name: own.size_px for own in sighted.facts}
+    given = read_control_marks(control_file, sigma_m, sizes)
+    crs, height = system
+    given = replace(given, crs=crs) if crs else in_map_system(given)
+    start = start_block(sighted.facts, _places(sighted.facts, given), name)
+    start = replace(
+        start,
+        frame=given.crs,
+        height="" if given.crs == "local" else height,
+        datum="control",
+        points=given.points,
+    )
+    start, unknown = with_marks(start, given.marks)
+    marked = np.unique(start.observations.point[start.points.of_role("control")[start.observations.point]])
+    if len(marked) >= FEWEST_CONTROL:
+        known = np.isfinite(start.images.sigma[:, 5])
+        start.images.sigma[known, 5] = OTHER_SURFACE_M
+    found = orient_ties(start, sighted.sources, sighted.tracks, sighted.pairs, plan.processes, progress)
+    suspects = suspected_marks(found.adjusted, given.points)
+    said = [f"point {point} has marks but no coordinates" for point in given.without_coordinates]
+    record = {
+        **tie_record(sighted, found),
+        "kind": "tie and control points",
+        "principal_distance_from": sorted({principal_distance_px(f)[1] for f in sighted.facts}),
+        "system": {"crs": given.crs, "height": height},
+        "control": {"file": control_file.name, "sigma_assumed_m": list(sigma_m), "marks": len(given.marks)},
+        "unknown_marks": [f"{mark.point} in {mark.image}" for mark in unknown],
+        "suspected_marks": suspects,
+        "warnings": said + warnings_of(unknown, (), suspects, found.left_out),
+    }
+    return TieBlock(found.adjusted.block, record)
+
+
+def _places(facts: Sequence[ImageFacts], given: ControlMarks) -> NDArray[np.float64]:
+    """Where the images say they are; in a local system that says nothing."""
+    if given.crs == "local":
+        return np.full((len(facts), 3), np.nan)
+    return map_places(facts, given.crs)

@@ -1,0 +1,160 @@
+"""Tiles of large pictures at several scales: made when they are looked at, kept by content.
+
+A pixel of level k covers 2^k by 2^k stored pixels, beginning with those of the upper-left corner. So its
+column j has its centre at the stored column 2^k j + (2^k - 1) / 2, in all formats.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from acquire.outputs import output_file
+from drivers.errors import InputNotFoundError
+from photocal.measurement.cache import content_key
+from photocal.measurement.image_file import as_eight_bit, opened, read_grey
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+# Raised whenever tiles of the same content would look different.
+VERSION = 1
+TILE_PX = 512
+_QUALITY = 88
+# JPEG blocks of 8 by 8 pixels can be decoded as 4, 2 or 1 pixel: levels 1 to 3 cost no full decoding.
+_COARSEST_DECODED = 3
+# Decoded levels are held until they are this many pixels together.
+_HELD_PX = 150_000_000
+_MANY_BITS = ("I;16", "I;16B", "I;16L", "I;16N", "I", "F")
+
+
+@dataclass(frozen=True)
+class TileAddress:
+    """Where a tile is: level (a power of two of stored pixels), column and row among the tiles."""
+
+    level: int
+    column: int
+    row: int
+
+
+def coarsest_level(size_px: tuple[int, int]) -> int:
+    """Give the first level that is one tile.
+
+    Parameters
+    ----------
+    size_px : (int, int)
+        Width and height of the picture.
+    """
+    level = 0
+    while -(-max(size_px) >> level) > TILE_PX:
+        level += 1
+    return level
+
+
+class Tiles:
+    """Tiles of pictures, on disk once they were made.
+
+    Parameters
+    ----------
+    cache : Path
+        Folder in which they are kept.
+    """
+
+    def __init__(self, cache: Path) -> None:
+        self._cache = cache
+        self._keys: dict[Path, tuple[tuple[int, int], str]] = {}
+        self._levels: OrderedDict[tuple[str, int], Image] = OrderedDict()
+        # One picture is decoded at a time: several of 50 megapixels would fill the memory.
+        self._decoding = threading.Lock()
+
+    def tile(self, picture: Path, address: TileAddress) -> bytes:
+        """Give a tile as JPEG.
+
+        Parameters
+        ----------
+        picture : Path
+        address : TileAddress
+
+        Returns
+        -------
+        bytes
+            Tiles at the right and lower edge are smaller.
+
+        Raises
+        ------
+        InputNotFoundError
+            When the picture or such a tile does not exist.
+        InputMalformedError
+            When the picture cannot be read.
+        """
+        key = self._key(picture)
+        name = f"{address.level}-{address.column}-{address.row}.jpg"
+        kept = self._cache / f"tiles{VERSION}" / key[:2] / key / name
+        try:
+            return kept.read_bytes()
+        except OSError:
+            made = self._make(picture, key, address)
+        with output_file(kept) as aside:
+            aside.write_bytes(made)
+        return made
+
+    def _key(self, picture: Path) -> str:
+        if not picture.is_file():
+            raise InputNotFoundError("does not exist", where=picture, remedy="was it moved?")
+        facts = picture.stat()
+        state = (facts.st_mtime_ns, facts.st_size)
+        known = self._keys.get(picture)
+        if known is None or known[0] != state:
+            known = (state, content_key(picture))
+            self._keys[picture] = known
+        return known[1]
+
+    def _make(self, picture: Path, key: str, address: TileAddress) -> bytes:
+        with self._decoding:
+            level = self._level(picture, key, address.level)
+        left, top = address.column * TILE_PX, address.row * TILE_PX
+        if address.column < 0 or address.row < 0 or left >= level.width or top >= level.height:
+            raise InputNotFoundError("has no such tile", where=picture, remedy="look at another place")
+        part = level.crop((left, top, min(left + TILE_PX, level.width), min(top + TILE_PX, level.height)))
+        written = BytesIO()
+        part.save(written, "JPEG", quality=_QUALITY)
+        return written.getvalue()
+
+    def _level(self, picture: Path, key: str, level: int) -> Image:
+        held = self._levels.get((key, level))
+        if held is None:
+            finer = [k for name, k in self._levels if name == key and k < level]
+            held = (
+                self._levels[key, max(finer)].reduce(1 << (level - max(finer)))
+                if finer
+                else _decoded(picture, level)
+            )
+            self._levels[key, level] = held
+        self._levels.move_to_end((key, level))
+        while sum(one.width * one.height for one in self._levels.values()) > _HELD_PX and len(self._levels) > 1:
+            self._levels.popitem(last=False)
+        return held
+
+
+def _decoded(picture: Path, level: int) -> Image:
+    """Decode a level of a picture: colours where there are 8 bits of them, else grey."""
+    from PIL import Image
+
+    with opened(picture) as image:
+        if level > coarsest_level(image.size):
+            raise InputNotFoundError("has no such tile", where=picture, remedy="look at another place")
+        if image.mode not in _MANY_BITS:
+            done = 0
+            if image.format == "JPEG":
+                width, height = image.size
+                done = min(level, _COARSEST_DECODED)
+                # Sizes that are rounded up make the library choose exactly this scale.
+                image.draft(image.mode, (-(-width >> done), -(-height >> done)))
+            shown = image if image.mode in ("L", "RGB") else image.convert("RGB")
+            shown.load()
+            return shown.reduce(1 << (level - done)) if level > done else shown.copy()
+    return Image.fromarray(as_eight_bit(read_grey(picture))).reduce(1 << level)
