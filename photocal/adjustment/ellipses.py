@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 Floats = NDArray[np.float64]
 
@@ -91,7 +91,7 @@ def enlargement(probability: float, dimensions: int) -> float:
     float
         The root of the quantile of chi-squared: of C = 6.25, 7.81, 11.34 for 90, 95, 99 % in space.
     """
-    return float(np.sqrt(stats.chi2(dimensions).ppf(probability)))
+    return float(np.sqrt(special.chdtri(dimensions, 1.0 - probability)))
 
 
 def ellipses(covariance: Floats, probability: float) -> Ellipses:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special, stats
+from scipy import special
 
 from photocal.adjustment.envelope import selected_inverse
 from photocal.adjustment.factored import Factored, covariance_column, factored
@@ -80,7 +80,7 @@ def noncentrality(significance: float = SIGNIFICANCE, power: float = POWER, dime
         delta0, the root of the non-centrality lambda0 of the chi-squared distribution: 4.13 for 0.1 % and
         80 % (Baarda 1968).
     """
-    limit = stats.chi2.isf(significance, dimensions)
+    limit = special.chdtri(dimensions, significance)
     return float(np.sqrt(special.chndtrinc(limit, dimensions, 1.0 - power)))
 
 

@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from drivers.errors import NotConvergedError
 from photocal.adjustment.covariance import complete
@@ -90,7 +90,7 @@ def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None
     state = robust_state(with_datum(whole, start_state(network)), start_state(network), report)
     fit = ray_fit(whole, state)
     level = significance_of(2 * len(fit))
-    accepted = fit < np.sqrt(stats.chi2.isf(level, 2)) * _scale(fit)
+    accepted = fit < np.sqrt(special.chdtri(2, level)) * _scale(fit)
     for rounds in range(1, ROUNDS + 1):
         part, rays, points = subset(network, accepted)
         own = replace(state, points=state.points[points])
@@ -102,7 +102,7 @@ def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None
         wrong = np.zeros(len(accepted), dtype=np.bool_)
         wrong[rays[worst_of_points(part, solution, test)]] = True
         factor = np.sqrt(solution.variance_factor) if test == "tau" else 1.0
-        fits = ray_fit(whole, state) < stats.norm.isf(level / 2) * factor
+        fits = ray_fit(whole, state) < -special.ndtri(level / 2) * factor
         inside = np.zeros(len(network.points.values), dtype=np.bool_)
         inside[points] = True
         # Late in the search nothing is taken back, so that it ends.
@@ -212,8 +212,8 @@ def critical_value(degrees_of_freedom: int, test: Test, significance: float) -> 
     float
     """
     if test == "w" or degrees_of_freedom < 2:
-        return float(stats.norm.isf(significance / 2))
-    t = stats.t.isf(significance / 2, degrees_of_freedom - 1)
+        return float(-special.ndtri(significance / 2))
+    t = -special.stdtrit(degrees_of_freedom - 1, significance / 2)
     return float(t * np.sqrt(degrees_of_freedom) / np.sqrt(degrees_of_freedom - 1 + t**2))
 
 

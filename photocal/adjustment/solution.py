@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import State
@@ -164,8 +164,10 @@ def global_test(chi_squared: float, degrees_of_freedom: int, probability: float 
     """
     if degrees_of_freedom <= 0:
         return None
-    distribution = stats.chi2(degrees_of_freedom)
-    lower, upper = distribution.ppf([(1 - probability) / 2, (1 + probability) / 2])
-    p_value = 2 * min(distribution.cdf(chi_squared), distribution.sf(chi_squared))
+    # chdtr and chdtrc are the chi-squared distribution and its complement, chdtri inverts the latter.
+    lower, upper = special.chdtri(degrees_of_freedom, [(1 + probability) / 2, (1 - probability) / 2])
+    p_value = 2 * min(
+        special.chdtr(degrees_of_freedom, chi_squared), special.chdtrc(degrees_of_freedom, chi_squared)
+    )
     accepted = bool(lower <= chi_squared <= upper)
     return GlobalTest(probability, float(lower), float(upper), min(float(p_value), 1.0), accepted)
