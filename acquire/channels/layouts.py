@@ -76,7 +76,7 @@ GNSS_STATUS = JsonLayout(
         "hdop": number("horizontal dilution of precision"),
         "horizontal_m": number("horizontal accuracy that the receiver claims"),
         "vertical_m": number("vertical accuracy that the receiver claims"),
-        "correction_age_s": number("age of the corrections"),
+        "correction_age_s": number("age of the corrections; of NAV-PVT at most so old, 120 for more"),
     },
 )
 

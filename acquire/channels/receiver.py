@@ -217,6 +217,8 @@ def _pvt(batch: Batch) -> _Fixes:
         horizontal_m=f["hAcc"] * 1e-3,
         vertical_m=f["vAcc"] * 1e-3,
         satellites=f["numSV"].astype(np.int64),
+        # JSON knows no infinity: what is 120 s old or older is told as 120 s.
+        age_s=np.minimum(ubx.correction_age_s(f), 120.0),
         valid=(f["flags"] & 1) != 0,
         fix=fix,
     )

@@ -125,6 +125,24 @@ class Messages:
         return len(self.index)
 
 
+# Longest age of each class, seconds; 0 is unknown, from 12 on the age is 120 s or more.
+_AGES_S = np.array([np.nan, 1, 2, 5, 10, 15, 20, 30, 45, 60, 90, 120, *[np.inf] * 4])
+
+
+def correction_age_s(pvt: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the age of the last differential correction that NAV-PVT tells, seconds.
+
+    The receiver tells classes (`lastCorrectionAge`, bits 1 to 4 of `flags3`): the result is the longest age
+    of each, infinite for 120 s or more, NaN where it tells none.
+
+    Parameters
+    ----------
+    pvt : structured array (n,)
+        The fields of NAV-PVT.
+    """
+    return np.asarray(_AGES_S[pvt["flags3"] >> 1 & 0x0F])
+
+
 def decode(batch: Batch, kind: int) -> Messages:
     """Decode all messages of one of the kinds in `LAYOUTS`; polls and shorter versions are left out.
 

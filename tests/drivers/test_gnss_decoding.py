@@ -52,6 +52,14 @@ def test_raw_observations_are_those_of_pyubx2(rover: Batch) -> None:
                 assert signal[mine] == getattr(theirs, f"{other}_{number:02d}")
 
 
+def test_the_age_of_corrections_is_the_class_that_the_receiver_tells() -> None:
+    """u-blox, F9 HPG 1.32 interface description, NAV-PVT: class 3 is 2 s to 5 s, 12 is 120 s on."""
+    told = {0: np.nan, 1: 1.0, 3: 5.0, 7: 30.0, 11: 120.0, 12: np.inf, 15: np.inf}
+    sent = [UBXMessage("NAV", "NAV-PVT", 0, lastCorrectionAge=k, invalidLlh=1, validDate=1) for k in told]
+    found = ubx.decode(framed(b"".join(message.serialize() for message in sent)), ubx.NAV_PVT)
+    np.testing.assert_array_equal(ubx.correction_age_s(found.fields), list(told.values()))
+
+
 @pytest.mark.shared
 def test_time_marks_are_those_of_pyubx2(rover: Batch) -> None:
     ours = ubx.decode(rover, ubx.TIM_TM2)
