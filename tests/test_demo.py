@@ -1,4 +1,4 @@
-"""What `make demo` says and leaves."""
+"""What `make demo-dcs460` says and leaves."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from mcap.reader import make_reader
 from typer.testing import CliRunner, Result
 
-from photocal.demo import app
+from photocal.demo.__main__ import app
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +19,7 @@ def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def answer(output: Path) -> Result:
-    return CliRunner().invoke(app, ["-o", str(output)])
+    return CliRunner().invoke(app, ["dcs460", "-o", str(output)])
 
 
 def test_it_calibrates_the_published_camera(answer: Result, output: Path) -> None:
@@ -59,6 +59,6 @@ def test_the_flight_is_labelled_synthetic_and_readable(answer: Result, output: P
 
 
 def test_without_its_data_it_says_so(tmp_path: Path) -> None:
-    answer = CliRunner().invoke(app, ["-o", str(tmp_path / "out"), "--configs", str(tmp_path)])
+    answer = CliRunner().invoke(app, ["dcs460", "-o", str(tmp_path / "out"), "--configs", str(tmp_path)])
     assert "demonstration data are missing" in str(answer.exception)
     assert not (tmp_path / "out").exists()

@@ -1,29 +1,31 @@
-"""`make demo`: a camera calibrated from published observations, and a small flight log imported."""
+"""`make demo-dcs460`: a camera calibrated from published observations, a small flight log imported."""
 
 from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
-from acquire.console import application, run
 from drivers.errors import InputNotFoundError
 
-CONFIGS = Path(__file__).resolve().parents[1] / "configs" / "demo"
 
-app = application("Calibrate the demonstration camera and import the demonstration flight.")
+def published(output: Path, configs: Path) -> None:
+    """Calibrate a Kodak DCS460, write its certificate, import a synthetic flight.
 
+    Parameters
+    ----------
+    output : Path
+        Folder for the results.
+    configs : Path
+        Folder with the demonstration data.
 
-@app.command()
-def demo(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
-        "demo-output"
-    ),
-    configs: Annotated[Path, typer.Option(help="Folder with the demonstration data.")] = CONFIGS,
-) -> None:
-    """Calibrate a Kodak DCS460, write its certificate, import a synthetic flight."""
+    Raises
+    ------
+    InputNotFoundError
+        Without the demonstration data.
+    """
     began = time.monotonic()
     for part in ("dcs460", "flight"):
         if not (configs / part).is_dir():
@@ -92,7 +94,3 @@ def _lines(figures: dict[str, Any]) -> list[str]:
         f"position fixes: {', '.join(fixes)}",
         f"exposures: {frames.get('CAMERA_FEEDBACK', 0)}; clock: {link['clock']['verdict']}",
     ]
-
-
-if __name__ == "__main__":
-    run(app)

@@ -1,0 +1,1 @@
+"""Demonstrations: a simulated flight from the wires to the certificate, a published calibration."""
