@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from photocal.analysis.components import Proposal, propose_removal
 from photocal.analysis.correlation import StrongCorrelation, strong_correlations
 from photocal.analysis.effects import Effect, effects
@@ -96,9 +98,16 @@ def analyse_camera(
         estimates,
         factor,
         significance(judged, fit.solution.degrees_of_freedom, alpha),
-        effects(own, judged),
+        effects(own, judged, _reach(fit, camera)),
         strong_correlations(judged, threshold),
         exterior_correlations(fit, camera, threshold, done),
         propose_removal(judged),
         left_out(fit, camera, checks, done),
     )
+
+
+def _reach(fit: Fit, camera: int) -> float:
+    """Largest distance of an observation of a camera from the image centre."""
+    rays = fit.network.rays
+    mine = fit.network.exposures.camera[rays.image] == camera
+    return float(np.linalg.norm(rays.plane[mine], axis=1).max(initial=0.0))

@@ -42,7 +42,7 @@ class Effect:
     remaining_rms_px: float
 
 
-def effects(camera: Camera, estimates: Estimates) -> tuple[Effect, ...]:
+def effects(camera: Camera, estimates: Estimates, reach: float = np.inf) -> tuple[Effect, ...]:
     """Give the effect of every parameter but c, and of the usual groups.
 
     Parameters
@@ -51,6 +51,9 @@ def effects(camera: Camera, estimates: Estimates) -> tuple[Effect, ...]:
         With its adjusted values.
     estimates : Estimates
         The estimated parameters with their covariance.
+    reach : float
+        Largest distance of an observation from the image centre, in the unit of the camera: beyond it
+        nothing determined the distortion.
 
     Returns
     -------
@@ -61,6 +64,8 @@ def effects(camera: Camera, estimates: Estimates) -> tuple[Effect, ...]:
     groups = [tuple(name for name in group if name in names) for group in GROUPS]
     wanted = [(name,) for name in names] + [group for group in groups if len(group) > 1]
     grid = sensor_grid(camera.size_px)
+    plane = pixel_to_plane(camera.size_px, camera.pitch, grid)
+    grid = grid[np.linalg.norm(plane, axis=1) <= reach]
     return tuple(effect(camera, estimates, group, grid) for group in wanted)
 
 

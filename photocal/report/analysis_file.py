@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,11 @@ from photocal.analysis.outcome import Outcome, analyse_network
 from photocal.block.model import Block
 from photocal.block.network import Assembly, assemble
 from photocal.block.process import adjusted, read_any_block
-from photocal.report.analysis_record import analysis_record
-from photocal.report.block_files import Source, block_of_run, digest
+from photocal.report.analysis_record import analysis_record, as_plain
+from photocal.report.block_files import block_of_run, digest
 from photocal.report.catalogue import Catalogue, catalogue
-from photocal.report.run import ANALYSIS, RESULT, Run
+from photocal.report.exterior_difference import exterior_difference
+from photocal.report.run import ANALYSIS, RESULT
 from photocal.report.run_reader import read_adjustment
 
 ALPHA = 0.10
@@ -62,18 +64,19 @@ def analyse_run(
     """
     run = read_adjustment(folder)
     source = block_of_run(folder, run.result, block, Path.cwd())
-    outcome = _analyse(run, source, alpha, threshold, done)
-    content = {**analysis_record(outcome, say or catalogue("en")), "result_sha256": digest(folder / RESULT)}
+    read = read_any_block(source.path)
+    # What the run rejected as gross errors stays out.
+    assembly, _ = adjusted(assemble(read), run.result.snooping)
+    outcome = analyse_network(assembly.network, _checks(read, assembly), alpha, threshold, done)
+    difference = exterior_difference(read, run.result.snooping)
+    content = {
+        **analysis_record(outcome, say or catalogue("en")),
+        "exterior_difference": as_plain(asdict(difference)) if difference else None,
+        "result_sha256": digest(folder / RESULT),
+    }
     with output_file(folder / ANALYSIS) as aside:
         aside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     return outcome
-
-
-def _analyse(run: Run, source: Source, alpha: float, threshold: float, done: Callable[[], None]) -> Outcome:
-    block = read_any_block(source.path)
-    # What the run rejected as gross errors stays out.
-    assembly, _ = adjusted(assemble(block), run.result.snooping)
-    return analyse_network(assembly.network, _checks(block, assembly), alpha, threshold, done)
 
 
 def _checks(block: Block, assembly: Assembly) -> Checks:

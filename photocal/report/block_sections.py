@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.report.catalogue import Catalogue
+from photocal.report.check_figures import difference_histograms, difference_map
 from photocal.report.digits import decimals_of, fixed, probability, symbol
 from photocal.report.distortion import RADIAL
-from photocal.report.document import Column, KeyValues, Paragraph, Piece, Section, Table
+from photocal.report.document import Column, Figure, KeyValues, Paragraph, Piece, Section, Table
 from photocal.report.run import CheckPoint, InputFile, Run
 
 Floats = NDArray[np.float64]
@@ -219,9 +220,26 @@ def check_points(title: str, run: Run, say: Catalogue) -> Section:
     ]
     rmse = (fixed(1e3 * (checks.rmse_m[axis] or 0.0), decimals, say.mark) for axis in "xyz")
     rows.append((say("checks.rmse"), *rmse, "", "", ""))
-    return Section(
-        title, (Table(say("checks.table"), tuple(columns), tuple(rows), say("checks.note", n=checks.n)),)
-    )
+    table = Table(say("checks.table"), tuple(columns), tuple(rows), say("checks.note", n=checks.n))
+    return Section(title, (table, *_check_figures(run, say)))
+
+
+def _check_figures(run: Run, say: Catalogue) -> list[Figure]:
+    """Map and histograms of the differences; two points and more make a picture."""
+    checks = run.result.checks.points
+    place = dict(zip(run.points.point, run.points.position_m, strict=True))
+    known = [p for p in checks if p.point in place]
+    if len(known) < 2:
+        return []
+    at = np.array([place[p.point] for p in known])
+    d = np.array([(p.dx, p.dy, p.dz) for p in known])
+    names = tuple(p.point for p in known)
+    map_text = say("checks.map_alternative", n=len(known))
+    bars_text = say("checks.histograms_alternative", n=len(known))
+    return [
+        Figure("checks-map", say("checks.map"), map_text, difference_map(names, at, d, say)),
+        Figure("checks-histograms", say("checks.histograms"), bars_text, difference_histograms(d, say)),
+    ]
 
 
 def _check_decimals(points: tuple[CheckPoint, ...]) -> int:

@@ -43,6 +43,8 @@ from photocal.report.sensor import sensor_residuals
 from photocal.report.warning_sections import warned, warning_sections
 from photocal.report.words import finding_text
 
+# Findings of the plausibility that a reader must see first.
+WEAK = "weak_principal_distance"
 WORDS = ("table", "figure", "page", "of", "contents")
 
 
@@ -211,6 +213,8 @@ def _verdicts(run: Run, known: tuple[Facts, ...], say: Catalogue) -> tuple[State
         verdicts.append(Statement("good" if test.accepted else "bad", say(f"verdict.{key}_title"), text))
     judged = [acceptance_statement(of, say) for of in known if verdict(of.limits) != "not_determined"]
     verdicts += judged
+    weak = [f for of in known for f in of.findings if f.code.startswith(WEAK)]
+    verdicts += [Statement("bad", say("verdict.weak_title"), finding_text(f, say)) for f in weak]
     if run.analysis is not None:
         verdicts += analysis_verdict(run.analysis, say)
     if result.checks.n == 0:

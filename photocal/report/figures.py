@@ -71,7 +71,7 @@ def radial_curve(camera: CameraResult, profile: RadialProfile, observed_to: floa
     def from_px(displacement: Any) -> Any:
         return displacement * factor * pitch
 
-    with _figure(WIDTH, 3.7) as (figure, out):
+    with drawing(WIDTH, 3.7) as (figure, out):
         ax = figure.add_axes((0.09, 0.37, 0.82, 0.60))
         r, d, s = profile.radius, profile.displacement * factor, profile.sigma * factor
         ax.axhline(0.0, color=RULE, linewidth=0.6)
@@ -89,11 +89,11 @@ def radial_curve(camera: CameraResult, profile: RadialProfile, observed_to: floa
         ax.set_axisbelow(True)
         ax.legend(frameon=False, loc="best")
         ax.spines["right"].set_visible(False)
-        _localised(ax, say.mark)
+        localised(ax, say.mark)
         if millimetres:
             twin = ax.secondary_yaxis("right", functions=(to_px, from_px))
             twin.set_ylabel("px")
-            _localised(twin, say.mark)
+            localised(twin, say.mark)
         # At the scale of the distortion itself the band is mostly thinner than the line: show it alone.
         below = figure.add_axes((0.09, 0.115, 0.82, 0.19), sharex=ax)
         below.fill_between(r, 0.0, s, color=SHADE, linewidth=0)
@@ -104,7 +104,7 @@ def radial_curve(camera: CameraResult, profile: RadialProfile, observed_to: floa
         below.spines["right"].set_visible(False)
         below.grid(color="#e4e7ea", linewidth=0.5)
         below.set_axisbelow(True)
-        _localised(below, say.mark)
+        localised(below, say.mark)
         figure.align_ylabels([ax, below])
         ax.tick_params(labelbottom=False)
         return out()
@@ -139,7 +139,7 @@ def residual_map(camera: CameraResult, vectors: Vectors, say: Catalogue) -> str:
     tall = across * h / w
     total = tall + margins[2] + margins[3]
     left = (WIDTH - across + margins[0] - margins[1]) / 2
-    with _figure(WIDTH, total) as (figure, out):
+    with drawing(WIDTH, total) as (figure, out):
         ax = figure.add_axes((left / WIDTH, margins[2] / total, across / WIDTH, tall / total))
         style: dict[str, Any] = {
             "angles": "xy",
@@ -160,7 +160,7 @@ def residual_map(camera: CameraResult, vectors: Vectors, say: Catalogue) -> str:
         ax.set_xlabel(f"x [{camera.unit}]")
         ax.set_ylabel(f"y [{camera.unit}]")
         ax.spines["top"].set_visible(True)
-        _localised(ax, say.mark)
+        localised(ax, say.mark)
         return out()
 
 
@@ -182,7 +182,7 @@ def correlation_picture(correlation: Correlation, say: Catalogue) -> str:
     n = len(correlation.names)
     cell, edge, legend = 0.235, 0.32, 1.15
     width, height = n * cell + edge + legend, max(n * cell, 4 * 1.15 * cell) + 0.1
-    with _figure(width, height) as (figure, out):
+    with drawing(width, height) as (figure, out):
         ax = figure.add_axes(
             (edge / width, (height - n * cell) / height, n * cell / width, n * cell / height)
         )
@@ -256,7 +256,8 @@ def _round_length(length: float) -> float:
     return float(power * min((1.0, 2.0, 5.0, 10.0), key=lambda step: abs(step * power - length)))
 
 
-def _localised(ax: Any, mark: str) -> None:
+def localised(ax: Any, mark: str) -> None:
+    """Write the numbers of both axes with the decimal mark of the language."""
     from matplotlib.ticker import FuncFormatter, ScalarFormatter
 
     for axis in (ax.xaxis, ax.yaxis):
@@ -272,7 +273,7 @@ def _localised(ax: Any, mark: str) -> None:
 
 
 @contextmanager
-def _figure(width: float, height: float) -> Iterator[tuple[Figure, Callable[[], str]]]:
+def drawing(width: float, height: float) -> Iterator[tuple[Figure, Callable[[], str]]]:
     """Open a figure of so many inches; the second value writes it as SVG."""
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG

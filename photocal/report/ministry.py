@@ -202,9 +202,34 @@ def _triple(
 ) -> Filled:
     if values is None or sigmas is None:
         return None
+    return _offsets(values, sigmas, names, c), "given"
+
+
+def _offsets(values: tuple[float, ...], sigmas: tuple[float, ...], names: str, c: Context) -> str:
     printed = [measured(v, s, c.say.mark) for v, s in zip(values, sigmas, strict=True)]
-    parts = [f"d{name} {_with_sigma(m)}" for name, m in zip(names, printed, strict=True)]
-    return "; ".join(parts), "given"
+    return "; ".join(f"d{name} {_with_sigma(m)}" for name, m in zip(names, printed, strict=True))
+
+
+def _mounting(prefix: str, scale: float, names: str, c: Context) -> Filled:
+    """Offsets that the adjustment estimated; None for those that it held."""
+    mounting = c.run.result.mounting or {}
+    found = [mounting[key] for key in (f"{prefix}_{axis}" for axis in "xyz") if key in mounting]
+    if len(found) != 3 or not any(one.estimated for one in found):
+        return None
+    values, sigmas = (tuple(scale * getattr(one, key) for one in found) for key in ("value", "sigma"))
+    return _offsets(values, sigmas, names, c), "computed"
+
+
+def _lever_arm(c: Context) -> Filled:
+    system = c.particulars.gnss_ins
+    given = _triple(system.lever_arm_cm, system.lever_arm_sigma_cm, "XYZ", c)
+    return given or _mounting("lever_arm", 100.0, "XYZ", c)
+
+
+def _boresight(c: Context) -> Filled:
+    system = c.particulars.gnss_ins
+    given = _triple(system.boresight_deg, system.boresight_sigma_deg, "ωφκ", c)
+    return given or _mounting("boresight", 1.0, "ωφκ", c)
 
 
 def _with_sigma(m: object) -> str:
@@ -231,12 +256,18 @@ def _test_field(c: Context) -> Filled:
 
 
 def _targets(c: Context) -> Filled:
-    return str(sum(role in ("control", "check") for role in c.run.points.role)), "computed"
+    return _count([1.0] * len(c.run.points.role), c)
 
 
 def _readings(c: Context) -> Filled:
-    own = zip(c.run.points.role, c.run.points.rays, strict=True)
-    return str(int(sum(rays for role, rays in own if role in ("control", "check")))), "computed"
+    return _count(c.run.points.rays.tolist(), c)
+
+
+def _count(values: list[float], c: Context) -> Filled:
+    """Sum over the surveyed points; a network without them has tie points, of which none need be a target."""
+    own = zip(c.run.points.role, values, strict=True)
+    total = int(sum(value for role, value in own if role in ("control", "check")))
+    return (str(total), "computed") if total else None
 
 
 def _iop(c: Context) -> Filled:
@@ -280,19 +311,25 @@ def _limit(*keys: str) -> Callable[[Context], Filled]:
 
 def _eo_quality(c: Context) -> Filled:
     e = c.particulars.exterior_orientation
-    if e.rmse_m is None or e.mean_m is None or e.rmse_arcsec is None or e.mean_arcsec is None:
+    if not (e.rmse_m is None or e.mean_m is None or e.rmse_arcsec is None or e.mean_arcsec is None):
+        rows = ((e.rmse_m, e.rmse_arcsec), (e.mean_m, e.mean_arcsec))
+        return _eo_rows([[as_given(v, c.say.mark) for v in (*m, *a)] for m, a in rows], c), "given"
+    d = None if c.run.analysis is None else c.run.analysis.exterior_difference
+    if d is None:
         return None
-    rows = [
-        (c.say("ministry.rmse"), e.rmse_m, e.rmse_arcsec),
-        (c.say("ministry.mean"), e.mean_m, e.mean_arcsec),
+    computed = ((d.rmse_m, d.rmse_arcsec), (d.mean_m, d.mean_arcsec))
+    texts = [
+        [*(fixed(v, 4, c.say.mark) for v in metres), *(fixed(v, 1, c.say.mark) for v in seconds)]
+        for metres, seconds in computed
     ]
-    return "; ".join(_eo_row(*row, c) for row in rows), "given"
+    return _eo_rows(texts, c), "computed"
 
 
-def _eo_row(label: str, metres: tuple[float, ...], seconds: tuple[float, ...], c: Context) -> str:
-    texts = [as_given(v, c.say.mark) for v in (*metres, *seconds)]
-    return (
-        f"{label} X {texts[0]} m, Y {texts[1]} m, Z {texts[2]} m, ω {texts[3]}″, φ {texts[4]}″, κ {texts[5]}″"
+def _eo_rows(texts: list[list[str]], c: Context) -> str:
+    labels = (c.say("ministry.rmse"), c.say("ministry.mean"))
+    return "; ".join(
+        f"{label} X {t[0]} m, Y {t[1]} m, Z {t[2]} m, ω {t[3]}″, φ {t[4]}″, κ {t[5]}″"
+        for label, t in zip(labels, texts, strict=True)
     )
 
 
@@ -343,12 +380,8 @@ FILLERS: dict[str, Callable[[Context], Filled]] = {
     "gnss_ins": _gnss,
     "rtk_advice": lambda c: (c.say("ministry.rtk"), "fixed"),
     "gnss_ins_description": lambda c: _given(c.particulars.gnss_ins.description),
-    "lever_arm": lambda c: _triple(
-        c.particulars.gnss_ins.lever_arm_cm, c.particulars.gnss_ins.lever_arm_sigma_cm, "XYZ", c
-    ),
-    "boresight": lambda c: _triple(
-        c.particulars.gnss_ins.boresight_deg, c.particulars.gnss_ins.boresight_sigma_deg, "ωφκ", c
-    ),
+    "lever_arm": _lever_arm,
+    "boresight": _boresight,
     "calibration": lambda c: (c.say("ministry.calibration"), "computed"),
     "method": _method,
     "test_field": _test_field,

@@ -155,6 +155,15 @@ class CheckSummary:
 
 
 @dataclass(frozen=True)
+class MountingValue:
+    """A value that is common to all exposures (lever arm, boresight, time offset ...), with its sigma."""
+
+    value: float
+    sigma: float
+    estimated: bool
+
+
+@dataclass(frozen=True)
 class Result:
     """The content of `result.json`; without redundancy there is no variance factor and no test."""
 
@@ -175,6 +184,7 @@ class Result:
     images: ImageSummary
     checks: CheckSummary
     snooping: Literal["w", "tau"] | None = None
+    mounting: dict[str, MountingValue] | None = None
 
 
 @dataclass(frozen=True)

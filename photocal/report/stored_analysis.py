@@ -118,6 +118,27 @@ class JackknifeRecord:
 
 
 @dataclass(frozen=True)
+class ExteriorDifference:
+    """Original less adjusted exterior orientation over the images that have both.
+
+    Attributes
+    ----------
+    images : int
+        Number of images.
+    mean_m, rmse_m : tuple of float
+        X, Y, Z in the local frame of the block (east, north, up where it has a reference system).
+    mean_arcsec, rmse_arcsec : tuple of float
+        omega, phi, kappa.
+    """
+
+    images: int
+    mean_m: tuple[float, float, float]
+    rmse_m: tuple[float, float, float]
+    mean_arcsec: tuple[float, float, float]
+    rmse_arcsec: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
 class StoredAnalysis:
     """The content of `analysis.json` as far as a certificate needs it.
 
@@ -139,6 +160,8 @@ class StoredAnalysis:
         By camera.
     methods : tuple of MethodCheck
         Each method with its requirements.
+    exterior_difference : ExteriorDifference or None
+        Orientations of the positioning system less the adjusted ones.
     """
 
     schema: str
@@ -150,6 +173,7 @@ class StoredAnalysis:
     observation_sigma: AssumedSigma
     jackknife: dict[str, JackknifeRecord]
     methods: tuple[MethodCheck, ...]
+    exterior_difference: ExteriorDifference | None = None
 
     @property
     def hidden(self) -> tuple[Finding, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from drivers.errors import InputMalformedError
 from photocal.analysis.finding import Figure, Finding
 from photocal.analysis.method import Requirement
 from photocal.report.catalogue import Catalogue
@@ -34,12 +35,23 @@ def finding_text(finding: Finding, say: Catalogue, name: Callable[[str], str] = 
     -------
     str
         One sentence or two.
+
+    Raises
+    ------
+    InputMalformedError
+        When a figure is missing that the words need: the finding was stored by another version.
     """
     figures = {key: _figure(key, value, say, name) for key, value in finding.figures.items()}
     key = f"subject.{finding.subject}"
     subject = say(key) if key in say.messages else name(finding.subject)
-    text = say(f"finding.{finding.code}", subject=subject, **figures)
-    text += "".join(say(f"clause.{clause}", **figures) for clause in finding.clauses)
+    try:
+        text = say(f"finding.{finding.code}", subject=subject, **figures)
+        text += "".join(say(f"clause.{clause}", **figures) for clause in finding.clauses)
+    except KeyError as missing:
+        raise InputMalformedError(
+            f"finding {finding.code} lacks {missing}: it was stored by another version of photocal",
+            remedy="run `photocal analyse` again",
+        ) from None
     # Symbols keep their case at the head of a sentence; words do not.
     text = text[0].upper() + text[1:] if key in say.messages else text
     return text if text.endswith(".") else f"{text}."

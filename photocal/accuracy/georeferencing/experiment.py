@@ -73,6 +73,8 @@ class Experiment:
         Of that noise.
     confidence : float
         Of the tests for bias.
+    camera : int
+        Which camera of the block the interior orientations are of; the others stay as they are.
     """
 
     block: Block
@@ -84,6 +86,7 @@ class Experiment:
     noise: Degradation | None = None
     seed: int = 0
     confidence: float = 0.95
+    camera: int = 0
 
 
 @dataclass(frozen=True)
@@ -192,7 +195,9 @@ def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: No
     for method in experiment.methods:
         for pattern in experiment.patterns or (own,):
             for interior, use, camera in _cameras(experiment, block):
-                setup = with_roles(replace(block, cameras=(camera, *block.cameras[1:])), pattern.points)
+                cameras = list(block.cameras)
+                cameras[experiment.camera] = camera
+                setup = with_roles(replace(block, cameras=tuple(cameras)), pattern.points)
                 runs.append(_run(setup, method, interior, use, pattern, experiment.confidence))
                 done()
     left = _leave_one_out(block, experiment.methods, done) if experiment.leave_one_out else ()
@@ -231,7 +236,7 @@ def spread_points(block: Block, candidates: Integers, count: int) -> Integers:
 
 
 def _cameras(experiment: Experiment, block: Block) -> list[tuple[str, Use, Camera]]:
-    own = block.cameras[0]
+    own = block.cameras[experiment.camera]
     if not experiment.interiors:
         return [("", "as-given", own)]
     made: list[tuple[str, Use, Camera]] = []

@@ -22,6 +22,7 @@ from photocal.accuracy.georeferencing.experiment import (
 from photocal.accuracy.georeferencing.methods import Method, ground_points
 from photocal.accuracy.georeferencing.simulated import Degradation
 from photocal.block.model import Block
+from photocal.geometry.camera import Camera
 
 
 class _Strict(BaseModel):
@@ -36,6 +37,7 @@ class _Noise(_Strict):
 
 class _Interior(_Strict):
     cameras: str
+    camera: str = ""
     use: list[Literal["weighted", "fixed"]] = ["weighted", "fixed"]
 
 
@@ -101,9 +103,11 @@ def read_experiment(
     block = read_block(path.parent / asked.block)
     interiors: tuple[InteriorSet, ...] = ()
     uses: tuple[Use, ...] = ()
+    camera = 0
     if asked.interior is not None:
         interiors, uses = read_interiors(path.parent / asked.interior.cameras), tuple(asked.interior.use)
-        _require_fitting(block, interiors, path)
+        camera = _camera(block, asked.interior.camera, path)
+        _require_fitting(block.cameras[camera], interiors, path)
     noise = asked.simulated_direct
     return Experiment(
         block,
@@ -115,17 +119,24 @@ def read_experiment(
         None if noise is None else Degradation(noise.position_m, math.radians(noise.attitude_deg)),
         0 if noise is None else noise.seed,
         asked.confidence,
+        camera,
     )
 
 
-def _require_fitting(block: Block, interiors: tuple[InteriorSet, ...], path: Path) -> None:
-    own = block.cameras[0]
-    if len(block.cameras) > 1:
+def _camera(block: Block, name: str, path: Path) -> int:
+    """Which camera of the block gets the interior orientations."""
+    names = [own.id for own in block.cameras]
+    if not name and len(names) == 1:
+        return 0
+    if name not in names:
+        said = f"camera {name} is not in the block" if name else "the block has several cameras"
         raise ConfigurationError(
-            "the block has several cameras, interior orientations cannot be exchanged",
-            where=path,
-            remedy="use a block with one camera",
+            said, where=path, remedy=f'write camera = "..." in [interior]: {", ".join(names)}'
         )
+    return names.index(name)
+
+
+def _require_fitting(own: Camera, interiors: tuple[InteriorSet, ...], path: Path) -> None:
     for one in interiors:
         if one.camera.unit != own.unit or one.camera.size_px != own.size_px:
             raise ConfigurationError(

@@ -1,4 +1,4 @@
-"""Results of an experiment: JSON, text, table and plot of the RMSE at the check points."""
+"""Results of an experiment: JSON, text, tables and plots of the RMSE at the check points."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import csv
 import io
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +14,7 @@ from acquire.outputs import output_folder
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.georeferencing.as_json import finite
 from photocal.accuracy.georeferencing.experiment import LeftOut, Outcome, Run
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from photocal.accuracy.georeferencing.experiment_plots import control_plot, rmse_plot
 
 SCHEMA = "photocal.experiment/1"
 _AXES = ("x", "y", "z")
@@ -91,7 +89,8 @@ def write_experiment(outcome: Outcome, folder: Path) -> tuple[str, ...]:
     ----------
     outcome : Outcome
     folder : Path
-        Gets `experiment.json`, `runs.csv`, `leave_one_out.csv` and `rmse.pdf`.
+        Gets `experiment.json`, `runs.csv`, `leave_one_out.csv`, `rmse.pdf` and, where the number of control
+        points differs, `rmse_by_control.pdf`.
 
     Returns
     -------
@@ -109,46 +108,14 @@ def write_experiment(outcome: Outcome, folder: Path) -> tuple[str, ...]:
     }
     if outcome.left_out:
         texts["leave_one_out.csv"] = _csv([_left(one) for one in outcome.left_out])
-    figure = rmse_plot(outcome)
+    drawn = {"rmse.pdf": rmse_plot(outcome), "rmse_by_control.pdf": control_plot(outcome)}
+    figures = {name: figure for name, figure in drawn.items() if figure is not None}
     with output_folder(folder) as aside:
         for name, text in texts.items():
             (aside / name).write_text(text, encoding="utf-8")
-        if figure is not None:
-            figure.savefig(aside / "rmse.pdf", metadata={"CreationDate": None})
-    return (*texts, *(() if figure is None else ("rmse.pdf",)))
-
-
-def rmse_plot(outcome: Outcome) -> Figure | None:
-    """Draw the RMSE at the check points of every run, with the predicted sigma as a line across each bar.
-
-    Parameters
-    ----------
-    outcome : Outcome
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        None without a run that has check points.
-    """
-    from matplotlib.figure import Figure
-
-    runs = [run for run in outcome.runs if run.check is not None and run.check.names]
-    if not runs:
-        return None
-    figure = Figure(figsize=(max(6.0, 0.55 * len(runs) + 2.0), 4.2), layout="constrained")
-    axes = figure.add_subplot()
-    place = np.arange(len(runs), dtype=np.float64)
-    rmse = np.array([run.rmse() for run in runs])
-    sigma = np.array([run.predicted() for run in runs])
-    for k, (axis, colour) in enumerate(zip("XYZ", ("#1f4e9c", "#7aa6d8", "#b06a2a"), strict=True)):
-        x = place + 0.27 * (k - 1)
-        axes.bar(x, rmse[:, k], 0.25, color=colour, label=f"RMSE {axis}")
-        axes.hlines(sigma[:, k], x - 0.125, x + 0.125, color="black", linewidth=1.0)
-    axes.set_xticks(place, [run.name for run in runs], rotation=60, ha="right", fontsize=7)
-    axes.set_ylabel("RMSE at the check points (m)")
-    axes.set_title("Black lines: predicted standard deviation", fontsize=8, loc="left")
-    axes.legend(fontsize=7)
-    return figure
+        for name, figure in figures.items():
+            figure.savefig(aside / name, metadata={"CreationDate": None})
+    return (*texts, *figures)
 
 
 def _run(run: Run) -> dict[str, Any]:

@@ -20,6 +20,8 @@ WRONG_SIGMA = 0.10
 # From here on a wrong sigma is not small, even if nothing else was found.
 BADLY_WRONG_SIGMA = 1.2
 ALPHA = 0.10
+# An error that moves object points by less than this share of their standard deviations is small.
+SMALL_MOVE = 1.0
 
 
 def of_round(one: Round) -> Finding:
@@ -39,7 +41,8 @@ def of_round(one: Round) -> Finding:
     camera = one.before.network.cameras[at]
     change = float(one.before.solution.cameras[at, 0] - one.after.solution.cameras[at, 0])
     sigma_c = float(np.sqrt(one.before.solution.camera_covariance[at, 0, 0]))
-    small = parameter.effect_px < SMALL_PX and abs(change) < SMALL_SIGMAS * sigma_c
+    left = _left_px(one)
+    small = left < SMALL_PX and abs(change) < SMALL_SIGMAS * sigma_c and _points_moved(one) < SMALL_MOVE
     ground = ground_effect(one.before, at, change)
     figure, unit = _figure(parameter, camera)
     figures: dict[str, Figure] = {
@@ -48,6 +51,7 @@ def of_round(one: Round) -> Finding:
         "figure": figure,
         "sigma": parameter.sigma,
         "px": parameter.effect_px,
+        "left_px": left,
         "f": parameter.statistic,
         "shift_c": change,
         "unit": camera.unit,
@@ -67,6 +71,22 @@ def of_round(one: Round) -> Finding:
         clauses.append("alike")
     size = Size(figure, unit, parameter.sigma, change, ground, parameter.effect_px)
     return _graded(parameter.candidate.kind, camera.id, figures, clauses, size, small=small)
+
+
+def _left_px(one: Round) -> float:
+    """Largest displacement of a ray that no other unknown takes up, px."""
+    at = one.parameter.candidate.camera
+    mine = one.before.network.exposures.camera[one.before.network.rays.image] == at
+    change = (one.after.solution.residuals - one.before.solution.residuals)[mine]
+    return float(np.linalg.norm(change / one.before.network.cameras[at].pitch, axis=1).max(initial=0.0))
+
+
+def _points_moved(one: Round) -> float:
+    """By how many standard deviations the error moves object points, root mean square."""
+    sigma = np.sqrt(np.diagonal(one.before.solution.point_covariance, axis1=1, axis2=2))
+    moved = one.after.solution.points - one.before.solution.points
+    ratio = np.divide(moved, sigma, out=np.zeros_like(moved), where=sigma > 0.0)
+    return float(np.sqrt(np.mean(ratio**2))) if ratio.size else 0.0
 
 
 def _graded(

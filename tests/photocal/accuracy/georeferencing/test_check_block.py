@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pyproj import Transformer
 
 from tests.photocal.accuracy.georeferencing.flights import Plan, fly
 from tests.photocal.conftest import Answer
@@ -152,6 +153,56 @@ def test_points_in_one_image(photocal: Photocal, folder: Path) -> None:
     assert any("control point p3" in text and "blunder" in text for text in said)
     assert any("check point p12" in text and "checks nothing" in text for text in said)
     assert content["methods"]["indirect"]["check"]["n"] == 19
+
+
+@pytest.mark.parametrize(
+    ("frame", "code", "words"),
+    [("EPSG:4326", "latitude", "swapped"), ("EPSG:32722", "zone", "zone 23 south")],
+)
+def test_a_wrong_frame_of_the_points_is_said(
+    photocal: Photocal, folder: Path, frame: str, code: str, words: str
+) -> None:
+    """Latitude for longitude, and control computed in the neighbouring UTM zone."""
+    longitude, latitude = -51.41, -22.12
+    if frame == "EPSG:4326":
+        flown, surveyed = (longitude, latitude), (latitude, longitude)
+        scale = 1e-5
+    else:
+        scale = 1.0
+        utm = [Transformer.from_crs("EPSG:4326", f"EPSG:327{n}", always_xy=True) for n in (22, 23)]
+        flown, surveyed = (zone.transform(longitude, latitude) for zone in utm)
+
+    def moved(to: tuple[float, float]) -> Callable[[dict[str, str]], None]:
+        def change(row: dict[str, str]) -> None:
+            for axis, middle in zip("XY", to, strict=True):
+                row[axis] = repr(middle + scale * float(row[axis])) if row[axis] else ""
+
+        return change
+
+    for table, to in (("images.csv", flown), ("positions.csv", flown), ("points.csv", surveyed)):
+        changed(folder, table, moved(to))
+    toml = (folder / "block.toml").read_text(encoding="utf-8")
+    toml = toml.replace('frame = "local"', f'frame = "{frame}"\nheight = "ellipsoidal"')
+    (folder / "block.toml").write_text(toml, encoding="utf-8")
+    said = photocal("check", folder, "--json")
+    # Whether or not anything can be computed, the reason is said.
+    assert words in said.out + said.err, (code, said.err)
+    assert "Traceback" not in said.err
+
+
+def test_a_project_is_checked_as_it_asks(photocal: Photocal, folder: Path) -> None:
+    project = folder.parent / "project.toml"
+    project.write_text(
+        '[project]\nname = "p"\ncrs = "local"\nheight = "local"\noutput = "work"\n'
+        '[measurements]\nblock = "flight"\n[judgement]\nscale = "1:2000"\nstandards = ["pec-pcd"]\n',
+        encoding="utf-8",
+    )
+    said = photocal("check", project, "--json")
+    assert said.code == 0, said.err
+    content = json.loads(said.out)
+    assert list(content["methods"]) == ["direct", "integrated", "indirect"]
+    standards = content["methods"]["indirect"]["assessment"]["standards"]
+    assert {one["standard"] for one in standards} == {"pec-pcd"}
 
 
 def test_no_georeference_leaves_the_indirect_method(photocal: Photocal, folder: Path) -> None:

@@ -70,9 +70,10 @@ def test_control_counts_patterns_and_leave_one_out(photocal: Photocal, folder: P
         '[[control.pattern]]\nname = "one corner"\npoints = ["p0", "p1", "p3", "p4"]\n',
         encoding="utf-8",
     )
-    said = photocal("check", "--experiment", folder / "experiment.toml", "--json")
+    said = photocal("check", "--experiment", folder / "experiment.toml", "-o", folder / "out", "--json")
     assert said.code == 0, said.err
     content = json.loads(said.out)
+    assert (folder / "out/rmse_by_control.pdf").read_bytes().startswith(b"%PDF")
     runs = {run["pattern"]: run for run in content["runs"]}
     assert list(runs) == ["one corner", "4 control", "9 control"]
     assert runs["one corner"]["check"] == runs["4 control"]["check"] == 25

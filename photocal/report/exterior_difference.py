@@ -1,0 +1,55 @@
+"""Exterior orientation as the positioning system gave it, against the adjusted one: table 3 of the form."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from photocal.accuracy.georeferencing.direct import direct_orientation
+from photocal.accuracy.georeferencing.local import in_local_frame
+from photocal.accuracy.georeferencing.methods import local_origin
+from photocal.adjustment.snooping import Test
+from photocal.block.model import Block
+from photocal.block.network import assemble
+from photocal.block.process import adjusted
+from photocal.geometry.rotation import angles_from_matrix
+from photocal.report.stored_analysis import ExteriorDifference
+
+
+def exterior_difference(block: Block, snooping: Test | None = None) -> ExteriorDifference | None:
+    """Compare the orientations that the positioning system gave with the adjusted ones.
+
+    Parameters
+    ----------
+    block : Block
+        With positions and attitudes, or sigmas at the exterior orientation of its images.
+    snooping : {"w", "tau"}, optional
+        As the block was adjusted.
+
+    Returns
+    -------
+    ExteriorDifference or None
+        None without such orientations.
+
+    Raises
+    ------
+    PhotocalError
+        As the adjustment does.
+    """
+    local = in_local_frame(block)
+    original = direct_orientation(local)
+    if not original.known.any():
+        return None
+    assembly, solution = adjusted(assemble(local), snooping)
+    given = np.hstack([angles_from_matrix(original.rotation), original.centre])
+    d = (given - solution.exposures)[original.known]
+    d[:, 3:] -= local_origin(assembly)
+    d[:, :3] = np.degrees((d[:, :3] + np.pi) % (2 * np.pi) - np.pi) * 3600.0
+    mean, rmse = d.mean(axis=0), np.sqrt(np.mean(d**2, axis=0))
+    x, y, z, *turn = mean[[3, 4, 5, 0, 1, 2]].tolist()
+    rx, ry, rz, *turns = rmse[[3, 4, 5, 0, 1, 2]].tolist()
+    return ExteriorDifference(len(d), (x, y, z), (rx, ry, rz), _triple(turn), _triple(turns))
+
+
+def _triple(values: list[float]) -> tuple[float, float, float]:
+    first, second, third = values
+    return first, second, third
