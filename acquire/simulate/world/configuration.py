@@ -27,9 +27,9 @@ Sigmas = tuple[NonNegative, NonNegative, NonNegative]
 Share = Annotated[float, Field(ge=0, lt=1)]
 
 
-# GPS time less UTC, and how long that is known to hold (IERS Bulletins C 52 and C 70).
+# GPS time less UTC, and how long that is known to hold (IERS Bulletin C).
 LEAP_S = 18
-LEAP_SECONDS_SINCE, LEAP_SECONDS_KNOWN_TO = dt.date(2017, 1, 1), dt.date(2026, 6, 28)
+LEAP_SECONDS_SINCE, LEAP_SECONDS_KNOWN_TO = dt.date(2017, 1, 1), dt.date(2027, 6, 28)
 
 
 class Level(StrEnum):
