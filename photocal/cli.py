@@ -18,6 +18,7 @@ from photocal.commands import (
     ppk,
     run,
     survey,
+    targets,
     verify,
     volume,
 )
@@ -25,6 +26,7 @@ from photocal.commands import (
 app = application("From flight log, images and control points to a calibrated camera and its certificate.")
 app.command()(run.run)
 app.command()(measure.measure)
+app.command()(targets.targets)
 app.command()(adjust.adjust)
 app.command()(certificate.certificate)
 app.command()(verify.verify)
