@@ -7,7 +7,8 @@ READY  := $(VENV)/.ready
 .PHONY: help setup demo demo-dcs460 test check bench evidence lock clean
 
 help:
-	@echo "make demo    calibrate a camera from published observations, write its certificate"
+	@echo "make demo    simulate a flight, record it, process it, compare with the truth"
+	@echo "make demo-dcs460  calibrate a camera from published observations, write its certificate"
 	@echo "make test    run the tests"
 	@echo "make check   ruff and mypy --strict"
 	@echo "make bench   measure speed"
@@ -26,10 +27,11 @@ $(READY): requirements.lock pyproject.toml
 	$(BIN)/python -m photocal.adjustment.compile
 	@touch $(READY)
 
-demo: demo-dcs460
+demo: $(READY)
+	$(BIN)/python -m photocal.demo
 
 demo-dcs460: $(READY)
-	$(BIN)/python -m photocal.demo
+	$(BIN)/python -m photocal.demo dcs460
 
 # The tests' matrices are small: threads of the linear algebra would only wait for each other.
 test: $(READY)
