@@ -17,19 +17,39 @@ Integers = NDArray[np.int64]
 
 
 def camera_equations(network: Network, layout: Layout, state: State) -> Equations:
-    """Interior orientation parameters as observations, where they have a prior sigma."""
-    columns, residuals, sigmas = [], [], []
+    """Interior orientation parameters as observations, where they have a prior sigma.
+
+    Correlated ones are made independent: with S R S = S L L' S, the rows of L^-1 S^-1 have unit variance.
+    """
+    columns, coefficients, residuals, weights, counts = [], [], [], [], list[int]()
     for camera, values, (active, column) in zip(
         network.cameras, state.cameras, layout.camera_columns, strict=True
     ):
         weighted = np.isfinite(camera.prior_sigma[active])
-        columns.append(column[weighted])
-        residuals.append((values - camera.values)[active][weighted])
-        sigmas.append(camera.prior_sigma[active][weighted])
-    column = np.concatenate(columns)
-    ones = np.ones(len(column))
+        own, sigma = column[weighted], camera.prior_sigma[active][weighted]
+        residual = (values - camera.values)[active][weighted]
+        n = len(own)
+        if camera.prior_correlation is None:
+            columns.append(own)
+            coefficients.append(np.ones(n))
+            residuals.append(residual)
+            weights.append(sigma**-2.0)
+            counts += [1] * n
+            continue
+        at = np.asarray(active)[weighted]
+        factor = np.linalg.cholesky(camera.prior_correlation[np.ix_(at, at)])
+        rows = np.linalg.inv(factor) / sigma
+        columns.append(np.tile(own, n))
+        coefficients.append(rows.ravel())
+        residuals.append(rows @ residual)
+        weights.append(np.ones(n))
+        counts += [n] * n
     return Equations(
-        np.arange(len(column) + 1), column, ones, np.concatenate(residuals), np.concatenate(sigmas) ** -2.0
+        np.concatenate([[0], np.cumsum(counts, dtype=np.int64)]).astype(np.int64),
+        np.concatenate(columns),
+        np.concatenate(coefficients),
+        np.concatenate(residuals),
+        np.concatenate(weights),
     )
 
 

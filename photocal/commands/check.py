@@ -239,11 +239,12 @@ def _interiors(path: Path) -> tuple[InteriorSet, ...]:
 
     sets = []
     for one in read_camera_file(path).calibrations:
-        sigma = np.full(len(PARAMETERS), np.nan)
+        sigma, correlation = np.full(len(PARAMETERS), np.nan), np.eye(len(PARAMETERS))
         if one.uncertainty is not None:
-            for name, value in zip(one.uncertainty.names, one.uncertainty.sigmas, strict=True):
-                sigma[PARAMETERS.index(name)] = value
-        sets.append(InteriorSet(one.id, one.camera, sigma))
+            at = [PARAMETERS.index(name) for name in one.uncertainty.names]
+            sigma[at] = one.uncertainty.sigmas
+            correlation[np.ix_(at, at)] = one.uncertainty.correlation
+        sets.append(InteriorSet(one.id, one.camera, sigma, correlation))
     return tuple(sets)
 
 

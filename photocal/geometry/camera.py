@@ -64,6 +64,8 @@ class Camera:
     focus_m : float
         Distance at which the distortion holds, that to which the lens is focused: it then varies with
         the distance of the object; 0 where it is the same at all distances.
+    prior_correlation : ndarray, shape (13, 13), or None
+        Correlations of the values as observations; None when they are independent.
     """
 
     id: str
@@ -79,6 +81,7 @@ class Camera:
     affinity_form: AffinityForm = "fraser"
     deviation_sigma: Floats = field(default_factory=lambda: np.zeros(len(PARAMETERS)))
     focus_m: float = 0.0
+    prior_correlation: Floats | None = None
 
     def value(self, name: str) -> float:
         """Value of one parameter by its name."""

@@ -1,12 +1,9 @@
-"""Sections of a certificate about one camera: its facts, interior orientation, distortion and residuals."""
+"""Sections of a certificate about one camera: its facts, interior orientation and correlations."""
 
 from __future__ import annotations
 
-import numpy as np
-
 from photocal.report.catalogue import Catalogue
 from photocal.report.digits import fixed, measured, power_of_ten, significant, symbol, unit_power
-from photocal.report.distortion import RADIAL, farthest_corner, radial_profile
 from photocal.report.document import (
     Column,
     Figure,
@@ -17,14 +14,11 @@ from photocal.report.document import (
     Statement,
     Table,
 )
-from photocal.report.figures import correlation_picture, natural_width, radial_curve, residual_map
-from photocal.report.run import CameraResult, Correlation, ImageRms, Run
-from photocal.report.sensor import SensorResiduals, sensor_residuals, thinned
+from photocal.report.figures import correlation_picture, natural_width
+from photocal.report.run import CameraResult, Correlation
 
 CONFIDENCE = 0.95
 STRONG = 0.9
-ROWS = 60
-ARROWS = 1500
 
 # The power of the image unit that each parameter carries.
 POWERS = {
@@ -220,167 +214,3 @@ def _strong(correlation: Correlation, say: Catalogue) -> str:
         for i, j in pairs
     ]
     return say("correlation.strong", limit=limit, pairs=", ".join(texts))
-
-
-def radial_distortion(title: str, name: str, run: Run, camera_id: str, say: Catalogue) -> Section:
-    """Make the distortion curve and its table.
-
-    Parameters
-    ----------
-    title, name : str
-        Title of the section; short name of the camera for the picture.
-    run : Run
-        The adjustment.
-    camera_id : str
-        The camera.
-    say : Catalogue
-        Language.
-
-    Returns
-    -------
-    Section
-    """
-    camera = run.result.cameras[camera_id]
-    if not any(camera.value(key) or key in camera.correlation.names for key in RADIAL):
-        return Section(title, (Paragraph(say("distortion.none")),))
-    corner = farthest_corner(camera)
-    place = sensor_residuals(run, camera_id).place - [camera.value("x0"), camera.value("y0")]
-    outermost = float(np.hypot(*place.T).max()) if len(place) else 0.0
-    curve = radial_profile(camera, np.linspace(0.0, corner, 241))
-    factor, unit = (1e3, "µm") if camera.unit == "mm" else (1.0, "px")
-    at = [
-        f"{fixed(factor * float(v), 1, say.mark)} {unit}"
-        for v in (curve.displacement[0], curve.displacement[-1])
-    ]
-    radius = fixed(corner, 2, say.mark)
-    figure = Figure(
-        f"radial-{name}",
-        say("distortion.figure"),
-        say("distortion.alternative", first=at[0], last=at[1], radius=radius, unit=camera.unit),
-        radial_curve(camera, curve, outermost, say),
-    )
-    note = say("distortion.note", corner=radius, outermost=fixed(outermost, 2, say.mark), unit=camera.unit)
-    return Section(title, (figure, _distortion_table(camera, corner, note, say)))
-
-
-def _distortion_table(camera: CameraResult, corner: float, note: str, say: Catalogue) -> Table:
-    step = _round_step(corner / 10)
-    profile = radial_profile(camera, np.append(np.arange(0.0, corner, step), corner))
-    millimetres = camera.unit == "mm"
-    pitch = float(np.mean(camera.pitch))
-    columns = [Column(say("distortion.radius"), camera.unit)]
-    if millimetres:
-        columns += [Column(say("distortion.displacement"), "µm"), Column(say("distortion.sigma"), "µm")]
-    columns += [Column(say("distortion.displacement"), "px"), Column(say("distortion.sigma"), "px")]
-    columns.append(Column(say("distortion.decentring"), "µm" if millimetres else "px"))
-    rows = []
-    for r, d, s, t in zip(
-        profile.radius, profile.displacement, profile.sigma, profile.decentering, strict=True
-    ):
-        row = [fixed(float(r), 2 if millimetres else 0, say.mark)]
-        if millimetres:
-            row += [fixed(1e3 * float(d), 1, say.mark), fixed(1e3 * float(s), 1, say.mark)]
-        row += [fixed(float(d) / pitch, 2, say.mark), fixed(float(s) / pitch, 2, say.mark)]
-        row.append(fixed(1e3 * float(t), 1, say.mark) if millimetres else fixed(float(t), 2, say.mark))
-        rows.append(tuple(row))
-    return Table(say("distortion.table"), tuple(columns), tuple(rows), note)
-
-
-def _round_step(step: float) -> float:
-    power = 10.0 ** np.floor(np.log10(step))
-    return float(power * next(m for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= step * 0.95))
-
-
-def image_residuals(title: str, name: str, run: Run, camera_id: str, say: Catalogue) -> Section:
-    """Make the map of residuals on the sensor and their size by image.
-
-    Parameters
-    ----------
-    title, name : str
-        Title of the section; short name of the camera for the picture.
-    run : Run
-        The adjustment.
-    camera_id : str
-        The camera.
-    say : Catalogue
-        Language.
-
-    Returns
-    -------
-    Section
-    """
-    camera = run.result.cameras[camera_id]
-    residuals = sensor_residuals(run, camera_id)
-    vectors = thinned(residuals, camera, ARROWS)
-    rays = len(residuals.place)
-    caption = say("residuals.figure", rays=rays)
-    if len(vectors.place) < rays:
-        caption = say("residuals.figure_cells", rays=rays, cells=len(vectors.place))
-    x, y = (fixed(v, 3, say.mark) for v in rms_px(residuals))
-    figure = Figure(
-        f"residuals-{name}",
-        caption,
-        say("residuals.alternative", rays=rays, x=x, y=y),
-        residual_map(camera, vectors, say),
-    )
-    pieces: list[Piece] = [figure]
-    if rays:
-        pieces.append(Paragraph(_largest(run, camera_id, residuals, say)))
-    pieces.append(_rms_table(run, camera_id, residuals, say))
-    return Section(title, tuple(pieces))
-
-
-def rms_px(residuals: SensorResiduals) -> tuple[float, float]:
-    """Root mean square of the residuals in x and y, px; 0 without rays."""
-    if not len(residuals.place):
-        return 0.0, 0.0
-    x, y = np.sqrt(np.mean(residuals.residual_px**2, axis=0))
-    return float(x), float(y)
-
-
-def _largest(run: Run, camera_id: str, residuals: SensorResiduals, say: Catalogue) -> str:
-    of = dict(zip(run.exposures.image, run.exposures.camera, strict=True))
-    own = [i for i, image in enumerate(run.residuals.image) if of[image] == camera_id]
-    length = np.hypot(*residuals.residual_px.T)
-    w = np.nan_to_num(np.abs(run.residuals.standardised[own])).max(axis=1)
-    longest, worst = own[int(length.argmax())], own[int(w.argmax())]
-    return say(
-        "residuals.largest",
-        size=fixed(float(length.max()), 2, say.mark),
-        point=run.residuals.point[longest],
-        image=run.residuals.image[longest],
-        w=fixed(float(w.max()), 1, say.mark),
-        wpoint=run.residuals.point[worst],
-        wimage=run.residuals.image[worst],
-    )
-
-
-def _rms_table(run: Run, camera_id: str, residuals: SensorResiduals, say: Catalogue) -> Table:
-    camera = run.result.cameras[camera_id]
-    of = dict(zip(run.exposures.image, run.exposures.camera, strict=True))
-    own = [rms for rms in run.result.images.rms if of.get(rms.image) == camera_id]
-    shown, caption = own, say("residuals.table")
-    if len(own) > ROWS:
-        shown = sorted(own, key=lambda rms: -max(rms.rms_x, rms.rms_y))[: ROWS // 3]
-        caption = say("residuals.table_worst", shown=len(shown), n=len(own))
-    micrometres = camera.unit == "mm"
-    columns = [Column(say("residuals.image"), align="left"), Column(say("residuals.rays"))]
-    for unit in ("px", "µm") if micrometres else ("px",):
-        columns += [Column(say("residuals.rms_x"), unit), Column(say("residuals.rms_y"), unit)]
-    pitch = (1.0, 1.0) if run.result.block.observation_unit == "px" else camera.pitch_mm or camera.pitch
-    rows = [_rms_row(rms.image, rms.rays, _in_px(rms, pitch), camera, say) for rms in shown]
-    rows.append(_rms_row(say("residuals.all"), len(residuals.place), rms_px(residuals), camera, say))
-    return Table(caption, tuple(columns), tuple(rows))
-
-
-def _in_px(rms: ImageRms, pitch: tuple[float, float]) -> tuple[float, float]:
-    return rms.rms_x / pitch[0], rms.rms_y / pitch[1]
-
-
-def _rms_row(
-    image: str, rays: int, rms: tuple[float, float], camera: CameraResult, say: Catalogue
-) -> tuple[str, ...]:
-    row = [image, str(rays), *(fixed(v, 3, say.mark) for v in rms)]
-    if camera.unit == "mm":
-        row += [fixed(1e3 * v * p, 2, say.mark) for v, p in zip(rms, camera.pitch, strict=True)]
-    return tuple(row)

@@ -16,19 +16,13 @@ from photocal.report.block_sections import (
     method,
     percent,
 )
-from photocal.report.camera_sections import (
-    camera_facts,
-    correlations,
-    image_residuals,
-    interior_orientation,
-    radial_distortion,
-    rms_px,
-)
+from photocal.report.camera_sections import camera_facts, correlations, interior_orientation
 from photocal.report.catalogue import Catalogue
 from photocal.report.digits import fixed, measured, relation
 from photocal.report.document import Document, Highlight, KeyValues, Piece, Section, Statement
 from photocal.report.facts import Facts, facts
-from photocal.report.ministry import Context
+from photocal.report.image_sections import image_residuals, radial_distortion, rms_px
+from photocal.report.ministry_rows import Context
 from photocal.report.ministry_sections import (
     acceptance,
     acceptance_statement,

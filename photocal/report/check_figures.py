@@ -40,7 +40,7 @@ def difference_map(names: tuple[str, ...], place: Floats, d: Floats, say: Catalo
     longest = float(np.hypot(d[:, 0], d[:, 1]).max()) or 1.0
     enlarged = LONGEST * extent / longest
     with drawing(WIDTH, 4.4) as (figure, out):
-        ax = figure.add_axes((0.1, 0.1, 0.86, 0.84))
+        ax = figure.add_axes((0.135, 0.1, 0.845, 0.84))
         arrows = ax.quiver(
             place[:, 0],
             place[:, 1],

@@ -9,7 +9,7 @@ import numpy as np
 from photocal.analysis.finding import Finding
 from photocal.analysis.plausibility import CalibrationRecord, plausibility
 from photocal.report.acceptance import Limit, expected_altimetric_error_cm, limits
-from photocal.report.camera_sections import rms_px
+from photocal.report.image_sections import rms_px
 from photocal.report.network_shape import network_shape
 from photocal.report.particulars import Particulars
 from photocal.report.printed import offsets

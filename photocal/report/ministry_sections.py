@@ -18,7 +18,8 @@ from photocal.report.document import (
     Tone,
 )
 from photocal.report.facts import Facts
-from photocal.report.ministry import Context, corners, entries, read_layout
+from photocal.report.ministry import entries, read_layout
+from photocal.report.ministry_rows import Context, corners
 from photocal.report.particulars import Particulars
 from photocal.report.words import finding_text
 

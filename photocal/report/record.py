@@ -17,7 +17,8 @@ from photocal.report.catalogue import Catalogue
 from photocal.report.certificate import certificate_number
 from photocal.report.distortion import farthest_corner, radial_profile
 from photocal.report.facts import Facts, facts
-from photocal.report.ministry import Context, entries, read_layout
+from photocal.report.ministry import entries, read_layout
+from photocal.report.ministry_rows import Context
 from photocal.report.particulars import Particulars
 from photocal.report.run import Result, Run
 

@@ -38,11 +38,14 @@ class InteriorSet:
         Values.
     sigma : ndarray, shape (13,)
         Standard deviations; NaN where none is known.
+    correlation : ndarray, shape (13, 13), or None
+        Correlations of the parameters with a sigma; None where they are not known.
     """
 
     name: str
     camera: Camera
     sigma: Floats
+    correlation: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -251,7 +254,10 @@ def _cameras(experiment: Experiment, block: Block) -> list[tuple[str, Use, Camer
             if use == "weighted":
                 known = np.isfinite(interior.sigma) & (interior.sigma > 0)
                 sigma = np.where(known, interior.sigma, np.inf)
-                made.append((interior.name, use, replace(given, estimated=known, prior_sigma=sigma)))
+                camera = replace(
+                    given, estimated=known, prior_sigma=sigma, prior_correlation=interior.correlation
+                )
+                made.append((interior.name, use, camera))
             else:
                 made.append((interior.name, use, given))
     return made

@@ -15,7 +15,8 @@ from photocal.report.catalogue import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.document import Signature, Table
 from photocal.report.facts import facts
-from photocal.report.ministry import LAYOUT, Context, corners, entries, read_layout
+from photocal.report.ministry import LAYOUT, entries, read_layout
+from photocal.report.ministry_rows import Context, corners
 from photocal.report.particulars import Particulars, read_particulars
 from photocal.report.run import Run
 

@@ -1,0 +1,343 @@
+"""What fills each row of the ministry's technical report: computed, given, or not determined."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from photocal.report.acceptance import verdict
+from photocal.report.camera_sections import POWERS
+from photocal.report.catalogue import Catalogue
+from photocal.report.digits import (
+    MINUS,
+    as_given,
+    fixed,
+    measured,
+    power_of_ten,
+    significant,
+    symbol,
+    unit_power,
+)
+from photocal.report.facts import Facts
+from photocal.report.particulars import Particulars
+from photocal.report.run import CameraResult, Run
+
+Origin = Literal["computed", "given", "fixed", "not_determined"]
+Filled = tuple[str, Origin] | None
+
+
+@dataclass(frozen=True)
+class Context:
+    """What the rows are filled from."""
+
+    run: Run
+    particulars: Particulars
+    facts: Facts
+    say: Catalogue
+
+    @property
+    def camera(self) -> CameraResult:
+        """The camera concerned."""
+        return self.run.result.cameras[self.facts.camera_id]
+
+
+def _given(text: str) -> Filled:
+    return (text, "given") if text else None
+
+
+def _number(value: float | None, digits: int, origin: Origin, c: Context) -> Filled:
+    if value is None:
+        return None
+    text = as_given(value, c.say.mark) if origin == "given" else significant(value, digits, c.say.mark)
+    return text, origin
+
+
+def _of_flight(value: float | None, name: str, digits: int, c: Context) -> Filled:
+    return _number(value, digits, "computed" if name in c.facts.computed else "given", c)
+
+
+def _verdict(c: Context) -> Filled:
+    found = verdict(c.facts.limits)
+    return None if found == "not_determined" else (c.say(f"acceptance.{found}"), "computed")
+
+
+def _sensor_dimension(c: Context) -> Filled:
+    size = c.particulars.camera.sensor_size_mm
+    if size is not None:
+        return " × ".join(as_given(side, c.say.mark) for side in size), "given"
+    if c.facts.pixel_mm is None:
+        return None
+    return " × ".join(fixed(n * p, 2, c.say.mark) for n, p in _sides(c)), "computed"
+
+
+def _sides(c: Context) -> list[tuple[int, float]]:
+    pitch = (
+        c.camera.pitch_mm if c.camera.unit == "mm" and c.camera.pitch_mm else (c.facts.pixel_mm or 0.0,) * 2
+    )
+    return list(zip(c.camera.size_px, pitch, strict=True))
+
+
+def _pixels(c: Context) -> Filled:
+    given = c.particulars.camera.effective_pixels
+    if given is not None:
+        return f"{as_given(given / 1e6, c.say.mark)} M", "given"
+    return f"{fixed(c.camera.size_px[0] * c.camera.size_px[1] / 1e6, 2, c.say.mark)} M", "computed"
+
+
+def _pixel_size(c: Context) -> Filled:
+    origin: Origin = "computed" if c.camera.unit == "mm" else "given"
+    return _number(c.facts.pixel_mm, 4, origin, c)
+
+
+def _image_side(axis: int) -> Callable[[Context], Filled]:
+    def fill(c: Context) -> Filled:
+        if c.facts.pixel_mm is None:
+            return f"{c.camera.size_px[axis]} px", "computed"
+        pixels, pitch = _sides(c)[axis]
+        return f"{fixed(pixels * pitch, 3, c.say.mark)} mm; {pixels} px", "computed"
+
+    return fill
+
+
+def _gnss(c: Context) -> Filled:
+    return _given(c.particulars.gnss_ins.receiver)
+
+
+def _triple(
+    values: tuple[float, ...] | None, sigmas: tuple[float, ...] | None, names: str, c: Context
+) -> Filled:
+    if values is None or sigmas is None:
+        return None
+    return _offsets(values, sigmas, names, c), "given"
+
+
+def _offsets(values: tuple[float, ...], sigmas: tuple[float, ...], names: str, c: Context) -> str:
+    printed = [measured(v, s, c.say.mark) for v, s in zip(values, sigmas, strict=True)]
+    return "; ".join(f"d{name} {_with_sigma(m)}" for name, m in zip(names, printed, strict=True))
+
+
+def _mounting(prefix: str, scale: float, names: str, c: Context) -> Filled:
+    """Offsets that the adjustment estimated; None for those that it held."""
+    mounting = c.run.result.mounting or {}
+    found = [mounting[key] for key in (f"{prefix}_{axis}" for axis in "xyz") if key in mounting]
+    if len(found) != 3 or not any(one.estimated for one in found):
+        return None
+    values, sigmas = (tuple(scale * getattr(one, key) for one in found) for key in ("value", "sigma"))
+    return _offsets(values, sigmas, names, c), "computed"
+
+
+def _lever_arm(c: Context) -> Filled:
+    system = c.particulars.gnss_ins
+    given = _triple(system.lever_arm_cm, system.lever_arm_sigma_cm, "XYZ", c)
+    return given or _mounting("lever_arm", 100.0, "XYZ", c)
+
+
+def _boresight(c: Context) -> Filled:
+    system = c.particulars.gnss_ins
+    given = _triple(system.boresight_deg, system.boresight_sigma_deg, "ωφκ", c)
+    return given or _mounting("boresight", 1.0, "ωφκ", c)
+
+
+def _with_sigma(m: object) -> str:
+    value, sigma, exponent = (getattr(m, key) for key in ("value", "sigma", "exponent"))
+    text = f"{value} ± {sigma}" if sigma else str(value)
+    return f"({text}) × {power_of_ten(exponent, '')}" if exponent else text
+
+
+def _method(c: Context) -> Filled:
+    given = c.particulars.campaign.method
+    text = c.say("ministry.method")
+    return (f"{given}; {text}", "given") if given else (text, "computed")
+
+
+def _test_field(c: Context) -> Filled:
+    campaign = c.particulars.campaign
+    if not campaign.test_field:
+        return None
+    vertices = [
+        f"{name} ({fixed(lat, 5, c.say.mark)}; {fixed(lon, 5, c.say.mark)})"
+        for name, lat, lon in campaign.vertices
+    ]
+    return "; ".join([campaign.test_field, *vertices]), "given"
+
+
+def _targets(c: Context) -> Filled:
+    return _count([1.0] * len(c.run.points.role), c)
+
+
+def _readings(c: Context) -> Filled:
+    return _count(c.run.points.rays.tolist(), c)
+
+
+def _count(values: list[float], c: Context) -> Filled:
+    """Sum over the surveyed points; a network without them has tie points, of which none need be a target."""
+    own = zip(c.run.points.role, values, strict=True)
+    total = int(sum(value for role, value in own if role in ("control", "check")))
+    return (str(total), "computed") if total else None
+
+
+def _iop(c: Context) -> Filled:
+    pixel = c.facts.pixel_mm if c.camera.unit == "px" else 1.0
+    unit, scale = ("mm", pixel) if pixel is not None else ("px", 1.0)
+    parts = []
+    for name in c.camera.correlation.names:
+        parameter, power = c.camera.parameters[name], POWERS.get(name, 0)
+        factor = scale**power
+        printed = measured(parameter.value * factor, parameter.sigma * factor, c.say.mark)
+        parts.append(f"{symbol(name)} {_with_sigma(printed)} {unit_power(unit, power)}".rstrip())
+    return ("; ".join(parts), "computed") if parts else None
+
+
+def _correlation(c: Context) -> Filled:
+    matrix, names = c.camera.correlation.matrix, c.camera.correlation.names
+    pairs = [(abs(matrix[i][j]), i, j) for i in range(len(names)) for j in range(i)]
+    if not pairs:
+        return None
+    _, i, j = max(pairs)
+    pair = f"{symbol(names[j])}–{symbol(names[i])} {fixed(matrix[i][j], 2, c.say.mark)}"
+    return c.say("ministry.correlation", section=c.say("correlation.section"), pair=pair), "computed"
+
+
+def _limit(*keys: str) -> Callable[[Context], Filled]:
+    def fill(c: Context) -> Filled:
+        chosen = [limit for limit in c.facts.limits if limit.key in keys]
+        values, bounds = [limit.value for limit in chosen], [limit.limit for limit in chosen]
+        if None in values or None in bounds:
+            return None
+        texts = [
+            "; ".join(significant(v, 4, c.say.mark) for v in column if v is not None)
+            for column in (values, bounds[:1])
+        ]
+        return f"{texts[0]} ≤ {texts[1]}" if all(
+            limit.met for limit in chosen
+        ) else f"{texts[0]} > {texts[1]}", "computed"
+
+    return fill
+
+
+def _eo_quality(c: Context) -> Filled:
+    e = c.particulars.exterior_orientation
+    if not (e.rmse_m is None or e.mean_m is None or e.rmse_arcsec is None or e.mean_arcsec is None):
+        rows = ((e.rmse_m, e.rmse_arcsec), (e.mean_m, e.mean_arcsec))
+        return _eo_rows([[as_given(v, c.say.mark) for v in (*m, *a)] for m, a in rows], c), "given"
+    d = None if c.run.analysis is None else c.run.analysis.exterior_difference
+    if d is None:
+        return None
+    computed = ((d.rmse_m, d.rmse_arcsec), (d.mean_m, d.mean_arcsec))
+    texts = [
+        [*(fixed(v, 4, c.say.mark) for v in metres), *(fixed(v, 1, c.say.mark) for v in seconds)]
+        for metres, seconds in computed
+    ]
+    return _eo_rows(texts, c), "computed"
+
+
+def _eo_rows(texts: list[list[str]], c: Context) -> str:
+    labels = (c.say("ministry.rmse"), c.say("ministry.mean"))
+    return "; ".join(
+        f"{label} X {t[0]} m, Y {t[1]} m, Z {t[2]} m, ω {t[3]}″, φ {t[4]}″, κ {t[5]}″"
+        for label, t in zip(labels, texts, strict=True)
+    )
+
+
+def _references(c: Context) -> Filled:
+    return "; ".join([c.say("ministry.references"), *c.particulars.document.references]), "fixed"
+
+
+def _place_date(c: Context) -> Filled:
+    place = c.particulars.document.place
+    return (f"{place}, {c.say.date(c.particulars.date)}", "given") if place else None
+
+
+def _responsible(c: Context) -> Filled:
+    r = c.particulars.responsible
+    return _given(", ".join(part for part in (r.name, r.title, r.registration) if part))
+
+
+def _height(c: Context) -> Filled:
+    return _of_flight(c.facts.height_m, "height", 4, c)
+
+
+def _corners(c: Context) -> Filled:
+    return c.say("ministry.corners"), "computed"
+
+
+def _software(c: Context) -> Filled:
+    return f"{c.run.result.software.name} {c.run.result.software.version}", "computed"
+
+
+FILLERS: dict[str, Callable[[Context], Filled]] = {
+    "verdict": _verdict,
+    "responsibility": lambda c: (c.say("ministry.responsibility"), "fixed"),
+    "sensor_systems": lambda c: (c.facts.camera_id, "computed"),
+    "camera_model": lambda c: _given(c.particulars.camera.model),
+    "camera_manufacturer": lambda c: _given(c.particulars.camera.manufacturer),
+    "camera_serial": lambda c: _given(c.particulars.camera.serial),
+    "lens_type": lambda c: _given(c.particulars.camera.lens_type),
+    "lens_serial": lambda c: _given(c.particulars.camera.lens_serial),
+    "sensor_type": lambda c: _given(c.particulars.camera.sensor_type),
+    "sensor_dimension": _sensor_dimension,
+    "effective_pixels": _pixels,
+    "pixel_size": _pixel_size,
+    "nominal_focal_length": lambda c: _number(c.particulars.camera.nominal_focal_length_mm, 4, "given", c),
+    "image_orientation": lambda c: (c.say("ministry.orientation"), "computed"),
+    "image_size_x": _image_side(0),
+    "image_size_y": _image_side(1),
+    "corner_table": _corners,
+    "gnss_ins": _gnss,
+    "rtk_advice": lambda c: (c.say("ministry.rtk"), "fixed"),
+    "gnss_ins_description": lambda c: _given(c.particulars.gnss_ins.description),
+    "lever_arm": _lever_arm,
+    "boresight": _boresight,
+    "calibration": lambda c: (c.say("ministry.calibration"), "computed"),
+    "method": _method,
+    "test_field": _test_field,
+    "platform": lambda c: _given(c.particulars.campaign.platform),
+    "photos": lambda c: (str(c.run.result.images.n), "computed"),
+    "flying_height": _height,
+    "gsd": lambda c: _of_flight(c.facts.gsd_cm, "gsd", 3, c),
+    "calibrated_focal_length": lambda c: _number(c.facts.focal_mm, 6, "computed", c),
+    "iso": lambda c: _number(c.particulars.campaign.iso, 6, "given", c),
+    "exposure_time": lambda c: _number(c.particulars.campaign.exposure_time_s, 3, "given", c),
+    "targets": _targets,
+    "readings": _readings,
+    "software": _software,
+    "iop_table": _iop,
+    "air_base": lambda c: _of_flight(c.facts.base_m, "base", 4, c),
+    "correlation_matrix": _correlation,
+    "residual_plot": lambda c: (c.say("ministry.plot", section=c.say("residuals.section")), "computed"),
+    "image_rmse": _limit("image_x", "image_y"),
+    "planimetric_rmse": _limit("planimetric"),
+    "altimetric_rmse": _limit("altimetric"),
+    "eo_quality": _eo_quality,
+    "comments": lambda c: _given(c.particulars.document.comments),
+    "references": _references,
+    "place_date": _place_date,
+    "responsible": _responsible,
+}
+
+
+def corners(c: Context) -> tuple[tuple[str, ...], ...]:
+    """Corners of the image: number, column and line (px), x and y (mm, from the image centre, y up).
+
+    Parameters
+    ----------
+    c : Context
+        The camera and its pixel size.
+
+    Returns
+    -------
+    tuple of tuple of str
+        Upper left, lower left, lower right, upper right; the millimetres are empty without a pixel size.
+    """
+    width, height = c.camera.size_px
+    places = (("1", 0, 0), ("2", 0, height), ("3", width, height), ("4", width, 0))
+    (_, px), (_, py) = _sides(c)
+    rows = []
+    for name, column, line in places:
+        x, y = (column - width / 2) * px, (height / 2 - line) * py
+        known = c.facts.pixel_mm is not None
+        rows.append(
+            (name, str(column), str(line), *(fixed(v, 4, c.say.mark) if known else MINUS for v in (x, y)))
+        )
+    return tuple(rows)

@@ -1,0 +1,134 @@
+"""Certificates of analysed runs: findings, significance, method and warnings in both languages."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from photocal.block.folder import read_block
+from photocal.block.process import adjust_block
+from photocal.report.analysis_file import analyse_run
+from photocal.report.catalogue import catalogue
+from photocal.report.certificate import certificate
+from photocal.report.document import Document, KeyValues, Paragraph, Signature, Statement, Table
+from photocal.report.exterior_difference import exterior_difference
+from photocal.report.facts import facts
+from photocal.report.html import html
+from photocal.report.ministry import entries, read_layout
+from photocal.report.ministry_rows import Context
+from photocal.report.particulars import read_particulars
+from photocal.report.record import record
+from photocal.report.run import Run
+from photocal.report.run_reader import read_run
+from tests.photocal.accuracy.georeferencing.flights import Plan, fly
+from tests.photocal.report.conftest import DAY
+
+DEMO = Path(__file__).resolve().parents[3] / "configs" / "demo" / "dcs460"
+
+
+@pytest.fixture(scope="module")
+def analysed(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    folder = tmp_path_factory.mktemp("analysed") / "run"
+    adjust_block(DEMO, folder)
+    analyse_run(folder, DEMO)
+    return read_run(folder)
+
+
+def words(document: Document) -> str:
+    """Everything that is printed."""
+    said = [piece.text for piece in document.verdicts]
+    for section in document.sections:
+        said.append(section.title)
+        for piece in section.pieces:
+            if isinstance(piece, Paragraph | Statement):
+                said.append(piece.text)
+            elif isinstance(piece, Table):
+                said += [cell for row in piece.rows for cell in row]
+                assert all(len(row) == len(piece.columns) for row in piece.rows), piece.caption
+            elif isinstance(piece, KeyValues):
+                said += [f"{label} {value}" for label, value in piece.rows]
+            elif not isinstance(piece, Signature):
+                said.append(piece.caption)
+    return "\n".join(said)
+
+
+@pytest.mark.parametrize(
+    ("language", "expected"),
+    [
+        (
+            "en",
+            ("y scale factor 0.9980", "the pixels are square", "K₃ is not significant once corrected",
+             "powers of the same radius", "Images left out", "convergent cameras"),
+        ),
+        (
+            "pt-BR",
+            ("fator de escala em y 0,9980", "os pixels são quadrados", "K₃ não é significativo após",
+             "potências do mesmo raio", "câmeras convergentes"),
+        ),
+    ],
+)  # fmt: skip
+def test_what_was_found_is_printed(analysed: Run, language: str, expected: tuple[str, ...]) -> None:
+    document = certificate(analysed, read_particulars(None, DAY), catalogue(language))
+    said = words(document)
+    for text in expected[: 4 if language == "en" else None]:
+        assert text in said
+    # Hidden errors that are not small stand at the head.
+    assert any("0" in piece.text and expected[0] in piece.text for piece in document.verdicts)
+    assert expected[0] in html(document)
+
+
+def test_without_analysis_it_is_said(analysed: Run) -> None:
+    bare = Run(analysed.result, analysed.exposures, analysed.points, analysed.residuals, analysed.files)
+    document = certificate(bare, read_particulars(None, DAY), catalogue("en"))
+    assert "was not analysed" in words(document)
+
+
+def test_warnings_reach_every_form(analysed: Run) -> None:
+    given, say = read_particulars(None, DAY), catalogue("en")
+    warned = certificate(analysed, given, say, ("PPK: 62 % of the epochs are fixed.",))
+    assert "62 % of the epochs" in warned.verdicts[-1].text
+    assert "62 % of the epochs" in words(warned)
+    assert warned.number != certificate(analysed, given, say).number
+    plain = record(analysed, given, say, ("PPK: 62 % of the epochs are fixed.",))
+    assert plain["warnings"] == ["PPK: 62 % of the epochs are fixed."]
+    json.dumps(plain, allow_nan=False)
+
+
+def test_table_3_is_original_less_adjusted(tmp_path: Path) -> None:
+    """Without lever arm the antenna is the camera: against the two tables, subtracted by hand."""
+    folder = fly(tmp_path / "flight", np.random.default_rng(3), plan=Plan(tie=40))
+    adjust_block(folder, tmp_path / "run")
+    found = exterior_difference(read_block(folder))
+    assert found is not None
+    tables = []
+    for path in (folder / "positions.csv", tmp_path / "run" / "images.csv"):
+        with path.open(encoding="utf-8", newline="") as stream:
+            rows = {row["image"]: [float(row[axis]) for axis in "XYZ"] for row in csv.DictReader(stream)}
+        tables.append(np.array([rows[name] for name in sorted(rows)]))
+    d = tables[0] - tables[1]
+    assert found.images == len(d)
+    np.testing.assert_allclose(found.mean_m, d.mean(axis=0), atol=1e-6)
+    np.testing.assert_allclose(found.rmse_m, np.sqrt(np.mean(d**2, axis=0)), atol=1e-6)
+    # Attitudes with noise of 0.03 degrees; their residuals are a little smaller.
+    assert np.all(np.array(found.rmse_arcsec) < 0.03 * 3600.0 * 1.2)
+    assert np.all(np.array(found.rmse_arcsec) > 0.03 * 3600.0 * 0.4)
+
+
+def test_offsets_and_table_3_come_from_the_run(tmp_path: Path) -> None:
+    mounting = "lever_arm_m = [0.0, 0.0, 0.0]\nlever_arm_sigma_m = 0.05"
+    fly(tmp_path / "flight", np.random.default_rng(3), plan=Plan(tie=40, mounting=mounting))
+    adjust_block(tmp_path / "flight", tmp_path / "run")
+    analyse_run(tmp_path / "run", tmp_path / "flight")
+    run, given, say = read_run(tmp_path / "run"), read_particulars(None, DAY), catalogue("en")
+    rows = {
+        entry.row.key: entry
+        for entry in entries(read_layout(), Context(run, given, facts(run, "cam", given), say))
+    }
+    assert rows["lever_arm"].origin == rows["eo_quality"].origin == "computed"
+    assert rows["lever_arm"].value.startswith("dX")
+    assert rows["boresight"].origin == "not_determined"
+    assert rows["eo_quality"].value.startswith("RMSE X 0.0")
