@@ -115,7 +115,8 @@ def exposures(
             axes_of(tuple(camera_axes.split(","))),
         )
         sources = Sources(logs, rover, base, tuple(nav or ()), base_position, rover_link, base_link)
-        choices = Choices(sources, images, mrk, edge, delay, delay_sigma, rig, clock_offset, oriented)
+        choices = Choices(sources, images, mrk, edge, delay, delay_sigma, rig, clock_offset)
+    choices = replace(choices, oriented=oriented)
     if check_images:
         plan = MatchingPlan(default_cache(), os.cpu_count() or 1)
         choices = replace(choices, neighbours=Neighbours(plan, progress))

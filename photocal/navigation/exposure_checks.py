@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -101,7 +101,7 @@ def _time_base(e: Evidence) -> Check:
             "event-time-base",
             "passed",
             compared,
-            f"time marks come {middle:+.1f} s after their epoch",
+            f"time marks and the epochs that they came with agree to {abs(middle):.1f} s",
             figures,
         )
     cause = (
@@ -206,8 +206,8 @@ def _other_positions(e: Evidence) -> list[Check]:
     exposures = e.antenna if e.listed is not None else at_camera(e.antenna, e.rig)
     for source, theirs, free, at in _sources(e):
         ours = exposures if at == "camera" else e.antenna
-        lever = e.rig.lever_m if at == "camera" else None
-        found.append(judge_positions(source, ours, theirs, lever, free))
+        rig = e.rig if at == "camera" else replace(e.rig, lever_m=None)
+        found.append(judge_positions(source, ours, theirs, rig, free))
     return found
 
 
@@ -232,7 +232,7 @@ def _sources(e: Evidence) -> list[tuple[str, Floats, str, str]]:
     return sources
 
 
-def judge_positions(source: str, ours: Exposures, theirs: Floats, lever_m: Floats | None, free: str) -> Check:
+def judge_positions(source: str, ours: Exposures, theirs: Floats, rig: Rig, free: str) -> Check:
     """Hold exposures against positions of another source.
 
     Parameters
@@ -243,8 +243,8 @@ def judge_positions(source: str, ours: Exposures, theirs: Floats, lever_m: Float
         Exposures.
     theirs : float64 (n, 3)
         With ``shift``: latitude, longitude (deg), height (m); with ``similarity``: any Cartesian frame, m.
-    lever_m : float64 (3,) or None
-        Lever arm that was applied to ours.
+    rig : Rig
+        With the lever arm that was applied to ours, and how well it and the time are known.
     free : str
         What is unknown between the two systems, see `PositionPairs`.
     """
@@ -260,12 +260,16 @@ def judge_positions(source: str, ours: Exposures, theirs: Floats, lever_m: Float
     if there is None:
         return Check("positions", "not possible", compared, "the exposures lie on one line", {})
     velocity = p.velocity_m_s[known]
-    pairs = PositionPairs(here, there, velocity, np.swapaxes(body.rotation[known], 1, 2), lever_m, free)
+    turn = np.swapaxes(body.rotation[known], 1, 2)
+    lever_sigma = None if rig.lever_m is None else rig.lever_sigma_m
+    pairs = PositionPairs(
+        here, there, velocity, turn, rig.lever_m, free, rig.time_offset_sigma_s, lever_sigma
+    )
     try:
         found = compare_positions(pairs)
     except IllPosedError as refusal:
         return Check("positions", "not possible", compared, str(refusal), {})
-    return _verdict(found, compared, lever_m)
+    return _verdict(found, compared, rig.lever_m)
 
 
 def _verdict(found: PositionComparison, compared: str, lever_m: Floats | None) -> Check:
@@ -298,7 +302,10 @@ def _verdict(found: PositionComparison, compared: str, lever_m: Floats | None) -
         known = "the lever arm is wrong by" if lever_m is not None else "there is a lever arm of"
         text = f"{known} {parts}"
     names = {TIME: "a time offset", LEVER: "another lever arm", AXES: "exchanged axes of the lever arm"}
-    if found.same:
+    if found.exchange is not None and best is not found.exchange:
+        figures["exchanged_axes"] = found.exchange.axes
+        text += f"; with exchanged axes or signs it would be {found.exchange.axes} m"
+    elif found.same:
         text += "; " + " or ".join(names[name] for name in found.same) + " would explain it as well"
     return Check(best.name, "failed", compared, text, figures)
 

@@ -245,9 +245,7 @@ def _judged(
     if choices.oriented is not None:
         theirs = oriented_positions(choices.oriented, exposures.image)
         checks.append(
-            judge_positions(
-                "positions of the adjusted images", exposures, theirs, choices.rig.lever_m, "similarity"
-            )
+            judge_positions("positions of the adjusted images", exposures, theirs, choices.rig, "similarity")
         )
     if choices.neighbours is not None:
         pairs = compare_rotations(exposures, flight.images, choices.rig, choices.neighbours)

@@ -4,22 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from re import compile as pattern
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError, InputNotFoundError
+from drivers.mrk import parse_event
 from photocal.navigation.events import Events, counter_jumps
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import enu_axes, geocentric, geodetic
 
 Floats = NDArray[np.float64]
-_NUMBER = r"\s*([+-]?\d+(?:\.\d+)?)\s*"
-_ROW = pattern(
-    rf"{_NUMBER}\s{_NUMBER}\s\[{_NUMBER}\]\s{_NUMBER},N\s{_NUMBER},E\s{_NUMBER},V\s{_NUMBER},Lat\s"
-    rf"{_NUMBER},Lon\s{_NUMBER},Ellh\s{_NUMBER},{_NUMBER},{_NUMBER}\s{_NUMBER},Q\s*\Z"
-)
 # Flag of the receiver: 50 fixed, 34 float, 16 single.
 _STATUS = {50: "fixed", 34: "float"}
 
@@ -55,9 +50,7 @@ class CameraEventList:
 def read_mrk(path: Path) -> CameraEventList:
     """Read a `Timestamp.MRK` file.
 
-    Columns (DJI, Matrice 4 Series User Manual 2025, p. 92): number, seconds of week, [week], offset north,
-    east and down from the antenna to the sensor in mm, latitude, longitude, ellipsoidal height, their
-    sigmas, flag.
+    The columns are described in `drivers.mrk`.
 
     Raises
     ------
@@ -75,14 +68,14 @@ def read_mrk(path: Path) -> CameraEventList:
     for number, line in enumerate(lines, 1):
         if not line.strip():
             continue
-        found = _ROW.match(line)
+        found = parse_event(line)
         if found is None:
             raise InputMalformedError(
                 "is no event (number, time, week, offsets N E V, Lat, Lon, Ellh, sigmas, Q)",
                 where=f"{path}, line {number}",
                 remedy="give the file as the vehicle wrote it",
             )
-        rows.append([float(value) for value in found.groups()])
+        rows.append(found)
     if not rows:
         raise InputMalformedError("has no events", where=path, remedy="check the flight's folder")
     t = np.array(rows)

@@ -18,6 +18,7 @@ _SIGNIFICANCE = 0.001
 # very strong evidence).
 _AS_GOOD = 10.0
 _GROSS = 5.0
+_MOST = 0.8
 TIME, LEVER, AXES = "time-offset", "lever-arm", "lever-arm-axes"
 AXIS_NAMES = ("forward", "right", "down")
 
@@ -38,6 +39,10 @@ class PositionPairs:
         Lever arm that was applied to ours, body axes.
     free : str
         What is unknown between the two systems: ``shift``, or ``similarity`` (also scale and rotation).
+    time_sigma_s : float
+        How well the time of the exposures is known beforehand; 0: taken as right.
+    lever_sigma_m : float64 (3,) or None
+        How well the lever arm is; None: taken as right.
     """
 
     ours: Floats
@@ -46,6 +51,8 @@ class PositionPairs:
     to_object: Floats
     lever_m: Floats | None
     free: str
+    time_sigma_s: float = 0.0
+    lever_sigma_m: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -97,6 +104,8 @@ class PositionComparison:
         Others that explain as much.
     detectable_s : float
         Time offset that would be found with 80 % power; infinite when the flight cannot show one.
+    exchange : Explanation or None
+        Exchanged axes that explain most of what the best one explains.
     """
 
     n: int
@@ -105,14 +114,16 @@ class PositionComparison:
     best: Explanation | None
     same: tuple[str, ...]
     detectable_s: float
+    exchange: Explanation | None = None
 
 
 def compare_positions(pairs: PositionPairs) -> PositionComparison:
     """Find which single error explains the differences of two sources best.
 
-    theirs - ours = what is unknown between the systems + v dt + R' dl: beside the former, a time offset dt,
-    an error dl of the lever arm and every exchange and change of sign of its axes are tried in turn, judged
-    by an F test (0.1 % over all) and the criterion of Schwarz (1978). Gross differences are left out.
+    theirs - ours = what is unknown between the systems + v dt + R' dl. First dt and dl are held to what is
+    known of them beforehand; then each is freed in turn, and every exchange and change of sign of the lever
+    arm's axes tried, judged by an F test (0.1 % over all) and the criterion of Schwarz (1978). Gross
+    differences are left out.
 
     Parameters
     ----------
@@ -125,7 +136,7 @@ def compare_positions(pairs: PositionPairs) -> PositionComparison:
     Raises
     ------
     IllPosedError
-        With fewer than eight common exposures, or a flight along one line.
+        With fewer than eight common exposures.
     """
     known = np.isfinite(pairs.ours + pairs.theirs + pairs.velocity).all(axis=1)
     rows = np.flatnonzero(known)
@@ -133,38 +144,92 @@ def compare_positions(pairs: PositionPairs) -> PositionComparison:
         raise IllPosedError(
             f"{len(rows)} exposures have both positions, at least {_LEAST} are needed to compare them"
         )
-    nuisance = _nuisance(pairs)
-    columns = {TIME: pairs.velocity[:, :, None]}
-    if np.isfinite(pairs.to_object[rows]).all():
-        columns[LEVER] = pairs.to_object
+    turned = bool(np.isfinite(pairs.to_object[rows]).all())
+    blocks = [_nuisance(pairs), pairs.velocity[:, :, None], *([pairs.to_object] if turned else [])]
+    design = np.concatenate(blocks, axis=2)
+    unknown = blocks[0].shape[2]
+    places = {TIME: slice(unknown, unknown + 1)} | (
+        {LEVER: slice(unknown + 1, unknown + 4)} if turned else {}
+    )
+    free = np.full(design.shape[2], np.inf)
     difference = pairs.theirs - pairs.ours
-    whole = np.concatenate([nuisance, *columns.values()], axis=2)
+    rows = _without_gross(design, difference, rows)
+    model = _Model(design[rows], difference[rows], _noise(design[rows], difference[rows]))
+    sigma = free.copy()
+    sigma[unknown] = pairs.time_sigma_s
+    sigma[unknown + 1 :] = 0.0 if pairs.lever_sigma_m is None else pairs.lever_sigma_m
+    tried = [_freed(name, model, sigma, place) for name, place in places.items()]
+    if pairs.lever_m is not None and turned:
+        tried += _exchanged(model, sigma, pairs.to_object[rows], pairs.lever_m)
+    judged = [t for t in tried if t.significant and t.p * len(tried) < _SIGNIFICANCE]
+    best = max(judged, key=lambda t: t.gain, default=None)
+    same = () if best is None else _as_good(best, judged)
+    # A lever arm is known to a centimetre: exchanged axes need not explain the last of it.
+    exchange = next((t for t in judged if t.name == AXES and best and t.gain > _MOST * best.gain), None)
+    return PositionComparison(
+        len(rows),
+        np.sqrt(np.mean(model.solved(sigma)[2] ** 2, axis=0)),
+        np.mean(model.difference, axis=0),
+        best,
+        same,
+        _detectable(model, sigma, unknown),
+        exchange,
+    )
+
+
+@dataclass(frozen=True)
+class _Model:
+    """Differences, their design, and the standard deviation of one of them."""
+
+    design: Floats
+    difference: Floats
+    noise_m: float
+
+    def solved(self, sigma: Floats) -> tuple[float, Floats, Floats, Floats]:
+        """Solve with unknowns that are free (infinite), weighted (positive) or held at zero (0).
+
+        Returns
+        -------
+        float, float64 (k,), float64 (n, 3), float64 (k, k)
+            Sum of squares with that of the weighted unknowns, unknowns, residuals, cofactors.
+        """
+        used = np.flatnonzero(sigma > 0)
+        a = self.design.reshape(-1, self.design.shape[2])[:, used]
+        weight = np.where(np.isfinite(sigma[used]), self.noise_m / sigma[used], 0.0)
+        scale = np.maximum(np.sqrt(np.sum(a**2, axis=0) + weight**2), 1e-12)
+        normal = (a / scale).T @ (a / scale) + np.diag((weight / scale) ** 2)
+        inverse = np.linalg.pinv(normal, rcond=1e-10)
+        y = self.difference.ravel()
+        found = inverse @ (a / scale).T @ y / scale
+        x = np.zeros(len(sigma))
+        x[used] = found
+        residual = y - a @ found
+        cofactor = np.zeros((len(sigma), len(sigma)))
+        cofactor[np.ix_(used, used)] = inverse / np.outer(scale, scale)
+        squares = float(residual @ residual + np.sum((weight * found) ** 2))
+        return max(squares, 1e-18), x, residual.reshape(self.difference.shape), cofactor
+
+    def moved(self, by_m: Floats) -> _Model:
+        """Return the model of other differences."""
+        return _Model(self.design, self.difference - by_m, self.noise_m)
+
+
+def _without_gross(design: Floats, difference: Floats, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    free = np.full(design.shape[2], np.inf)
     for _ in range(5):
         # Gross errors are told by what is left when all errors looked for are allowed.
-        residual = _fit(whole[rows], difference[rows])[0]
+        residual = _Model(design[rows], difference[rows], 1.0).solved(free)[2]
         size = np.linalg.norm(residual, axis=1)
-        scale = max(float(np.median(size)), 1e-6)
-        kept = rows[size <= _GROSS * scale]
+        kept = rows[size <= _GROSS * max(float(np.median(size)), 1e-6)]
         if len(kept) == len(rows) or len(kept) < _LEAST:
             break
         rows = kept
-    d, base = difference[rows], nuisance[rows]
-    residual, _, _ = _fit(base, d)
-    tried = [_try(name, base, block[rows], d) for name, block in columns.items()]
-    if pairs.lever_m is not None and LEVER in columns:
-        tried += _exchanged(base, pairs.to_object[rows], pairs.lever_m, d)
-    count = len(tried)
-    judged = [t for t in tried if t.significant and t.p * count < _SIGNIFICANCE]
-    best = max(judged, key=lambda t: t.gain, default=None)
-    same = () if best is None else _as_good(best, judged)
-    return PositionComparison(
-        len(rows),
-        np.sqrt(np.mean(residual**2, axis=0)),
-        np.mean(d, axis=0),
-        best,
-        same,
-        _detectable(base, columns[TIME][rows], whole[rows], d),
-    )
+    return rows
+
+
+def _noise(design: Floats, difference: Floats) -> float:
+    squares = _Model(design, difference, 1.0).solved(np.full(design.shape[2], np.inf))[0]
+    return float(np.sqrt(squares / max(difference.size - design.shape[2], 1)))
 
 
 def _as_good(best: Explanation, judged: list[Explanation]) -> tuple[str, ...]:
@@ -184,58 +249,48 @@ def _nuisance(pairs: PositionPairs) -> Floats:
     return np.concatenate([shift, skew, place[:, :, None]], axis=2)
 
 
-def _fit(design: Floats, d: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return residuals (n, 3), the unknowns and their cofactors."""
-    a, y = design.reshape(-1, design.shape[2]), d.ravel()
-    scale = np.maximum(np.linalg.norm(a, axis=0), 1e-12)
-    inverse = np.linalg.pinv((a / scale).T @ (a / scale), rcond=1e-10)
-    x = inverse @ (a / scale).T @ y / scale
-    return (y - a @ x).reshape(d.shape), x, inverse / np.outer(scale, scale)
+def _freed(name: str, model: _Model, sigma: Floats, place: slice) -> Explanation:
+    rss0 = model.solved(sigma)[0]
+    free = sigma.copy()
+    free[place] = np.inf
+    rss, x, _, cofactor = model.solved(free)
+    k = place.stop - place.start
+    size = model.difference.size
+    dof = max(size - int(np.isinf(free).sum()), 1)
+    f = max((rss0 - rss) / k / (rss / dof), 0.0)
+    spread = np.sqrt(np.maximum(np.diag(cofactor)[place] * rss / dof, 0.0))
+    gain = size * np.log(rss0 / rss) - k * np.log(size)
+    return Explanation(name, x[place], spread, "", float(gain), float(stats.f.sf(f, k, dof)))
 
 
-def _try(name: str, base: Floats, block: Floats, d: Floats) -> Explanation:
-    residual0, _, _ = _fit(base, d)
-    residual, x, cofactor = _fit(np.concatenate([base, block], axis=2), d)
-    k = block.shape[2]
-    dof = d.size - base.shape[2] - k
-    rss0, rss = float(np.sum(residual0**2)), max(float(np.sum(residual**2)), 1e-18)
-    f = (rss0 - rss) / k / (rss / dof)
-    sigma = np.sqrt(np.maximum(np.diag(cofactor)[-k:] * rss / dof, 0.0))
-    gain = d.size * np.log(rss0 / rss) - k * np.log(d.size)
-    return Explanation(name, x[-k:], sigma, "", float(gain), float(stats.f.sf(f, k, dof)))
-
-
-def _exchanged(base: Floats, to_object: Floats, lever_m: Floats, d: Floats) -> list[Explanation]:
-    """Try every exchange and change of sign of the lever arm's axes."""
-    residual0, _, _ = _fit(base, d)
-    rss0 = float(np.sum(residual0**2))
-    dof = d.size - base.shape[2]
+def _exchanged(model: _Model, sigma: Floats, to_object: Floats, lever_m: Floats) -> list[Explanation]:
+    """Try every exchange and change of sign of the lever arm's axes; return the best one."""
+    rss0 = model.solved(sigma)[0]
+    size = model.difference.size
+    dof = max(size - int(np.isinf(sigma).sum()), 1)
     found = []
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
             meant = np.array(signs) * lever_m[list(order)]
             if np.allclose(meant, lever_m, atol=1e-6):
                 continue
-            moved = np.einsum("nij,j->ni", to_object, meant - lever_m)
-            residual, _, _ = _fit(base, d - moved)
-            rss = max(float(np.sum(residual**2)), 1e-18)
-            gain = d.size * np.log(rss0 / rss)
+            rss = model.moved(np.einsum("nij,j->ni", to_object, meant - lever_m)).solved(sigma)[0]
             # Nothing is estimated: the ratio of the two variances is judged as if one value had been.
             p = float(stats.f.sf(max(rss0 / rss - 1, 0.0) * dof, 1, dof))
             text = ", ".join(f"{v:+.3f} {name}" for v, name in zip(meant, AXIS_NAMES, strict=True))
-            found.append(Explanation(AXES, meant - lever_m, np.zeros(3), text, float(gain), p))
+            gain = float(size * np.log(rss0 / rss))
+            found.append(Explanation(AXES, meant - lever_m, np.zeros(3), text, gain, p))
     # Exchanges that differ only where the lever arm is zero are the same.
     found.sort(key=lambda e: -e.gain)
     return found[:1]
 
 
-def _detectable(base: Floats, velocity: Floats, whole: Floats, d: Floats) -> float:
-    residual, _, _ = _fit(whole, d)
-    spread = float(np.sum(residual**2)) / max(d.size - whole.shape[2], 1)
-    a, v = base.reshape(-1, base.shape[2]), velocity.reshape(-1, 1)
-    free = v - a @ np.linalg.pinv(a, rcond=1e-10) @ v
-    length = float(np.linalg.norm(free))
-    if length < 1e-3 * float(np.linalg.norm(v)) or length == 0:
+def _detectable(model: _Model, sigma: Floats, place: int) -> float:
+    others = sigma.copy()
+    others[place] = 0.0
+    velocity = _Model(model.design, model.design[:, :, place], model.noise_m)
+    length = float(np.sqrt(velocity.solved(others)[0]))
+    if length < 1e-3 * float(np.linalg.norm(velocity.difference)) or length == 0:
         return float("inf")
     # Two-sided 0.1 % with a power of 80 % (Baarda 1968).
-    return float(4.13 * np.sqrt(spread) / length)
+    return float(4.13 * model.noise_m / length)
