@@ -40,7 +40,7 @@ def test_projection_is_that_of_opencv(world: World) -> None:
 
 def test_directions_undo_the_projection(world: World) -> None:
     camera = world.camera
-    rows, columns = np.meshgrid(np.linspace(0, 1535, 30), np.linspace(0, 2303, 40))
+    rows, columns = np.meshgrid(np.linspace(0, camera.height, 30), np.linspace(0, camera.width, 40))
     pixels = np.stack([columns, rows], axis=-1)
     assert np.abs(camera.project(camera.directions(pixels)) - pixels).max() < 1e-9
 
