@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 
 
 class Wire(IntEnum):
-    """The protocols that can share a stream."""
+    """The protocols of streams, and the formats of logs whose records are kept as they are."""
 
     MAVLINK = 0
     UBX = 1
     RTCM3 = 2
     NMEA = 3
+    DATAFLASH = 4
+    ULOG = 5
+    MRK = 6
 
     @property
     def encoding(self) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers import nmea
+from drivers import mrk, nmea, ulog
 from drivers.checksums import x25
 from drivers.frames import Batch, Wire
 from drivers.mavlink.dialect import Dialect
@@ -38,6 +38,12 @@ def batch_of_payloads(wire: Wire, payloads: list[bytes], dialect: Dialect) -> Ba
     elif wire == Wire.RTCM3:
         kind = octets[start + 3].astype(np.int64) << 4 | octets[start + 4] >> 4
         kind[length < 8] = 0
+    elif wire == Wire.DATAFLASH:
+        kind = octets[start + 2].astype(np.int64)
+    elif wire == Wire.ULOG:
+        kind = np.array([_ulog_kind(payload) for payload in payloads], np.int64)
+    elif wire == Wire.MRK:
+        kind = np.full(len(payloads), mrk.EVENT_KIND)
     else:
         kind = np.array([nmea.kind_of(payload[1:9]) for payload in payloads], np.int64)
     return Batch(
@@ -50,6 +56,12 @@ def batch_of_payloads(wire: Wire, payloads: list[bytes], dialect: Dialect) -> Ba
         known=known,
         damage=np.empty((0, 2), np.int64),
     )
+
+
+def _ulog_kind(payload: bytes) -> int:
+    if payload.startswith(ulog.MAGIC):
+        return ulog.FILE_HEAD_KIND
+    return payload[2] << 16 | (payload[3] | payload[4] << 8 if payload[2] == ulog.DATA else 0)
 
 
 def _mavlink_kinds(octets: NDArray[np.uint8], start: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -26,4 +26,8 @@ def kind_name(wire: Wire, kind: int, known: bool, dialect: Dialect) -> str:
         return dialect.name(kind) if known else f"unknown {kind}"
     if wire == Wire.UBX:
         return ubx_name(kind)
+    if wire == Wire.ULOG:
+        return f"{chr(kind >> 16)} {kind & 0xFFFF}" if kind else "head"
+    if wire == Wire.MRK:
+        return "event"
     return nmea.kind_name(kind) if wire == Wire.NMEA else str(kind)

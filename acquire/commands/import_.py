@@ -19,7 +19,9 @@ def import_(
     output: Annotated[Path, typer.Option("-o", "--output", help="Flight log to write (.mcap).")],
     files: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[FILE]...", help="Recordings: .tlog, .ubx, .rtcm3, .nmea; gzip too."),
+        typer.Argument(
+            metavar="[FILE]...", help="Recordings: .tlog, .ubx, .rtcm3, .nmea, .bin, .ulg, .mrk; gzip too."
+        ),
     ] = None,
     link: Annotated[
         list[str] | None, typer.Option(metavar="NAME=FILE", help="Recording with the name of its link.")

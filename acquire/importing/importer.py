@@ -9,22 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from acquire import __version__
-from acquire.channels.decoded import Decoder
-from acquire.channels.receiver import ReceiverDecoder
-from acquire.channels.receiver_time import ReceiverClock
-from acquire.channels.vehicle import VehicleDecoder
-from acquire.importing.log_time import derived, stamped
 from acquire.importing.recording import Format, Source, identify, open_recording
+from acquire.importing.timing import way_of
 from acquire.log.link import LinkLog, Tally
 from acquire.log.writer import LogWriter
 from acquire.outputs import output_file
 from drivers.errors import ConfigurationError
-from drivers.frames import Batch, Wire
-from drivers.gnsstime import expiry_warning
+from drivers.frames import Batch
 from drivers.mavlink.dialect import Dialect, ardupilotmega
 
 CHUNK_BYTES = 1 << 20
-HOST_TIME = "host stamps of the recording"
 
 
 @dataclass(frozen=True)
@@ -153,8 +147,8 @@ def _import(
     near_ns: int,
 ) -> Imported:
     framer = form.framer(dialect)
-    clock = ReceiverClock(near_ns)
-    log = LinkLog(writer, link, _decoders(link, form, dialect))
+    way = way_of(source, form, link, dialect, near_ns)
+    log = LinkLog(writer, link, [way.decoder])
 
     def batches() -> Iterator[Batch]:
         done = 0
@@ -164,43 +158,25 @@ def _import(
             done = source.position()
         yield framer.close()
 
-    timed = stamped(batches()) if framer.stamped else derived(batches(), clock, source.path)
-    for batch, log_ns in timed:
+    for batch, log_ns in way.timed(batches()):
         log.write(batch, log_ns)
         if writer.open_bytes > CHUNK_BYTES:
             writer.end_chunk()
-    log_time = HOST_TIME if framer.stamped else _derivation(clock, near_ns)
     imported = Imported(
         link=link,
         path=source.path,
         sha256=source.sha256(),
         size=source.size(),
         form=form,
-        log_time=log_time,
+        log_time=way.told(),
         tally=log.tally,
         cut=framer.cut,
         packing_cut=source.cut,
-        # Host stamps are UTC already; what a receiver tells in GPS time needs the leap seconds.
-        warning="" if framer.stamped else expiry_warning(log.last_ns),
+        warning=way.warned(log.last_ns),
     )
     writer.metadata(f"import {link}", imported.metadata())
     return imported
 
 
-def _decoders(link: str, form: Format, dialect: Dialect) -> list[Decoder]:
-    if Wire.MAVLINK in form.wires:
-        return [VehicleDecoder(link, dialect)]
-    return [ReceiverDecoder(link)]
-
-
-def _derivation(clock: ReceiverClock, near_ns: int) -> str:
-    told = sorted(clock.sources)
-    # Where the stream tells its date itself, that is what counts.
-    sources = ", ".join(told) if told or near_ns < 0 else "time of day or week, the date as it was given"
-    return f"derived from the receiver's own time ({sources}); no host clock"
-
-
 def _link_name(path: Path, form: Format) -> str:
-    if Wire.MAVLINK in form.wires:
-        return "vehicle"
-    return re.sub(r"[^A-Za-z0-9_-]+", "-", path.name.split(".")[0]).strip("-") or "receiver"
+    return form.link or re.sub(r"[^A-Za-z0-9_-]+", "-", path.name.split(".")[0]).strip("-") or "receiver"

@@ -3,13 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.channels.receiver_time import ReceiverClock
+from acquire.channels.boot_time import BootTime
 from drivers.errors import InputMalformedError
 from drivers.frames import Batch
+from drivers.logged import Definitions
+
+
+class Clock(Protocol):
+    """Reads the time of a device from its own frames."""
+
+    @property
+    def sources(self) -> set[str]:
+        """What told the time so far."""
+        ...
+
+    def feed(self, batch: Batch) -> NDArray[np.int64]:
+        """Return UTC for each frame, nanoseconds since 1970; -1 before it was told."""
+        ...
+
+    def restart(self, near_ns: int) -> None:
+        """Begin anew with a stream whose time is known within half a day."""
+        ...
 
 
 def stamped(batches: Iterable[Batch]) -> Iterator[tuple[Batch, NDArray[np.int64]]]:
@@ -20,7 +39,7 @@ def stamped(batches: Iterable[Batch]) -> Iterator[tuple[Batch, NDArray[np.int64]
 
 
 def derived(
-    batches: Iterable[Batch], clock: ReceiverClock, where: object
+    batches: Iterable[Batch], clock: Clock, where: object
 ) -> Iterator[tuple[Batch, NDArray[np.int64]]]:
     """Yield batches with the receiver's own UTC, since there is no time of receipt.
 
@@ -31,7 +50,7 @@ def derived(
     ----------
     batches : iterable of Batch
         The frames.
-    clock : ReceiverClock
+    clock : Clock
         Reads the time.
     where : object
         The recording, for the message.
@@ -69,6 +88,31 @@ def derived(
             where=where,
             remedy="give --date YYYY-MM-DD, or record one of these messages too",
         )
+
+
+def since_boot(
+    batches: Iterable[Batch], definitions: Definitions, boot: BootTime
+) -> Iterator[tuple[Batch, NDArray[np.int64]]]:
+    """Yield batches of an autopilot's own log with the UTC of its records, since there is no receipt.
+
+    Records without a time have the last one; what comes before the first has the time of the start. Times
+    never go back.
+
+    Parameters
+    ----------
+    batches : iterable of Batch
+        The records.
+    definitions : Definitions
+        Those of the log; they are learned on the way.
+    boot : BootTime
+        When the autopilot started.
+    """
+    last = boot.utc_ns
+    for batch in batches:
+        definitions.learn(batch)
+        times = _steady(boot.of(definitions.boot_ns(batch)), last)
+        last = int(times[-1]) if len(times) else last
+        yield batch, times
 
 
 def _steady(device: NDArray[np.int64], last: int) -> NDArray[np.int64]:

@@ -5,17 +5,20 @@ from __future__ import annotations
 import gzip
 import hashlib
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
 
+from drivers.dataflash import DataflashFramer
 from drivers.errors import InputMalformedError, InputNotFoundError
-from drivers.frames import Framer, Wire
+from drivers.frames import Framer
 from drivers.framing import GNSS, StreamFramer
 from drivers.mavlink.dialect import Dialect
+from drivers.mrk import MrkFramer
 from drivers.tlog import TlogFramer
+from drivers.ulog import UlogFramer
 
 PIECE_BYTES = 1 << 18
 _HEAD_BYTES = 1 << 17
@@ -30,24 +33,23 @@ class Format:
     ----------
     name : str
         What people call it.
-    wires : tuple of Wire
-        The protocols in it.
-    stamped : bool
-        Whether it carries times of receipt.
+    link : str
+        What a link with it is called when nobody names it; empty: after the file.
+    framer : callable
+        Takes the known MAVLink messages and returns what finds the frames.
     """
 
     name: str
-    wires: tuple[Wire, ...]
-    stamped: bool
-
-    def framer(self, dialect: Dialect) -> Framer:
-        """Return what finds the frames."""
-        return TlogFramer(dialect) if self.stamped else StreamFramer(self.wires, dialect)
+    link: str
+    framer: Callable[[Dialect], Framer]
 
 
-TELEMETRY_LOG = Format("MAVLink telemetry log", (Wire.MAVLINK,), stamped=True)
-RECEIVER_STREAM = Format("GNSS receiver stream", GNSS, stamped=False)
-FORMATS = (TELEMETRY_LOG, RECEIVER_STREAM)
+TELEMETRY_LOG = Format("MAVLink telemetry log", "vehicle", TlogFramer)
+RECEIVER_STREAM = Format("GNSS receiver stream", "", lambda dialect: StreamFramer(GNSS, dialect))
+DATAFLASH_LOG = Format("ArduPilot DataFlash log", "vehicle", lambda _: DataflashFramer())
+PX4_LOG = Format("PX4 log (ULog)", "vehicle", lambda _: UlogFramer())
+EVENT_LIST = Format("event list (Timestamp.MRK)", "camera", lambda _: MrkFramer())
+FORMATS = (TELEMETRY_LOG, RECEIVER_STREAM, DATAFLASH_LOG, PX4_LOG, EVENT_LIST)
 
 
 class Source:
@@ -162,8 +164,8 @@ def identify(source: Source, dialect: Dialect) -> Format:
             break
     if best is None:
         raise InputMalformedError(
-            "holds no whole MAVLink record and no UBX, RTCM3 or NMEA frame",
+            "holds no whole MAVLink record, no UBX, RTCM3 or NMEA frame, no DataFlash, ULog or MRK record",
             where=source.path,
-            remedy="import a .tlog, .ubx, .rtcm3 or .nmea recording",
+            remedy="import a .tlog, .ubx, .rtcm3, .nmea, .bin, .ulg or .mrk recording",
         )
     return best

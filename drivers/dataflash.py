@@ -1,0 +1,170 @@
+"""DataFlash logs of ArduPilot (`.bin`): self-describing records without a checksum.
+
+Source: ArduPilot, libraries/AP_Logger/LogStructure.h and README.md (format characters).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.frames import Batch, Wire, gather
+from drivers.gnsstime import gps_to_utc_ns, week_to_ns
+from drivers.logged import Records
+from drivers.records import NOTHING, WAIT, RecordFramer
+
+HEAD = b"\xa3\x95"
+HEAD_BYTES = 3
+FMT, FMT_BYTES = 128, 89
+_MILLISECOND_NS, _MICROSECOND_NS = 1_000_000, 1000
+
+_TYPES = {
+    "a": ("<i2", (32,)), "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "f": "<f4",
+    "d": "<f8", "n": "S4", "N": "S16", "Z": "S64", "c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4", "L": "<i4",
+    "M": "u1", "q": "<i8", "Q": "<u8", "g": "<f2",
+}  # fmt: skip
+# Hundredths, and degrees in 1e-7.
+_SCALES = {"c": 0.01, "C": 0.01, "e": 0.01, "E": 0.01, "L": 1e-7}
+_GPS = ("GPS", "GPS2")
+
+
+class DataflashFramer(RecordFramer):
+    """Records of a DataFlash log; the kind of a frame is its type number. A `Framer`."""
+
+    wire = Wire.DATAFLASH
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._sizes = [0] * 256
+        self._sizes[FMT] = FMT_BYTES
+
+    def _examine(self, data: bytes, at: int) -> int:
+        left = len(data) - at
+        if left < HEAD_BYTES:
+            return WAIT if HEAD.startswith(data[at : at + 2]) else NOTHING
+        if data[at] != HEAD[0] or data[at + 1] != HEAD[1]:
+            return NOTHING
+        size = self._sizes[data[at + 2]]
+        return WAIT if size > left else size
+
+    def _head(self, data: bytes, at: int) -> int:
+        # A record of a type that is not defined yet may follow; so may one that the end cuts off.
+        if len(data) - at < len(HEAD):
+            return WAIT if HEAD.startswith(data[at : at + 2]) else NOTHING
+        return int(data.startswith(HEAD, at))
+
+    def _next(self, data: bytes, at: int) -> int:
+        found = data.find(HEAD, at)
+        if found >= 0:
+            return found
+        return len(data) - 1 if len(data) > at and data[-1] == HEAD[0] else len(data)
+
+    def _learn(self, data: bytes, at: int) -> int:
+        kind = data[at + 2]
+        if kind == FMT and data[at + 4] >= HEAD_BYTES and not self._sizes[data[at + 3]]:
+            self._sizes[data[at + 3]] = data[at + 4]
+        return kind
+
+
+class DataflashFormats:
+    """The formats that a log defines in its FMT records; `Definitions`.
+
+    The first definition of a type stands; one whose format does not give its length is not decoded.
+    """
+
+    def __init__(self) -> None:
+        self._types: dict[str, int] = {}
+        self._rows: dict[int, np.dtype[Any]] = {}
+        self._scales: dict[int, dict[str, float]] = {}
+        self._defined: set[int] = set()
+
+    def learn(self, batch: Batch) -> None:
+        """Take over the FMT records of a batch."""
+        for index in batch.where(Wire.DATAFLASH, FMT).tolist():
+            record = batch.frame(index).data
+            kind, length = record[3], record[4]
+            if len(record) != FMT_BYTES or kind in self._defined:
+                continue
+            self._defined.add(kind)
+            name, form, columns = (
+                record[a:b].split(b"\0")[0].decode("latin-1") for a, b in ((5, 9), (9, 25), (25, 89))
+            )
+            self._define(kind, length, name, form, columns.split(",") if columns else [])
+
+    def _define(self, kind: int, length: int, name: str, form: str, columns: list[str]) -> None:
+        if len(form) != len(columns) or len(set(columns)) != len(columns) or "" in columns:
+            return
+        if not all(letter in _TYPES for letter in form) or name in self._types:
+            return
+        row = np.dtype([(c, *_member(_TYPES[letter])) for c, letter in zip(columns, form, strict=True)])
+        if row.itemsize + HEAD_BYTES != length:
+            return
+        self._types[name] = kind
+        self._rows[kind] = row
+        self._scales[kind] = {c: _SCALES[f] for c, f in zip(columns, form, strict=True) if f in _SCALES}
+
+    def decode(self, batch: Batch, name: str) -> Records:
+        """Return the records of a name; angles in degrees, what the log keeps in hundredths in units."""
+        kind = self._types.get(name)
+        if kind is None:
+            return Records(np.empty(0, np.int64), {})
+        index = batch.where(Wire.DATAFLASH, kind)
+        fields = self._fields(batch, index, kind)
+        scales = self._scales[kind]
+        names = fields.dtype.names or ()
+        return Records(index, {c: fields[c] * scales[c] if c in scales else fields[c] for c in names})
+
+    def boot_ns(self, batch: Batch) -> NDArray[np.int64]:
+        """Return the time of each record since the autopilot started, nanoseconds; -1 where it has none."""
+        boot = np.full(len(batch), -1, np.int64)
+        names = {kind: name for name, kind in self._types.items()}
+        for kind in np.unique(batch.kind).tolist():
+            if kind not in self._rows:
+                continue
+            columns = self._rows[kind].names or ()
+            unit = _time_column(names[kind], columns)
+            if unit is None or self._rows[kind][unit[0]].kind not in "iu":
+                continue
+            index = batch.where(Wire.DATAFLASH, kind)
+            boot[index] = _ns(self._fields(batch, index, kind)[unit[0]], unit[1])
+        return boot
+
+    def told_utc(self, batch: Batch) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return times since the start and UTC (nanoseconds) of the records of receivers with a 3D fix."""
+        boots, told = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
+        all_boot = self.boot_ns(batch)
+        for name in _GPS:
+            found = self.decode(batch, name)
+            week, tow = found.number("GWk", "Week"), found.number("GMS", "TimeMS")
+            boot = all_boot[found.index]
+            good = (week > 0) & (week < 1 << 16) & (tow >= 0) & (found.number("Status") >= 3) & (boot >= 0)
+            boots.append(boot[good])
+            told.append(gps_to_utc_ns(week_to_ns(week[good], tow[good] * 1e-3)))
+        return np.concatenate(boots), np.concatenate(told)
+
+    def _fields(self, batch: Batch, index: NDArray[np.int64], kind: int) -> NDArray[Any]:
+        start, length = batch.start[index] + HEAD_BYTES, batch.length[index] - HEAD_BYTES
+        return gather(batch.data, start, length, self._rows[kind])
+
+
+def _member(kind: Any) -> tuple[Any, ...]:
+    return kind if isinstance(kind, tuple) else (kind,)
+
+
+def _time_column(name: str, columns: tuple[str, ...]) -> tuple[str, int] | None:
+    if "TimeUS" in columns and columns[0] == "TimeUS":
+        return "TimeUS", _MICROSECOND_NS
+    # Until 2015 the TimeMS of a receiver's record was that of the GPS week.
+    if name in _GPS:
+        return ("T", _MILLISECOND_NS) if "T" in columns else None
+    return ("TimeMS", _MILLISECOND_NS) if "TimeMS" in columns else None
+
+
+def _ns(values: NDArray[Any], unit_ns: int) -> NDArray[np.int64]:
+    """Return nanoseconds; what no running time of an autopilot can be (over a year) becomes -1."""
+    wide = values.astype(np.uint64)
+    return np.where(wide < 366 * 86_400 * 10**9 // unit_ns, wide, 0).astype(np.int64) * unit_ns - (
+        wide >= 366 * 86_400 * 10**9 // unit_ns
+    )

@@ -1,0 +1,90 @@
+"""Event lists of multirotors with RTK receivers: lines of the `Timestamp.MRK` file.
+
+Columns (DJI, Matrice 4 Series User Manual 2025, p. 92): number, seconds of week, [week], offset north, east
+and down from the antenna to the sensor in mm, latitude, longitude, ellipsoidal height, their sigmas, flag.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.frames import Batch, Wire
+from drivers.gnsstime import week_to_ns
+from drivers.logged import Records, batch_of_rows
+
+_NUMBER = r"\s*([+-]?\d{1,15}(?:\.\d{1,15})?)\s*"
+_ROW = re.compile(
+    rf"{_NUMBER}\s{_NUMBER}\s\[{_NUMBER}\]\s{_NUMBER},N\s{_NUMBER},E\s{_NUMBER},V\s{_NUMBER},Lat\s"
+    rf"{_NUMBER},Lon\s{_NUMBER},Ellh\s{_NUMBER},{_NUMBER},{_NUMBER}\s{_NUMBER},Q\s*\Z"
+)
+COLUMNS = (
+    "number", "seconds_of_week_s", "week", "north_mm", "east_mm", "down_mm", "latitude_deg", "longitude_deg",
+    "height_m", "sigma_north_m", "sigma_east_m", "sigma_up_m", "flag",
+)  # fmt: skip
+_LONGEST_LINE = 1024
+EVENT_KIND = 1
+
+
+def parse_event(line: str) -> tuple[float, ...] | None:
+    """Return the values of a line in the order of `COLUMNS`; None when it is no event."""
+    found = _ROW.match(line)
+    return None if found is None else tuple(float(value) for value in found.groups())
+
+
+class MrkFramer:
+    """Lines of an event list that are events; a `Framer`."""
+
+    stamped = False
+
+    def __init__(self) -> None:
+        self._pending = b""
+        self._offset = 0
+        self.cut = 0
+
+    def feed(self, data: bytes) -> Batch:
+        """Take the next bytes of the list and return the events whose lines are complete."""
+        self._pending += data
+        return self._take(closed=False)
+
+    def close(self) -> Batch:
+        """Return what is left when the list has ended; its last line needs no end."""
+        return self._take(closed=True)
+
+    def _take(self, closed: bool) -> Batch:
+        data = self._pending
+        rows: list[tuple[int, int, int]] = []
+        damage: list[tuple[int, int]] = []
+        at = 0
+        while at < len(data):
+            found = data.find(b"\n", at, at + _LONGEST_LINE)
+            if found < 0 and len(data) - at < _LONGEST_LINE and not closed:
+                break
+            # What is longer than any event is no text: it is passed over piece by piece.
+            end = found + 1 if found >= 0 else min(len(data), at + _LONGEST_LINE)
+            if parse_event(data[at:end].decode("latin-1")) is not None:
+                rows.append((at, end - at, EVENT_KIND))
+            else:
+                damage.append((at, end - at))
+            at = end
+        batch = batch_of_rows(Wire.MRK, data[:at], self._offset, rows, damage)
+        self._pending = data[at:]
+        self._offset += at
+        return batch
+
+
+def decode(batch: Batch) -> Records:
+    """Return the events of a batch with the columns of `COLUMNS`."""
+    index = batch.where(Wire.MRK, EVENT_KIND)
+    lines = [batch.frame(i).data.decode("latin-1") for i in index.tolist()]
+    table = np.array([parse_event(line) for line in lines], float).reshape(-1, len(COLUMNS))
+    return Records(index, dict(zip(COLUMNS, table.T, strict=True)))
+
+
+def event_gps_ns(events: Records) -> NDArray[np.int64]:
+    """Return GPS time of events, nanoseconds since its epoch; -1 where week or seconds cannot be meant."""
+    week, seconds = events["week"], events["seconds_of_week_s"]
+    sure = (week > 0) & (week < 1 << 16) & (seconds >= 0) & (seconds < 604_800)
+    return np.where(sure, week_to_ns(np.where(sure, week, 0), np.where(sure, seconds, 0.0)), -1)

@@ -1,0 +1,229 @@
+"""Logs of PX4 (`.ulg`): self-describing records without a checksum.
+
+Source: PX4 User Guide, "ULog File Format".
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.frames import Batch, Wire, gather
+from drivers.logged import Records
+from drivers.records import NOTHING, WAIT, RecordFramer
+
+MAGIC = b"ULog\x01\x12\x35"
+FILE_HEAD_BYTES, HEAD_BYTES = 16, 3
+DATA, SUBSCRIBED, FORMAT, TEXT = ord("D"), ord("A"), ord("F"), ord("L")
+FILE_HEAD_KIND = 0
+_SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
+_TYPES = {
+    "int8_t": "i1", "uint8_t": "u1", "int16_t": "<i2", "uint16_t": "<u2", "int32_t": "<i4", "uint32_t": "<u4",
+    "int64_t": "<i8", "uint64_t": "<u8", "float": "<f4", "double": "<f8", "bool": "?", "char": "S1",
+}  # fmt: skip
+# Lengths of what follows the head, for the kinds of a fixed length.
+_FIXED = {ord("B"): 40, ord("R"): 2, ord("S"): 8, ord("O"): 2}
+_KEYED = {ord("I"): 0, ord("M"): 1, ord("P"): 0, ord("Q"): 1}
+_PLACES = re.compile(rb"[\s\S]{2}[BFIMPQARDLCSO]")
+_MEMBER = re.compile(r"([A-Za-z_]\w*)(?:\[(\d+)\])? ([A-Za-z_]\w*)")
+_LONGEST_FORMAT, _LONGEST_ARRAY, _DEEPEST = 4096, 4096, 8
+_YEAR_US = 366 * 86_400 * 10**6
+_PUBLISHED = ("vehicle_gps_position", "sensor_gps")
+
+
+class UlogFormats:
+    """The formats and subscriptions that a log defines; `Definitions`.
+
+    The first definition of a name and the first subscription of a number stand. Further instances of a topic
+    are named with their number: `sensor_gps[1]`.
+    """
+
+    def __init__(self) -> None:
+        self._formats: dict[str, str] = {}
+        self._topics: dict[str, int] = {}
+        self.rows: dict[int, np.dtype[Any]] = {}
+
+    def learn(self, batch: Batch) -> None:
+        """Take over the formats and subscriptions of a batch."""
+        for kind in (FORMAT, SUBSCRIBED):
+            for index in batch.where(Wire.ULOG, kind << 16).tolist():
+                self.take(batch.frame(index).data)
+
+    def take(self, record: bytes) -> None:
+        """Take over one record, when it is a format or a subscription."""
+        if record[2] == FORMAT:
+            name, _, members = record[HEAD_BYTES:].decode("latin-1").partition(":")
+            self._formats.setdefault(name, members)
+        elif record[2] == SUBSCRIBED and len(record) > HEAD_BYTES + 3:
+            number = int.from_bytes(record[4:6], "little")
+            name = record[6:].decode("latin-1")
+            row = self._row(name, 0)
+            topic = f"{name}[{record[3]}]" if record[3] else name
+            if row is not None and number not in self.rows and topic not in self._topics:
+                self.rows[number] = row
+                self._topics[topic] = number
+
+    def _row(self, name: str, depth: int) -> np.dtype[Any] | None:
+        members: list[tuple[Any, ...]] = []
+        size = 0
+        for text in filter(None, self._formats.get(name, "").split(";")):
+            found = _MEMBER.fullmatch(text)
+            if found is None or depth > _DEEPEST or any(found[3] == member[0] for member in members):
+                return None
+            kind: Any = _TYPES.get(found[1]) or self._row(found[1], depth + 1)
+            count = int(found[2] or 1)
+            if kind is None or not 0 < count <= _LONGEST_ARRAY:
+                return None
+            size += np.dtype(kind).itemsize * count
+            if size > 1 << 16:
+                return None
+            if kind == "S1":
+                members.append((found[3], f"S{count}"))
+            else:
+                members.append((found[3], kind, (count,)) if found[2] else (found[3], kind))
+        # Padding at the end is part of the format but not of the records.
+        while members and depth == 0 and str(members[-1][0]).startswith("_padding"):
+            members.pop()
+        return np.dtype(members) if members else None
+
+    def decode(self, batch: Batch, name: str) -> Records:
+        """Return the data of a topic; members that are formats themselves are structured."""
+        number = self._topics.get(name)
+        if number is None:
+            return Records(np.empty(0, np.int64), {})
+        index = batch.where(Wire.ULOG, DATA << 16 | number)
+        fields = self._fields(batch, index, number)
+        return Records(index, {member: fields[member] for member in fields.dtype.names or ()})
+
+    def texts(self, batch: Batch) -> Records:
+        """Return the messages to the pilot: `severity`, `text`."""
+        index = batch.where(Wire.ULOG, TEXT << 16)
+        records = [batch.frame(i).data for i in index.tolist()]
+        severity = np.array([record[3] - ord("0") for record in records], np.int64)
+        text = np.array([record[12:].decode("utf-8", "replace") for record in records], str)
+        return Records(index, {"severity": severity, "text": text})
+
+    def boot_ns(self, batch: Batch) -> NDArray[np.int64]:
+        """Return the time of each record since the autopilot started, nanoseconds; -1 where it has none."""
+        boot = np.full(len(batch), -1, np.int64)
+        for kind in np.unique(batch.kind[batch.kind >> 16 == DATA]).tolist():
+            row = self.rows.get(kind & 0xFFFF)
+            if row is None or "timestamp" not in (row.names or ()) or row["timestamp"] != np.dtype("<u8"):
+                continue
+            index = batch.where(Wire.ULOG, kind)
+            boot[index] = _since_boot_ns(self._fields(batch, index, kind & 0xFFFF)["timestamp"])
+        index = batch.where(Wire.ULOG, TEXT << 16)
+        stamp = gather(batch.data, batch.start[index] + 4, batch.length[index] - 4, np.dtype([("t", "<u8")]))
+        boot[index] = _since_boot_ns(stamp["t"])
+        return boot
+
+    def told_utc(self, batch: Batch) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return times since the start and UTC (nanoseconds) of the records of receivers with a 3D fix."""
+        boots, told = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
+        all_boot = self.boot_ns(batch)
+        for topic in _PUBLISHED:
+            found = self.decode(batch, topic)
+            utc_us = found.number("time_utc_usec")
+            boot = all_boot[found.index]
+            good = (utc_us > 946_684_800e6) & (utc_us < 4_102_444_800e6) & (found.number("fix_type") >= 3)
+            good &= boot >= 0
+            boots.append(boot[good])
+            told.append(utc_us[good].astype(np.int64) * 1000)
+        return np.concatenate(boots), np.concatenate(told)
+
+    def _fields(self, batch: Batch, index: NDArray[np.int64], number: int) -> NDArray[Any]:
+        head = HEAD_BYTES + 2
+        return gather(batch.data, batch.start[index] + head, batch.length[index] - head, self.rows[number])
+
+
+class UlogFramer(RecordFramer):
+    """Records of a ULog; the kind of a frame is its letter * 65536 + number of the topic. A `Framer`."""
+
+    wire = Wire.ULOG
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._formats = UlogFormats()
+
+    def _examine(self, data: bytes, at: int) -> int:
+        size = self._meant(data, at)
+        return WAIT if size > len(data) - at else size
+
+    def _head(self, data: bytes, at: int) -> int:
+        return min(self._meant(data, at), 1)
+
+    def _meant(self, data: bytes, at: int) -> int:
+        """Return the length that a record at a place would have, `NOTHING` or `WAIT`."""
+        if self._offset + at == 0 and data[: len(MAGIC)] == MAGIC[: len(data)]:
+            return FILE_HEAD_BYTES
+        if len(data) - at < HEAD_BYTES:
+            return WAIT
+        kind = data[at + 2]
+        size = data[at] | data[at + 1] << 8
+        body = at + HEAD_BYTES
+        if kind == DATA:
+            if len(data) < body + 2:
+                return WAIT
+            row = self._formats.rows.get(data[body] | data[body + 1] << 8)
+            fits = row is not None and size == row.itemsize + 2
+        elif kind in _FIXED:
+            if kind == ord("S") and len(data) < body + len(_SYNC):
+                return WAIT
+            fits = size == _FIXED[kind] and (kind != ord("S") or data.startswith(_SYNC, body))
+        else:
+            told = self._worded(data, body, kind, size)
+            if told == WAIT:
+                return WAIT
+            fits = told > 0
+        return HEAD_BYTES + size if fits else NOTHING
+
+    @staticmethod
+    def _worded(data: bytes, body: int, kind: int, size: int) -> int:
+        """Tell whether the words with which a record of variable length begins can be meant."""
+        if kind == SUBSCRIBED:
+            at, length = body + 3, size - 3
+        elif kind == FORMAT:
+            at, length = body, min(size, 32) if size <= _LONGEST_FORMAT else 0
+        elif kind in _KEYED:
+            at = body + _KEYED[kind] + 1
+            if len(data) < at:
+                return WAIT
+            length = data[at - 1]
+            if length + (at - body) > size:
+                return NOTHING
+        elif kind in (TEXT, ord("C")):
+            at, length = body, 1
+            if size < (9 if kind == TEXT else 11):
+                return NOTHING
+            if len(data) > body and not 0x30 <= data[body] <= 0x37:
+                return NOTHING
+        else:
+            return NOTHING
+        if not 0 < length <= 0xFF:
+            return NOTHING
+        words = data[at : at + length]
+        if len(words) < length:
+            return WAIT
+        return int(all(0x20 <= c < 0x7F for c in words))
+
+    def _next(self, data: bytes, at: int) -> int:
+        found = _PLACES.search(data, at)
+        return found.start() if found else max(at, len(data) - HEAD_BYTES + 1)
+
+    def _learn(self, data: bytes, at: int) -> int:
+        if self._offset + at == 0 and data.startswith(MAGIC):
+            return FILE_HEAD_KIND
+        kind = data[at + 2]
+        if kind in (FORMAT, SUBSCRIBED):
+            self._formats.take(data[at : at + HEAD_BYTES + (data[at] | data[at + 1] << 8)])
+        number = data[at + 3] | data[at + 4] << 8 if kind == DATA else 0
+        return kind << 16 | number
+
+
+def _since_boot_ns(time_us: NDArray[np.uint64]) -> NDArray[np.int64]:
+    """Return nanoseconds; what no running time of an autopilot can be (over a year) becomes -1."""
+    sure = time_us < _YEAR_US
+    return np.where(sure, np.where(sure, time_us, 0).astype(np.int64) * 1000, -1)
