@@ -30,7 +30,7 @@ from photocal.navigation.exposures import CameraMatch, Exposures, at_camera, at_
 from photocal.navigation.flight_log import named
 from photocal.navigation.image_metadata import ImageMetadata, clock_time_s, read_images
 from photocal.navigation.image_rotations import Neighbours, compare_rotations, rotation_check
-from photocal.navigation.mrk import CameraEventList, read_mrk
+from photocal.navigation.mrk import CameraEventList, listed_in, read_mrk
 from photocal.navigation.oriented_images import oriented_positions
 from photocal.navigation.ppk import options_for, process
 from photocal.navigation.ppk_inputs import Sources, gather_inputs
@@ -148,7 +148,7 @@ def place_exposures(
     flight = _Flight(
         read_receivers(sources.logs),
         read_vehicle(sources.logs, sources.vehicle_link) if sources.logs else None,
-        None if choices.mrk is None else read_mrk(choices.mrk),
+        listed_in(sources.logs) if choices.mrk is None else read_mrk(choices.mrk),
         [] if choices.images is None else read_images(choices.images),
     )
     clock_sigma_s = 0.0 if flight.vehicle is None else flight.vehicle.clock_sigma_s
@@ -191,7 +191,7 @@ def _without_events(choices: Choices, flight: _Flight) -> ExposureRun:
     images = flight.images
     if not images or (choices.sources.logs and not all(image.from_name for image in images)):
         raise ConfigurationError(
-            "has no camera events (TIM-TM2, CAMERA_FEEDBACK, CAMERA_IMAGE_CAPTURED, CAMERA_TRIGGER)",
+            "has no camera events (time marks, CAMERA_* messages, CAM or TRIG records, an event list)",
             where=named(choices.sources.logs) or None,
             remedy="give an event list with --mrk, or images with the time of the log in their names",
         )

@@ -24,7 +24,11 @@ Floats = NDArray[np.float64]
 ELLIPSOIDAL, SEA_LEVEL = "ellipsoidal", "above mean sea level, as the autopilot computes it"
 OF_IMAGES = "as the images state it (makers mostly write the height above mean sea level)"
 # Hot shoe before the camera's own word before what the autopilot asked for.
-_LOGGED = ("CAMERA_FEEDBACK", "CAM", "CAMERA_IMAGE_CAPTURED", "CAMERA_TRIGGER", "TRIG")
+_LOGGED = (
+    "CAMERA_FEEDBACK", "CAM", "camera_capture", "CAMERA_IMAGE_CAPTURED", "CAMERA_TRIGGER", "TRIG",
+    "camera_trigger",
+)  # fmt: skip
+_LISTED = "MRK"
 
 
 def events_of(
@@ -51,7 +55,8 @@ def events_of(
             found.append(marks)
     logged = {events.source: events for events in logged_exposures(sources.logs) if len(events)}
     for source in (*_LOGGED, *(name for name in logged if name not in _LOGGED)):
-        if source in logged:
+        # The whole of an imported event list is read elsewhere.
+        if source in logged and source != _LISTED:
             own = logged[source]
             found.append(replace(own, accuracy_s=np.hypot(own.accuracy_s, clock_sigma_s)))
     return (found[0], found[1:]) if found else (None, [])

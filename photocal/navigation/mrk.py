@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError, InputNotFoundError
+from drivers.frames import Wire
 from drivers.mrk import parse_event
 from photocal.navigation.events import Events, counter_jumps
+from photocal.navigation.flight_log import messages_of, named
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import enu_axes, geocentric, geodetic
 
@@ -64,6 +66,21 @@ def read_mrk(path: Path) -> CameraEventList:
         raise InputNotFoundError(
             f"cannot be read ({reason})", where=path, remedy="check name and rights"
         ) from refusal
+    return _listed(path.name, lines, path)
+
+
+def listed_in(logs: tuple[Path, ...]) -> CameraEventList | None:
+    """Return the event list that was imported into flight logs; None when there is none."""
+    lines = [
+        payload.decode("latin-1")
+        for messages in messages_of(logs)
+        if messages.channel.encoding == Wire.MRK.encoding
+        for payload in messages.payloads
+    ]
+    return _listed("MRK", lines, named(logs)) if lines else None
+
+
+def _listed(name: str, lines: list[str], path: object) -> CameraEventList:
     rows = []
     for number, line in enumerate(lines, 1):
         if not line.strip():
@@ -81,7 +98,7 @@ def read_mrk(path: Path) -> CameraEventList:
     t = np.array(rows)
     count = t[:, 0].astype(np.int64)
     time = GpsTime.from_week(t[:, 2].astype(np.int64), t[:, 1])
-    events = Events(path.name, time, count, np.zeros(len(t)), counter_jumps(count, "events"))
+    events = Events(name, time, count, np.zeros(len(t)), counter_jumps(count, "events"))
     return CameraEventList(
         events,
         np.stack([t[:, 4], t[:, 3], -t[:, 5]], axis=1) * 1e-3,

@@ -30,6 +30,8 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 _STRAY_NS = 5_000_000_000
 _MILLISECOND_NS = 1_000_000
+# Logs from an autopilot's card take UTC from when positions of its receiver were noted: late by up to 0.1 s.
+_CARD_SIGMA_S = 0.05
 _KINDS = (
     "GLOBAL_POSITION_INT",
     "ATTITUDE",
@@ -147,6 +149,7 @@ def _of_topics(logs: tuple[Path, ...], link: str) -> VehicleTrack:
         place[:, 2],
         unknown,
         decoded_attitude(logs, link),
+        _CARD_SIGMA_S,
     )
 
 

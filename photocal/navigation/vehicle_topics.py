@@ -21,7 +21,7 @@ Integers = NDArray[np.int64]
 
 
 def decoded_positions(logs: tuple[Path, ...], link: str) -> tuple[Integers, Integers, Floats]:
-    """Return the positions in `/<link>/position`.
+    """Return the positions in `/<link>/position`, or where there are none in `/gnss/<link>/fix`.
 
     Returns
     -------
@@ -30,11 +30,16 @@ def decoded_positions(logs: tuple[Path, ...], link: str) -> tuple[Integers, Inte
     place : float64 (n, 3)
         Latitude, longitude (deg), height (m, of the kind that the channel states).
     """
+    found = _fixes(logs, f"/{link}/position")
+    return found if len(found[0]) else _fixes(logs, f"/gnss/{link}/fix")
+
+
+def _fixes(logs: tuple[Path, ...], topic: str) -> tuple[Integers, Integers, Floats]:
     from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 
     stamps, logged, places = [], [], []
     for messages in messages_of(logs):
-        if messages.channel.topic != f"/{link}/position" or messages.channel.encoding != "protobuf":
+        if messages.channel.topic != topic or messages.channel.encoding != "protobuf":
             continue
         for payload, log_ns in zip(messages.payloads, messages.log_ns.tolist(), strict=True):
             fix = LocationFix.FromString(payload)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +10,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from acquire.log.reader import Messages
+from acquire.log.records import Channel, Schema
 from drivers.errors import InputMalformedError
 from drivers.ubx.decode import LAYOUTS, TIM_TM2
-from photocal.navigation.events import FALLING, RISING, time_marks
-from photocal.navigation.mrk import moved, read_mrk
+from photocal.navigation import events as events_module
+from photocal.navigation.events import FALLING, RISING, logged_exposures, time_marks
+from photocal.navigation.exposure_sources import events_of
+from photocal.navigation.mrk import listed_in, moved, read_mrk
+from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.receiver_recording import read_receivers
 from photocal.navigation.time import GpsTime
 from tests.photocal.navigation.conftest import ImportLog, Run
@@ -112,3 +118,62 @@ def test_damaged_event_list(tmp_path: Path, line: str) -> None:
     path.write_text(line)
     with pytest.raises(InputMalformedError, match="line 1"):
         read_mrk(path)
+
+
+class Row:
+    """A message of the exposure topic."""
+
+    def __init__(self, source: str, utc_s: float, sequence: int, **more: float) -> None:
+        ns = round(utc_s * 1e9)
+        self.ns = ns
+        self.payload = json.dumps(
+            {"source": source, "time": {"sec": ns // 10**9, "nsec": ns % 10**9}, "sequence": sequence, **more}
+        ).encode()
+
+
+def exposure_messages(rows: list[Row], late_ns: int) -> list[Messages]:
+    channel = Channel("/camera/exposure", "json", Schema("photocal.Exposure", "jsonschema", b"{}"), {})
+    stamps = np.array([row.ns for row in rows], np.int64)
+    payloads = [row.payload for row in rows]
+    return [Messages(channel, payloads, stamps + late_ns, stamps, np.arange(len(rows)))]
+
+
+def test_events_of_autopilot_logs(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Logs from a memory card have no time of receipt: it repeats the device's.
+    rows = [Row("CAM", 1.6e9 + k, k, latitude_deg=-22.0, altitude_msl_m=50.0 + k) for k in (3, 1, 2)]
+    rows += [Row("TRIG", 1.6e9 + k - 0.1, k) for k in range(4)]
+    monkeypatch.setattr(events_module, "messages_of", lambda _logs: exposure_messages(rows, 0))
+    best, others = events_of(Sources(), "rising", {}, 0.007)
+    assert best is not None
+    assert (best.source, len(best)) == ("CAM", 3)
+    assert best.number.tolist() == [1, 2, 3]
+    assert best.accuracy_s == pytest.approx([0.007] * 3)
+    assert best.claimed is not None
+    assert best.claimed[:, 2].tolist() == [51.0, 52.0, 53.0]
+    assert np.isnan(best.claimed[:, 1]).all()
+    assert [own.source for own in others] == ["TRIG"]
+
+
+def test_exposures_without_a_device_time_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = [Row("CAMERA_FEEDBACK", 1.6e9 + k, k) for k in range(3)]
+    twice = exposure_messages(rows, 50_000_000) * 2
+    monkeypatch.setattr(events_module, "messages_of", lambda _logs: twice)
+    best, _ = events_of(Sources(), "rising", {}, 0.0)
+    assert best is not None
+    # The same exposures came over two links.
+    assert len(best) == 3
+    monkeypatch.setattr(events_module, "messages_of", lambda _logs: exposure_messages(rows, 0))
+    found = logged_exposures(())[0]
+    assert len(found) == 0
+    assert found.remarks == ["CAMERA_FEEDBACK: 3 exposures without a device time left out"]
+
+
+@pytest.mark.shared
+def test_an_imported_event_list_is_the_same(shared: Path, import_log: ImportLog) -> None:
+    path = shared / "data/rtk-mrk-gcp-helenenschacht/101FTASK_Timestamp.mrk"
+    log = import_log("listed", {"drone": path})
+    listed, read = listed_in((log,)), read_mrk(path)
+    assert listed is not None
+    assert len(listed.events) == 176
+    assert np.array_equal(listed.events.time.ns, read.events.time.ns)
+    assert np.array_equal(listed.offset_enu_m, read.offset_enu_m)

@@ -152,6 +152,34 @@ def test_autopilot_time_orders_the_data(shared: Path, import_log: ImportLog) -> 
 
 
 @pytest.mark.shared
+@pytest.mark.parametrize(
+    ("name", "attitudes", "source", "day", "place"),
+    [
+        # ATT as pymavlink counts them; the README of the data counts 1298 attitudes of the ULog.
+        ("log171.bin", 2383, "ATT", "2015-11-21", (-35.36, 149.17)),
+        ("sample_log_small.ulg", 1298, "vehicle_attitude", "2021-04-21", (63.42, 10.41)),
+    ],
+)
+def test_logs_from_an_autopilots_card(
+    shared: Path,
+    import_log: ImportLog,
+    name: str,
+    attitudes: int,
+    source: str,
+    day: str,
+    place: tuple[float, float],
+) -> None:
+    track = read_vehicle((import_log("card", {"vehicle": shared / "data/autopilot-logs" / name}),))
+    assert track.attitude is not None
+    assert (len(track.attitude), track.attitude.source) == (attitudes, source)
+    assert track.attitude.time.to_utc().iso()[0].startswith(day)
+    assert (np.median(track.lat_deg), np.median(track.lon_deg)) == pytest.approx(place, abs=0.01)
+    # On the ground or in level flight: the body's down axis is down.
+    assert np.median(track.attitude.rotation[:, 2, 2]) < -0.95
+    assert track.clock_sigma_s > 0
+
+
+@pytest.mark.shared
 def test_event_list_alone(photocal: Photocal, shared: Path, tmp_path: Path) -> None:
     listed = shared / "data/rtk-mrk-gcp-helenenschacht/101FTASK_Timestamp.mrk"
     answer = photocal("exposures", "--mrk", listed, "-o", tmp_path / "out", "--json")
