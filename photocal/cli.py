@@ -12,6 +12,7 @@ from photocal.commands import (
     compare,
     export,
     exposures,
+    mark,
     measure,
     ortho,
     plan,
@@ -25,6 +26,7 @@ from photocal.commands import (
 
 app = application("From flight log, images and control points to a calibrated camera and its certificate.")
 app.command()(run.run)
+app.command()(mark.mark)
 app.command()(measure.measure)
 app.command()(targets.targets)
 app.command()(adjust.adjust)

@@ -28,7 +28,7 @@ _QUALITY = 88
 # JPEG blocks of 8 by 8 pixels can be decoded as 4, 2 or 1 pixel: levels 1 to 3 cost no full decoding.
 _COARSEST_DECODED = 3
 # Decoded levels are held until they are this many pixels together.
-_HELD_PX = 150_000_000
+_HELD_PX = 80_000_000
 _MANY_BITS = ("I;16", "I;16B", "I;16L", "I;16N", "I", "F")
 
 
@@ -135,7 +135,9 @@ class Tiles:
             )
             self._levels[key, level] = held
         self._levels.move_to_end((key, level))
-        while sum(one.width * one.height for one in self._levels.values()) > _HELD_PX and len(self._levels) > 1:
+        while (
+            sum(one.width * one.height for one in self._levels.values()) > _HELD_PX and len(self._levels) > 1
+        ):
             self._levels.popitem(last=False)
         return held
 
@@ -148,13 +150,18 @@ def _decoded(picture: Path, level: int) -> Image:
         if level > coarsest_level(image.size):
             raise InputNotFoundError("has no such tile", where=picture, remedy="look at another place")
         if image.mode not in _MANY_BITS:
-            done = 0
-            if image.format == "JPEG":
-                width, height = image.size
-                done = min(level, _COARSEST_DECODED)
-                # Sizes that are rounded up make the library choose exactly this scale.
-                image.draft(image.mode, (-(-width >> done), -(-height >> done)))
+            done = _scaled(image, level)
             shown = image if image.mode in ("L", "RGB") else image.convert("RGB")
             shown.load()
             return shown.reduce(1 << (level - done)) if level > done else shown.copy()
     return Image.fromarray(as_eight_bit(read_grey(picture))).reduce(1 << level)
+
+
+def _scaled(image: Image, level: int) -> int:
+    """Let a JPEG be decoded at a smaller scale; gives the level that this will be."""
+    width, height = image.size
+    wanted = min(level, _COARSEST_DECODED)
+    if image.format != "JPEG" or wanted == 0:
+        return 0
+    image.draft(image.mode, (max(width >> wanted, 1), max(height >> wanted, 1)))
+    return next((k for k in (3, 2, 1) if image.size == (-(-width >> k), -(-height >> k))), 0)

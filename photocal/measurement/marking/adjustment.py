@@ -1,0 +1,221 @@
+"""An adjustment of marks alone: it shows wrong marks while they can still be mended.
+
+Cameras are held, images keep what is known of their exterior orientation as observations. It is no
+substitute for the adjustment of the block, where tie points and free cameras take part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import IllPosedError
+from photocal.block.model import Block, Images, ObjectPoints
+from photocal.exchange.parts import Mark
+from photocal.geometry.camera import PARAMETERS
+from photocal.measurement.marking.orientation import Orientation
+from photocal.measurement.marks import with_marks
+from photocal.measurement.start_block import NO_OBSERVATIONS
+
+Flags = NDArray[np.bool_]
+
+# So many points orient an image of which nothing is known, or which has start values.
+FEWEST_UNKNOWN, FEWEST_STARTED = 4, 3
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Of a mark: computed minus marked.
+
+    Attributes
+    ----------
+    image, point : str
+    vx, vy : float
+        px.
+    in_sigmas : float or None
+        The larger of the two standardised residuals; None where the mark is not checked by others.
+    """
+
+    image: str
+    point: str
+    vx: float
+    vy: float
+    in_sigmas: float | None
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """What an adjustment of marks found.
+
+    Attributes
+    ----------
+    residuals : tuple of Residual
+    orientation : Orientation
+        Improved where images took part.
+    sigma0 : float or None
+        A posteriori standard deviation of unit weight; None without redundancy.
+    left_out : tuple of str
+        Images whose marks do not suffice, with the reason.
+    """
+
+    residuals: tuple[Residual, ...]
+    orientation: Orientation
+    sigma0: float | None
+    left_out: tuple[str, ...]
+
+
+def adjust_marks(orientation: Orientation, points: ObjectPoints, marks: Sequence[Mark]) -> Adjusted:
+    """Adjust marks.
+
+    Parameters
+    ----------
+    orientation : Orientation
+        What is known before.
+    points : ObjectPoints
+        Check points take part with their rays only.
+    marks : sequence of Mark
+
+    Returns
+    -------
+    Adjusted
+
+    Raises
+    ------
+    IllPosedError
+        When no image has marks enough, or they do not determine it.
+    """
+    from photocal.block.network import assemble
+    from photocal.block.process import adjusted
+    from photocal.block.run import given_exposures, observed_residuals
+
+    block, left_out = block_of_marks(orientation, points, marks)
+    assembly, solution = adjusted(assemble(block))
+    seen, rays = block.observations, assembly.rays
+    v = observed_residuals(block, assembly, solution)
+    # Not a number where no other observation checks a coordinate.
+    standardised = np.nan_to_num(np.abs(solution.standardised(assembly.network.rays.sigma)), nan=-1).max(
+        axis=1
+    )
+    residuals = tuple(
+        Residual(
+            block.images.names[seen.image[ray]],
+            block.points.names[seen.point[ray]],
+            float(vx),
+            float(vy),
+            float(w) if w >= 0 else None,
+        )
+        for ray, (vx, vy), w in zip(rays, v, standardised, strict=True)
+    )
+    values, covariance = given_exposures(assembly, solution)
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    factor = solution.variance_factor
+    improved = _improved(orientation, block.images.names, values, sigma)
+    return Adjusted(residuals, improved, float(np.sqrt(factor)) if np.isfinite(factor) else None, left_out)
+
+
+def block_of_marks(
+    orientation: Orientation, points: ObjectPoints, marks: Sequence[Mark]
+) -> tuple[Block, tuple[str, ...]]:
+    """Make the block of those marks that can be adjusted.
+
+    Parameters
+    ----------
+    orientation, points, marks
+        As in `adjust_marks`.
+
+    Returns
+    -------
+    block : Block
+    left_out : tuple of str
+        Images whose marks do not suffice, with the reason.
+
+    Raises
+    ------
+    IllPosedError
+        When nothing remains.
+    """
+    nothing = np.zeros(len(PARAMETERS), dtype=np.bool_)
+    cameras = tuple(replace(own, estimated=nothing) for own in orientation.cameras)
+    whole, _ = with_marks(
+        Block(
+            "marks",
+            orientation.frame,
+            orientation.height if orientation.frame != "local" else "",
+            "control",
+            (),
+            cameras,
+            orientation.images,
+            points,
+            NO_OBSERVATIONS,
+            (),
+        ),
+        marks,
+    )
+    seen = whole.observations
+    of_control = points.of_role("control")[seen.point]
+    control = np.bincount(seen.image[of_control], minlength=len(whole.images.names))
+    started = np.isfinite(whole.images.values).all(axis=1)
+    observed = started & np.isfinite(whole.images.sigma).all(axis=1)
+    needed = np.where(observed, 0, np.where(started, FEWEST_STARTED, FEWEST_UNKNOWN))
+    marked = np.bincount(seen.image, minlength=len(control)) > 0
+    usable = marked & (control >= needed)
+    left_out = tuple(
+        f"{whole.images.names[i]} has {control[i]} of {needed[i]} marks of control points that it needs"
+        for i in np.flatnonzero(marked & ~usable)
+    )
+    ray = usable[seen.image]
+    count = np.bincount(seen.point[ray], minlength=len(points.names))
+    held = (count > 0) & (points.of_role("control") | (count > 1))
+    ray &= held[seen.point]
+    if not (ray & of_control).any():
+        raise IllPosedError(
+            "no image has marks enough to be adjusted" + (f": {left_out[0]}" if left_out else ""),
+            remedy="mark control points in more images",
+        )
+    return _only(whole, usable, held, ray), left_out
+
+
+def _only(block: Block, image: Flags, point: Flags, ray: Flags) -> Block:
+    """Keep some images, points and rays of a block."""
+    images, points, seen = block.images, block.points, block.observations
+    i, j = np.cumsum(image) - 1, np.cumsum(point) - 1
+    return replace(
+        block,
+        images=Images(
+            tuple(n for n, kept in zip(images.names, image, strict=True) if kept),
+            images.camera[image],
+            images.values[image],
+            images.sigma[image],
+        ),
+        points=ObjectPoints(
+            tuple(n for n, kept in zip(points.names, point, strict=True) if kept),
+            points.values[point],
+            points.sigma[point],
+            points.role[point],
+            None if points.cross is None else points.cross[point],
+        ),
+        observations=replace(
+            seen,
+            image=i[seen.image[ray]],
+            point=j[seen.point[ray]],
+            values=seen.values[ray],
+            sigma=seen.sigma[ray],
+        ),
+    )
+
+
+def _improved(
+    orientation: Orientation,
+    names: tuple[str, ...],
+    found: NDArray[np.float64],
+    found_sigma: NDArray[np.float64],
+) -> Orientation:
+    images = orientation.images
+    row = {name: k for k, name in enumerate(images.names)}
+    rows = np.array([row[name] for name in names], dtype=np.int64)
+    values, sigma = images.values.copy(), images.sigma.copy()
+    values[rows], sigma[rows] = found, found_sigma
+    return replace(orientation, images=replace(images, values=values, sigma=sigma), source="adjusted marks")

@@ -1,0 +1,247 @@
+"""What the page for marking asks and does."""
+
+from __future__ import annotations
+
+import math
+from concurrent.futures import ProcessPoolExecutor
+from functools import lru_cache
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+
+from drivers.errors import ConfigurationError, InputNotFoundError
+from photocal.block.model import ROLES
+from photocal.exchange.parts import Mark
+from photocal.measurement.image_file import Grey, read_grey
+from photocal.measurement.marking.adjustment import Adjusted, adjust_marks
+from photocal.measurement.marking.prediction import ellipse, predict
+from photocal.measurement.marking.scene import Picture, Scene
+from photocal.measurement.marking.snap import KINDS, Kind, snap
+from photocal.measurement.marking.store import MarkStore
+from photocal.measurement.marking.tiles import TILE_PX, TileAddress, Tiles
+from photocal.measurement.marks import BY_HAND_PX
+
+FARTHEST_REACH_PX = 60.0
+# Decimals in marks.csv: what is shown is what is written.
+_DECIMALS = 4
+# A name has something to see and nothing that breaks a line.
+_NAME = r"^[^\x00-\x1f\x7f]*[^\x00-\x20\x7f][^\x00-\x1f\x7f]*$"
+
+
+class _Question(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class _Place(_Question):
+    image: str
+    point: Annotated[str, Field(min_length=1, max_length=100, pattern=_NAME)]
+
+
+class _Click(_Place):
+    """Where somebody clicked; without kinds the mark stays there."""
+
+    x: FiniteFloat
+    y: FiniteFloat
+    reach: Annotated[float, Field(gt=0, le=FARTHEST_REACH_PX)] = 12.0
+    kinds: tuple[Kind, ...] = KINDS
+
+
+class Desk:
+    """What lies on the table: the scene, its marks, and what the last adjustment found.
+
+    Parameters
+    ----------
+    scene : Scene
+    store : MarkStore
+    cache : Path
+        Where tiles are kept.
+    """
+
+    def __init__(self, scene: Scene, store: MarkStore, cache: Path) -> None:
+        self._scene, self._store, self._tiles = scene, store, Tiles(cache)
+        self._adjusted: Adjusted | None = None
+        self._adjusted_marks: dict[tuple[str, str], tuple[float, float]] = {}
+
+    def project(self) -> dict[str, Any]:
+        """What does not change."""
+        scene = self._scene
+        return {
+            "name": scene.name,
+            "listed": scene.listed,
+            "adjustable": scene.orientation is not None and len(scene.points.names) > 0,
+            "tile_px": TILE_PX,
+            "kinds": list(KINDS),
+            "by_hand_px": BY_HAND_PX,
+            "images": [
+                {
+                    "name": name,
+                    "width": own.size_px[0],
+                    "height": own.size_px[1],
+                    "turn": own.turn_deg,
+                    "reason": own.reason,
+                }
+                for name, own in scene.pictures.items()
+            ],
+            "points": [
+                {"name": name, "role": ROLES[role]}
+                for name, role in zip(scene.points.names, scene.points.role.tolist(), strict=True)
+            ],
+        }
+
+    def state(self) -> dict[str, Any]:
+        """Marks, and what the last adjustment said of them."""
+        marks = self._store.marks
+        undo, redo = self._store.history
+        return {
+            "marks": [
+                {"image": m.image, "point": m.point, "x": m.x, "y": m.y, "sx": m.sigma[0], "sy": m.sigma[1]}
+                for m in marks
+            ],
+            "undo": undo,
+            "redo": redo,
+            "residuals": self._residuals(marks),
+            "sigma0": None if self._adjusted is None else self._adjusted.sigma0,
+        }
+
+    def _residuals(self, marks: tuple[Mark, ...]) -> list[dict[str, Any]]:
+        """Residuals of marks that have not moved since they were adjusted."""
+        if self._adjusted is None:
+            return []
+        now = {(m.image, m.point): (m.x, m.y) for m in marks}
+        return [
+            dict(vars(residual))
+            for residual in self._adjusted.residuals
+            for key in [(residual.image, residual.point)]
+            if key in now and now[key] == self._adjusted_marks.get(key)
+        ]
+
+    def images(self, point: str) -> dict[str, Any]:
+        """Images by how likely they show a point, and where."""
+        names = [name for name, own in self._scene.pictures.items() if not own.reason]
+        orientation = self._scene.orientation if self._adjusted is None else self._adjusted.orientation
+        known = self._scene.points
+        seen: dict[str, dict[str, Any]] = {}
+        if orientation is not None and point in known.names:
+            k = known.names.index(point)
+            found = predict(orientation, known.values[k], known.sigma[k])
+            for i, name in enumerate(orientation.images.names):
+                x, y = found.pixels[i].tolist()
+                likely = float(found.probability[i])
+                outline = ellipse(found.covariance[i])
+                if math.isnan(likely):
+                    continue
+                seen[name] = {
+                    "x": x if math.isfinite(x) else None,
+                    "y": y if math.isfinite(y) else None,
+                    "probability": likely,
+                    "ellipse": None if outline is None or not math.isfinite(x) else dict(vars(outline)),
+                }
+        ranked = sorted(names, key=lambda name: self._rank(name, seen.get(name)))
+        return {
+            "point": point,
+            "source": "" if orientation is None else orientation.source,
+            "images": [{"name": name, **seen.get(name, {})} for name in ranked],
+        }
+
+    def _rank(self, name: str, seen: dict[str, Any] | None) -> tuple[float, float, str]:
+        """The surest first, of equally sure ones those nearer to their middle; unknown ones in between."""
+        if seen is None:
+            return (-0.01, 0.0, name)
+        if seen["x"] is None:
+            return (0.0, math.inf, name)
+        width, height = self._scene.pictures[name].size_px
+        aside = max(abs(2 * seen["x"] / width - 1), abs(2 * seen["y"] / height - 1))
+        return (-round(seen["probability"], 2), aside, name)
+
+    def tile(self, image: str, address: TileAddress) -> bytes:
+        """A tile of an image of the scene; no other file is ever opened."""
+        return self._tiles.tile(self._picture(image).path, address)
+
+    def mark(self, body: bytes) -> dict[str, Any]:
+        """Set a mark, on the centre of the target there if one is wanted and found."""
+        click = _checked(_Click, body)
+        path = self._picture(click.image).path
+        width, height = self._scene.pictures[click.image].size_px
+        if not (-0.5 <= click.x <= width - 0.5 and -0.5 <= click.y <= height - 0.5):
+            raise ConfigurationError(
+                "the place is outside of the image", where=click.image, remedy="mark inside"
+            )
+        if self._scene.listed and click.point not in self._scene.points.names:
+            raise ConfigurationError(
+                f"point {click.point} is not in the table of points", remedy="choose a point of the list"
+            )
+        place = (click.x, click.y)
+        snapped = None
+        if click.kinds:
+            facts = path.stat()
+            grey = _grey(path, facts.st_mtime_ns, facts.st_size)
+            snapped = snap(grey, place, click.reach, click.kinds, self._scene.dictionaries)
+        if snapped is None:
+            mark = _rounded(click, place, (BY_HAND_PX, BY_HAND_PX))
+        else:
+            mark = _rounded(click, (snapped.x, snapped.y), snapped.sigma)
+        self._store.put(mark)
+        return self.state() | {"snapped": None if snapped is None else snapped.kind}
+
+    def remove(self, body: bytes) -> dict[str, Any]:
+        """Take a mark away."""
+        place = _checked(_Place, body)
+        self._store.remove((place.image, place.point))
+        return self.state()
+
+    def undo(self) -> dict[str, Any]:
+        """Take the last change back."""
+        return self._where(self._store.undo())
+
+    def redo(self) -> dict[str, Any]:
+        """Make the change again that was taken back."""
+        return self._where(self._store.redo())
+
+    def _where(self, key: tuple[str, str] | None) -> dict[str, Any]:
+        return self.state() | {"at": None if key is None else {"image": key[0], "point": key[1]}}
+
+    def adjust(self) -> dict[str, Any]:
+        """Adjust all marks in a process of its own, so that the page goes on."""
+        scene, marks = self._scene, self._store.marks
+        if scene.orientation is None:
+            raise ConfigurationError(
+                "nothing is known of the camera", remedy="open a project with [[camera]], or give --run"
+            )
+        with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+            found = pool.submit(adjust_marks, scene.orientation, scene.points, marks).result()
+        self._adjusted, self._adjusted_marks = found, {(m.image, m.point): (m.x, m.y) for m in marks}
+        return self.state() | {"left_out": list(found.left_out)}
+
+    def _picture(self, name: str) -> Picture:
+        own = self._scene.pictures.get(name)
+        if own is None:
+            raise InputNotFoundError(
+                "is no image of this project", where=name, remedy="choose one of the list"
+            )
+        if own.reason:
+            raise InputNotFoundError(own.reason, where=name, remedy="choose another image")
+        return own
+
+
+Question = TypeVar("Question", bound=_Question)
+
+
+def _checked(kind: type[Question], body: bytes) -> Question:
+    try:
+        return kind.model_validate_json(body)
+    except ValidationError as failure:
+        first = failure.errors()[0]
+        what = ": ".join((".".join(map(str, first["loc"])), first["msg"])).lstrip(": ")
+        raise ConfigurationError(what, where="request", remedy="use the page") from failure
+
+
+def _rounded(click: _Click, place: tuple[float, float], sigma: tuple[float, float]) -> Mark:
+    x, y, sx, sy = (round(value, _DECIMALS) for value in (*place, *sigma))
+    return Mark(click.image, click.point, x, y, (sx, sy), "")
+
+
+@lru_cache(maxsize=2)
+def _grey(path: Path, _changed: int, _size: int) -> Grey:
+    return read_grey(path)

@@ -1,0 +1,198 @@
+"""From a click to the centre of the target beneath it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from photocal.measurement.centres import Centre, cross_centre, disc_centre, saddle_centre
+from photocal.measurement.image_file import Grey
+from photocal.measurement.markers import find_markers
+
+Kind = Literal["cross", "hourglass", "circle", "code"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+# Sizes of targets that are tried, px: each half as large again as the one before.
+SIZES = (8.0, 12.0, 18.0, 27.0, 40.0, 60.0)
+# The search ends when so many larger sizes in a row determine the centre no better.
+_IN_VAIN = 2
+# Codes that are tried when the project names none.
+DICTIONARIES = ("apriltag_36h11", "4x4_1000", "5x5_1000", "6x6_1000")
+# The picture of the target must explain the grey values: noise in parts of the contrast.
+WORST_MISFIT = 0.15
+LEAST_CONTRAST = 12.0
+# Targets are not flat and lenses not modelled to the last: what grey values cannot know, px.
+COMMON_PX = 0.02
+
+
+@dataclass(frozen=True)
+class Snapped:
+    """A centre that was found.
+
+    Attributes
+    ----------
+    x, y : float
+        Column and row, px; the centre of the upper-left pixel is (0, 0).
+    sigma : (float, float)
+        px.
+    kind : str
+        What the target is.
+    """
+
+    x: float
+    y: float
+    sigma: tuple[float, float]
+    kind: Kind
+
+
+def snap(
+    grey: Grey,
+    place: tuple[float, float],
+    reach: float,
+    kinds: tuple[Kind, ...] = KINDS,
+    dictionaries: tuple[str, ...] = DICTIONARIES,
+) -> Snapped | None:
+    """Find the centre of the target at a place.
+
+    All kinds and sizes are fitted; of those whose picture fits, the one that determines the centre best
+    is taken.
+
+    Parameters
+    ----------
+    grey : ndarray, shape (height, width)
+    place : (float, float)
+        Column and row, px.
+    reach : float
+        How far the centre may be from the place, px.
+    kinds : tuple of str
+        What may be found.
+    dictionaries : tuple of str
+        Of coded targets.
+
+    Returns
+    -------
+    Snapped or None
+        None when nothing there looks like a target.
+    """
+    if "code" in kinds:
+        # A code is proven by its bits; its border alone could pass for something else.
+        codes = [c for c in _codes(grey, place, reach, dictionaries) if _good(c, place, reach)]
+        if codes:
+            return _snapped("code", min(codes, key=_variance))
+    best: tuple[Kind, float, Centre] | None = None
+    in_vain = 0
+    for size in SIZES:
+        starts = (place, symmetric_place(grey, place, reach, size / 2))
+        found = [
+            (kind, size, centre)
+            for kind in kinds
+            if kind != "code"
+            for start in starts
+            for centre in [_FITS[kind](grey, start, size)]
+            if centre is not None and _good(centre, place, reach)
+        ]
+        better = min(found, key=lambda one: _variance(one[2]), default=None)
+        if better is not None and (best is None or _variance(better[2]) < _variance(best[2])):
+            best, in_vain = better, 0
+        elif best is not None:
+            in_vain += 1
+        if in_vain == _IN_VAIN:
+            break
+    if best is None:
+        return None
+    kind, size, centre = best
+    # A window around a click leans to one side: it is laid around the centre.
+    again = _FITS[kind](grey, (centre.column, centre.row), size)
+    return _snapped(kind, again if again is not None and _good(again, place, reach) else centre)
+
+
+def _variance(centre: Centre) -> float:
+    return float(np.trace(centre.covariance))
+
+
+def _snapped(kind: Kind, centre: Centre) -> Snapped:
+    sx, sy = (math.hypot(s, COMMON_PX) for s in centre.sigma)
+    return Snapped(centre.column, centre.row, (sx, sy), kind)
+
+
+def symmetric_place(
+    grey: Grey, place: tuple[float, float], reach: float, radius: float
+) -> tuple[float, float]:
+    """Find the pixel about which an image is most alike when turned by 180 degrees, as targets are.
+
+    Parameters
+    ----------
+    grey : ndarray, shape (height, width)
+    place : (float, float)
+        Column and row, px.
+    reach : float
+        How far from it is looked, px.
+    radius : float
+        Of the surroundings that are compared, px.
+
+    Returns
+    -------
+    (float, float)
+        Column and row; the place itself where it lies too near to the edge of the image.
+    """
+    far, r = math.ceil(reach), math.ceil(radius)
+    column, row = round(place[0]), round(place[1])
+    height, width = grey.shape
+    if not (far + r <= column < width - far - r and far + r <= row < height - far - r):
+        return place
+    cut = grey[row - far - r : row + far + r + 1, column - far - r : column + far + r + 1].astype(np.float32)
+    windows = np.lib.stride_tricks.sliding_window_view(cut, (2 * r + 1, 2 * r + 1))
+    centred = windows - windows.mean(axis=(2, 3), keepdims=True)
+    own = np.einsum("abij,abij->ab", centred, centred)
+    likeness = np.einsum("abij,abij->ab", centred, centred[:, :, ::-1, ::-1]) / np.maximum(own, 1e-6)
+    # Straight edges are alike, too, and so is even ground: only where the grey values vary both ways.
+    down, right = np.gradient(cut)
+    cells = [np.lib.stride_tricks.sliding_window_view(g, (2 * r + 1, 2 * r + 1)) for g in (right, down)]
+    xx, xy, yy = (np.einsum("abij,abij->ab", cells[i], cells[j]) for i, j in ((0, 0), (0, 1), (1, 1)))
+    weaker = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
+    aside = np.hypot(*np.mgrid[-far : far + 1, -far : far + 1])
+    score = np.where(aside <= reach, likeness * np.maximum(weaker, 0) ** 0.25, -1)
+    down_by, right_by = np.unravel_index(int(score.argmax()), score.shape)
+    return float(column - far + right_by), float(row - far + down_by)
+
+
+def _good(centre: Centre, place: tuple[float, float], reach: float) -> bool:
+    near = math.hypot(centre.column - place[0], centre.row - place[1]) <= reach
+    clear = centre.contrast >= LEAST_CONTRAST and centre.noise <= WORST_MISFIT * centre.contrast
+    return near and clear
+
+
+def _saddle(grey: Grey, place: tuple[float, float], size: float) -> Centre | None:
+    return saddle_centre(grey, place, size / 2)
+
+
+def _disc(grey: Grey, place: tuple[float, float], size: float) -> Centre | None:
+    return disc_centre(grey, place, (size / 2, size / 2))
+
+
+_FITS: dict[Kind, Callable[[Grey, tuple[float, float], float], Centre | None]] = {
+    "cross": cross_centre,
+    "hourglass": _saddle,
+    "circle": _disc,
+}
+
+
+def _codes(
+    grey: Grey, place: tuple[float, float], reach: float, dictionaries: tuple[str, ...]
+) -> Iterator[Centre]:
+    """Find codes in the part of the image that a target of the largest size would cover."""
+    height, width = grey.shape
+    far = reach + 2 * SIZES[-1]
+    left, top = (max(math.floor(p - far), 0) for p in place)
+    right, bottom = (min(math.ceil(p + far) + 1, n) for p, n in zip(place, (width, height), strict=True))
+    if right - left < SIZES[0] or bottom - top < SIZES[0]:
+        return
+    # The detector wants rows one after the other in memory.
+    part = grey[top:bottom, left:right].copy()
+    for name in dictionaries:
+        for marker in find_markers(part, name):
+            centre = marker.centre
+            yield replace(centre, column=centre.column + left, row=centre.row + top)
