@@ -1,0 +1,155 @@
+"""All 18 images of the recorded drone flight: tie points beside COLMAP's, in one run on one machine.
+
+Both find features, match, and orient the images; compared are verified tracks, reprojection and processor
+time. COLMAP has one focal length and one radial coefficient, both estimated; so has our last adjustment.
+"""
+
+from __future__ import annotations
+
+import resource
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from photocal.adjustment.adjust import adjust
+from photocal.block.network import assemble
+from photocal.geometry.camera import PARAMETERS
+from photocal.geometry.similarity import similarity
+from photocal.measurement.image_file import list_images
+from photocal.measurement.match_images import MatchingPlan
+from photocal.measurement.measure_ties import measure_ties
+
+pytestmark = [pytest.mark.shared, pytest.mark.timeout(7200)]
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What is compared."""
+
+    images: int
+    tracks: int
+    share_of_four: float
+    rms_px: float
+    sigma_px: float
+    c_px: float
+    exif_m: Floats
+    processor_s: float
+
+    def row(self, name: str) -> str:
+        """Give a line of the table."""
+        x, y, z = self.exif_m
+        return (
+            f"{name:10} {self.images:6d} {self.tracks:7d} {self.share_of_four:7.3f} {self.rms_px:7.3f} "
+            f"{self.sigma_px:7.3f} {self.c_px:8.1f} {x:6.2f}/{y:.2f}/{z:.2f} {self.processor_s:9.1f}"
+        )
+
+
+HEAD = "           images tracks>2 4 rays rms_px sigma_px     c_px    EXIF_m    processor_s"
+
+
+def test_tie_points_beside_colmap(shared: Path, tmp_path: Path, benchmark: Any) -> None:
+    pytest.importorskip("pycolmap", reason="the comparison needs pycolmap (pip install pycolmap)")
+    folder = shared / "data/uav-brighton-beach/images"
+    own = benchmark.pedantic(_own, args=(folder, tmp_path / "cache"), rounds=1)
+    held, freed = own
+    peer = _peer(folder, tmp_path / "colmap", freed[1])
+    rows = [HEAD, held[0].row("c held"), freed[0].row("c free"), peer.row("COLMAP")]
+    print("", *rows, sep="\n")
+    benchmark.extra_info["table"] = rows
+    ours = freed[0]
+    assert ours.images == peer.images == 18
+    assert ours.tracks >= peer.tracks
+    assert ours.share_of_four >= 0.5
+    assert ours.rms_px <= peer.rms_px
+    assert ours.sigma_px <= peer.sigma_px
+
+
+def _processor_s() -> float:
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
+def _own(folder: Path, cache: Path) -> list[tuple[Figures, dict[str, Floats]]]:
+    """Figures with c as the EXIF has it, and with c estimated; and the positions of the EXIF."""
+    began = _processor_s()
+    plan = MatchingPlan(cache, 2)
+    made = measure_ties(list_images(folder), "brighton-beach", plan, lambda *_: nullcontext(lambda _: None))
+    spent = _processor_s() - began
+    block, results = made.block, []
+    for names in (("K1", "K2"), ("c", "K1")):
+        chosen = np.array([name in names for name in PARAMETERS])
+        cameras = tuple(replace(one, estimated=chosen) for one in block.cameras)
+        assembly = assemble(replace(block, cameras=cameras))
+        solution = adjust(assembly.network)
+        observed = block.images.values[:, 3:]
+        level = np.sqrt(np.mean(block.observations.sigma**2))
+        figures = Figures(
+            len(block.images.names),
+            made.record["tracks"]["three_and_more_rays"],
+            made.record["share_of_four_and_more"],
+            float(np.sqrt(np.mean(solution.residuals**2))),
+            float(level * np.sqrt(solution.variance_factor)),
+            float(solution.cameras[0, 0]),
+            _against(assembly.frame.to_given(solution.exposures[:, 3:]), observed),
+            spent,
+        )
+        results.append((figures, dict(zip(block.images.names, observed, strict=True))))
+    return results
+
+
+def _peer(folder: Path, work: Path, observed: dict[str, Floats]) -> Figures:
+    import pycolmap
+
+    work.mkdir()
+    pycolmap.logging.minloglevel = 2
+    pycolmap.set_random_seed(1)
+    began = _processor_s()
+    options = pycolmap.ImageReaderOptions()
+    options.camera_model = "SIMPLE_RADIAL"
+    pycolmap.extract_features(
+        work / "database.db",
+        folder,
+        camera_mode=pycolmap.CameraMode.SINGLE,
+        reader_options=options,
+        device=pycolmap.Device.cpu,
+    )
+    pycolmap.match_exhaustive(work / "database.db", device=pycolmap.Device.cpu)
+    models = pycolmap.incremental_mapping(work / "database.db", folder, work / "sparse")
+    spent = _processor_s() - began
+    model = max(models.values(), key=lambda one: len(one.images))
+    lengths = np.array([point.track.length() for point in model.points3D.values()])
+    misses = np.array(
+        [
+            model.images[seen.image_id].project_point(point.xyz)
+            - model.images[seen.image_id].points2D[seen.point2D_idx].xy
+            for point in model.points3D.values()
+            for seen in point.track.elements
+        ]
+    )
+    # Six unknowns an image less the seven of the datum, three a point, two of the camera.
+    redundancy = misses.size - 3 * len(lengths) - 6 * len(model.images) + 7 - 2
+    images = [image for image in model.images.values() if image.has_pose]
+    centres = np.array([image.projection_center() for image in images])
+    return Figures(
+        len(images),
+        int(np.count_nonzero(lengths >= 3)),
+        float(np.mean(lengths >= 4)),
+        float(np.sqrt(np.mean(misses**2))),
+        float(np.sqrt(np.sum(misses**2) / redundancy)),
+        float(next(iter(model.cameras.values())).params[0]),
+        _against(centres, np.array([observed[image.name] for image in images])),
+        spent,
+    )
+
+
+def _against(centres: Floats, observed: Floats) -> Floats:
+    """Root mean square of the differences after a similarity, m, shape (3,)."""
+    fit = similarity(centres, observed)
+    assert fit is not None
+    return np.asarray(np.sqrt(np.mean((fit.applied(centres) - observed) ** 2, axis=0)))
