@@ -15,7 +15,7 @@ from photocal.block.model import Block
 from photocal.block.network import block_frame
 from photocal.measurement.refine import Source, refine
 from photocal.measurement.start_block import without_images
-from photocal.measurement.tie_adjustment import GROSS, Adjusted, adjust_ties
+from photocal.measurement.tie_adjustment import GROSS, Adjusted, adjust_ties, pixel_residuals
 from photocal.measurement.tie_block import orient
 from photocal.measurement.tracks import Tracks, of_images, thin, without_twins
 from photocal.measurement.views import Views, intersected, misses, views_of
@@ -198,8 +198,7 @@ def figures(oriented: Oriented) -> dict[str, Any]:
     final = oriented.adjusted
     rays = final.tracks.rays
     ties = slice(-len(final.tracks.track), None)
-    residuals = np.empty_like(final.solution.residuals)
-    residuals[final.assembly.rays] = final.solution.residuals
+    residuals = pixel_residuals(final.assembly, final.solution)
     return {
         "points": final.tracks.count,
         "observations": len(final.tracks.track),

@@ -27,7 +27,7 @@ from photocal.measurement.measure_ties import Sighted, TieBlock, sight, stated_f
 from photocal.measurement.oriented_ties import Progress, orient_ties
 from photocal.measurement.pair_selection import Footprints, footprints
 from photocal.measurement.start_block import NO_OBSERVATIONS, POSITION_SIGMA_M
-from photocal.measurement.tie_adjustment import GROSS, Adjusted
+from photocal.measurement.tie_adjustment import GROSS, Adjusted, pixel_residuals
 from photocal.measurement.views import local_poses
 from photocal.project import Project
 
@@ -243,8 +243,8 @@ def suspected_marks(adjusted: Adjusted, control: ObjectPoints) -> list[dict[str,
         Image, point, residual in px and in standard deviations.
     """
     block, solution, rays = adjusted.block, adjusted.solution, adjusted.assembly.rays
-    residual, redundancy = np.empty((len(rays), 2)), np.empty(len(rays))
-    residual[rays], redundancy[rays] = solution.residuals, solution.redundancy.mean(axis=1)
+    residual, redundancy = pixel_residuals(adjusted.assembly, solution), np.empty(len(rays))
+    redundancy[rays] = solution.redundancy.mean(axis=1)
     seen = block.observations
     size = np.hypot(*residual.T)
     spread = np.sqrt((seen.sigma**2).sum(axis=1) * np.maximum(redundancy, 0.05))

@@ -192,10 +192,19 @@ def _with_cameras(assembly: Assembly, cameras: tuple[Camera, ...]) -> Assembly:
     return replace(assembly, network=replace(assembly.network, cameras=cameras))
 
 
+def pixel_residuals(assembly: Assembly, solution: Solution) -> Floats:
+    """Residuals in the order of the block's observations, px, whatever the unit of the cameras; (n, 2)."""
+    network = assembly.network
+    pitch = np.array([own.pitch for own in network.cameras])[network.exposures.camera[network.rays.image]]
+    residuals = np.empty_like(solution.residuals)
+    residuals[assembly.rays] = solution.residuals / pitch
+    return residuals
+
+
 def _by_ray(assembly: Assembly, solution: Solution) -> tuple[Floats, Floats]:
     """Length of the residual, px, and mean redundancy number of each observation of the block."""
-    size, redundancy = np.empty(len(assembly.rays)), np.empty(len(assembly.rays))
-    size[assembly.rays] = np.hypot(*solution.residuals.T)
+    size = np.hypot(*pixel_residuals(assembly, solution).T)
+    redundancy = np.empty(len(assembly.rays))
     redundancy[assembly.rays] = solution.redundancy.mean(axis=1)
     return size, redundancy
 
