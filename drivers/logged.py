@@ -40,7 +40,9 @@ class Records:
         """Return the first of several members that is there; NaN when none is."""
         for name in names:
             if name in self.columns and self.columns[name].dtype.kind in "iufb":
-                return self.columns[name].astype(float)
+                # A damaged number may be a signalling NaN: it stays a NaN, without a word.
+                with np.errstate(invalid="ignore"):
+                    return self.columns[name].astype(float)
         return np.full(len(self.index), np.nan)
 
     def rows(self, kept: NDArray[np.bool_]) -> Records:

@@ -105,7 +105,8 @@ def _quaternion(logged: Logged) -> NDArray[np.float64]:
     found = logged.records
     if "q" not in found or found["q"].shape[1:] != (4,):
         return np.full((len(found), 4), np.nan)
-    return np.asarray(found["q"], float)
+    with np.errstate(invalid="ignore"):  # a damaged number may be a signalling NaN
+        return np.asarray(found["q"], float)
 
 
 def _exposure(logged: Logged, edge: str) -> Decoded:
