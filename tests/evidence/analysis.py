@@ -55,20 +55,21 @@ def clean() -> list[str]:
 
 
 def injected() -> list[str]:
-    """Table of hidden errors: how often each is the first of the list."""
+    """Table of hidden errors: how often each is listed, and how often it is the first of the list."""
     lines = [
-        "| hidden error | network | seeds | named first | what came first instead |",
-        "|---|---|---|---|---|",
+        "| hidden error | network | seeds | listed | first | what came first instead |",
+        "|---|---|---|---|---|---|",
     ]
     for code, name, spoil in _CASES:
         simulated = WHICH[name]()
-        plane, first = spoil(simulated), Counter[str]()
+        plane, first, named = spoil(simulated), Counter[str](), 0
         for seed in range(ERROR_SEEDS):
             listed = findings(search(fit(noisy(simulated, 7000 + seed, plane, CONTROL_M[name]))))
             first[listed[0].code if listed else "nothing"] += 1
+            named += any(one.code == code for one in listed)
             sys.stderr.write(f"\r{code}: seed {seed + 1} of {ERROR_SEEDS}   ")
         instead = ", ".join(f"{other} {count}" for other, count in first.items() if other != code) or "-"
-        lines.append(f"| {code} | {name} | {ERROR_SEEDS} | {first[code]} | {instead} |")
+        lines.append(f"| {code} | {name} | {ERROR_SEEDS} | {named} | {first[code]} | {instead} |")
     return lines
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import numpy as np
 
 from photocal.accuracy.findings import Finding
-from photocal.accuracy.plausibility.record import FloatArray, StatedParameter, StatedReport
+from photocal.accuracy.plausibility.record import StatedParameter, StatedReport
+from photocal.analysis.correlation_check import sign_repair
 
 # A parameter is called significant from three standard deviations on.
 _SIGNIFICANT = 3.0
@@ -35,12 +35,10 @@ def correlation_matrix(report: StatedReport) -> tuple[Finding, ...]:
     rounding = 0.5 * 10.0**-report.correlation_decimals * (len(matrix) - 1)
     if least >= -rounding:
         return ()
-    repaired = [(_least_eigenvalue_with_flip(matrix, i, j), i, j) for i, j in _pairs(matrix)]
-    best, i, j = max(repaired)
+    (j, i), best = sign_repair(matrix)
     cause = (
         f" With the other sign of {names[i]}-{names[j]} ({-matrix[i, j]:+.2f}) it is {best:.4f}, within "
-        "the rounding: "
-        "a minus sign was lost."
+        "the rounding: a minus sign was lost."
         if best >= -rounding
         else ""
     )
@@ -103,8 +101,7 @@ def boresight(report: StatedReport) -> tuple[Finding, ...]:
         Finding(
             "boresight-not-estimated",
             f"the boresight is exactly 0 with {angles[0].sigma:g} degrees on every axis: that is a "
-            "preset, nothing was "
-            "estimated.",
+            "preset, nothing was estimated.",
         ),
     )
 
@@ -172,13 +169,3 @@ def _disagreement(parameter: StatedParameter, what: str, a: float, b: float) -> 
         "tables-disagree",
         f"the {what} of {parameter.name} is {a:g} in one table and {b:g} in another{why}.",
     )
-
-
-def _pairs(matrix: FloatArray) -> itertools.combinations[tuple[int, int]]:
-    return itertools.combinations(range(len(matrix)), 2)
-
-
-def _least_eigenvalue_with_flip(matrix: FloatArray, i: int, j: int) -> float:
-    flipped = matrix.copy()
-    flipped[i, j] = flipped[j, i] = -matrix[i, j]
-    return float(np.linalg.eigvalsh(flipped)[0])

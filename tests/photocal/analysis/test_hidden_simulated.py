@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from photocal.adjustment.network import Exposures, Network, Points, Rays, Relations, point_weights
 from photocal.analysis.estimates import Array
@@ -13,6 +14,7 @@ from photocal.analysis.finding import Finding
 from photocal.analysis.hidden.candidates import candidates
 from photocal.analysis.hidden.extra_parameter import estimated_amount
 from photocal.analysis.hidden.findings import findings
+from photocal.analysis.hidden.image_shift import joint_shift
 from photocal.analysis.hidden.jackknife import jackknife
 from photocal.analysis.hidden.refit import fit, with_sigmas, without_images
 from photocal.analysis.hidden.residual_map import grid_shape, residual_map
@@ -351,3 +353,34 @@ def test_the_sigma_that_is_found_has_an_honest_interval() -> None:
         # 80 residuals with redundancy 0.8 carry 64 degrees of freedom: the interval is a little wide.
         inside += one.lower < 2.0 < one.upper
     assert 285 - 4 * 3.8 <= inside <= 300
+
+
+def test_an_image_gets_its_own_geometry_as_the_adjustment_would_give_it() -> None:
+    """Scale, principal point and significance against a camera of its own for that image."""
+    made = convergent(("c", "x0", "y0"))
+    mine = (made.network.rays.image == 5)[:, None]
+    network = noisy(made, 16, made.exact + mine * np.array([1.5, -1.0]))
+    fitted = fit(network)
+    found = joint_shift(fitted, "i5")
+    assert found is not None
+    assert found.sigma is not None
+    own = network.cameras[0]
+    camera_of = network.exposures.camera.copy()
+    camera_of[5] = 1
+    split = replace(
+        network,
+        cameras=(own, replace(own, id="other")),
+        exposures=replace(network.exposures, camera=camera_of),
+    )
+    anew = fit(split).solution
+    # What must be added to the measurements is minus what the other camera has more.
+    more = anew.cameras[1, :3] - anew.cameras[0, :3]
+    # The measured coordinates are scaled with their distortion, c without it: nearly the same.
+    assert found.scale == pytest.approx(-more[0] / 3500.0, abs=0.15 * float(found.sigma[0]))
+    np.testing.assert_allclose(found.shift_px, -more[1:], atol=0.15 * float(found.sigma[1]))
+    freedom = fitted.solution.degrees_of_freedom - 3
+    fall = fitted.solution.chi_squared - anew.chi_squared
+    p_value = stats.f.sf(fall / 3 / (anew.chi_squared / freedom), 3, freedom)
+    assert np.log(found.p_value / 8) == pytest.approx(np.log(p_value), rel=0.1)
+    # 0.3 px of noise: what nothing else takes up is less than what was moved.
+    assert 0.0 < found.effect_px < 2.0
