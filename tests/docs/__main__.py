@@ -1,0 +1,8 @@
+"""`python -m tests.docs`: the pages of the commands and the figure of the architecture, written anew."""
+
+from __future__ import annotations
+
+from tests.docs import architecture_figure, command_pages
+
+command_pages.main()
+architecture_figure.main()

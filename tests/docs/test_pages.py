@@ -1,0 +1,124 @@
+"""Pages of docs/ and the README: commands as the programs say, links that lead somewhere."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from drivers import errors
+from photocal.adjustment.mounting import COMMON
+from photocal.analysis.stability.methods import methods
+from photocal.geometry.camera import PARAMETERS
+from tests.docs.command_pages import FOLDER, MORE, commands, pages
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")])
+WANTED = pages()
+
+
+def test_command_pages_are_those_of_the_programs() -> None:
+    assert {path.name for path in FOLDER.glob("*.md")} == set(WANTED), "run `python -m tests.docs`"
+
+
+@pytest.mark.parametrize("name", sorted(WANTED))
+def test_command_page_says_what_the_program_says(name: str) -> None:
+    assert (FOLDER / name).read_text(encoding="utf-8") == WANTED[name], "run `python -m tests.docs`"
+
+
+def test_every_command_says_what_it_does_and_shows_an_example() -> None:
+    every = {one.name: one for one in commands()}
+    assert set(MORE) <= set(every)
+    for name, one in every.items():
+        assert len(one.summary) < 110, name
+        if not hasattr(one.command, "commands"):
+            assert "```sh" in WANTED[one.page], name
+
+
+def test_examples_begin_with_their_command() -> None:
+    for one in commands():
+        for block in re.findall(r"```sh\n(.*?)```", WANTED[one.page], re.DOTALL):
+            assert one.name in block.splitlines()[0], one.name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page: Path) -> None:
+    broken = [link for link in _links(page) if not _leads(page, link)]
+    assert broken == []
+
+
+def test_a_broken_link_is_seen(tmp_path: Path) -> None:
+    (tmp_path / "there.md").write_text("# Some Title: and `code`\n")
+    page = tmp_path / "page.md"
+    page.write_text("[a](there.md#some-title-and-code) [b](nowhere.md) [c](there.md#other) ![d](none.png)\n")
+    assert [link for link in _links(page) if not _leads(page, link)] == [
+        "nowhere.md",
+        "there.md#other",
+        "none.png",
+    ]
+
+
+def test_every_page_is_reached_from_the_readme() -> None:
+    seen: set[Path] = set()
+    waiting = [ROOT / "README.md"]
+    while waiting:
+        page = waiting.pop()
+        if page in seen or page.suffix != ".md":
+            continue
+        seen.add(page)
+        for link in _links(page):
+            target = (page.parent / link.split("#")[0]).resolve()
+            waiting += sorted(target.glob("*.md")) if target.is_dir() else [target]
+    assert set(PAGES) - seen == set()
+
+
+def test_the_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) < 120
+
+
+def _links(page: Path) -> list[str]:
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    found = re.findall(r"\]\(([^)\s]+)\)", text) + re.findall(r'(?:src|href)="([^"]+)"', text)
+    return [link for link in found if not link.startswith(("http://", "https://"))]
+
+
+def _leads(page: Path, link: str) -> bool:
+    path, _, place = link.partition("#")
+    target = page.parent / path if path else page
+    if not target.exists():
+        return False
+    return not place or place in _places(target)
+
+
+def _places(page: Path) -> set[str]:
+    """Names of the headings as code hosts make them."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_exit_codes_are_those_of_the_errors() -> None:
+    told = set(re.findall(r"^\| (\d+) \|", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE))
+    classes = [one for one in vars(errors).values() if isinstance(one, type)]
+    ours = {one.exit_code for one in classes if issubclass(one, errors.PhotocalError)}
+    # 0 and 2 are those of every command line.
+    assert {int(code) for code in told} == ours | {0, 2}
+
+
+def test_targets_of_make_that_are_named_exist() -> None:
+    targets = set(
+        re.findall(r"^([a-z][\w-]*):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    )
+    for page in PAGES:
+        named = set(re.findall(r"make ([a-z]+(?:-[a-z0-9]+)*)`", page.read_text(encoding="utf-8")))
+        assert named <= targets, page.name
+
+
+def test_symbols_that_are_printed_are_explained() -> None:
+    text = (ROOT / "docs" / "nomenclature.md").read_text(encoding="utf-8")
+    for letter, first, last in re.findall(r"([KPB])(\d)-[KPB](\d)", text):
+        text += " ".join(f" {letter}{k}" for k in range(int(first), int(last) + 1))
+    words = set(re.findall(r"\w+", text))
+    comparisons = {method.name for method in methods(2, (), 1, 0)}
+    mounting = {name for name in COMMON if name[-2:] not in ("_y", "_z")}
+    assert {*PARAMETERS, *comparisons, *mounting} - words == set()
