@@ -110,6 +110,11 @@ def test_simulated_direct_orientation(photocal: Photocal, folder: Path) -> None:
         ('block = "flight"\n[control]\ncounts = [400]', 5, "400 control points"),
         ('block = "flight"\n[[control.pattern]]\nname = "a"\npoints = ["nobody"]', 5, "nobody"),
         ('block = "flight"\n[[control.pattern]]\nname = "a"\npoints = ["p40"]', 5, "cannot be control"),
+        (
+            'block = "flight"\n[interior]\ncameras = "sets.toml"\ncamera = "other"',
+            5,
+            "camera other is not in the block",
+        ),
         ('block = "nowhere"', 3, "does not exist"),
         ("block = ", 5, "not valid TOML"),
     ],
@@ -120,3 +125,29 @@ def test_wrong_files(photocal: Photocal, folder: Path, text: str, code: int, wor
     assert said.code == code
     assert words in said.err
     assert said.err.count("\n") == 1
+
+
+def test_one_camera_of_several_is_exchanged(photocal: Photocal, folder: Path) -> None:
+    """The images of the second half have a camera of their own, whose interior orientation stays as given."""
+    toml = (folder / "flight/block.toml").read_text(encoding="utf-8")
+    entry = toml[toml.index("[[camera]]") : toml.index("[mounting]")]
+    second = entry.replace('id = "cam"', 'id = "other"')
+    (folder / "flight/block.toml").write_text(toml.replace(entry, entry + second), encoding="utf-8")
+    path = folder / "flight/images.csv"
+    rows = path.read_text(encoding="utf-8").splitlines()
+    half = len(rows) // 2
+    path.write_text(
+        "\n".join(rows[:half] + [row.replace(",cam,", ",other,") for row in rows[half:]]) + "\n",
+        encoding="utf-8",
+    )
+    text = 'block = "flight"\nmethods = ["integrated"]\n[interior]\ncameras = "sets.toml"\n'
+    (folder / "experiment.toml").write_text(text, encoding="utf-8")
+    said = photocal("check", "--experiment", folder / "experiment.toml")
+    assert (said.code, "several cameras" in said.err) == (5, True)
+    (folder / "experiment.toml").write_text(text + 'camera = "other"\nuse = ["fixed"]\n', encoding="utf-8")
+    said = photocal("check", "--experiment", folder / "experiment.toml", "--json")
+    assert said.code == 0, said.err
+    runs = json.loads(said.out)["runs"]
+    rmse = [run["rmse_z_m"] for run in runs]
+    # The fifth set stands apart, and only half of the images carry it.
+    assert int(np.argmax(rmse)) == 4
