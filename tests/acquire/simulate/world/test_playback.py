@@ -104,6 +104,38 @@ def test_a_base_by_tcp_and_lower_rates(small: Flight, tmp_path: Path) -> None:
     assert kinds[33] == sent[33]
 
 
+def test_a_recorder_that_was_stopped_is_started_again_in_flight(small: Flight, tmp_path: Path) -> None:
+    flight = played_flight(small.folder)
+    clock = FlightClock(awaited(flight.base_protocol, base_on_tcp=False), SPEED)
+    end = max(line.end_s for line in flight.lines.values())
+    parts: list[Recorded] = []
+    with on_ports(flight.lines, clock) as urls:
+        given = tomllib.loads(record_settings(urls, flight.base_protocol, flight.interval_s, Path("log")))
+        given["recording"]["least_free_mb"] = 0
+        for until in (end / 3, end):
+            stop = threading.Event()
+            work = threading.Thread(
+                target=lambda stop=stop: parts.append(
+                    record(Configuration.model_validate(given), tmp_path, stop, lambda _: None)
+                )
+            )
+            work.start()
+            deadline = time.monotonic() + 60
+            while clock.flight_s() < until and time.monotonic() < deadline:
+                time.sleep(0.02)
+            time.sleep(0.3)
+            stop.set()
+            work.join(20)
+    first, second = (raw(part, "rover") for part in parts)
+    sent = flight.lines["rover"].frames
+    # The first has the beginning, the second the end; between them some seconds of flight are missing.
+    assert sent[0] in first
+    assert sent[-1] in second
+    together = Counter(sent) - Counter(first) - Counter(second)
+    assert together.total() < 0.5 * len(sent)
+    assert {path.name for path in parts[0].paths}.isdisjoint(path.name for path in parts[1].paths)
+
+
 def test_answers_take_their_place_in_the_row_of_numbers(small: Flight) -> None:
     line = played_flight(small.folder).lines["vehicle"]
     now = [0.0]
