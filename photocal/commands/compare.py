@@ -11,15 +11,27 @@ if TYPE_CHECKING:
     from photocal.analysis.stability.camera_file import CameraFile
     from photocal.analysis.stability.comparison import Figure, Pair
     from photocal.analysis.stability.verdict import Followed
+    from photocal.run.calibrations import Calibrated, Use
 
 SCHEMA = "photocal.comparison/1"
 
 
 def compare(
-    cameras: Annotated[Path, typer.Argument(help="TOML file with two or more [[camera]] entries.")],
+    calibrations: Annotated[
+        list[Path],
+        typer.Argument(
+            help="One TOML file of [[camera]] entries; or run folders, work folders or project files."
+        ),
+    ],
     picture: Annotated[
         Path | None, typer.Option("--picture", help="Draw the matrices of all pairs (.png, .svg, .pdf).")
     ] = None,
+    exchange: Annotated[
+        bool,
+        typer.Option(
+            "--exchange", help="Use camera and mounting of each flight in each other, at its check points."
+        ),
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
     """Compare calibrations: misclosure, zero rotation, rotation and single photo resection of every pair.
@@ -30,7 +42,11 @@ def compare(
     (height_m, relief_m), terrains_each and seed. [[published]] gives printed figures to follow: method,
     definition, tolerance_px, values = [[first, second, px], ...].
 
-    Example: `photocal compare configs/studies/canon-elph.toml --picture pairs.png`
+    Runs and projects give their calibrations with all sigmas and correlations, in the order of time:
+    stability of one camera over several flights.
+
+    Example: `photocal compare configs/studies/canon-elph.toml --picture pairs.png`, or
+    `photocal compare MAY.toml JUNE.toml --exchange`
     """
     import numpy as np
 
@@ -41,8 +57,10 @@ def compare(
     from photocal.analysis.stability.comparison import compare as compare_pairs
     from photocal.analysis.stability.methods import methods
     from photocal.analysis.stability.verdict import follow
+    from photocal.run.calibrations import cameras_of, exchanged, uses_text
 
-    asked = read_camera_file(cameras)
+    flights = _flights(calibrations, exchange=exchange)
+    asked = cameras_of(flights) if flights else read_camera_file(calibrations[0])
     ending = _picture_format(picture)
     pixels = sensor_grid(asked.calibrations[0].camera.size_px, asked.grid_step_px)
     chosen = methods(len(pixels), asked.terrains, asked.terrains_each, asked.seed)
@@ -57,11 +75,36 @@ def compare(
 
         with output_file(picture) as aside:
             draw(pairs, tuple(one.id for one in asked.calibrations), asked.thresholds_px, aside, ending)
+    uses: tuple[Use, ...] = ()
+    if exchange:
+        with progress("using each in each", len(flights) ** 2) as advance:
+            uses = exchanged(flights, lambda: advance(1))
     answer(
         as_json,
-        lambda: _figures(asked, len(pixels), pairs, followed),
-        lambda: _text(asked, pairs, followed),
+        lambda: {
+            **_figures(asked, len(pixels), pairs, followed),
+            "exchange": [dict(vars(use)) for use in uses],
+        },
+        lambda: "\n\n".join([_text(asked, pairs, followed), *([uses_text(uses)] if uses else [])]),
     )
+
+
+def _flights(paths: list[Path], *, exchange: bool) -> tuple[Calibrated, ...]:
+    """Find the flights that were named; none when it is a file of cameras."""
+    from drivers.errors import ConfigurationError
+    from photocal.run.calibrations import is_camera_file, read_calibrated
+
+    if not is_camera_file(paths[0]):
+        return read_calibrated(paths)
+    if len(paths) > 1:
+        raise ConfigurationError(
+            "a file of cameras stands alone", where=paths[0], remedy="name it, or runs and projects only"
+        )
+    if exchange:
+        raise ConfigurationError(
+            "cameras alone have no flights to be used in", where="--exchange", remedy="name runs or projects"
+        )
+    return ()
 
 
 def _picture_format(picture: Path | None) -> str:

@@ -78,14 +78,38 @@ def own_calibration(block: Block) -> Calibration | None:
         integrated method says why.
     """
     from drivers.errors import PhotocalError
+
+    if not len(block.positions.image) or not len(block.attitudes.image):
+        return None
+    try:
+        return calibrated_on_the_job(block)[1]
+    except PhotocalError:
+        return None
+
+
+def calibrated_on_the_job(block: Block) -> tuple[Block, Calibration]:
+    """Calibrate camera and mounting of a flight.
+
+    Parameters
+    ----------
+    block : Block
+        With antenna positions and attitudes.
+
+    Returns
+    -------
+    block : Block
+        In its local frame, ready for georeferencing.
+    calibration : Calibration
+
+    Raises
+    ------
+    PhotocalError
+        As the adjustment does.
+    """
     from photocal.accuracy.georeferencing.calibrated import calibrate
     from photocal.accuracy.georeferencing.local import in_local_frame
     from photocal.accuracy.georeferencing.methods import checkable, without_weak_images
     from photocal.accuracy.georeferencing.mounted import with_attitude_angles
 
-    if not len(block.positions.image) or not len(block.attitudes.image):
-        return None
-    try:
-        return calibrate(without_weak_images(with_attitude_angles(checkable(in_local_frame(block))))[0])
-    except PhotocalError:
-        return None
+    local = with_attitude_angles(checkable(in_local_frame(block)))
+    return local, calibrate(without_weak_images(local)[0])

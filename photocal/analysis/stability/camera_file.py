@@ -143,10 +143,28 @@ def read_camera_file(path: Path) -> CameraFile:
         tables = tomllib.loads(content.decode("utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as broken:
         raise InputMalformedError(f"is not TOML ({broken})", where=path, remedy="correct the file") from None
-    return _parsed(tables, path)
+    return camera_file(tables, path)
 
 
-def _parsed(tables: dict[str, Any], path: Path) -> CameraFile:
+def camera_file(tables: dict[str, Any], path: Path) -> CameraFile:
+    """Check the tables of such a file.
+
+    Parameters
+    ----------
+    tables : dict
+        As TOML gives them.
+    path : Path
+        What to name in messages.
+
+    Returns
+    -------
+    CameraFile
+
+    Raises
+    ------
+    ConfigurationError
+        When a key is unknown or missing, or a value impossible.
+    """
     try:
         file = _File.model_validate(tables)
     except ValidationError as refusal:

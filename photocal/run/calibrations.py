@@ -1,0 +1,244 @@
+"""Calibrations of several flights: their cameras for a comparison, and those of one used in another."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError, PhotocalError
+from photocal.project import read_project
+
+if TYPE_CHECKING:
+    from photocal.analysis.stability.camera_file import CameraFile
+
+RESULT = "result.json"
+_STAGE, _BLOCK = "calibration", "block"
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """A flight whose camera was calibrated.
+
+    Attributes
+    ----------
+    name : str
+    run : Path
+        Folder with its `result.json`.
+    block : Path
+        Folder of its block.
+    result : dict
+        Content of `result.json`.
+    """
+
+    name: str
+    run: Path
+    block: Path
+    result: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Use:
+    """Camera and mounting of one flight used for direct georeferencing of another.
+
+    Attributes
+    ----------
+    of, used_in : str
+        Names of the flights; the same for the calibration on the job.
+    points : int
+        Check points.
+    rmse_m, predicted_m : tuple of float
+        X, Y, Z; the prediction contains the survey's own sigma.
+    ratio : float
+        Errors over prediction: 1 when they are as large as predicted.
+    """
+
+    of: str
+    used_in: str
+    points: int
+    rmse_m: tuple[float, float, float]
+    predicted_m: tuple[float, float, float]
+    ratio: float
+
+
+def is_camera_file(path: Path) -> bool:
+    """Whether a path is a file of `[[camera]]` entries, not a run folder, a work folder or a project."""
+    if path.is_dir():
+        return False
+    try:
+        return "project" not in tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        # What is wrong with it is said by its reader.
+        return True
+
+
+def read_calibrated(paths: Sequence[Path]) -> tuple[Calibrated, ...]:
+    """Find the calibrations of run folders, work folders and projects.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+
+    Returns
+    -------
+    tuple of Calibrated
+        With different names.
+
+    Raises
+    ------
+    InputNotFoundError
+        When there is no calibration, or fewer than two.
+    """
+    found: list[Calibrated] = []
+    for path in paths:
+        one = _calibrated(path)
+        taken = sum(one.name == other.name for other in found)
+        found.append(one if not taken else Calibrated(f"{one.name} ({path})", one.run, one.block, one.result))
+    if len(found) < 2:
+        raise InputNotFoundError(
+            "one calibration has nothing to be compared with", remedy="name two or more runs or projects"
+        )
+    return tuple(found)
+
+
+def _calibrated(path: Path) -> Calibrated:
+    name = path.resolve().name
+    if path.is_file():
+        project = read_project(path)
+        name, path = project.name, project.output
+    run = path / _STAGE if (path / _STAGE / RESULT).is_file() else path
+    try:
+        result = json.loads((run / RESULT).read_text(encoding="utf-8"))
+    except OSError as refusal:
+        raise InputNotFoundError(
+            f"has no {RESULT}", where=path, remedy="run `photocal run` or `photocal adjust` first"
+        ) from refusal
+    except ValueError as damage:
+        raise InputMalformedError(f"is no JSON ({damage})", where=run / RESULT) from damage
+    if not isinstance(result, dict) or "cameras" not in result:
+        raise InputMalformedError("has no cameras", where=run / RESULT, remedy="run `photocal adjust` again")
+    source = str(result.get("block", {}).get("source", ""))
+    return Calibrated(name, run, run / source if source else path / _BLOCK, result)
+
+
+def cameras_of(flights: Sequence[Calibrated]) -> CameraFile:
+    """Give the calibrated cameras to the comparison, with sigmas and correlations.
+
+    Parameters
+    ----------
+    flights : sequence of Calibrated
+
+    Returns
+    -------
+    CameraFile
+
+    Raises
+    ------
+    ConfigurationError
+        When a result cannot be compared.
+    """
+    from photocal.analysis.stability.camera_file import camera_file
+
+    tables = []
+    for flight in flights:
+        several = len(flight.result["cameras"]) > 1
+        for name, camera in flight.result["cameras"].items():
+            tables.append(_table(f"{flight.name} {name}" if several else flight.name, camera))
+    return camera_file({"camera": tables}, flights[0].run / RESULT)
+
+
+def _table(name: str, camera: dict[str, Any]) -> dict[str, Any]:
+    parameters = camera["parameters"]
+    estimated = [key for key in camera["correlation"]["names"] if parameters[key]["sigma"] > 0]
+    table = {
+        "id": name,
+        "parameters": {key: one["value"] for key, one in parameters.items() if one["value"] or key == "c"},
+        **{key: camera[key] for key in ("model", "unit", "size_px", "reference_radius")},
+        **{key: camera[key] for key in ("affinity", "affinity_form")},
+    }
+    if camera["unit"] == "mm":
+        table["pitch_mm"] = camera["pitch_mm"]
+    if estimated:
+        table["sigma"] = {key: parameters[key]["sigma"] for key in estimated}
+        table["correlation"] = camera["correlation"]
+        # A parameter that was not written because it is zero is estimated nevertheless.
+        table["parameters"] |= {key: parameters[key]["value"] for key in estimated}
+    return table
+
+
+def exchanged(flights: Sequence[Calibrated], done: Callable[[], None] = lambda: None) -> tuple[Use, ...]:
+    """Georeference every flight directly with the calibration of every one, judged at its check points.
+
+    Parameters
+    ----------
+    flights : sequence of Calibrated
+        Of one rig, with antenna positions and attitudes.
+    done : callable
+        Called after each.
+
+    Returns
+    -------
+    tuple of Use
+
+    Raises
+    ------
+    PhotocalError
+        When a flight has no positions, attitudes or check points.
+    """
+    from photocal.accuracy.georeferencing.differences import differences
+    from photocal.accuracy.georeferencing.methods import of_method
+    from photocal.block.folder import read_block
+    from photocal.run.georeferencing import calibrated_on_the_job
+
+    prepared = [calibrated_on_the_job(read_block(flight.block)) for flight in flights]
+    uses = []
+    for i, giver in enumerate(flights):
+        for j, taker in enumerate(flights):
+            block = prepared[j][0]
+            try:
+                check = differences(block, of_method(block, "direct", calibration=prepared[i][1]), "check")
+            except PhotocalError as refusal:
+                raise type(refusal)(f"{taker.name}: {refusal.what}", remedy=refusal.remedy) from refusal
+            if not check.names:
+                raise ConfigurationError(
+                    f"{taker.name} has no check points", remedy="give points the role check"
+                )
+            rmse = np.sqrt(np.mean(check.d**2, axis=0))
+            variance = np.diagonal(check.covariance, axis1=1, axis2=2)
+            uses.append(
+                Use(
+                    giver.name,
+                    taker.name,
+                    len(check.names),
+                    (float(rmse[0]), float(rmse[1]), float(rmse[2])),
+                    _triple(np.sqrt(variance.mean(axis=0))),
+                    check.ratio,
+                )
+            )
+            done()
+    return tuple(uses)
+
+
+def _triple(values: Any) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in values)
+    return x, y, z
+
+
+def uses_text(uses: Sequence[Use]) -> str:
+    """Write them for people: one line for each pair."""
+    lines = ["camera and mounting of one flight used in another, direct georeferencing at its check points"]
+    for use in uses:
+        cells = ", ".join(
+            f"{1e3 * r:.0f}/{1e3 * p:.0f}" for r, p in zip(use.rmse_m, use.predicted_m, strict=True)
+        )
+        where = "itself" if use.of == use.used_in else use.used_in
+        lines.append(
+            f"  {use.of} in {where}: RMSE/predicted X, Y, Z {cells} mm at {use.points} points; errors "
+            f"{use.ratio:.2f} times the prediction"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,69 @@
+"""Calibrations of several flights side by side, and one used in another."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from drivers.errors import ConfigurationError, InputNotFoundError
+from photocal.block.process import adjust_block
+from photocal.cli import app
+from tests.photocal.accuracy.georeferencing.flights import Errors, Plan, fly
+
+RIG = Errors(lever_arm_m=(0.1, -0.05, -0.2), boresight_deg=(0.4, -0.3, 0.5), time_offset_s=0.008)
+PLAN = Plan(
+    tie=50,
+    estimate=("c", "x0", "y0", "K1", "K2", "P1", "P2"),
+    mounting="lever_arm_m = [0.1, -0.05, -0.2]\nlever_arm_sigma_m = 0.02\n"
+    "boresight_sigma_deg = 1.0\ntime_offset_sigma_s = 0.01",
+)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("campaign")
+    made = []
+    for seed, name in enumerate(("may", "june"), start=1):
+        fly(folder / f"{name}-block", np.random.default_rng(seed), RIG, PLAN)
+        adjust_block(folder / f"{name}-block", folder / name)
+        made.append(folder / name)
+    return made
+
+
+def test_two_flights_of_one_camera(runs: list[Path]) -> None:
+    said = CliRunner().invoke(app, ["compare", *map(str, runs), "--exchange", "--json"])
+    assert said.exit_code == 0, said.output
+    figures = json.loads(said.stdout)
+    assert figures["cameras"] == ["may", "june"]
+    zero_rotation = [f for f in figures["pairs"][0]["figures"] if f["method"] == "ROT"]
+    # One camera: what is left differs by no more than the noise of both calibrations, which are known.
+    assert all(f["sigma_px"] is not None and not f["different"] for f in zero_rotation)
+    uses = {(use["of"], use["used_in"]): use for use in figures["exchange"]}
+    assert set(uses) == {(a, b) for a in ("may", "june") for b in ("may", "june")}
+    # Points of one flight err together: the root of the mean square stays below that of a single point.
+    assert all(0.3 < uses[pair]["ratio"] < 2.3 for pair in (("may", "june"), ("june", "may")))
+    assert all(use["points"] == 20 for use in uses.values())
+
+
+def test_a_changed_camera_is_told(runs: list[Path], tmp_path: Path) -> None:
+    changed = Errors(RIG.lever_arm_m, RIG.boresight_deg, RIG.time_offset_s, focal_mm=0.05)
+    fly(tmp_path / "block", np.random.default_rng(5), changed, PLAN)
+    adjust_block(tmp_path / "block", tmp_path / "zoomed")
+    said = CliRunner().invoke(app, ["compare", str(runs[0]), str(tmp_path / "zoomed"), "--json"])
+    figures = json.loads(said.stdout)["pairs"][0]["figures"]
+    assert any(f["different"] for f in figures if f["method"] == "ROT")
+
+
+def test_what_cannot_be_compared(runs: list[Path], tmp_path: Path) -> None:
+    alone = CliRunner().invoke(app, ["compare", str(runs[0])])
+    assert isinstance(alone.exception, InputNotFoundError)
+    empty = CliRunner().invoke(app, ["compare", str(runs[0]), str(tmp_path)])
+    assert isinstance(empty.exception, InputNotFoundError)
+    assert "photocal run" in str(empty.exception)
+    (tmp_path / "cameras.toml").write_text("[[camera]]\n", encoding="utf-8")
+    mixed = CliRunner().invoke(app, ["compare", str(tmp_path / "cameras.toml"), str(runs[0])])
+    assert isinstance(mixed.exception, ConfigurationError)

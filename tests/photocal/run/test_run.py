@@ -1,0 +1,109 @@
+"""A project from its block to the certificate."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from drivers.errors import ConfigurationError, InputNotFoundError
+from photocal.cli import app
+from tests.photocal.accuracy.georeferencing.flights import Errors, Plan, fly
+
+PLAN = Plan(
+    heights_m=(80.0, 110.0),
+    tie=40,
+    estimate=("c", "x0", "y0", "K1", "K2"),
+    mounting="lever_arm_sigma_m = 0.02\nboresight_sigma_deg = 0.5\ntime_offset_sigma_s = 0.005",
+)
+PROJECT = """
+[project]
+name = "field 9"
+crs = "local"
+height = "local"
+output = "work"
+[measurements]
+block = "block"
+[judgement]
+scale = "1:1000"
+standards = ["pec-pcd"]
+"""
+
+
+def project(folder: Path, errors: Errors, seed: int = 4) -> Path:
+    fly(folder / "block", np.random.default_rng(seed), errors, PLAN)
+    (folder / "project.toml").write_text(PROJECT, encoding="utf-8")
+    return folder / "project.toml"
+
+
+def run(*arguments: str) -> Result:
+    return CliRunner().invoke(app, ["run", *arguments])
+
+
+@pytest.fixture(scope="module")
+def shifted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
+    """A flight whose base station stands elsewhere than its coordinates say."""
+    path = project(tmp_path_factory.mktemp("shifted"), Errors(datum_m=(0.7, -0.5, 0.5)))
+    return path, run(str(path), "--json")
+
+
+def test_every_stage_is_made_and_told(shifted: tuple[Path, Result]) -> None:
+    path, said = shifted
+    assert said.exit_code == 0, said.output
+    figures = json.loads(said.stdout)
+    stages = ["block", "calibration", "georeferencing", "analysis", "certificate"]
+    assert [one["stage"] for one in figures["stages"]] == stages
+    assert not any(one["kept"] for one in figures["stages"])
+    assert (path.parent / "work" / "certificate" / "certificate.pdf").read_bytes().startswith(b"%PDF-")
+    assert figures["check_points"]["indirect"]["errors_over_prediction"] < 2.0
+    assert {one["standard"] for one in figures["classes"]} == {"pec-pcd"}
+
+
+def test_a_fault_is_named_and_reaches_the_certificate(shifted: tuple[Path, Result]) -> None:
+    path, said = shifted
+    assert "base-position" in {one["code"] for one in json.loads(said.stdout)["warnings"]}
+    folder = path.parent / "work" / "certificate"
+    assert "base-position" in {one["code"] for one in json.loads((folder / "warnings.json").read_text())}
+    assert "base-position" in (folder / "certificate.html").read_text(encoding="utf-8")
+
+
+def test_nothing_is_made_twice(shifted: tuple[Path, Result]) -> None:
+    path, _ = shifted
+    again = run(str(path))
+    assert "0 stages made" in again.stdout
+    assert "5 kept" in again.stdout
+    for word in ("camera cam", "lever arm", "boresight", "time offset", "check points", "warnings"):
+        assert word in again.stdout
+
+
+def test_another_question_is_answered_without_adjusting_again(shifted: tuple[Path, Result]) -> None:
+    path, _ = shifted
+    other = path.with_name("other.toml")
+    other.write_text(PROJECT.replace("1:1000", "1:2000"), encoding="utf-8")
+    stages = json.loads(run(str(other), "--until", "georeferencing", "--json").stdout)["stages"]
+    assert {one["stage"]: one["kept"] for one in stages} == {
+        "block": True,
+        "calibration": True,
+        "georeferencing": False,
+    }
+
+
+def test_a_flight_without_fault_has_no_warning(tmp_path: Path) -> None:
+    said = run(str(project(tmp_path, Errors())), "--until", "georeferencing", "--json")
+    figures = json.loads(said.stdout)
+    assert [one for one in figures["warnings"] if one["kind"] == "warning"] == []
+    camera = figures["calibration"]["cameras"]["cam"]["parameters"]["c"]
+    assert abs(camera["value"] - 12.0) < 3 * camera["sigma"]
+
+
+def test_mistakes_are_one_line(tmp_path: Path) -> None:
+    path = project(tmp_path, Errors())
+    assert "take block, calibration" in str(run(str(path), "--until", "ppk").exception)
+    assert isinstance(run(str(path), "--again", "nothing").exception, ConfigurationError)
+    assert "same output" in str(run(str(path), str(path)).exception)
+    assert isinstance(run(str(tmp_path / "none.toml")).exception, InputNotFoundError)
+    (tmp_path / "block" / "block.toml").unlink()
+    assert "block.toml" in str(run(str(path)).exception)
