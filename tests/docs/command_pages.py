@@ -127,7 +127,9 @@ def _page(one: Command) -> str:
         lines += ["", "Example:" if len(examples) == 1 else "Examples:", "", "```sh", *examples, "```"]
     parameters = one.command.get_params(context)
     for kind, title in (("argument", "Arguments"), ("option", "Options")):
-        rows = [p.get_help_record(context) for p in parameters if p.param_type_name == kind]
+        rows = [
+            p.get_help_record(context) for p in parameters if p.param_type_name == kind and p.name != "help"
+        ]
         if rows:
             lines += ["", f"## {title}", "", f"| {kind} | meaning | default, limits |", "|---|---|---|"]
             lines += [_row(*row) for row in rows]
