@@ -56,6 +56,31 @@ def kind_name(kind: int) -> str:
     return kind.to_bytes(8, "big").lstrip(b"\0").decode("ascii", "replace")
 
 
+def gga(
+    time_utc_ns: int, latitude_deg: float, longitude_deg: float, height_msl_m: float, quality: int
+) -> bytes:
+    """Return the GGA sentence of a position; number of satellites and dilution are not told.
+
+    Parameters
+    ----------
+    time_utc_ns : int
+        UTC, nanoseconds since 1970.
+    latitude_deg, longitude_deg, height_msl_m : float
+        Position; height above mean sea level.
+    quality : int
+        1 single, 2 differential, 4 fixed, 5 float.
+    """
+    second, hundredths = divmod(time_utc_ns // 10_000_000 % 8_640_000, 100)
+    time = f"{second // 3600:02d}{second // 60 % 60:02d}{second % 60:02d}.{hundredths:02d}"
+
+    def angle(value: float, degrees: int, sides: str) -> str:
+        whole, minutes = divmod(round(abs(value) * 60 * 10**7), 60 * 10**7)
+        return f"{whole:0{degrees}d}{minutes / 10**7:010.7f},{sides[value < 0]}"
+
+    place = f"{angle(latitude_deg, 2, 'NS')},{angle(longitude_deg, 3, 'EW')}"
+    return encode(f"GPGGA,{time},{place},{quality},,,{height_msl_m:.3f},M,,M,,")
+
+
 def encode(text: str) -> bytes:
     """Return the sentence of a text such as ``GPGGA,...``, with its checksum."""
     body = text.encode("ascii")

@@ -65,8 +65,13 @@ class LogWriter:
         following = LogWriter(stream, self._library)
         following._schemas = dict(self._schemas)
         following._channels = dict(self._channels)
+        # Those of the open chunk come with it.
+        waiting = {id(piece) for piece in self._pieces}
         for definition in self._definitions:
-            following._define(definition)
+            if id(definition) in waiting:
+                following._definitions.append(definition)
+            else:
+                following._define(definition)
         shift = np.uint64(following._size)
         for number, parts in self._index.items():
             for part in parts:

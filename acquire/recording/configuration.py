@@ -59,6 +59,8 @@ class Link(Section):
     corrections_to: tuple[Name, ...] = ()
     user: str = ""
     password_env: str = ""
+    position_from: Name | None = None
+    position_every_s: Positive = 10.0
     vehicle: Vehicle | None = None
     ublox: Ublox | None = None
 
@@ -72,6 +74,8 @@ class Link(Section):
             raise ValueError("corrections come from a receiver or a caster, not from a vehicle")
         if (self.user or self.password_env) and not self.url.startswith(("ntrip:", "ntrips:")):
             raise ValueError("user and password_env belong to an ntrip link")
+        if self.position_from is not None and not self.url.startswith(("ntrip:", "ntrips:")):
+            raise ValueError("position_from belongs to an ntrip link: it tells the caster where the rover is")
         return self
 
 
@@ -162,4 +166,12 @@ def read_configuration(path: Path) -> Configuration:
                     where=path,
                     remedy=f"name one of {', '.join(n for n in names if n != link.name) or 'none'}",
                 )
+        if link.position_from is not None and (
+            link.position_from not in names or link.position_from == link.name
+        ):
+            raise ConfigurationError(
+                f"{link.name}.position_from names {link.position_from!r}, which is no other link",
+                where=path,
+                remedy="name the link of the rover or of the vehicle",
+            )
     return configuration

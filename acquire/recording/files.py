@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import errno
 import io
 import os
 from collections.abc import Callable, Sequence
@@ -16,6 +17,10 @@ from numpy.typing import NDArray
 from acquire.log.records import Channel
 from acquire.log.writer import LogWriter
 from drivers.errors import OutputError
+
+# What is held in memory while no disk takes anything, and how often it is tried again.
+HELD_BYTES = 256 << 20
+TRY_AGAIN_S = 5.0
 
 # Kind (see `acquire.recording.alarms`) and words of what had to be done.
 Told = tuple[str, str]
@@ -111,6 +116,8 @@ class LogFiles:
         self._clock_ns = clock_ns
         self._make = make
         self._place = 0
+        # When writing is tried again, UTC ns; None while there is a file.
+        self._again_ns: int | None = None
         self.paths: list[Path] = []
         path = new_path(self._folders[0], clock_ns())
         try:
@@ -143,11 +150,15 @@ class LogFiles:
     def end_chunk(self) -> list[Told]:
         """Write the open chunk; return in words what had to be done for that.
 
+        Where every place is full the messages are held in memory and writing is tried again.
+
         Raises
         ------
         OutputError
-            When it can be written nowhere.
+            When it can be written nowhere and more is held than `HELD_BYTES`.
         """
+        if self._again_ns is not None:
+            return self._try_again()
         try:
             self._writer.end_chunk()
         except OSError as failure:
@@ -157,6 +168,8 @@ class LogFiles:
     def make_safe(self) -> list[Told]:
         """Write everything, wait for the disk, and begin the next file when it is time; see `end_chunk`."""
         told = self.end_chunk()
+        if self._again_ns is not None:
+            return told
         try:
             self._stream.make_safe()
         except OSError as failure:
@@ -170,8 +183,18 @@ class LogFiles:
         return told
 
     def close(self) -> list[Told]:
-        """Write what is left and the summary; see `end_chunk`."""
-        return self.end_chunk() + self._finish()
+        """Write what is left and the summary.
+
+        Raises
+        ------
+        OutputError
+            When what is held can be written nowhere.
+        """
+        self._again_ns = None if self._again_ns is None else 0
+        told = self.end_chunk()
+        if self._again_ns is not None:
+            raise self._refusal("no place has room")
+        return told + self._finish()
 
     def _finish(self) -> list[Told]:
         path = self.paths[-1]
@@ -207,7 +230,9 @@ class LogFiles:
         reason = failure.strerror or str(failure)
         full = self.paths[-1]
         self._stream.close()
-        for place in range(self._place, len(self._folders)):
+        # After waiting, room may have come anywhere.
+        first = 0 if self._again_ns is not None else self._place
+        for place in range(first, len(self._folders)):
             path = None
             try:
                 path = new_path(self._folders[place], self._clock_ns())
@@ -223,13 +248,35 @@ class LogFiles:
             self._stream, self._place = stream, place
             self.paths.append(path)
             self._begun_ns = self._clock_ns()
+            waited, self._again_ns = self._again_ns is not None, None
+            if waited:
+                return [("note", f"there is room again, recording goes on in {path}")]
             text = f"{full} cannot be written any more ({reason}), recording goes on in {path}"
             return [("disk_full", text)]
-        raise OutputError(
-            f"the recording cannot go on ({reason}), what was written is safe",
-            where=full,
+        if self.open_bytes > HELD_BYTES:
+            raise self._refusal(reason) from failure
+        waited = self._again_ns is not None
+        self._again_ns = self._clock_ns() + round(TRY_AGAIN_S * 1e9)
+        if waited:
+            return []
+        text = f"no place can be written ({reason}): make room now, what comes is held in memory"
+        return [("disk_full", text)]
+
+    def _try_again(self) -> list[Told]:
+        """Look for a place when it is time for that, or when too much is held."""
+        clock_ns = self._clock_ns()
+        # A clock that was set back must not put it off.
+        soon = self._again_ns is not None and clock_ns < self._again_ns <= clock_ns + TRY_AGAIN_S * 1e9
+        if soon and self.open_bytes <= HELD_BYTES:
+            return []
+        return self._move(OSError(errno.ENOSPC, "no room yet"))
+
+    def _refusal(self, reason: str) -> OutputError:
+        return OutputError(
+            f"the recording cannot go on ({reason}): {self.open_bytes} bytes lost, what was written is safe",
+            where=self.paths[-1],
             remedy="make room or name a spare folder, then acquire recover this file",
-        ) from failure
+        )
 
 
 def new_path(folder: Path, time_ns: int) -> Path:

@@ -12,6 +12,7 @@ from acquire.channels.vehicle import VehicleDecoder
 from acquire.log.link import LinkLog, MessageWriter
 from acquire.log.records import Channel
 from acquire.recording.alarms import Alarm
+from acquire.recording.caster_position import CasterPosition
 from acquire.recording.configuration import Configuration, Link
 from acquire.recording.corrections import VehicleCorrections, rtcm_frames
 from acquire.recording.dialogue import Dialogue
@@ -40,6 +41,10 @@ def link_sessions(
     }
     for link in configuration.link:
         sessions[link.name].listeners = [sessions[name] for name in link.corrections_to]
+        if link.position_from is not None:
+            position = CasterPosition(dialect, link.position_every_s)
+            sessions[link.name].position = position
+            sessions[link.position_from].asked_for_position.append(position)
     return sessions
 
 
@@ -70,6 +75,9 @@ class LinkSession:
         self.name = link.name
         self.log = LinkLog(writer, link.name, [decoder])
         self.listeners: list[LinkSession] = []
+        # Where this link's device is told to be, and who wants to know where this link's device is.
+        self.position: CasterPosition | None = None
+        self.asked_for_position: list[CasterPosition] = []
         self._writer = writer
         self._source = source
         self._encoding = link.protocol
@@ -117,6 +125,11 @@ class LinkSession:
 
     def converse(self, batch: Batch | None, steady_s: float, clock_ns: int) -> list[Alarm]:
         """Go on with the conversation with the device."""
+        if batch is not None:
+            for position in self.asked_for_position:
+                position.hear(batch, clock_ns)
+        if self.position is not None:
+            self.send(self.position.due(steady_s), clock_ns, "nmea")
         if self._dialogue is None:
             return []
         said = self._dialogue.step(batch, steady_s, clock_ns)

@@ -20,7 +20,7 @@ from drivers.framing import StreamFramer
 from drivers.gnsstime import utc_date_ns
 from drivers.mavlink.decode import decode
 from drivers.mavlink.dialect import Dialect
-from drivers.ubx.decode import NAV_PVT
+from drivers.ubx.decode import NAV_PVT, RXM_RAWX
 from drivers.ubx.decode import decode as decode_ubx
 
 _MB = 1_000_000
@@ -28,6 +28,8 @@ _MB = 1_000_000
 _CLOCK_LIMIT_S = 1.0
 _LEAST_RATE = 0.8
 _MAVLINK_FIXES = ("no receiver", "none", "2d", "3d", "differential", "rtk_float", "rtk_fixed")
+# What a receiver sends once for each solution; the other messages come when there is something to tell.
+_PERIODIC = {"NAV-PVT": NAV_PVT, "RXM-RAWX": RXM_RAWX}
 _GROUND_STATION, _NO_AUTOPILOT = 6, 8
 
 
@@ -127,6 +129,8 @@ def _hear(heard: _Heard, batch: Batch, time_ns: int, dialect: Dialect) -> None:
         if len(clocks) and clocks.fields["time_unix_usec"][-1] > 0:
             device_ns = int(clocks.fields["time_unix_usec"][-1]) * 1000
             heard.host_minus_device_s = (time_ns - device_ns) / 1e9
+    for message, kind in _PERIODIC.items():
+        heard.counts[message] = heard.counts.get(message, 0) + len(batch.where(Wire.UBX, kind))
     _hear_receiver(heard, batch, time_ns)
 
 
@@ -170,6 +174,12 @@ def _judge(link: Link, heard: _Heard, seconds: float) -> list[Finding]:
                     f"{name}: rate of {message}", rate >= _LEAST_RATE * wanted, f"{rate:.1f} of {wanted:g} Hz"
                 )
             )
+    if link.ublox is not None:
+        for message in [name for name in _PERIODIC if name in link.ublox.messages]:
+            wanted = 1000 / link.ublox.rate_ms
+            rate = heard.counts.get(message, 0) / seconds
+            good = rate >= _LEAST_RATE * wanted
+            found.append(Finding(f"{name}: rate of {message}", good, f"{rate:.1f} of {wanted:g} Hz"))
     if heard.fix or link.protocol == "mavlink" or link.ublox is not None:
         found.append(Finding(f"{name}: fix", heard.fix_good, heard.fix or "none told"))
     if heard.host_minus_device_s is not None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from acquire.recording.dialogue import Said
 from drivers.frames import Batch
 from drivers.mavlink.decode import Messages, decode
@@ -29,7 +31,7 @@ class VehicleDialogue:
     rates_hz : dict of str to float
         Wanted rate by message name.
     timesync_every_s : float
-        Time between comparisons of the clocks; 0 for none.
+        Time between comparisons of the clocks; 0 for none: then those of the autopilot go unanswered, too.
     """
 
     def __init__(self, dialect: Dialect, rates_hz: dict[str, float], timesync_every_s: float) -> None:
@@ -60,7 +62,7 @@ class VehicleDialogue:
             self._take_answers(batch, notes, alarms)
         if self._target is None:
             return Said((), tuple(notes), tuple(alarms))
-        frames = self._ask(steady_s, alarms)
+        frames = [*self._answer_timesync(batch, clock_ns), *self._ask(steady_s, alarms)]
         if self._timesync_every_s and steady_s >= self._timesync_due_s:
             self._timesync_due_s = steady_s + self._timesync_every_s
             frames.append(self.frame("TIMESYNC", {"tc1": 0, "ts1": clock_ns}))
@@ -74,6 +76,17 @@ class VehicleDialogue:
         )
         self._sequence += 1
         return made
+
+    def _answer_timesync(self, batch: Batch | None, clock_ns: int) -> list[bytes]:
+        """Tell an autopilot that asks the time of our clock; what it asks of others is theirs."""
+        if batch is None or not self._timesync_every_s:
+            return []
+        asked = decode(batch, self._dialect.number("TIMESYNC"), self._dialect)
+        own = (asked.system == (self._target or (0, 0))[0]) & (asked.fields["tc1"] == 0)
+        if "target_system" in (asked.fields.dtype.names or ()):
+            own &= np.isin(asked.fields["target_system"], (0, SYSTEM))
+        questions = asked.fields["ts1"][own].tolist()
+        return [self.frame("TIMESYNC", {"tc1": clock_ns, "ts1": question}) for question in questions]
 
     def _ask(self, steady_s: float, alarms: list[str]) -> list[bytes]:
         if not self._open or (self._attempts and steady_s - self._asked_s < _PATIENCE_S):

@@ -35,6 +35,7 @@ def test_what_is_good_and_what_is_not(acquire: Acquire, tmp_path: Path) -> None:
             f'[[link]]\nname = "vehicle"\nprotocol = "mavlink"\nurl = "udp://127.0.0.1:{port}"\n'
             "[link.vehicle]\nrates_hz = {ATTITUDE = 5, RAW_IMU = 50}\n"
             f'[[link]]\nname = "rover"\nprotocol = "ubx"\nurl = "serial:{line}"\n'
+            '[link.ublox]\nport = "usb"\nrate_ms = 400\n'
             '[[link]]\nname = "base"\nprotocol = "rtcm3"\nurl = "serial:/dev/not-there"\n'
         )
         done = acquire("check", path, "--seconds", 2, "--json")
@@ -46,9 +47,12 @@ def test_what_is_good_and_what_is_not(acquire: Acquire, tmp_path: Path) -> None:
     good = {subject for subject, finding in seen.items() if finding["good"]}
     assert good == {
         "vehicle: frames", "vehicle: heartbeat", "vehicle: rate of ATTITUDE", "vehicle: fix",
-        "rover: frames", "rover: fix", "disk logs",
+        "rover: frames", "rover: fix", "rover: rate of NAV-PVT", "disk logs",
     }  # fmt: skip
-    assert set(seen) - good == {"vehicle: rate of RAW_IMU", "vehicle: clock", "rover: clock", "base: port"}
+    assert set(seen) - good == {
+        "vehicle: rate of RAW_IMU", "vehicle: clock", "rover: clock", "rover: rate of RXM-RAWX", "base: port",
+    }  # fmt: skip
+    assert seen["rover: rate of RXM-RAWX"]["seen"] == "0.0 of 2.5 Hz"
     assert seen["vehicle: fix"]["seen"] == "rtk_fixed, 17 satellites"
     assert seen["rover: fix"]["seen"] == "3d, rtk_fixed, 19 satellites"
     assert "+3600" in seen["vehicle: clock"]["seen"]

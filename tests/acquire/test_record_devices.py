@@ -5,9 +5,11 @@ from __future__ import annotations
 import errno
 import io
 import json
+import os
 import socket
 import threading
 import time
+import tty
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,20 +18,28 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from pymavlink.dialects.v20 import ardupilotmega as tables
+from pynmeagps import NMEAReader
 
 from acquire.log.records import Channel
 from acquire.log.recovery import recover
+from acquire.log.replay import raw_frames
 from acquire.log.writer import LogWriter
 from acquire.recording.alarms import ClockWatch, SilenceWatch
+from acquire.recording.caster_position import CasterPosition
 from acquire.recording.configuration import Configuration
 from acquire.recording.files import Limits, LogFiles, WholeWrites
 from acquire.recording.recorder import Host, Recorded, record
+from acquire.recording.vehicle_dialogue import VehicleDialogue
 from acquire.simulate.autopilot import Autopilot
 from acquire.simulate.receiver import Receiver
 from acquire.simulate.serve import on_pty, on_udp
 from acquire.transports.sources import LinkLostError
-from drivers import rtcm3
+from drivers import nmea, rtcm3
 from drivers.errors import ConfigurationError, OutputError
+from drivers.frames import Wire
+from drivers.framing import GNSS, StreamFramer
+from drivers.mavlink.dialect import ardupilotmega
 from drivers.ubx import wire as ubx
 
 START_US = 1_777_626_000_000_000
@@ -142,11 +152,6 @@ def test_an_autopilot_is_asked_for_rates_and_time(tmp_path: Path) -> None:
 
 
 def test_an_autopilot_that_does_not_answer_is_told() -> None:
-    from acquire.recording.vehicle_dialogue import VehicleDialogue
-    from drivers.frames import Wire
-    from drivers.framing import StreamFramer
-    from drivers.mavlink.dialect import ardupilotmega
-
     dialogue = VehicleDialogue(ardupilotmega(), {"ATTITUDE": 10}, 0)
     batch = StreamFramer((Wire.MAVLINK,)).feed(Autopilot(START_US).due(0.0))
     asked = 0
@@ -354,12 +359,134 @@ def test_when_every_disk_is_full_what_was_written_is_safe(tmp_path: Path) -> Non
         return _SmallDisk(io.FileIO(path, "xb"), room, path.parent)
 
     files = LogFiles([tmp_path], _nothing, Limits(), time.time_ns, make)
+    sent = _fill(files, 40)
     with pytest.raises(OutputError, match="what was written is safe"):
-        _fill(files, 40)
+        files.close()
     kept = _kept(files.paths, tmp_path)
     assert len(kept) > 5
-    chance = np.random.default_rng(5)
-    assert kept == [chance.bytes(300) for _ in kept]
+    assert kept == sent[: len(kept)]
+
+
+def test_when_a_full_disk_has_room_again_nothing_is_lost(tmp_path: Path) -> None:
+    room, clock = {tmp_path: 5000}, {"ns": START_US * 1000}
+
+    def make(path: Path) -> WholeWrites:
+        return _SmallDisk(io.FileIO(path, "xb"), room, path.parent)
+
+    files = LogFiles([tmp_path], _nothing, Limits(), lambda: clock["ns"], make)
+    sent = _fill(files, 20)
+    told = []
+    for second in range(12):
+        clock["ns"] += 1_000_000_000
+        told += files.make_safe()
+        if second == 7:
+            assert told == []
+            room[tmp_path] = 1 << 20
+    sent += _fill(files, 5)
+    told += files.close()
+    assert [kind for kind, _ in told] == ["note"]
+    assert len(files.paths) == 2
+    assert sorted(_kept(files.paths, tmp_path)) == sorted(sent)
+
+
+def test_too_much_held_ends_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("acquire.recording.files.HELD_BYTES", 3000)
+    room = {tmp_path: 5000}
+
+    def make(path: Path) -> WholeWrites:
+        return _SmallDisk(io.FileIO(path, "xb"), room, path.parent)
+
+    files = LogFiles([tmp_path], _nothing, Limits(), time.time_ns, make)
+    with pytest.raises(OutputError, match="what was written is safe"):
+        _fill(files, 40)
+
+
+def test_a_serial_line_that_is_unplugged_and_plugged_in_again(tmp_path: Path) -> None:
+    """A real pseudo terminal: it goes away with its other end, a new one takes its name."""
+    frame = [ubx.encode(0x0213, bytes([number]) * 8) for number in range(2)]
+    port = tmp_path / "port"
+    told_before: list[str] = []
+
+    def plug_in() -> tuple[int, int]:
+        ours, theirs = os.openpty()
+        tty.setraw(theirs)
+        port.unlink(missing_ok=True)
+        port.symlink_to(os.ttyname(theirs))
+        return ours, theirs
+
+    ends = list(plug_in())
+    rover = {"name": "rover", "protocol": "ubx", "url": f"serial:{port}", "silent_s": 0.5}
+
+    def until(told: list[str]) -> bool:
+        if said("silent")(told) and not told_before:
+            told_before.append("the port is open")
+            os.write(ends[0], frame[0])
+        elif said("is heard again")(told) and len(told_before) == 1:
+            told_before.append("unplugged")
+            port.unlink()
+            for end in ends[:2]:
+                os.close(end)
+        elif said("is lost")(told) and len(told_before) == 2:
+            told_before.append("plugged in")
+            ends.extend(plug_in())
+        elif said("is back")(told) and len(told_before) == 3:
+            told_before.append("speaks")
+            os.write(ends[2], frame[1])
+        (log,) = (tmp_path / "logs").glob("*.mcap") if told else [None]
+        return log is not None and len(list(raw_frames(log, "rover"))) == 2
+
+    done, _ = run(configured(rover, flush_s=0.1), tmp_path, until)
+    for end in ends[2:]:
+        os.close(end)
+    kinds = [a.kind for a in done.alarms]
+    assert [kind for kind in kinds if kind in ("lost", "back")] == ["lost", "back"]
+    assert messages(done.paths[0], "/rover/raw") == frame
+
+
+def test_a_caster_is_told_where_the_rover_is(tmp_path: Path) -> None:
+    pvt = Receiver(9).due(0.0)
+    base = Script([])
+    links: list[dict[str, Any]] = [
+        {"name": "rover", "protocol": "ubx", "url": "file:x"},
+        {
+            "name": "base", "protocol": "rtcm3", "url": "ntrip://127.0.0.1/M",
+            "position_from": "rover", "position_every_s": 0.1,
+        },
+    ]  # fmt: skip
+    sources = {"rover": Script([pvt]), "base": base}
+    done, _ = run(configured(*links), tmp_path, lambda _: len(base.written) >= 3, sources=sources)
+    told = NMEAReader.parse(base.written[0])
+    assert (told.msgID, told.lat, told.lon, told.alt, told.quality) == ("GGA", 47.5, 8.5, 462.0, 4)
+    assert messages(done.paths[0], "/base/sent") == base.written
+
+
+@pytest.mark.parametrize(
+    ("sentence", "kept"),
+    [
+        (nmea.encode("GNGGA,120000.00,4730.0,N,00830.0,E,1,08,1.0,400.0,M,47.0,M,,"), True),
+        (nmea.encode("GNGGA,120000.00,,,,,0,00,99.9,,M,,M,,"), False),
+    ],
+)
+def test_sentences_of_a_receiver_go_to_the_caster_as_they_are(sentence: bytes, kept: bool) -> None:
+    position = CasterPosition(ardupilotmega(), 10.0)
+    position.hear(StreamFramer(GNSS).feed(sentence), 0)
+    assert position.due(5.0) == ((sentence,) if kept else ())
+    assert position.due(14.9) == ()
+    assert position.due(15.1) == ((sentence,) if kept else ())
+
+
+def test_an_autopilot_that_asks_the_time_is_answered() -> None:
+    mav = tables.MAVLink(None, srcSystem=1, srcComponent=1)
+    beat = tables.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3).pack(mav)
+    asked = tables.MAVLink_timesync_message(0, 123).pack(mav) + tables.MAVLink_timesync_message(7, 9).pack(
+        mav
+    )
+    batch = StreamFramer((Wire.MAVLINK,)).feed(beat + asked)
+    clock_ns = START_US * 1000
+    dialogue = VehicleDialogue(ardupilotmega(), {}, 60.0)
+    sent = [mav.parse_buffer(frame)[0] for frame in dialogue.step(batch, 0.0, clock_ns).frames]
+    assert [(m.tc1, m.ts1) for m in sent] == [(clock_ns, 123), (0, clock_ns)]
+    assert not VehicleDialogue(ardupilotmega(), {}, 0.0).step(batch, 0.0, clock_ns).frames
 
 
 def test_files_rotate_and_each_stands_for_itself(tmp_path: Path) -> None:

@@ -60,6 +60,18 @@ def test_the_age_of_corrections_is_the_class_that_the_receiver_tells() -> None:
     np.testing.assert_array_equal(ubx.correction_age_s(found.fields), list(told.values()))
 
 
+@pytest.mark.parametrize(
+    ("lat", "lon"), [(-22.7123456, -43.2000001), (0.0, 179.99999999), (89.5, -0.0000002)]
+)
+def test_a_made_gga_is_what_pynmeagps_reads(lat: float, lon: float) -> None:
+    told = NMEAReader.parse(nmea.gga(1_777_626_059_990_000_000, lat, lon, -12.5, 5))
+    assert (told.lat, told.lon) == pytest.approx((lat, lon), abs=2e-9)
+    assert (told.alt, told.quality) == (-12.5, 5)
+    moment = dt.datetime.fromtimestamp(1_777_626_059.99, dt.UTC).time()
+    assert abs(told.time.microsecond - moment.microsecond) <= 1
+    assert told.time.replace(microsecond=0) == moment.replace(microsecond=0)
+
+
 @pytest.mark.shared
 def test_time_marks_are_those_of_pyubx2(rover: Batch) -> None:
     ours = ubx.decode(rover, ubx.TIM_TM2)
