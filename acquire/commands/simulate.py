@@ -129,15 +129,16 @@ def serve(
 
     from acquire.outputs import output_file
     from acquire.simulate.hardware import awaited, on_ports, record_settings
-    from acquire.simulate.playback import FlightClock, played_flight
+    from acquire.simulate.playback import FlightClock
+    from acquire.simulate.played_flight import read_flight
 
-    flight = played_flight(flown)
+    flight = read_flight(flown)
     settings = record or (flown / "site" / "record.toml" if flown.is_dir() else Path("record.toml"))
-    waits = () if at_once else awaited(flight.base_protocol, base_on_tcp)
+    waits = () if at_once else awaited(flight, base_on_tcp=base_on_tcp)
     clock = FlightClock(waits, speed)
-    end_s = max(line.end_s for line in flight.lines.values())
-    with on_ports(flight.lines, clock, udp_port=udp_port, base_on_tcp=base_on_tcp) as urls:
-        text = record_settings(urls, flight.base_protocol, flight.interval_s, Path("recording"))
+    end_s = flight.end_s
+    with on_ports(flight, clock, udp_port=udp_port, base_on_tcp=base_on_tcp) as urls:
+        text = record_settings(flight, urls, Path("recording"))
         with output_file(settings) as aside:
             aside.write_text(text, encoding="utf-8")
         figures = {"schema": "acquire.simulate.serve/1", "record": str(settings), "flight_s": end_s, **urls}

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from acquire.simulate.playback import FlightClock, FlownAutopilot, FlownReceiver, Line
+from acquire.simulate.playback import FlightClock, FlownAutopilot, FlownReceiver
+from acquire.simulate.played_flight import PlayedFlight
 from acquire.simulate.serve import on_pty, on_tcp, on_udp
 from acquire.simulate.world.tables import toml_text
 
@@ -17,14 +18,13 @@ SPOKEN_TO = ("vehicle", "rover", "base")
 
 @contextmanager
 def on_ports(
-    lines: Mapping[str, Line], clock: FlightClock, *, udp_port: int = 0, base_on_tcp: bool = False
+    flight: PlayedFlight, clock: FlightClock, *, udp_port: int = 0, base_on_tcp: bool = False
 ) -> Iterator[dict[str, str]]:
     """Let vehicle, rover and base speak: by UDP, on a pseudo terminal, and on another one or by TCP.
 
     Parameters
     ----------
-    lines : dict of str to Line
-        What they send.
+    flight : PlayedFlight
     clock : FlightClock
     udp_port : int
         To which the vehicle sends; 0 for any that is free.
@@ -38,10 +38,10 @@ def on_ports(
     """
     with ExitStack() as stack:
         port = udp_port or _free_port()
-        autopilot = FlownAutopilot("vehicle", lines["vehicle"], clock)
+        autopilot = FlownAutopilot("vehicle", flight.lines["vehicle"], clock)
         stack.enter_context(on_udp(autopilot, HOST, port))
-        rover = stack.enter_context(on_pty(FlownReceiver("rover", lines["rover"], clock)))
-        base = FlownReceiver("base", lines["base"], clock)
+        rover = stack.enter_context(on_pty(FlownReceiver("rover", flight.lines["rover"], clock)))
+        base = FlownReceiver("base", flight.lines["base"], clock)
         if base_on_tcp:
             base_url = f"tcp://{HOST}:{stack.enter_context(on_tcp(base, HOST))}"
         else:
@@ -49,25 +49,20 @@ def on_ports(
         yield {"vehicle": f"udp://{HOST}:{port}", "rover": f"serial:{rover}", "base": base_url}
 
 
-def awaited(base_protocol: str, base_on_tcp: bool) -> tuple[str, ...]:
-    """Give the devices that are spoken to before a recording runs: not a caster on a serial line."""
-    listens = base_protocol == "ubx" or base_on_tcp
+def awaited(flight: PlayedFlight, *, base_on_tcp: bool = False) -> tuple[str, ...]:
+    """Give the devices that a recorder speaks to before it runs: not a sender of RTCM on a serial line."""
+    listens = flight.base_protocol == "ubx" or base_on_tcp
     return SPOKEN_TO if listens else SPOKEN_TO[:2]
 
 
-def record_settings(
-    urls: Mapping[str, str], base_protocol: str, interval_s: Mapping[str, float], output: Path
-) -> str:
+def record_settings(flight: PlayedFlight, urls: Mapping[str, str], output: Path) -> str:
     """Write the configuration with which `acquire record` records the devices.
 
     Parameters
     ----------
+    flight : PlayedFlight
     urls : dict of str to str
         Of the links.
-    base_protocol : str
-        ``ubx`` or ``rtcm3``.
-    interval_s : dict of str to float
-        Between the measurements of rover and base.
     output : Path
         Folder of the recording.
 
@@ -77,14 +72,13 @@ def record_settings(
         TOML.
     """
     sections: list[tuple[str, dict[str, object]]] = [("[recording]", {"output": str(output)})]
-    protocols = {"vehicle": "mavlink", "rover": "ubx", "base": base_protocol}
+    protocols = {"vehicle": "mavlink", "rover": "ubx", "base": flight.base_protocol}
     for name, url in urls.items():
         sections.append(("[[link]]", {"name": name, "protocol": protocols[name], "url": url}))
         if protocols[name] == "mavlink":
-            rates = {"ATTITUDE": 20.0, "GLOBAL_POSITION_INT": 5.0, "SYSTEM_TIME": 1.0}
-            sections.append(("[link.vehicle]", {"rates_hz": rates, "timesync_s": 1.0}))
+            sections.append(("[link.vehicle]", {"rates_hz": flight.rates_hz, "timesync_s": 1.0}))
         elif protocols[name] == "ubx":
-            settings = {"port": "uart1", "rate_ms": round(interval_s[name] * 1000)}
+            settings = {"port": "uart1", "rate_ms": round(flight.interval_s[name] * 1000)}
             sections.append(("[link.ublox]", settings))
     return toml_text(sections)
 

@@ -2,41 +2,21 @@
 
 from __future__ import annotations
 
-import csv
 import threading
 import time
 from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.autopilot import Autopilot
+from acquire.simulate.played_flight import Line
 from acquire.simulate.receiver import Receiver
 from drivers.checksums import x25
-from drivers.errors import InputMalformedError, InputNotFoundError
 from drivers.mavlink.dialect import ardupilotmega
 from drivers.mavlink.wire import V2
 
-Floats = NDArray[np.float64]
-
 _AUTOPILOT = bytes((1, 1))
-_STAMP_BYTES = 8
-
-
-@dataclass(frozen=True)
-class Line:
-    """What goes over one line: frames and when each is complete, s since the start of the flight."""
-
-    time_s: Floats
-    frames: tuple[bytes, ...]
-
-    @property
-    def end_s(self) -> float:
-        """When the last frame is complete."""
-        return float(self.time_s[-1]) if len(self.time_s) else 0.0
 
 
 class FlightClock:
@@ -217,86 +197,3 @@ def _periods(line: Line, kinds: list[int]) -> dict[int, float]:
         times = line.time_s[table == kind]
         found[kind] = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
     return found
-
-
-@dataclass(frozen=True)
-class PlayedFlight:
-    """A flight to be played.
-
-    Attributes
-    ----------
-    lines : dict of str to Line
-        By the names of the links: vehicle, rover, base.
-    base_protocol : str
-        ``ubx`` or ``rtcm3``.
-    interval_s : dict of str to float
-        Between the measurements of rover and base.
-    """
-
-    lines: dict[str, Line]
-    base_protocol: str
-    interval_s: dict[str, float]
-
-
-def played_flight(source: Path) -> PlayedFlight:
-    """Read a simulated flight, or fly it.
-
-    Parameters
-    ----------
-    source : Path
-        A folder that `acquire simulate flight` made, or a configuration.
-
-    Returns
-    -------
-    PlayedFlight
-
-    Raises
-    ------
-    InputNotFoundError
-        When there is neither, or the folder holds no streams.
-    InputMalformedError
-        When streams and their times do not fit.
-    """
-    from acquire.simulate.world.configuration import read_configuration
-
-    folder = source.is_dir()
-    given = read_configuration(source / "truth" / "flight.toml" if folder else source)
-    gnss = given.gnss
-    interval = {"rover": gnss.rover_interval_s, "base": gnss.base_interval_s}
-    if folder:
-        return PlayedFlight(_read_lines(source), gnss.base_protocol, interval)
-    from acquire.simulate.world.streams import make_streams
-    from acquire.simulate.world.world import make_world
-
-    wires = make_streams(make_world(given)).links()
-    lines = {name: Line(wire.arrival_s, wire.frames) for name, wire in wires.items()}
-    return PlayedFlight(lines, gnss.base_protocol, interval)
-
-
-def _read_lines(folder: Path) -> dict[str, Line]:
-    lines = {}
-    for name in ("vehicle", "rover", "base"):
-        times = folder / "truth" / "wires" / f"{name}.csv"
-        streams = sorted((folder / "site").glob(f"{name}.*"))
-        if not times.is_file() or not streams:
-            raise InputNotFoundError(
-                f"has no stream of the link {name}",
-                where=folder,
-                remedy="name a folder that `acquire simulate flight` made with streams",
-            )
-        lines[name] = _read_line(streams[0], times)
-    return lines
-
-
-def _read_line(stream: Path, times: Path) -> Line:
-    data = stream.read_bytes()
-    stamp = _STAMP_BYTES if stream.suffix == ".tlog" else 0
-    with times.open(encoding="utf-8", newline="") as rows:
-        table = [(float(row["arrival_s"]), int(row["bytes"])) for row in csv.DictReader(rows)]
-    ends = np.cumsum([size + stamp for _, size in table])
-    if not table or ends[-1] != len(data):
-        raise InputMalformedError(
-            "does not fit the table of its frames", where=stream, remedy="simulate the flight again"
-        )
-    frames = tuple(data[end - size : end] for end, (_, size) in zip(ends.tolist(), table, strict=True))
-    return Line(np.array([moment for moment, _ in table]), frames)

@@ -12,7 +12,6 @@ from acquire.simulate.world import configuration
 Floats = NDArray[np.float64]
 
 _CLIMB_M_S = 4.0
-_LEAST_TURN_M = 12.0
 
 
 @dataclass(frozen=True)
@@ -117,8 +116,8 @@ def legs(plan: configuration.Plan, lines: tuple[Strip, ...], ground_m: float) ->
     for number, line in enumerate(lines):
         ahead = line.end_m - line.begin_m
         ahead = ahead / np.linalg.norm(ahead)
+        # Corners are rounded within three seconds: the strip itself is straight.
         run_up = 3.0 * line.speed_m_s
-        # A vehicle on its side of the strip swings out, as wide as a turn needs.
         if abs(way.at[2] - line.begin_m[2]) > 1.0:
             way.go(np.array([*way.at[:2], line.begin_m[2]]), _CLIMB_M_S)
         way.go(line.begin_m - run_up * ahead, line.speed_m_s)

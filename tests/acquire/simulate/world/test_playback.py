@@ -17,7 +17,8 @@ from pymavlink.dialects.v20 import ardupilotmega
 from acquire.recording.configuration import Configuration, read_configuration
 from acquire.recording.recorder import Recorded, record
 from acquire.simulate.hardware import awaited, on_ports, record_settings
-from acquire.simulate.playback import FlightClock, FlownAutopilot, Line, PlayedFlight, played_flight
+from acquire.simulate.playback import FlightClock, FlownAutopilot
+from acquire.simulate.played_flight import Line, PlayedFlight, read_flight
 from drivers.errors import InputMalformedError, InputNotFoundError
 from tests.acquire.simulate.world.conftest import DEMO, Flight, flown
 
@@ -28,11 +29,11 @@ def recorded(
     flight: PlayedFlight, folder: Path, *, base_on_tcp: bool = False, rates: dict[str, float] | None = None
 ) -> tuple[Recorded, FlightClock]:
     """Play a flight and record it until it is over."""
-    clock = FlightClock(awaited(flight.base_protocol, base_on_tcp), SPEED)
+    clock = FlightClock(awaited(flight, base_on_tcp=base_on_tcp), SPEED)
     stop, done, failed = threading.Event(), [], []
     told: list[str] = []
-    with on_ports(flight.lines, clock, base_on_tcp=base_on_tcp) as urls:
-        text = record_settings(urls, flight.base_protocol, flight.interval_s, Path("log"))
+    with on_ports(flight, clock, base_on_tcp=base_on_tcp) as urls:
+        text = record_settings(flight, urls, Path("log"))
         given = tomllib.loads(text)
         given["recording"]["least_free_mb"] = 0
         if rates is not None:
@@ -46,7 +47,7 @@ def recorded(
 
         thread = threading.Thread(target=work)
         thread.start()
-        end = max(line.end_s for line in flight.lines.values())
+        end = flight.end_s
         deadline = time.monotonic() + 60
         while clock.flight_s() < end and thread.is_alive() and time.monotonic() < deadline:
             time.sleep(0.05)
@@ -73,7 +74,7 @@ def unnumbered(frames: list[bytes] | tuple[bytes, ...]) -> Counter[bytes]:
 
 
 def test_a_recording_over_real_ports_has_every_frame(small: Flight, tmp_path: Path) -> None:
-    flight = played_flight(small.folder)
+    flight = read_flight(small.folder)
     result, _ = recorded(flight, tmp_path)
     for link in ("rover", "base"):
         sent = Counter(flight.lines[link].frames)
@@ -93,7 +94,7 @@ def test_a_recording_over_real_ports_has_every_frame(small: Flight, tmp_path: Pa
 
 
 def test_a_base_by_tcp_and_lower_rates(small: Flight, tmp_path: Path) -> None:
-    flight = played_flight(small.folder)
+    flight = read_flight(small.folder)
     result, _ = recorded(flight, tmp_path, base_on_tcp=True, rates={"ATTITUDE": 5, "SYSTEM_TIME": 1})
     assert not Counter(flight.lines["base"].frames) - Counter(raw(result, "base"))
     kinds = Counter(int.from_bytes(frame[7:10], "little") for frame in raw(result, "vehicle"))
@@ -105,12 +106,12 @@ def test_a_base_by_tcp_and_lower_rates(small: Flight, tmp_path: Path) -> None:
 
 
 def test_a_recorder_that_was_stopped_is_started_again_in_flight(small: Flight, tmp_path: Path) -> None:
-    flight = played_flight(small.folder)
-    clock = FlightClock(awaited(flight.base_protocol, base_on_tcp=False), SPEED)
-    end = max(line.end_s for line in flight.lines.values())
+    flight = read_flight(small.folder)
+    clock = FlightClock(awaited(flight), SPEED)
+    end = flight.end_s
     parts: list[Recorded] = []
-    with on_ports(flight.lines, clock) as urls:
-        given = tomllib.loads(record_settings(urls, flight.base_protocol, flight.interval_s, Path("log")))
+    with on_ports(flight, clock) as urls:
+        given = tomllib.loads(record_settings(flight, urls, Path("log")))
         given["recording"]["least_free_mb"] = 0
         for until in (end / 3, end):
             stop = threading.Event()
@@ -137,7 +138,7 @@ def test_a_recorder_that_was_stopped_is_started_again_in_flight(small: Flight, t
 
 
 def test_answers_take_their_place_in_the_row_of_numbers(small: Flight) -> None:
-    line = played_flight(small.folder).lines["vehicle"]
+    line = read_flight(small.folder).lines["vehicle"]
     now = [0.0]
     clock = FlightClock(["vehicle"], 1.0, lambda: now[0])
     device = FlownAutopilot("vehicle", line, clock)
@@ -170,7 +171,7 @@ def test_the_flight_begins_when_all_were_heard() -> None:
 
 
 def test_damaged_frames_stay_as_they_are(small: Flight) -> None:
-    line = played_flight(small.folder).lines["vehicle"]
+    line = read_flight(small.folder).lines["vehicle"]
     hurt = bytearray(line.frames[3])
     hurt[12] ^= 4
     broken = replace(line, frames=(*line.frames[:3], bytes(hurt), *line.frames[4:]))
@@ -180,7 +181,7 @@ def test_damaged_frames_stay_as_they_are(small: Flight) -> None:
 
 
 def test_a_configuration_is_played_without_a_folder() -> None:
-    flight = played_flight(DEMO / "small.toml")
+    flight = read_flight(DEMO / "small.toml")
     assert set(flight.lines) == {"vehicle", "rover", "base"}
     assert all(isinstance(line, Line) and line.end_s > 50 for line in flight.lines.values())
 
@@ -188,21 +189,24 @@ def test_a_configuration_is_played_without_a_folder() -> None:
 def test_folders_that_cannot_be_played(small: Flight, tmp_path: Path) -> None:
     block = flown(tmp_path / "block", level="block")
     with pytest.raises(InputNotFoundError, match="no stream"):
-        played_flight(block.folder)
+        read_flight(block.folder)
     copy = tmp_path / "copy"
     for name in ("site/vehicle.tlog", "truth/flight.toml", "truth/wires/vehicle.csv"):
         (copy / name).parent.mkdir(parents=True, exist_ok=True)
         (copy / name).write_bytes((small.folder / name).read_bytes())
     (copy / "site/vehicle.tlog").write_bytes(b"short")
     with pytest.raises(InputMalformedError, match="does not fit"):
-        played_flight(copy)
+        read_flight(copy)
 
 
 def test_the_written_configuration_is_read_by_the_recorder(tmp_path: Path) -> None:
     urls = {"vehicle": "udp://127.0.0.1:14550", "rover": "serial:/dev/ttyX", "base": "tcp://127.0.0.1:2101"}
     path = tmp_path / "record.toml"
-    path.write_text(record_settings(urls, "rtcm3", {"rover": 0.2, "base": 1.0}, Path("recording")))
+    flight = PlayedFlight({}, "rtcm3", {"rover": 0.2, "base": 1.0}, {"ATTITUDE": 50.0})
+    path.write_text(record_settings(flight, urls, Path("recording")))
     read = read_configuration(path)
     assert [link.url for link in read.link] == list(urls.values())
     assert read.link[1].ublox is not None
     assert read.link[2].ublox is None
+    assert read.link[0].vehicle is not None
+    assert read.link[0].vehicle.rates_hz == {"ATTITUDE": 50.0}
