@@ -29,6 +29,10 @@ _FIXED = {ord("B"): 40, ord("R"): 2, ord("S"): 8, ord("O"): 2}
 _KEYED = {ord("I"): 0, ord("M"): 1, ord("P"): 0, ord("Q"): 1}
 _PLACES = re.compile(rb"[\s\S]{2}[BFIMPQARDLCSO]")
 _MEMBER = re.compile(r"([A-Za-z_]\w*)(?:\[(\d+)\])? ([A-Za-z_]\w*)")
+# Where the text begins in logged strings, without and with a tag.
+_TEXTS = {TEXT: 9, ord("C"): 11}
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
+_LONGEST_TEXT = 512
 _LONGEST_FORMAT, _LONGEST_ARRAY, _DEEPEST = 4096, 4096, 8
 _YEAR_US = 366 * 86_400 * 10**6
 _PUBLISHED = ("vehicle_gps_position", "sensor_gps")
@@ -194,12 +198,8 @@ class UlogFramer(RecordFramer):
             length = data[at - 1]
             if length + (at - body) > size:
                 return NOTHING
-        elif kind in (TEXT, ord("C")):
-            at, length = body, 1
-            if size < (9 if kind == TEXT else 11):
-                return NOTHING
-            if len(data) > body and not 0x30 <= data[body] <= 0x37:
-                return NOTHING
+        elif kind in _TEXTS:
+            return _text(data, body + _TEXTS[kind], body + size)
         else:
             return NOTHING
         if not 0 < length <= 0xFF:
@@ -221,6 +221,15 @@ class UlogFramer(RecordFramer):
             self._formats.take(data[at : at + HEAD_BYTES + (data[at] | data[at + 1] << 8)])
         number = data[at + 3] | data[at + 4] << 8 if kind == DATA else 0
         return kind << 16 | number
+
+
+def _text(data: bytes, at: int, end: int) -> int:
+    """Tell whether a text can be meant: it has no control characters, so other records are none."""
+    if not 0 <= end - at <= _LONGEST_TEXT:
+        return NOTHING
+    if len(data) < end:
+        return WAIT
+    return int(not _CONTROL.search(data, at, end))
 
 
 def _since_boot_ns(time_us: NDArray[np.uint64]) -> NDArray[np.int64]:

@@ -251,12 +251,13 @@ def run_one(target: Target, chance: Chance, first: int, tally: Tally) -> None:
     tally.damaged += PER_STREAM
     tally.intact += len(intact)
     tally.size += len(data)
-    out = sorted([(f.offset, f.data) for b in found for f in b] + [d for b in found for d in b.damaged()])
+    frames = [(f.offset, f.data) for batch in found for f in batch]
+    out = sorted(frames + [lost for batch in found for lost in batch.damaged()])
     assert _whole(out, data, framer.stamped), f"{target.name}: bytes lost"
-    there = {frame for _, frame in out}
+    there = {frame for _, frame in frames}
     for frame in (frame[8:] if framer.stamped else frame for frame in intact):
         if frame.strip() not in there and frame not in there and frame.lstrip() not in there:
-            swallowed = _swallowed(out, data.find(frame), framer)
+            swallowed = _swallowed(frames, data.find(frame), framer)
             tally.accidents += swallowed
             tally.lost += not swallowed
 
@@ -273,11 +274,11 @@ def _whole(out: list[tuple[int, bytes]], data: bytes, stamped: bool) -> bool:
     return end == len(data)
 
 
-def _swallowed(out: list[tuple[int, bytes]], at: int, framer: Framer) -> bool:
+def _swallowed(frames: list[tuple[int, bytes]], at: int, framer: Framer) -> bool:
     """Tell whether an intact frame lies in one that agrees with its own checksum, or has none."""
-    cover = next((piece for offset, piece in out if offset <= at < offset + len(piece)), b"")
+    cover = next((piece for offset, piece in frames if offset <= at < offset + len(piece)), b"")
     if isinstance(framer, DataflashFramer | UlogFramer):
-        return cover[:2] == b"\xa3\x95" or cover[2:3] in (b"D", b"L")
+        return bool(cover)
     if cover[:1] in (b"\xfe", b"\xfd"):
         return True  # of a message that is in no table: its checksum depends on a byte that nobody knows
     return any(test(cover, 0) == len(cover) for test in (_ubx, _rtcm3, _nmea) if cover)
