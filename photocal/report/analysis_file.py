@@ -13,9 +13,10 @@ from acquire.outputs import output_file
 from photocal.analysis.hidden.left_out import Checks
 from photocal.analysis.outcome import Outcome, analyse_network
 from photocal.block.model import Block
-from photocal.block.network import Assembly, assemble
-from photocal.block.process import adjusted, read_any_block
+from photocal.block.network import Assembly
+from photocal.block.process import read_any_block
 from photocal.report.analysis_record import analysis_record, as_plain
+from photocal.report.as_adjusted import as_adjusted
 from photocal.report.block_files import block_of_run, digest
 from photocal.report.catalogue import Catalogue, catalogue
 from photocal.report.exterior_difference import exterior_difference
@@ -65,10 +66,9 @@ def analyse_run(
     run = read_adjustment(folder)
     source = block_of_run(folder, run.result, block, Path.cwd())
     read = read_any_block(source.path)
-    # What the run rejected as gross errors stays out.
-    assembly, _ = adjusted(assemble(read), run.result.snooping)
+    assembly = as_adjusted(read, run.result)
     outcome = analyse_network(assembly.network, _checks(read, assembly), alpha, threshold, done)
-    difference = exterior_difference(read, run.result.snooping)
+    difference = exterior_difference(read, run.result)
     content = {
         **analysis_record(outcome, say or catalogue("en")),
         "exterior_difference": as_plain(asdict(difference)) if difference else None,

@@ -7,23 +7,23 @@ import numpy as np
 from photocal.accuracy.georeferencing.direct import direct_orientation
 from photocal.accuracy.georeferencing.local import in_local_frame
 from photocal.accuracy.georeferencing.methods import local_origin
-from photocal.adjustment.snooping import Test
+from photocal.adjustment.adjust import adjust
 from photocal.block.model import Block
-from photocal.block.network import assemble
-from photocal.block.process import adjusted
 from photocal.geometry.rotation import angles_from_matrix
+from photocal.report.as_adjusted import as_adjusted
+from photocal.report.run import Result
 from photocal.report.stored_analysis import ExteriorDifference
 
 
-def exterior_difference(block: Block, snooping: Test | None = None) -> ExteriorDifference | None:
+def exterior_difference(block: Block, result: Result) -> ExteriorDifference | None:
     """Compare the orientations that the positioning system gave with the adjusted ones.
 
     Parameters
     ----------
     block : Block
         With positions and attitudes, or sigmas at the exterior orientation of its images.
-    snooping : {"w", "tau"}, optional
-        As the block was adjusted.
+    result : Result
+        Of the run: what it rejected stays out.
 
     Returns
     -------
@@ -39,7 +39,8 @@ def exterior_difference(block: Block, snooping: Test | None = None) -> ExteriorD
     original = direct_orientation(local)
     if not original.known.any():
         return None
-    assembly, solution = adjusted(assemble(local), snooping)
+    assembly = as_adjusted(local, result)
+    solution = adjust(assembly.network)
     given = np.hstack([angles_from_matrix(original.rotation), original.centre])
     d = (given - solution.exposures)[original.known]
     d[:, 3:] -= local_origin(assembly)

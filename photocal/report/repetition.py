@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from photocal.block.more_tables import Wanted
 from photocal.block.process import adjust_block
 from photocal.report.analysis_file import analyse_run
 from photocal.report.block_files import CARRIED, Source, carry
@@ -49,7 +50,8 @@ def repeated(
         # Only what is certified takes part, whatever else lies beside it.
         carry(result.inputs, source, aside)
         copied = Source(aside / CARRIED, result.block.setup)
-        adjust_block(copied.path, aside / "run", result.snooping)
+        wanted = Wanted(components=bool(result.variance_components))
+        adjust_block(copied.path, aside / "run", result.snooping, wanted=wanted)
         done()
         analysis = certified.get("analysis")
         if analysis is not None:

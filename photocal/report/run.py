@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,7 +165,10 @@ class MountingValue:
 
 @dataclass(frozen=True)
 class Result:
-    """The content of `result.json`; without redundancy there is no variance factor and no test."""
+    """The content of `result.json`; without redundancy there is no variance factor and no test.
+
+    Where variance components were estimated, they are listed.
+    """
 
     schema: str
     software: Software
@@ -185,6 +188,7 @@ class Result:
     checks: CheckSummary
     snooping: Literal["w", "tau"] | None = None
     mounting: dict[str, MountingValue] | None = None
+    variance_components: tuple[dict[str, Any], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.report.run import (
     ANALYSIS,
@@ -185,11 +187,13 @@ def _points(path: Path) -> Points:
 
 
 def _residuals(path: Path) -> Residuals:
-    table = read_table(
-        path, ("image", "point"), ("x", "y", "vx", "vy", "rx", "ry", "wx", "wy"), ("rx", "ry", "wx", "wy")
-    )
-    n = table.numbers
-    return Residuals(table.texts["image"], table.texts["point"], n[:, 0:2], n[:, 2:4], n[:, 4:6], n[:, 6:8])
+    """Residuals of the rays that took part: those of rejected ones are empty."""
+    numbers = ("x", "y", "vx", "vy", "rx", "ry", "wx", "wy")
+    table = read_table(path, ("image", "point"), numbers, numbers[2:])
+    part = np.flatnonzero(np.isfinite(table.numbers[:, 2:4]).all(axis=1))
+    n = table.numbers[part]
+    image, point = (tuple(table.texts[name][k] for k in part) for name in ("image", "point"))
+    return Residuals(image, point, n[:, 0:2], n[:, 2:4], n[:, 4:6], n[:, 6:8])
 
 
 def _fingerprint(path: Path) -> InputFile:

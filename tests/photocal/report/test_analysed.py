@@ -23,7 +23,7 @@ from photocal.report.ministry_rows import Context
 from photocal.report.particulars import read_particulars
 from photocal.report.record import record
 from photocal.report.run import Run
-from photocal.report.run_reader import read_run
+from photocal.report.run_reader import read_adjustment, read_run
 from tests.photocal.accuracy.georeferencing.flights import Plan, fly
 from tests.photocal.report.conftest import DAY
 
@@ -102,7 +102,7 @@ def test_table_3_is_original_less_adjusted(tmp_path: Path) -> None:
     """Without lever arm the antenna is the camera: against the two tables, subtracted by hand."""
     folder = fly(tmp_path / "flight", np.random.default_rng(3), plan=Plan(tie=40))
     adjust_block(folder, tmp_path / "run")
-    found = exterior_difference(read_block(folder))
+    found = exterior_difference(read_block(folder), read_adjustment(tmp_path / "run").result)
     assert found is not None
     tables = []
     for path in (folder / "positions.csv", tmp_path / "run" / "images.csv"):

@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner, Result
 
+from photocal.block.more_tables import Wanted
 from photocal.block.process import adjust_block
 from photocal.cli import app
 from photocal.report.block_files import Source
@@ -111,6 +112,17 @@ def test_one_changed_digit_in_any_input_is_named(issued: Path, data: st.DataObje
         assert name in str(answer.exception)
     finally:
         path.write_bytes(content)
+
+
+def test_what_the_run_estimated_and_rejected_is_repeated(tmp_path: Path) -> None:
+    """Variance components and data snooping change every figure: without them nothing would verify."""
+    adjust_block(DEMO, tmp_path / "run", "w", wanted=Wanted(components=True))
+    assert call("certificate", tmp_path / "run", "-o", tmp_path / "c", "--block", DEMO).exit_code == 0
+    answer = call("verify", tmp_path / "c", "--json")
+    assert answer.exit_code == 0, answer.exception
+    content = json.loads((tmp_path / "c" / "certificate.json").read_text(encoding="utf-8"))
+    assert content["result"]["variance_components"]
+    assert content["result"]["snooping"] == "w"
 
 
 def test_missing_input_is_named(elsewhere: Path) -> None:
