@@ -49,6 +49,9 @@ MEANING = {
     "camera change": "the principal distance is not the same in all images (zoom, focus, another camera)",
 }
 _CHANGE = "camera change"
+# A principal distance that differs by less is no other camera, zoom or focus: warmth and correlated tie
+# points do that too.
+_NOTEWORTHY = 1e-3
 
 
 @dataclass(frozen=True)
@@ -300,12 +303,18 @@ def _best(tries: tuple[Hypothesis, ...], observations: int) -> Hypothesis | None
     if not significant:
         return None
     others = [one for one in significant if one.name != _CHANGE]
-    change = [one for one in significant if one.name == _CHANGE]
+    change = [one for one in significant if one.name == _CHANGE and _relative_change(one) > _NOTEWORTHY]
     best = max(others, key=lambda one: one.gain - one.unknowns * math.log(observations), default=None)
     # Two principal distances imitate a wrong height where there are two heights: they must explain more.
     if change and (best is None or best.gain < _as_good(change[0])):
         return change[0]
     return best
+
+
+def _relative_change(one: Hypothesis) -> float:
+    """Difference of two principal distances over one of them."""
+    before, after = one.estimates[0].value, one.estimates[1].value
+    return abs(after - before) / before
 
 
 def _as_good(one: Hypothesis) -> float:
