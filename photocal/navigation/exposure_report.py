@@ -45,7 +45,7 @@ def exposure_figures(
         "cameras": [_camera(found, events) for found in cameras],
         "clocks": [clock.figures() for clock in clocks],
         "checks": [vars(check) for check in checks],
-        "findings": [*findings(checks), *unmatched],
+        "findings": [*findings(checks), *unmatched, *_missing(exposures)],
         "ppk": ppk,
     }  # fmt: skip
 
@@ -105,6 +105,22 @@ def _unmatched(cameras: list[CameraMatch]) -> list[dict[str, str]]:
     return found
 
 
+def _missing(exposures: Exposures) -> list[dict[str, str]]:
+    """Return what lacks a position or an attitude, where that is not so for all."""
+    found = []
+    there, turned = exposures.placed.placed, exposures.attitude.known
+    lost = int((~there).sum())
+    if lost:
+        first = exposures.reason(int(np.flatnonzero(~there)[0]))
+        text = f"{lost} of {len(exposures)} exposures have no position (the first: {first})"
+        found.append({"code": "exposures-without-position", "text": text})
+    lost = int((there & ~turned).sum())
+    if lost and turned.any():
+        text = f"{lost} of {len(exposures)} exposures have no attitude: the telemetry has gaps"
+        found.append({"code": "telemetry-gap", "text": text})
+    return found
+
+
 def exposures_text(figures: dict[str, Any]) -> str:
     """Return the summary in words."""
     counts = ", ".join(f"{figures[name]} {name}" for name in ("fixed", "float", "single"))
@@ -135,4 +151,6 @@ def exposures_text(figures: dict[str, Any]) -> str:
     lines.append("checks:")
     words = {"passed": "ok    ", "failed": "FAILED", "not possible": "  -   "}
     lines += [f"  {words[c['verdict']]} {c['code']}: {c['text']}" for c in figures["checks"]]
+    checked = {c["text"] for c in figures["checks"]}
+    lines += [f"WARNING {f['text']}" for f in figures["findings"] if f["text"] not in checked]
     return "\n".join(lines)

@@ -14,7 +14,7 @@ from photocal.navigation.check import Check
 from photocal.navigation.device_clocks import device_by_arrival
 from photocal.navigation.engine import Engine
 from photocal.navigation.events import Events
-from photocal.navigation.exposure_checks import Evidence, check_exposures, judge_positions
+from photocal.navigation.exposure_checks import Evidence, check_exposures
 from photocal.navigation.exposure_report import exposure_figures
 from photocal.navigation.exposure_sources import (
     OF_IMAGES,
@@ -32,6 +32,7 @@ from photocal.navigation.image_metadata import ImageMetadata, clock_time_s, read
 from photocal.navigation.image_rotations import Neighbours, compare_rotations, rotation_check
 from photocal.navigation.mrk import CameraEventList, listed_in, read_mrk
 from photocal.navigation.oriented_images import oriented_positions
+from photocal.navigation.position_check import judge_positions
 from photocal.navigation.ppk import options_for, process
 from photocal.navigation.ppk_inputs import Sources, gather_inputs
 from photocal.navigation.ppk_report import ppk_figures

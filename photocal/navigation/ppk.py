@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,25 +11,20 @@ from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, IllPosedError
 from photocal.navigation.combination import between_directions
-from photocal.navigation.engine import Engine, Mode, ProcessingOptions
+from photocal.navigation.engine import Direction, Engine, Mode, ProcessingOptions
 from photocal.navigation.engine_output import EngineSolution
 from photocal.navigation.fix_validation import Judgement, judge
 from photocal.navigation.rinex import ObservationFile, count_ephemerides
+from photocal.navigation.static_position import in_order, static_position, trajectory_of
 from photocal.navigation.time import GpsTime
-from photocal.navigation.trajectory import Trajectory, enu_axes, enu_offsets, geocentric, geodetic
+from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric, geodetic
 
-_STATUS = {1: "fixed", 2: "float"}
 _LEAST_EPOCHS = 10
-_DIFFERENTIAL, _PRECISE = 2, 6
+_AT_ONCE = 2
 _BASE_LIMIT_M = 10.0
 # The engine uses base observations up to 30 s old.
 _BASE_AGE_NS = 30_000_000_000
 _SYSTEMS = "GREJC"
-# What differences do not remove of orbits, troposphere and ionosphere: a millimetre per kilometre at quiet
-# times (Odijk 2002, chapter 3).
-_PER_METRE = 1e-6
-# Antennas without calibration: phase centres agree to a millimetre or two at best.
-_STATIC_FLOOR_M = np.array([0.001, 0.001, 0.002])
 
 
 @dataclass(frozen=True)
@@ -157,78 +153,32 @@ def process(
         )
     off_m = _base_off_code(inputs, options, engine, folder)
     files = [inputs.rover.path, inputs.base.path, *inputs.navigation]
-    combined = _differential(engine.solve(mode, "combined", files, options, inputs.base_m, folder), inputs)
     gaps = _base_gaps(inputs)
-    if mode == "static":
-        whole = engine.solve(mode, "forward", files, options, inputs.base_m, folder)
-        found = _static_position(_differential(whole, inputs), combined)
-        trajectory = _trajectory(found, 0.0, inputs.base_m)
-        return PpkResult(inputs, options, mode, engine.name, found, None, trajectory, off_m, gaps)
-    forward = engine.solve(mode, "forward", files, options, inputs.base_m, folder)
-    backward = engine.solve(mode, "backward", files, options, inputs.base_m, folder)
-    forward, backward = _rising(forward), _rising(backward)
-    combined, replaced = between_directions(combined, forward, backward)
     rover_alone = [inputs.rover.path, *inputs.navigation]
-    code = engine.solve("single", "forward", rover_alone, options, None, folder)
+
+    def run(direction: Direction) -> EngineSolution:
+        return engine.solve(mode, direction, files, options, inputs.base_m, folder)
+
+    # The engine's runs are programs of their own: two at a time keep two cores busy.
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        if mode == "static":
+            both, whole = pool.map(run, ("combined", "forward"))
+            found = static_position(_differential(whole, inputs), _differential(both, inputs))
+            trajectory = trajectory_of(found, 0.0, inputs.base_m)
+            return PpkResult(inputs, options, mode, engine.name, found, None, trajectory, off_m, gaps)
+        alone = pool.submit(engine.solve, "single", "forward", rover_alone, options, None, folder)
+        both, forward, backward = pool.map(run, ("combined", "forward", "backward"))
+        code = alone.result()
+    combined = _differential(both, inputs)
+    forward, backward = in_order(forward), in_order(backward)
+    combined, replaced = between_directions(combined, forward, backward)
     judgement = judge(combined, forward, backward, code, options.ratio)
     row = code.at(combined.time)
     velocity = np.where((row >= 0)[:, None], code.velocity_m_s[row], np.nan)
-    trajectory = _trajectory(judgement.solution, judgement.velocity_sigma_m_s, inputs.base_m, velocity)
+    trajectory = trajectory_of(judgement.solution, judgement.velocity_sigma_m_s, inputs.base_m, velocity)
     return PpkResult(
         inputs, options, mode, engine.name, combined, judgement, trajectory, off_m, gaps, int(replaced.sum())
     )
-
-
-def precise_point(
-    rover: ObservationFile, files: list[Path], options: ProcessingOptions, engine: Engine, folder: Path
-) -> Trajectory:
-    """Compute the position of a receiver that stood still by itself, with precise orbits and clocks.
-
-    Parameters
-    ----------
-    rover : ObservationFile
-        Observations of two frequencies.
-    files : list of Path
-        Navigation files and products (SP3, CLK).
-    options : ProcessingOptions
-        With `precise`.
-    engine : Engine
-        What computes positions.
-    folder : Path
-        Where the engine may leave its files.
-
-    Returns
-    -------
-    Trajectory
-        One position. Its covariance has the way that the estimate went over the last half of the time, the
-        formal sigmas of such a solution being far too small.
-
-    Raises
-    ------
-    IllPosedError
-        With one frequency only, or without a solution.
-    """
-    if "2" not in rover.bands:
-        raise IllPosedError(
-            "a precise point needs two frequencies",
-            where=rover.path.name,
-            remedy="measure a baseline instead",
-        )
-    found = _rising(engine.solve("ppp-static", "forward", [rover.path, *files], options, None, folder))
-    found = found.rows(found.quality == _PRECISE)
-    if not len(found):
-        raise IllPosedError(
-            "the engine found no precise position",
-            where=rover.path.name,
-            remedy="check that the products cover the observations",
-        )
-    last = found.rows(np.array([len(found) - 1]))
-    origin = np.array([last.lat_deg[0], last.lon_deg[0], last.height_m[0]])
-    half = found.rows(np.arange(len(found) // 2, len(found)))
-    way = enu_offsets(half.lat_deg, half.lon_deg, half.height_m, origin)
-    spread = np.maximum(np.sqrt(np.mean(way**2, axis=0)), 10 * _STATIC_FLOOR_M)
-    settled = last.with_quality(last.quality, last.covariance_m2 + np.diag(spread**2))
-    return _trajectory(settled, 0.0, geocentric(*origin[:, None])[0])
 
 
 def refuse_apart(rover: ObservationFile, base: ObservationFile) -> None:
@@ -308,27 +258,7 @@ def _differential(solution: EngineSolution, inputs: Inputs) -> EngineSolution:
             where=inputs.rover.path.name,
             remedy="check that both observed the same satellites and signals",
         )
-    return _rising(chosen)
-
-
-def _static_position(forward: EngineSolution, combined: EngineSolution) -> EngineSolution:
-    """Return the last epoch of a static run, which contains all before it, with an honest covariance.
-
-    The engine's sigmas of a long static run fall below a millimetre while its position still wanders with
-    multipath: the root mean square of the way that the estimates of both directions lie from it is added.
-    """
-    last = forward.rows(np.array([len(forward) - 1]))
-    origin = np.array([last.lat_deg[0], last.lon_deg[0], last.height_m[0]])
-    steady = combined.rows(combined.quality == last.quality[0])
-    apart = enu_offsets(steady.lat_deg, steady.lon_deg, steady.height_m, origin)
-    wander = np.sqrt(np.mean(apart**2, axis=0)) if len(apart) else np.zeros(3)
-    spread = np.maximum(wander, _STATIC_FLOOR_M)
-    return last.with_quality(last.quality, last.covariance_m2 + np.diag(spread**2))
-
-
-def _rising(solution: EngineSolution) -> EngineSolution:
-    _, first = np.unique(solution.time.ns, return_index=True)
-    return solution.rows(first)
+    return in_order(chosen)
 
 
 def _base_gaps(inputs: Inputs) -> list[tuple[GpsTime, float]]:
@@ -342,25 +272,3 @@ def _base_gaps(inputs: Inputs) -> list[tuple[GpsTime, float]]:
     long = np.flatnonzero(steps > 1.5 * usual)
     order = long[np.argsort(-steps[long], kind="stable")]
     return [(GpsTime(inside[[i]]), float(steps[i])) for i in order.tolist()]
-
-
-def _trajectory(
-    solution: EngineSolution,
-    velocity_sigma: float,
-    base_m: NDArray[np.float64],
-    velocity: NDArray[np.float64] | None = None,
-) -> Trajectory:
-    place = geocentric(solution.lat_deg, solution.lon_deg, solution.height_m)
-    apart = _PER_METRE * np.linalg.norm(place - base_m, axis=1)
-    apart[solution.quality > _DIFFERENTIAL] = 0.0
-    status = np.array([_STATUS.get(q, "single") for q in solution.quality.tolist()], "U6")
-    return Trajectory(
-        solution.time,
-        solution.lat_deg,
-        solution.lon_deg,
-        solution.height_m,
-        status,
-        solution.covariance_m2 + apart[:, None, None] ** 2 * np.eye(3),
-        np.full((len(solution), 3), np.nan) if velocity is None else velocity,
-        velocity_sigma,
-    )

@@ -12,6 +12,11 @@ from photocal.navigation.ppk import PpkResult
 from photocal.navigation.trajectory import enu_offsets, geodetic
 
 _LISTED_GAPS = 10
+_GOOD_SHARE = 90.0
+# Code positions of single frequency receivers are good to two or three metres.
+_SUSPECT_BASE_M = 5.0
+# The engine uses older observations of the base no more.
+_LONG_GAP_S = 30.0
 
 
 def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
@@ -53,6 +58,7 @@ def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
         "rover_epochs_without_position": len(rover) - len(trajectory) if result.mode != "static" else 0,
         "fixed_percent": 100.0 * counts["fixed"] / len(trajectory),
         "remarks": remarks,
+        "findings": _findings(result, counts, len(trajectory)),
     }
     if result.judgement is not None:
         figures["validation"] = _validation(result)
@@ -63,6 +69,26 @@ def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
             "height_m": float(trajectory.height_m[0]),
         }
     return figures
+
+
+def _findings(result: PpkResult, counts: dict[str, int], epochs: int) -> list[dict[str, str]]:
+    """Return what should not pass silently into results: code and sentence."""
+    found = []
+    fixed = 100.0 * counts["fixed"] / epochs
+    if fixed < _GOOD_SHARE:
+        text = f"only {fixed:.0f} % of the positions are fixed: the rest is good to decimetres at best"
+        found.append({"code": "ppk-not-fixed", "text": text})
+    off = float(np.linalg.norm(result.base_off_code_m))
+    if off > _SUSPECT_BASE_M:
+        text = f"the base's position is {off:.1f} m from its own code solution: check its coordinates"
+        found.append({"code": "base-position", "text": text})
+    lost = [(t, s) for t, s in result.base_gaps_s if s > _LONG_GAP_S]
+    if lost:
+        text = (
+            f"the base has {len(lost)} gaps over {_LONG_GAP_S:g} s, the longest of {lost[0][1]:.0f} s from "
+        )
+        found.append({"code": "base-gaps", "text": text + f"{lost[0][0].iso()[0]} GPS time"})
+    return found
 
 
 def _span(file: Any) -> dict[str, Any]:
@@ -129,7 +155,8 @@ def ppk_text(figures: dict[str, Any]) -> str:
         lines.append(
             f"position {position['lat_deg']:.9f} {position['lon_deg']:.9f} {position['height_m']:.4f} m"
         )
-    return "\n".join([*lines, *figures["remarks"]])
+    warnings = [f"WARNING {found['text']}" for found in figures["findings"]]
+    return "\n".join([*lines, *figures["remarks"], *warnings])
 
 
 def _validation_text(validation: dict[str, Any]) -> list[str]:

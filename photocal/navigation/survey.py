@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.navigation.baseline_network import Baseline, Mark, NetworkSolution, adjust_baselines
 from photocal.navigation.engine import Engine
-from photocal.navigation.ppk import Inputs, options_for, precise_point, process
+from photocal.navigation.ppk import Inputs, options_for, process
 from photocal.navigation.ppk_inputs import converted
 from photocal.navigation.receiver_recording import pick, read_receivers, refuse_unusable
 from photocal.navigation.rinex import ObservationFile, read_observation_file
+from photocal.navigation.static_position import precise_point
 from photocal.navigation.survey_setup import KnownMark, MeasuredBaseline, PrecisePoint, SurveySetup
 from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric
 
