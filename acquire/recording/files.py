@@ -14,6 +14,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from acquire.log import records
 from acquire.log.records import Channel
 from acquire.log.writer import LogWriter
 from drivers.errors import OutputError
@@ -298,8 +299,23 @@ def new_path(folder: Path, time_ns: int) -> Path:
     number = 1
     while path.exists():
         number += 1
-        path = folder / f"flight-{moment}-{number}.mcap"
+        # Sorted by their names the files of a second stand in their order, too.
+        path = folder / f"flight-{moment}_{number:02d}.mcap"
     return path
+
+
+def unclosed(folder: Path) -> list[Path]:
+    """Return the logs in a folder that have no end: recordings that were cut off, or still run."""
+    return [path for path in sorted(folder.glob("flight-*.mcap")) if not _has_end(path)]
+
+
+def _has_end(path: Path) -> bool:
+    try:
+        with path.open("rb") as stream:
+            stream.seek(-len(records.MAGIC), io.SEEK_END)
+            return stream.read() == records.MAGIC and stream.tell() > len(records.MAGIC)
+    except OSError:
+        return False
 
 
 def _binary(stream: WholeWrites) -> BinaryIO:

@@ -17,7 +17,7 @@ from acquire.log.link import Tally
 from acquire.log.writer import LogWriter
 from acquire.recording.alarms import Alarm, ClockWatch, SilenceWatch, write_alarms
 from acquire.recording.configuration import Configuration
-from acquire.recording.files import Limits, LogFiles, Told, WholeWrites, new_file
+from acquire.recording.files import Limits, LogFiles, Told, WholeWrites, new_file, unclosed
 from acquire.recording.link_session import LinkSession, link_sessions
 from acquire.recording.reader import Arrival, read_link
 from acquire.transports.of_link import source_of_link
@@ -111,9 +111,12 @@ def record(
             writer.attachment(name, kind, content, host.clock_ns())
 
     folders = [base / folder for folder in (chosen.output, *chosen.spare)]
+    before = [path for folder in folders for path in unclosed(folder)]
     limits = Limits(round(chosen.rotate_mb * _MB), chosen.rotate_min * 60)
     files = LogFiles(folders, begin, limits, host.clock_ns, host.make)
     tell(f"recording to {files.paths[0]}")
+    for path in before:
+        tell(f"{path} has no end: if it is of this flight, name both in [flight] logs of the project")
     if warning := expiry_warning(host.clock_ns()):
         tell(f"warning: {warning}")
     flight = _Flight(
