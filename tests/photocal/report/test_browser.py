@@ -62,7 +62,7 @@ def test_pictures_have_size_and_names(browser: Browser, page_file: Path) -> None
     page = browser.new_page(viewport={"width": 1200, "height": 900})
     page.goto(page_file.as_uri())
     pictures = page.locator("figure svg")
-    assert pictures.count() == 3
+    assert pictures.count() == 5
     for i in range(3):
         box = pictures.nth(i).bounding_box()
         assert box is not None
