@@ -202,11 +202,15 @@ class Orientations:
             m and rad.
         """
         angles = angles_from_matrix(self.rotation @ np.swapaxes(turn, 1, 2))
-        to_frame = np.zeros((len(angles), 6, 6))
-        to_frame[:, :3, :3] = turn
         safe = np.where(np.isfinite(angles), angles, 0.0)
-        to_frame[:, 3:, 3:] = np.linalg.inv(turn_per_angle(safe))
-        return angles, to_frame @ self.covariance @ np.swapaxes(to_frame, 1, 2)
+        parts = (slice(0, 3), turn), (slice(3, 6), np.linalg.inv(turn_per_angle(safe)))
+        covariance = np.empty_like(self.covariance)
+        # Block by block: where angles are unknown the positions are not.
+        for rows, left in parts:
+            for columns, right in parts:
+                block = left @ self.covariance[:, rows, columns] @ np.swapaxes(right, 1, 2)
+                covariance[:, rows, columns] = block
+        return angles, covariance
 
 
 def orientations(exposures: Exposures, rig: Rig) -> Orientations:

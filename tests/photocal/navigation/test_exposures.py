@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -215,7 +217,16 @@ def test_images_are_matched_to_an_event_list(photocal: Photocal, shared: Path, t
     # UTM 33: central meridian 15 degrees; height as listed.
     assert 500_000 < float(images[0]["X"]) < 700_000
     assert float(images[0]["Z"]) == pytest.approx(512.998)
-    assert (out / "geo.txt").read_text().splitlines()[0] == "EPSG:4326"
+    places = (out / "geo.txt").read_text().splitlines()
+    assert places[0] == "EPSG:4326"
+    assert len(places) == 1 + len(images)
+    with closing(sqlite3.connect(out / "exposures.gpkg")) as database:
+        stored = database.execute("SELECT name, sX_m FROM exposures").fetchall()
+        system = database.execute("SELECT srs_id FROM gpkg_geometry_columns WHERE table_name = 'exposures'")
+        assert system.fetchone() == (4326,)
+    assert [name for name, _ in stored] == [row["image"] for row in images]
+    # East of the topocentric frame there, of UTM here: turned by the convergence of 4 degrees.
+    assert stored[0][1] == pytest.approx(float(images[0]["sX"]), abs=1e-3)
 
 
 def test_nothing_to_work_with(photocal: Photocal, tmp_path: Path) -> None:

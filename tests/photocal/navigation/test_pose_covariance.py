@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+import pyarrow.parquet
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
@@ -11,7 +14,8 @@ from photocal.adjustment.mounting import NADIR
 from photocal.geometry.rotation import angles_from_matrix
 from photocal.navigation.attitude import AttitudeTrack, at_instants, left_out_turns, rotations_of_quaternions
 from photocal.navigation.events import Events
-from photocal.navigation.exposures import at_camera, at_events, orientations
+from photocal.navigation.exposure_files import write_block_images
+from photocal.navigation.exposures import Exposures, at_camera, at_events, orientations
 from photocal.navigation.interpolation import interpolate
 from photocal.navigation.rig import Rig
 from photocal.navigation.time import GpsTime
@@ -32,8 +36,8 @@ def body_to_enu(angles: Floats) -> Rotation:
     return Rotation.from_matrix(NED_TO_ENU) * Rotation.from_euler("ZYX", angles[..., ::-1])
 
 
-def claimed() -> tuple[Floats, Floats]:
-    """Angles and covariance (6, 6) of one exposure half a second after an epoch."""
+def exposure() -> tuple[Exposures, Rig]:
+    """One exposure a quarter of a second after an epoch, at the camera."""
     t = np.arange(40.0)
     path = path_of(np.outer(t, VELOCITY), np.tile(VELOCITY, (40, 1)), t, POSITION_SIGMA)
     # An attitude that turns evenly: the interpolation itself has nothing to add.
@@ -49,7 +53,12 @@ def claimed() -> tuple[Floats, Floats]:
     placed = interpolate(path, event, sigma, np.zeros((1, 3)))
     rig = Rig(LEVER, LEVER_SIGMA, ANGLE_SIGMA, BORESIGHT, BORESIGHT_SIGMA)
     events = Events("test", event, np.arange(1), sigma)
-    found = at_camera(at_events(events, placed, attitude, sigma, ["a"], "ellipsoidal"), rig)
+    return at_camera(at_events(events, placed, attitude, sigma, ["a"], "ellipsoidal"), rig), rig
+
+
+def claimed() -> tuple[Floats, Floats]:
+    """Its angles and covariance (6, 6)."""
+    found, rig = exposure()
     angles, covariance = orientations(found, rig).in_frame(np.eye(3)[None])
     return angles[0], covariance[0]
 
@@ -72,6 +81,21 @@ def test_joint_covariance_against_simulation() -> None:
     assert np.sqrt(np.diag(simulated)) == pytest.approx(sigma, rel=0.05)
     assert np.abs((simulated - covariance) / np.outer(sigma, sigma)).max() < 0.05
     assert drawn[:, 3:].mean(axis=0) == pytest.approx(angles, abs=1e-3)
+
+
+def test_the_covariance_is_written_as_a_run_has_it(tmp_path: Path) -> None:
+    angles, covariance = claimed()
+    found, rig = exposure()
+    write_block_images(tmp_path / "images.csv", found, "C", rig, None)
+    table = pyarrow.parquet.read_table(tmp_path / "covariance.parquet").to_pylist()
+    assert table[0]["id"] == "a"
+    assert table[0]["names"] == ["X", "Y", "Z", "omega", "phi", "kappa"]
+    unit = np.array([1, 1, 1, *[180 / np.pi] * 3])
+    expected = (covariance * unit[:, None] * unit)[np.tril_indices(6)]
+    assert np.array(table[0]["lower"]) == pytest.approx(expected, rel=1e-6, abs=1e-12)
+    row = (tmp_path / "images.csv").read_text().splitlines()[1].split(",")
+    assert [float(v) for v in row[5:8]] == pytest.approx(np.degrees(angles), abs=1e-5)
+    assert [float(v) for v in row[8:]] == pytest.approx(np.sqrt(np.diag(covariance)) * unit, abs=1e-5)
 
 
 def test_interpolated_attitudes_are_as_uncertain_as_claimed() -> None:
