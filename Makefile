@@ -33,9 +33,10 @@ demo: $(READY)
 demo-dcs460: $(READY)
 	$(BIN)/python -m photocal.demo dcs460
 
-# The tests' matrices are small: threads of the linear algebra would only wait for each other.
+# The tests' matrices are small: threads of the linear algebra would only wait for each other. Tests of one
+# file stay together, so that what they share is made once.
 test: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
 
 check: $(READY)
 	$(BIN)/ruff check .
