@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 from drivers import errors
+from photocal import project
 from photocal.adjustment.mounting import COMMON
 from photocal.analysis.stability.methods import methods
+from photocal.block import camera_setup, setup
+from photocal.checked_toml import Table
 from photocal.geometry.camera import PARAMETERS
 from tests.docs.command_pages import FOLDER, MORE, commands, pages
 
@@ -122,3 +126,21 @@ def test_symbols_that_are_printed_are_explained() -> None:
     comparisons = {method.name for method in methods(2, (), 1, 0)}
     mounting = {name for name in COMMON if name[-2:] not in ("_y", "_z")}
     assert {*PARAMETERS, *comparisons, *mounting} - words == set()
+
+
+@pytest.mark.parametrize(
+    ("page", "modules"),
+    [("block-folder", (setup, camera_setup)), ("project-file", (project,))],
+    ids=["block-folder", "project-file"],
+)
+def test_every_key_of_a_file_stands_on_its_page(page: str, modules: tuple[ModuleType, ...]) -> None:
+    words = set(re.findall(r"\w+", (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")))
+    tables = [
+        one
+        for module in modules
+        for one in vars(module).values()
+        if isinstance(one, type) and issubclass(one, Table) and one.__module__ == module.__name__
+    ]
+    assert len(tables) >= 5
+    keys = {field.alias or name for table in tables for name, field in table.model_fields.items()}
+    assert keys - words == set()
