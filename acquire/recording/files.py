@@ -7,6 +7,7 @@ import errno
 import io
 import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -119,6 +120,9 @@ class LogFiles:
         self._place = 0
         # When writing is tried again, UTC ns; None while there is a file.
         self._again_ns: int | None = None
+        # A disk may take seconds to write what it has taken: nobody waits for it but this thread.
+        self._waiter = ThreadPoolExecutor(1, "disk")
+        self._safe: Future[None] | None = None
         self.paths: list[Path] = []
         path = new_path(self._folders[0], clock_ns())
         try:
@@ -167,15 +171,20 @@ class LogFiles:
         return []
 
     def make_safe(self) -> list[Told]:
-        """Write everything, wait for the disk, and begin the next file when it is time; see `end_chunk`."""
+        """Write everything, let the disk make it safe, and begin the next file when it is time.
+
+        See `end_chunk`. Whether the disk has it is known by the next call, or later where the disk is slow.
+        """
         told = self.end_chunk()
         if self._again_ns is not None:
             return told
-        try:
-            self._stream.make_safe()
-        except OSError as failure:
-            # What was written to this file cannot be trusted to be on the disk: nothing more goes there.
-            return told + self._move(failure)
+        if self._safe is not None and self._safe.done():
+            failure = self._settled()
+            if failure is not None:
+                # What was written to this file cannot be trusted to be on the disk: nothing more goes there.
+                return told + self._move(failure)
+        if self._safe is None:
+            self._safe = self._waiter.submit(self._stream.make_safe)
         age_s = (self._clock_ns() - self._begun_ns) / 1e9
         if (self._limits.size and self._stream.size >= self._limits.size) or (
             self._limits.age_s and age_s >= self._limits.age_s
@@ -195,11 +204,25 @@ class LogFiles:
         told = self.end_chunk()
         if self._again_ns is not None:
             raise self._refusal("no place has room")
-        return told + self._finish()
+        told += self._finish()
+        self._waiter.shutdown()
+        return told
+
+    def _settled(self) -> OSError | None:
+        """Wait for the disk; return why it failed."""
+        running, self._safe = self._safe, None
+        if running is None:
+            return None
+        failure = running.exception()
+        if failure is not None and not isinstance(failure, OSError):
+            raise failure
+        return failure
 
     def _finish(self) -> list[Told]:
         path = self.paths[-1]
         try:
+            if (late := self._settled()) is not None:
+                raise late
             self._writer.close()
             self._stream.make_safe()
         except OSError as failure:
@@ -230,6 +253,7 @@ class LogFiles:
         """Go on in the first place that takes what is not written yet."""
         reason = failure.strerror or str(failure)
         full = self.paths[-1]
+        self._settled()
         self._stream.close()
         # After waiting, room may have come anywhere.
         first = 0 if self._again_ns is not None else self._place

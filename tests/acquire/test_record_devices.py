@@ -389,6 +389,34 @@ def test_when_a_full_disk_has_room_again_nothing_is_lost(tmp_path: Path) -> None
     assert sorted(_kept(files.paths, tmp_path)) == sorted(sent)
 
 
+def test_a_disk_that_fails_later_sends_the_recording_to_the_next_file(tmp_path: Path) -> None:
+    """What a disk took may still fail on its way to the platter: fsync tells, after the writing."""
+    made: list[Path] = []
+
+    class FailsOnce(WholeWrites):
+        def make_safe(self) -> None:
+            if len(made) == 1:
+                raise OSError(errno.EIO, "Input/output error")
+            super().make_safe()
+
+    def make(path: Path) -> WholeWrites:
+        made.append(path)
+        return FailsOnce(io.FileIO(path, "xb"))
+
+    files = LogFiles([tmp_path], _nothing, Limits(), time.time_ns, make)
+    sent = _fill(files, 1)
+    told: list[tuple[str, str]] = []
+    end = time.monotonic() + 20
+    while not told and time.monotonic() < end:
+        told = files.make_safe()
+    sent += _fill(files, 3)
+    files.close()
+    assert [kind for kind, _ in told] == ["disk_full"]
+    assert "Input/output error" in told[0][1]
+    assert len(files.paths) == 2
+    assert sorted(_kept(files.paths, tmp_path)) == sorted(sent)
+
+
 def test_too_much_held_ends_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("acquire.recording.files.HELD_BYTES", 3000)
     room = {tmp_path: 5000}

@@ -6,6 +6,7 @@ and prints its figures as JSON.
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import resource
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from acquire.log.records import Channel
 from acquire.recording import files as log_files
 from acquire.recording.configuration import read_configuration
-from acquire.recording.recorder import record
+from acquire.recording.recorder import Host, record
 
 # Delays are counted by the tenth of a millisecond: so the measuring needs no memory.
 _STEP_NS, _STEPS = 100_000, 100_000
@@ -33,7 +34,9 @@ class Watch:
     def __init__(self) -> None:
         self.counts = np.zeros(_STEPS, np.int64)
         self.worst_disk_ns = 0
+        # The oldest frame that is not in the file, and the oldest that the disk is busy with; 0: none.
         self._oldest_ns = 0
+        self._busy_with_ns = 0
 
     def written(self, log_ns: NDArray[np.int64]) -> None:
         """Take note of frames that the writer was given."""
@@ -41,11 +44,16 @@ class Watch:
         self.counts += np.bincount(delay, minlength=_STEPS)
         self._oldest_ns = self._oldest_ns or int(log_ns.min())
 
+    def in_file(self) -> None:
+        """Take note that everything goes to the disk now, unless that is busy with the last part."""
+        if not self._busy_with_ns:
+            self._busy_with_ns, self._oldest_ns = self._oldest_ns, 0
+
     def safe(self) -> None:
-        """Take note that everything is on the disk."""
-        if self._oldest_ns:
-            self.worst_disk_ns = max(self.worst_disk_ns, time.time_ns() - self._oldest_ns)
-        self._oldest_ns = 0
+        """Take note that the disk has what it was busy with."""
+        if self._busy_with_ns:
+            self.worst_disk_ns = max(self.worst_disk_ns, time.time_ns() - self._busy_with_ns)
+        self._busy_with_ns = 0
 
     def quantile_ms(self, share: float) -> float:
         """Return the delay that a share of all frames did not exceed."""
@@ -73,9 +81,23 @@ class WatchedFiles(log_files.LogFiles):
 
     def make_safe(self) -> list[log_files.Told]:
         """Make everything safe."""
-        told = super().make_safe()
+        self.watch.in_file()
+        return super().make_safe()
+
+
+class WatchedWrites(log_files.WholeWrites):
+    """A file that tells a watch when the disk has everything."""
+
+    watch: Watch
+
+    def make_safe(self) -> None:
+        """Wait for the disk."""
+        super().make_safe()
         self.watch.safe()
-        return told
+
+
+def _new_file(path: Path) -> log_files.WholeWrites:
+    return WatchedWrites(io.FileIO(path, "xb"))
 
 
 def _resident_mb() -> float:
@@ -87,7 +109,7 @@ def main() -> None:
     """Record until the standard input ends, then print the figures."""
     from acquire.recording import recorder
 
-    WatchedFiles.watch = watch = Watch()
+    WatchedFiles.watch = WatchedWrites.watch = watch = Watch()
     vars(recorder)["LogFiles"] = WatchedFiles
     stop = threading.Event()
     memory: list[float] = []
@@ -104,7 +126,10 @@ def main() -> None:
     for work in (look, wait):
         threading.Thread(target=work, daemon=True).start()
     path = Path(sys.argv[1])
-    done = record(read_configuration(path), path.parent, stop, lambda text: print(text, file=sys.stderr))
+    host = Host(make=_new_file)
+    done = record(
+        read_configuration(path), path.parent, stop, lambda text: print(text, file=sys.stderr), host
+    )
     settled = memory[len(memory) // 5 :] or [_resident_mb()]
     sys.stdout.write(
         json.dumps(
