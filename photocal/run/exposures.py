@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
-from drivers.errors import IllPosedError
+from drivers.errors import ConfigurationError, IllPosedError
 from photocal.project import Project
 from photocal.run.ppk import FIGURES as PPK_FIGURES
 from photocal.run.ppk import TRAJECTORY
@@ -54,7 +55,14 @@ def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
     trajectory = kept_trajectory(ppk / TRAJECTORY)
     figures_of_ppk = json.loads((ppk / PPK_FIGURES).read_text(encoding="utf-8"))
     with show("exposures and their images", None):
-        run = place_exposures(choices_of_project(project), trajectory, figures_of_ppk)
+        choices = choices_of_project(project)
+        try:
+            run = place_exposures(choices, trajectory, figures_of_ppk)
+        except ConfigurationError:
+            # Exposures without attitude, whose lever arm nothing turns: they stay at the antenna, which is
+            # all that a block needs. Whatever else is wrong is said again.
+            unturned = replace(choices, rig=replace(choices.rig, lever_m=None))
+            run = place_exposures(unturned, trajectory, figures_of_ppk)
     if not len(with_images(run.antenna)):
         raise IllPosedError(
             "no image has an exposure with a position",

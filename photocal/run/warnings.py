@@ -86,14 +86,15 @@ def read_json(path: Path) -> dict[str, Any] | None:
 
 
 def _of_ppk(figures: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    told = list(_told(figures))
     fixed = float(figures["fixed_percent"])
-    if fixed < LEAST_FIXED_PERCENT:
+    if fixed < LEAST_FIXED_PERCENT and "ppk-not-fixed" not in dict(told):
         text = (
             f"{fixed:.1f} % of the epochs have fixed ambiguities, {figures['float']} are float and "
             f"{figures['single']} single: positions there are decimetres, not centimetres."
         )
         yield "ppk-not-fixed", text
-    yield from _told(figures)
+    yield from told
 
 
 def _of_exposures(figures: dict[str, Any]) -> Iterator[tuple[str, str]]:
@@ -103,13 +104,14 @@ def _of_exposures(figures: dict[str, Any]) -> Iterator[tuple[str, str]]:
                 yield code, f"{_listed(camera[key], noun)} {text}"
     for event in figures["not_placed"][:_NAMED]:
         yield "exposure-not-placed", f"event {event['event']} has no position: {event['reason']}."
-    without = int(figures["placed"]) - int(figures["with_attitude"])
-    if without > 0:
-        yield "exposures-without-attitude", f"{without} exposures have no attitude: telemetry is missing."
     for check in figures.get("checks", ()):
         if check["verdict"] == "failed":
             yield check["code"], check["text"]
-    yield from _told(figures)
+    without = int(figures["placed"]) - int(figures["with_attitude"])
+    told = list(_told(figures))
+    if without > 0 and "telemetry-gap" not in dict(told):
+        yield "telemetry-gap", f"{without} exposures have no attitude: telemetry was lost."
+    yield from told
 
 
 def _of_measurements(record: dict[str, Any]) -> Iterator[tuple[str, str]]:

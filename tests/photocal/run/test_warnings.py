@@ -1,0 +1,79 @@
+"""Warnings of the stages in one list."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from photocal.run.warnings import gather
+
+PPK = {"fixed_percent": 100.0, "float": 0, "single": 0}
+CAMERA: dict[str, Any] = {"unmatched_images": [], "ambiguous_images": [], "unmatched_events": []}
+EXPOSURES: dict[str, Any] = {
+    "cameras": [CAMERA],
+    "not_placed": [],
+    "placed": 10,
+    "with_attitude": 10,
+    "checks": [{"code": "lever-arm", "verdict": "passed", "text": "fine"}],
+}
+
+
+def codes(work: Path, **stages: dict[str, Any]) -> list[str]:
+    files = {"ppk": "ppk.json", "exposures": "exposures.json", "measurements": "measurement.json"}
+    files["georeferencing"] = "check.json"
+    for stage, content in stages.items():
+        (work / stage).mkdir(exist_ok=True)
+        (work / stage / files[stage]).write_text(json.dumps(content), encoding="utf-8")
+    return [one.code for one in gather(work)]
+
+
+def test_a_good_flight_has_none(tmp_path: Path) -> None:
+    assert codes(tmp_path, ppk=PPK, exposures=EXPOSURES, measurements={}, georeferencing={}) == []
+
+
+def test_stages_that_were_not_made_say_nothing(tmp_path: Path) -> None:
+    assert codes(tmp_path) == []
+
+
+def test_lost_fixes_images_events_and_telemetry_are_named(tmp_path: Path) -> None:
+    camera = {"unmatched_images": ["a.jpg"], "ambiguous_images": ["b.jpg"], "unmatched_events": [3, 4]}
+    exposures = {
+        **EXPOSURES,
+        "cameras": [camera],
+        "with_attitude": 7,
+        "not_placed": [{"event": 9, "time_gps": "", "reason": "outside the trajectory"}],
+        "checks": [{"code": "event-time-base", "verdict": "failed", "text": "18 s off"}],
+    }
+    found = codes(tmp_path, ppk={**PPK, "fixed_percent": 94.9, "float": 51}, exposures=exposures)
+    assert found == [
+        "ppk-not-fixed",
+        "images-without-event",
+        "images-ambiguous",
+        "events-without-image",
+        "exposure-not-placed",
+        "event-time-base",
+        "telemetry-gap",
+    ]
+
+
+def test_a_fault_is_said_once(tmp_path: Path) -> None:
+    told = [{"code": "ppk-not-fixed", "text": "only 36 % fixed"}]
+    ppk = {**PPK, "fixed_percent": 36.0, "float": 9, "findings": told}
+    again = {**EXPOSURES, "findings": told}
+    assert codes(tmp_path, ppk=ppk, exposures=again) == ["ppk-not-fixed"]
+
+
+def test_limits_of_the_flight_are_notes(tmp_path: Path) -> None:
+    findings = [{"code": "not-separated", "text": "x"}, {"code": "base-position", "text": "y"}]
+    codes(tmp_path, georeferencing={"findings": findings})
+    assert [one.as_json()["kind"] for one in gather(tmp_path)] == ["note", "warning"]
+
+
+def test_images_and_marks_of_the_measurement(tmp_path: Path) -> None:
+    record = {"left_out": [{"image": "a.jpg", "reason": "is empty"}], "warnings": ["a mark is 5 px off"]}
+    codes(tmp_path, measurements=record)
+    assert [one.text for one in gather(tmp_path)] == [
+        "image a.jpg takes no part: is empty.",
+        "a mark is 5 px off",
+    ]
