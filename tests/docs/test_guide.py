@@ -1,0 +1,273 @@
+"""docs/guide: its commands run on a simulated flight, its warnings are those of the program."""
+
+from __future__ import annotations
+
+import ast
+import glob
+import json
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from photocal.accuracy.georeferencing.hypotheses import MEANING
+from photocal.block.mounting import BODY_AXES
+from photocal.project import Rig
+from photocal.run.warnings import _UNMATCHED as UNMATCHED
+
+ROOT = Path(__file__).parents[2]
+GUIDE = ROOT / "docs" / "guide"
+# Where findings are made that `photocal run` tells.
+FOUND_IN = ("photocal/navigation", "photocal/accuracy/georeferencing", "photocal/run")
+FOUND_BY = ("photocal/accuracy/ground_points.py", "photocal/accuracy/ground_point_images.py")
+
+
+def blocks(chapter: str, language: str) -> list[str]:
+    text = (GUIDE / f"{chapter}.md").read_text(encoding="utf-8")
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+
+
+def _program(name: str, *arguments: str) -> list[str]:
+    return [sys.executable, "-c", f"from {name}.cli import main; main()", *arguments]
+
+
+class Window:
+    """A command in a window of its own."""
+
+    def __init__(self, words: list[str], folder: Path) -> None:
+        self._process = subprocess.Popen(words, cwd=folder, stderr=subprocess.PIPE, text=True)
+
+    def wait_for(self, word: str) -> None:
+        assert self._process.stderr is not None
+        for line in self._process.stderr:
+            if word in line:
+                return
+        raise AssertionError(f"it ended before it said {word!r}")
+
+    def interrupt(self) -> None:
+        self._process.send_signal(signal.SIGINT)
+        _, said = self._process.communicate(timeout=60)
+        assert self._process.returncode == 0, said
+
+    def close(self) -> None:
+        self._process.kill()
+        self._process.communicate()
+
+
+class Desk:
+    """The windows of somebody who follows the guide."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.said: dict[str, str] = {}
+        self.windows: dict[str, Window] = {}
+
+    def follow_all(self, chapter: str) -> None:
+        for line in _lines(chapter):
+            self.follow(line)
+
+    def follow(self, line: str) -> None:
+        words = shlex.split(line, comments=True)
+        words = [w for word in words for w in (sorted(glob.glob(word, root_dir=self.folder)) or [word])]  # noqa: PTH207
+        name = " ".join(words[:2])
+        if words[0] in ("acquire", "photocal"):
+            words = _program(*words)
+        if "in a window of its own" in line:
+            self.windows[name] = Window(words, self.folder)
+            return
+        done = subprocess.run(words, cwd=self.folder, capture_output=True, text=True, check=False)
+        self.said[name] = done.stdout + done.stderr
+        assert done.returncode == 0, f"{line}\n{done.stderr}"
+
+
+@pytest.fixture(scope="module")
+def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Desk]:
+    """The practice of the first page, and the chapter on planning."""
+    folder = tmp_path_factory.mktemp("guide")
+    shutil.copytree(ROOT / "configs" / "demo" / "simulated", folder / "configs" / "demo" / "simulated")
+    # Fewer points than for practice: the evening of the test is shorter.
+    plan = folder / "configs" / "demo" / "simulated" / "small.toml"
+    plan.write_text(plan.read_text(encoding="utf-8").replace("ties = 150", "ties = 60"), encoding="utf-8")
+    desk = Desk(folder)
+    try:
+        desk.follow_all("README")
+        desk.folder = folder / "practice" / "site"
+        (desk.folder / "area.csv").write_text(blocks("planning", "csv")[0])
+        desk.follow_all("planning")
+        yield desk
+    finally:
+        for window in desk.windows.values():
+            window.close()
+
+
+@pytest.fixture(scope="module")
+def recorded(started: Desk) -> Desk:
+    """The chapter on the field: the devices fly as soon as the recorder speaks to them."""
+    settings = started.folder / "record.toml"
+    limit = time.monotonic() + 60
+    while not settings.exists():
+        assert time.monotonic() < limit
+        time.sleep(0.05)
+    check, record, monitor, *rest = _lines("field")
+    # The simulated devices are silent before they are recorded: the check has a test of its own.
+    assert check.startswith("acquire check")
+    started.follow(record)
+    started.windows["acquire record"].wait_for("recording to")
+    started.windows["acquire simulate"].wait_for("flown")
+    started.follow(monitor)
+    started.windows["acquire record"].interrupt()
+    for line in rest:
+        started.follow(line)
+    return started
+
+
+@pytest.fixture(scope="module")
+def processed(recorded: Desk) -> Desk:
+    """The chapter on processing."""
+    recorded.follow_all("processing")
+    return recorded
+
+
+@pytest.fixture(scope="module")
+def certified(processed: Desk) -> Desk:
+    """The chapter on the certificate."""
+    processed.follow_all("certificate")
+    return processed
+
+
+def _lines(chapter: str) -> list[str]:
+    return [line for block in blocks(chapter, "sh") for line in block.splitlines()]
+
+
+def test_the_flight_is_recorded_whole(recorded: Desk) -> None:
+    said = recorded.said["acquire info"]
+    for frames in ("ubx RXM-RAWX", "ubx RXM-SFRBX", "ubx TIM-TM2", "mavlink CAMERA_FEEDBACK"):
+        assert frames in said
+    assert re.findall(r"(\d+) bytes belong to no valid frame", said) == ["0", "0", "0"]
+
+
+def test_the_run_finds_the_truth(processed: Desk) -> None:
+    said = processed.said["photocal run"]
+    assert re.search(r"^PPK +(9[5-9]|100)\.\d % of", said, re.MULTILINE)
+    assert "10 of 10 images matched" in said
+    assert re.search(r"^warnings +none$", said, re.MULTILINE)
+    truth = json.loads((processed.folder.parent / "truth" / "truth.json").read_text())
+    result = json.loads((processed.folder / "work" / "calibration" / "result.json").read_text())
+    found = result["cameras"]["SIM-0"]["parameters"]["c"]
+    assert abs(found["value"] - truth["camera"]["mm"]["c"]) < 3 * found["sigma"]
+
+
+def test_every_line_of_the_screen_is_explained(processed: Desk) -> None:
+    text = (GUIDE / "processing.md").read_text(encoding="utf-8")
+    rows = " ".join(re.findall(r"^\| ([^|]+) \|", text, re.MULTILINE))
+    shown = re.findall(r"^([A-Za-z][A-Za-z ]*?)(?: SIM-0)?  +", processed.said["photocal run"], re.MULTILINE)
+    for word in {word.strip() for word in shown} - {"certificate"}:
+        assert word in rows, word
+
+
+def test_plan_targets_and_products_are_there(certified: Desk) -> None:
+    names = {"plan.json", "flight.plan", "flight.waypoints", "plan.geojson", "exposures.csv"}
+    assert {path.name for path in (certified.folder / "plan").iterdir()} == names
+    assert "* " not in certified.said["photocal plan"], "the plan of the guide has nothing against it"
+    assert (certified.folder / "targets.pdf").read_bytes().startswith(b"%PDF")
+    written = {path.name for path in (certified.folder / "work" / "certificate").iterdir()}
+    assert {"certificate.html", "certificate.pdf", "certificate.json", "inputs"} <= written
+    assert (certified.folder / "check" / "report.md").is_file()
+    assert any((certified.folder / "for-client").iterdir())
+
+
+def test_the_certificate_is_verified_and_a_changed_digit_named(certified: Desk) -> None:
+    assert "verified" in certified.said["photocal verify"]
+    points = certified.folder / "work" / "certificate" / "inputs" / "points.csv"
+    points.write_text(points.read_text().replace("control", "check", 1))
+    words = _program("photocal", "verify", "work/certificate")
+    done = subprocess.run(words, cwd=certified.folder, capture_output=True, text=True, check=False)
+    assert done.returncode != 0
+    assert "points.csv" in done.stderr
+
+
+def test_a_check_of_devices_that_are_silent_names_them(tmp_path: Path) -> None:
+    """What `acquire check` of the guide says when the recorder has set up nothing yet."""
+    (tmp_path / "empty.ubx").touch()
+    link = '[[link]]\nname = "rover"\nprotocol = "ubx"\nurl = "file:empty.ubx"\n'
+    link += '[link.ublox]\nport = "usb"\nrate_ms = 200\n'
+    (tmp_path / "record.toml").write_text(f'[recording]\noutput = "logs"\n{link}')
+    check = next(line for line in _lines("field") if line.startswith("acquire check"))
+    words = _program(*shlex.split(check.replace("--seconds 2", "--seconds 0.3")))
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 10
+    assert "BAD   rover: frames" in done.stdout
+
+
+def test_the_rig_is_one(tmp_path: Path) -> None:
+    import tomllib
+
+    assert Rig.model_validate(tomllib.loads(blocks("hardware", "toml")[0])).camera_to_antenna_m == (
+        0.08,
+        0.03,
+        -0.24,
+    )
+
+
+def test_camera_axes_are_right_handed_and_look_down() -> None:
+    rows = re.findall(r"^\| (\w+) \| `(\[.*\])` \|$", (GUIDE / "hardware.md").read_text(), re.MULTILINE)
+    assert [edge for edge, _ in rows] == ["forward", "right", "backward", "left"]
+    for edge, axes in rows:
+        x, y, z = (np.array(BODY_AXES[name]) for name in json.loads(axes))
+        assert np.array_equal(np.cross(x, y), z)
+        assert np.array_equal(y, BODY_AXES[edge])
+        assert np.array_equal(-z, BODY_AXES["down"])
+
+
+def test_every_warning_is_explained() -> None:
+    text = (GUIDE / "warnings.md").read_text(encoding="utf-8")
+    cells = re.findall(r"^\| (`[^|]*?) \|", text, re.MULTILINE)
+    explained = {code for cell in cells for code in re.findall("`(.*?)`", cell)}
+    sources = _sources()
+    named = {code for tree in sources for node in ast.walk(tree) for code in _codes_at(node)}
+    named |= {name.replace(" ", "-") for name in MEANING} | {kind[2] for kind in UNMATCHED}
+    assert named - explained == set()
+    # Some codes are put together or chosen from a table: at least their words stand in the sources.
+    texts = {n.value for tree in sources for n in ast.walk(tree) if isinstance(n, ast.Constant)}
+    unknown = {code for code in explained - named - texts if code.rsplit("-", 1)[0] + "-" not in texts}
+    assert unknown == set()
+
+
+def _sources() -> list[ast.Module]:
+    paths = [path for folder in FOUND_IN for path in (ROOT / folder).rglob("*.py")]
+    return [ast.parse(path.read_text("utf-8")) for path in [*paths, *(ROOT / one for one in FOUND_BY)]]
+
+
+def _codes_at(node: ast.AST) -> Iterator[str]:
+    """First words of findings, checks and warnings, where they are written out."""
+    if (
+        isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Name)
+        and node.func.id in ("Finding", "Check")
+    ):
+        yield from _texts(node.args[:1])
+    elif isinstance(node, ast.Yield) and isinstance(node.value, ast.Tuple):
+        yield from _texts(node.value.elts[:1])
+    elif isinstance(node, ast.Dict):
+        keys = [key.value if isinstance(key, ast.Constant) else None for key in node.keys]
+        yield from _texts([v for k, v in zip(keys, node.values, strict=True) if k == "code"])
+    elif (
+        isinstance(node, ast.Assign)
+        and isinstance(node.targets[0], ast.Name)
+        and node.targets[0].id == "code"
+    ):
+        yield from _texts([node.value])
+
+
+def _texts(nodes: list[ast.expr]) -> Iterator[str]:
+    for node in nodes:
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
