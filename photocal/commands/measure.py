@@ -12,6 +12,7 @@ from drivers.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from photocal.measurement.match_images import MatchingPlan
+    from photocal.measurement.workers import Workers
 
 # A principal distance that is known no better than this is worth a warning.
 WEAK = 0.005
@@ -48,6 +49,10 @@ def measure(
         str, typer.Option(help="Marker dictionary of a ChArUco board, such as 4x4_50 or apriltag_36h11.")
     ] = "",
     workers: Annotated[int, typer.Option(help="Processes; 0 for one on each core.")] = 0,
+    cluster: Annotated[
+        str,
+        typer.Option(help="Dask scheduler whose workers share images and cache, such as tcp://HOST:8786."),
+    ] = "",
     cache: Annotated[
         Path | None, typer.Option(help="Folder for features and matches; ~/.cache/photocal when not given.")
     ] = None,
@@ -65,21 +70,25 @@ def measure(
         )
     if charuco and not board:
         raise ConfigurationError("--charuco needs a board", remedy="give --board COLUMNSxROWS")
+    crew = _crew(workers, cluster)
+    if cluster:
+        # Workers have working folders of their own.
+        project, images = (path and path.absolute() for path in (project, images))
     if images is None:
         if board or gcp is not None:
             raise ConfigurationError(
                 "a project names its own control", remedy="give --images with --board or --gcp"
             )
-        record = _project(project or Path(), workers, cache, output)
+        record = _project(project or Path(), crew, cache, output)
         answer(as_json, lambda: record, lambda: _project_text(record, output))
     elif board:
         record = _board(images, board, square_m, charuco, output)
         answer(as_json, lambda: record, lambda: _board_text(record, output))
     elif gcp is not None:
-        record = _gcp(images, gcp, (crs, height), gcp_sigma, _plan(workers, cache), output)
+        record = _gcp(images, gcp, (crs, height), gcp_sigma, _plan(crew, cache, images), output)
         answer(as_json, lambda: record, lambda: _marked_text(record, output))
     else:
-        record = _ties(images, workers, cache, output)
+        record = _ties(images, crew, cache, output)
         answer(as_json, lambda: record, lambda: _ties_text(record, output))
 
 
@@ -117,7 +126,7 @@ def _board_text(record: dict[str, Any], output: Path) -> str:
     return "\n".join(lines)
 
 
-def _project(path: Path, workers: int, cache: Path | None, output: Path) -> dict[str, Any]:
+def _project(path: Path, crew: Workers, cache: Path | None, output: Path) -> dict[str, Any]:
     from dataclasses import replace
 
     import numpy as np
@@ -134,7 +143,7 @@ def _project(path: Path, workers: int, cache: Path | None, output: Path) -> dict
     starts = read_images(exposures, project.cameras) if exposures.exists() else None
     if starts is not None:
         starts = replace(starts, sigma=np.full_like(starts.sigma, np.inf))
-    measured = measure_project(project, starts, _plan(workers, cache), progress)
+    measured = measure_project(project, starts, _plan(crew, cache, project.picture_folder), progress)
     with output_folder(output) as aside:
         write_block(aside, measured.block, measured.record)
     return measured.record
@@ -186,23 +195,37 @@ def _marked_text(record: dict[str, Any], output: Path) -> str:
     )
 
 
-def _plan(workers: int, cache: Path | None) -> MatchingPlan:
+def _crew(workers: int, cluster: str) -> Workers:
     import os
 
+    from photocal.measurement.cluster import Cluster
+
+    if cluster and workers:
+        raise ConfigurationError(
+            "--workers and --cluster are both given", remedy="choose processes here or a cluster"
+        )
+    return Cluster(cluster) if cluster else workers or os.cpu_count() or 1
+
+
+def _plan(crew: Workers, cache: Path | None, images: Path) -> MatchingPlan:
     from photocal.measurement.cache import default_cache
+    from photocal.measurement.cluster import Cluster
     from photocal.measurement.match_images import MatchingPlan
 
-    return MatchingPlan(cache or default_cache(), workers or os.cpu_count() or 1)
+    folder = (cache or default_cache()).resolve()
+    if isinstance(crew, Cluster):
+        crew.require_shared(images, folder)
+    return MatchingPlan(folder, crew)
 
 
-def _ties(images: Path, workers: int, cache: Path | None, output: Path) -> dict[str, Any]:
+def _ties(images: Path, crew: Workers, cache: Path | None, output: Path) -> dict[str, Any]:
     from acquire.outputs import output_folder
     from photocal.measurement.block_files import write_block
     from photocal.measurement.image_file import list_images
     from photocal.measurement.measure_ties import measure_ties
 
     paths = list_images(images)
-    measured = measure_ties(paths, images.resolve().name, _plan(workers, cache), progress)
+    measured = measure_ties(paths, images.resolve().name, _plan(crew, cache, images), progress)
     with output_folder(output) as aside:
         write_block(aside, measured.block, measured.record)
     return measured.record

@@ -13,7 +13,7 @@ from photocal.measurement.cache import Arrays, cached, combined_key
 from photocal.measurement.image_file import read_grey
 from photocal.measurement.markers import dictionary, find_markers
 from photocal.measurement.refine import Source
-from photocal.measurement.workers import run_tasks
+from photocal.measurement.workers import Workers, run_tasks
 
 # Raised whenever the meaning of cached results changes.
 VERSION = 1
@@ -31,7 +31,7 @@ def find_coded_targets(
     sources: Sequence[Source],
     dictionary_name: str,
     names: Mapping[str, str],
-    processes: int,
+    processes: Workers,
     done: Callable[[float], None],
 ) -> tuple[tuple[Mark, ...], tuple[str, ...]]:
     """Find coded targets in images.
@@ -42,7 +42,7 @@ def find_coded_targets(
     dictionary_name : str
     names : mapping
         From the number of a code to the control point in its centre.
-    processes : int
+    processes : Workers
     done : callable
         Told 1 after each image.
 

@@ -15,7 +15,7 @@ from photocal.measurement.features import Features, FeatureSettings, detect
 from photocal.measurement.image_file import as_eight_bit, read_grey
 from photocal.measurement.matching import MatchSettings, match
 from photocal.measurement.tracks import Tracks, join_tracks
-from photocal.measurement.workers import run_tasks
+from photocal.measurement.workers import Workers, run_tasks
 
 Integers = NDArray[np.int64]
 
@@ -29,7 +29,7 @@ class MatchingPlan:
     """Where results are kept, how they are made and by how many processes."""
 
     cache: Path
-    processes: int
+    processes: Workers
     features: FeatureSettings = field(default_factory=FeatureSettings)
     matches: MatchSettings = field(default_factory=MatchSettings)
 

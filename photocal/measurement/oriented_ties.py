@@ -19,6 +19,7 @@ from photocal.measurement.tie_adjustment import GROSS, Adjusted, adjust_ties, pi
 from photocal.measurement.tie_block import orient
 from photocal.measurement.tracks import Tracks, of_images, thin, without_twins
 from photocal.measurement.views import Views, intersected, misses, views_of
+from photocal.measurement.workers import Workers
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -61,7 +62,7 @@ def orient_ties(
     sources: Sequence[Source],
     tracks: Tracks,
     pairs: Integers,
-    processes: int,
+    processes: Workers,
     progress: Progress,
 ) -> Oriented:
     """Orient a block by tracks of features and measure its tie points precisely.
@@ -76,7 +77,7 @@ def orient_ties(
         Joined from matches of features.
     pairs : ndarray of int, shape (k, 2)
         Images that may overlap.
-    processes : int
+    processes : Workers
     progress : callable
 
     Returns

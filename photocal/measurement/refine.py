@@ -18,7 +18,7 @@ from photocal.measurement.cache import Arrays, array_key, cached, combined_key
 from photocal.measurement.image_file import as_eight_bit, read_grey
 from photocal.measurement.tracks import Tracks
 from photocal.measurement.views import Views
-from photocal.measurement.workers import run_tasks
+from photocal.measurement.workers import Workers, run_tasks
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -68,7 +68,7 @@ def refine(
     tracks: Tracks,
     points: Floats,
     partners: Sequence[Integers],
-    processes: int,
+    processes: Workers,
     done: Callable[[float], None],
 ) -> Tracks:
     """Measure tracks again, in all images that should show them.
@@ -84,7 +84,7 @@ def refine(
         In the frame of the views.
     partners : sequence of ndarray of int
         For each image those that overlap it.
-    processes : int
+    processes : Workers
     done : callable
         Told 1 after each image; twice the number of images in all.
 

@@ -1,4 +1,4 @@
-"""Pieces of work on several processes, one after another in memory, in the order they were given."""
+"""Pieces of work on several processes or machines, in the order they were given, few in memory at a time."""
 
 from __future__ import annotations
 
@@ -11,14 +11,20 @@ from multiprocessing import get_context
 from typing import TypeVar
 
 from drivers.errors import ProgramMissingError
+from photocal.measurement.cluster import Cluster
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
+# Processes of this machine, 1 for this very process; or a cluster.
+Workers = int | Cluster
+
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def run_tasks(function: Callable[[Task], Result], tasks: Iterable[Task], processes: int) -> Iterator[Result]:
+def run_tasks(
+    function: Callable[[Task], Result], tasks: Iterable[Task], workers: Workers
+) -> Iterator[Result]:
     """Do a piece of work for each task.
 
     Parameters
@@ -27,8 +33,8 @@ def run_tasks(function: Callable[[Task], Result], tasks: Iterable[Task], process
         Of a module, so that new processes find it.
     tasks : iterable
         Small: file names, not images.
-    processes : int
-        1 does all the work in this process.
+    workers : int or Cluster
+        Number of processes; 1 does all the work in this process.
 
     Yields
     ------
@@ -39,10 +45,20 @@ def run_tasks(function: Callable[[Task], Result], tasks: Iterable[Task], process
     ------
     ProgramMissingError
         When a worker process died, for want of memory as a rule.
+    DeviceError
+        When a cluster does not answer.
     """
-    if processes <= 1:
+    if isinstance(workers, Cluster):
+        yield from workers.run(function, tasks)
+    elif workers <= 1:
         yield from map(function, tasks)
-        return
+    else:
+        yield from _on_processes(function, tasks, workers)
+
+
+def _on_processes(
+    function: Callable[[Task], Result], tasks: Iterable[Task], processes: int
+) -> Iterator[Result]:
     waiting: deque[Future[Result]] = deque()
     with _one_thread_each(), ProcessPoolExecutor(processes, get_context("spawn"), _prepare) as pool:
         try:

@@ -1,0 +1,128 @@
+"""Features and matches on a Dask cluster: what one process finds, whatever dies on the way."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.errors import ConfigurationError, DeviceError, InputNotFoundError, ProgramMissingError
+from photocal.measurement.cluster import Cluster
+from photocal.measurement.features import FeatureSettings
+from photocal.measurement.image_file import read_grey
+from photocal.measurement.match_images import MatchingPlan, detect_all, match_all
+from photocal.measurement.tracks import Tracks
+from photocal.measurement.workers import Workers, run_tasks
+from tests.photocal.measurement.site import SIDE, flight, texture
+
+pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
+FEATURES = FeatureSettings(most=600)
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ...]:
+    folder = tmp_path_factory.mktemp("pictures")
+    site = flight()
+    site.render(texture(1, SIDE), folder)
+    return tuple(folder / name for name in site.names)
+
+
+@pytest.fixture(scope="module")
+def two_workers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        dashboard_address=None,
+        local_directory=str(tmp_path_factory.mktemp("dask")),
+        silence_logs=50,
+    ) as running:
+        yield running
+
+
+def tracks(
+    pictures: tuple[Path, ...], cache: Path, workers: Workers, done: Callable[[float], None] = lambda _: None
+) -> Tracks:
+    plan = MatchingPlan(cache, workers, FEATURES)
+    keys, reasons = detect_all(pictures, plan, done)
+    assert reasons == ("",) * len(pictures)
+    pairs = np.array([(a, b) for a in range(len(keys)) for b in range(a)], dtype=np.int64)
+    return match_all(keys, pairs, plan, done)[0]
+
+
+def assert_same(found: Tracks, wanted: Tracks) -> None:
+    assert wanted.count > 300
+    for name in ("track", "image", "pixels", "scale"):
+        assert np.array_equal(getattr(found, name), getattr(wanted, name)), name
+    assert found.conflicts == wanted.conflicts
+
+
+@pytest.fixture(scope="module")
+def alone(pictures: tuple[Path, ...], tmp_path_factory: pytest.TempPathFactory) -> Tracks:
+    return tracks(pictures, tmp_path_factory.mktemp("alone"), 1)
+
+
+def test_two_workers_find_the_tracks_of_one_process(
+    pictures: tuple[Path, ...], two_workers: Any, alone: Tracks, tmp_path: Path
+) -> None:
+    cluster = Cluster(two_workers.scheduler_address)
+    cluster.require_shared(pictures[0].parent, tmp_path)
+    assert_same(tracks(pictures, tmp_path, cluster), alone)
+    # The work was done there: what they keep is in the cache that was named.
+    assert list(tmp_path.rglob("*.npz"))
+
+
+def test_a_worker_that_is_killed_changes_nothing(
+    pictures: tuple[Path, ...], two_workers: Any, alone: Tracks, tmp_path: Path
+) -> None:
+    killed: list[int] = []
+
+    def done(_: float) -> None:
+        if not killed:
+            killed.append(next(iter(two_workers.workers.values())).pid)
+            os.kill(killed[0], signal.SIGKILL)
+
+    assert_same(tracks(pictures, tmp_path, Cluster(two_workers.scheduler_address), done), alone)
+    assert killed
+
+
+def test_failures_of_a_task_arrive_as_they_are(two_workers: Any) -> None:
+    with pytest.raises(InputNotFoundError, match=r"^a\.jpg: does not exist; check the name of the image$"):
+        list(run_tasks(read_grey, [Path("a.jpg")], Cluster(two_workers.scheduler_address)))
+
+
+def test_folders_that_workers_do_not_see_are_named(two_workers: Any, tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"images: worker tcp://.* does not see it"):
+        Cluster(two_workers.scheduler_address).require_shared(tmp_path / "images", tmp_path)
+
+
+def test_no_scheduler_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("photocal.measurement.cluster._TIMEOUT_S", 1)
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{probe.getsockname()[1]}"
+        with pytest.raises(DeviceError, match="no scheduler answers there"):
+            list(run_tasks(len, ["a"], Cluster(address)))
+    with pytest.raises(DeviceError, match="no scheduler answers there"):
+        list(run_tasks(len, ["a"], Cluster("nonsense://here")))
+
+
+def test_the_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    original = importlib.import_module
+
+    def without(name: str, package: str | None = None) -> object:
+        if name == "distributed":
+            raise ImportError(name)
+        return original(name, package)
+
+    monkeypatch.setattr(importlib, "import_module", without)
+    with pytest.raises(ProgramMissingError, match=r"install photocal\[cluster\]"):
+        list(run_tasks(len, ["a"], Cluster("tcp://127.0.0.1:1")))
