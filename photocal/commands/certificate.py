@@ -43,6 +43,7 @@ def certificate(
     """
     from photocal.report.block_files import CARRIED
     from photocal.report.issue import FORMS, issue
+    from photocal.run.warnings import told_beside
 
     with progress("certificate", 4) as step:
         document = issue(
@@ -54,6 +55,7 @@ def certificate(
             particulars=particulars,
             client=client,
             operator=operator,
+            warnings=told_beside(run),
             done=lambda: step(1),
         )
     written = [str(output / name) for name in (*FORMS, CARRIED) if (output / name).exists()]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from photocal.project import Project
 from photocal.run.stage import Progress, Stage
-from photocal.run.warnings import gather
+from photocal.run.warnings import gather, told_beside
 
 WARNINGS = "warnings.json"
 
@@ -37,7 +37,7 @@ def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple
                 particulars=keys.particulars,
                 client=keys.client,
                 operator=keys.operator,
-                warnings=tuple(f"{one.code}: {one.text}" for one in warnings),
+                warnings=told_beside(work / "analysis"),
             )
 
     settings = keys.model_dump(mode="json", exclude={"particulars"})

@@ -77,6 +77,24 @@ def gather(work: Path) -> tuple[Warning, ...]:
     return tuple(found.values())
 
 
+def told_beside(run: Path) -> tuple[str, ...]:
+    """Give the warnings of the whole processing to a certificate that is made of one of its stages.
+
+    Parameters
+    ----------
+    run : Path
+        Run folder; a stage of `photocal run` or not.
+
+    Returns
+    -------
+    tuple of str
+        Empty for a folder of `photocal adjust`, which has no stages beside it.
+    """
+    if not (run / "stage.json").is_file():
+        return ()
+    return tuple(f"{one.code}: {one.text}" for one in gather(run.resolve().parent))
+
+
 def read_json(path: Path) -> dict[str, Any] | None:
     """Read the figures of a stage; None when it was not made."""
     if not path.is_file():

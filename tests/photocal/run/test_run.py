@@ -70,6 +70,13 @@ def test_a_fault_is_named_and_reaches_the_certificate(shifted: tuple[Path, Resul
     assert "base-position" in (folder / "certificate.html").read_text(encoding="utf-8")
 
 
+def test_no_certificate_of_a_stage_is_silent(shifted: tuple[Path, Result], tmp_path: Path) -> None:
+    work = shifted[0].parent / "work"
+    said = CliRunner().invoke(app, ["certificate", str(work / "calibration"), "-o", str(tmp_path / "c")])
+    assert said.exit_code == 0, said.output
+    assert "base-position" in (tmp_path / "c" / "certificate.html").read_text(encoding="utf-8")
+
+
 def test_nothing_is_made_twice(shifted: tuple[Path, Result]) -> None:
     path, _ = shifted
     again = run(str(path))
