@@ -32,7 +32,7 @@ class Centre:
     contrast, noise : float
         Grey values.
     shape : ndarray, shape (k,)
-        Further parameters of the target, as in `patterns`; for a disc the semi-axes and the direction.
+        Further parameters of the target, as in `patterns`; for a disc semi-axes, direction and blur.
     """
 
     column: float
@@ -143,7 +143,7 @@ def disc_centre(
     Returns
     -------
     Centre or None
-        None when there is no such target; `shape` holds semi-axes and direction.
+        None when there is no such target; `shape` holds semi-axes, direction and blur.
     """
     longest = max(semi_axes)
     window = cut_window(grey, approximate, longest + max(3.0, 0.35 * longest))
@@ -166,7 +166,7 @@ def disc_centre(
         0.5 < fit.parameters[2] / semi_axes[0] < 2 and 0.5 < fit.parameters[3] / semi_axes[1] < 2
     ):
         return None
-    return _centre(window, fit, abs(fit.parameters[7]), approximate, longest / 2 + 1, fit.parameters[2:5])
+    return _centre(window, fit, abs(fit.parameters[7]), approximate, longest / 2 + 1, fit.parameters[2:6])
 
 
 def quadrilateral_centre(grey: Grey, corners: Floats, cell: float) -> tuple[Centre, Floats] | None:

@@ -20,6 +20,7 @@ from photocal.measurement.marking.orientation import Orientation
 from photocal.measurement.marks import with_marks
 from photocal.measurement.start_block import NO_OBSERVATIONS
 
+Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 # So many points orient an image of which nothing is known, or which has start values.
@@ -110,9 +111,8 @@ def adjust_marks(orientation: Orientation, points: ObjectPoints, marks: Sequence
         for ray, (vx, vy), w in zip(rays, v, standardised, strict=True)
     )
     values, covariance = given_exposures(assembly, solution)
-    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     factor = solution.variance_factor
-    improved = _improved(orientation, block.images.names, values, sigma)
+    improved = _improved(orientation, block.images.names, values, covariance)
     return Adjusted(residuals, improved, float(np.sqrt(factor)) if np.isfinite(factor) else None, left_out)
 
 
@@ -137,8 +137,8 @@ def block_of_marks(
     IllPosedError
         When nothing remains.
     """
-    nothing = np.zeros(len(PARAMETERS), dtype=np.bool_)
-    cameras = tuple(replace(own, estimated=nothing) for own in orientation.cameras)
+    none, free = np.zeros(len(PARAMETERS), dtype=np.bool_), np.full(len(PARAMETERS), np.inf)
+    cameras = tuple(replace(own, estimated=none, prior_sigma=free) for own in orientation.cameras)
     whole, _ = with_marks(
         Block(
             "marks",
@@ -207,15 +207,12 @@ def _only(block: Block, image: Flags, point: Flags, ray: Flags) -> Block:
     )
 
 
-def _improved(
-    orientation: Orientation,
-    names: tuple[str, ...],
-    found: NDArray[np.float64],
-    found_sigma: NDArray[np.float64],
-) -> Orientation:
+def _improved(orientation: Orientation, names: tuple[str, ...], found: Floats, spread: Floats) -> Orientation:
     images = orientation.images
     row = {name: k for k, name in enumerate(images.names)}
     rows = np.array([row[name] for name in names], dtype=np.int64)
-    values, sigma = images.values.copy(), images.sigma.copy()
-    values[rows], sigma[rows] = found, found_sigma
-    return replace(orientation, images=replace(images, values=values, sigma=sigma), source="adjusted marks")
+    values, sigma, covariance = images.values.copy(), images.sigma.copy(), orientation.covariance.copy()
+    values[rows], covariance[rows] = found, spread
+    sigma[rows] = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
+    images = replace(images, values=values, sigma=sigma)
+    return replace(orientation, images=images, source="adjusted marks", covariance=covariance)

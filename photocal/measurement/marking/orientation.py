@@ -15,10 +15,15 @@ from photocal.block.folder import read_images
 from photocal.block.model import Images
 from photocal.geometry.camera import PARAMETERS, Camera, camera
 from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
+from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.views import Views, local_poses
 from photocal.project import Project
 
 Floats = NDArray[np.float64]
+
+# As in `Images`; tables have degrees.
+_ORDER = ("omega", "phi", "kappa", "X", "Y", "Z")
+_UNITS = np.array([*np.radians(np.ones(3)), 1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,9 @@ class Orientation:
         System of the coordinates, "local" among them, and kind of the heights.
     source : str
         Where this comes from, for people.
+    covariance : ndarray, shape (m, 6, 6)
+        Of the values of the images (rad, m): position and attitude of an adjusted image are correlated
+        strongly. NaN where nothing is said.
     """
 
     cameras: tuple[Camera, ...]
@@ -41,6 +49,7 @@ class Orientation:
     frame: str
     height: str
     source: str
+    covariance: Floats
 
     def to_local(self, points: Floats) -> Frame:
         """Give the Cartesian frame about the middle of images and points, shape (n, 3)."""
@@ -51,8 +60,6 @@ class Orientation:
 
     def views(self, frame: Frame) -> Views:
         """Give the images in a local frame; NaN where they are not oriented."""
-        from photocal.geometry.rotation import matrix_from_angles
-
         poses = local_poses(frame, self.images.values)
         return Views(self.cameras, self.images.camera, matrix_from_angles(poses[:, :3]), poses[:, 3:])
 
@@ -87,7 +94,8 @@ def of_run(run: Path) -> Orientation:
             where=result,
             remedy="adjust the block again",
         ) from failure
-    return Orientation(cameras, read_images(run / "images.csv", cameras), frame, height, "adjustment")
+    images = read_images(run / "images.csv", cameras)
+    return Orientation(cameras, images, frame, height, "adjustment", _covariance(images, run))
 
 
 def _camera(name: str, entry: dict[str, Any]) -> Camera:
@@ -122,20 +130,61 @@ def of_project(project: Project, names: tuple[str, ...]) -> Orientation | None:
     if not project.cameras:
         return None
     if exposures.is_file():
-        images, source = _with_boresight(project, read_images(exposures, project.cameras)), "exposures"
+        images, source = read_images(exposures, project.cameras), "exposures"
+        boresight = _boresight_sigma(project)
+        covariance = _covariance(images, exposures.parent) + np.diag(np.r_[boresight, 0, 0, 0] ** 2)
+        sigma = images.sigma.copy()
+        sigma[:, :3] = np.hypot(sigma[:, :3], boresight)
+        images = replace(images, sigma=sigma)
     else:
         count = len(names)
         nothing = np.full((count, 6), np.nan)
         images = Images(names, np.zeros(count, np.int64), nothing, np.full((count, 6), np.inf))
-        source = "nothing yet"
-    return Orientation(project.cameras, images, project.crs, project.height, source)
+        source, covariance = "nothing yet", np.full((count, 6, 6), np.nan)
+    return Orientation(project.cameras, images, project.crs, project.height, source, covariance)
 
 
-def _with_boresight(project: Project, images: Images) -> Images:
-    """Let angles of the body be as unsure, as angles of the camera, as the boresight is."""
+def _boresight_sigma(project: Project) -> Floats:
+    """How unsure the camera's attitude is beyond that of the body, radians, shape (3,)."""
     rig = project.contents.rig
     if rig is None or rig.boresight_sigma_deg == "free":
-        return images
-    sigma = images.sigma.copy()
-    sigma[:, :3] = np.hypot(sigma[:, :3], np.radians(np.broadcast_to(rig.boresight_sigma_deg, 3)))
-    return replace(images, sigma=sigma)
+        return np.zeros(3)
+    return np.asarray(np.radians(np.broadcast_to(rig.boresight_sigma_deg, 3)), dtype=np.float64)
+
+
+def _covariance(images: Images, folder: Path) -> Floats:
+    """Covariances of exterior orientations: whole where the folder has them, else the sigmas squared."""
+    variance = np.where(np.isfinite(images.sigma), images.sigma, np.nan) ** 2
+    covariance = variance[:, :, None] * np.eye(6)
+    table = folder / "covariance.parquet"
+    if not table.is_file():
+        return np.asarray(covariance)
+    row = {name: k for k, name in enumerate(images.names)}
+    for entry in _rows(table):
+        k = row.get(entry["id"]) if entry["kind"] == "image" else None
+        if k is None or sorted(entry["names"]) != sorted(_ORDER):
+            continue
+        lower = np.zeros((6, 6))
+        lower[np.tril_indices(6)] = entry["lower"]
+        whole = lower + np.tril(lower, -1).T
+        order = [entry["names"].index(name) for name in _ORDER]
+        covariance[k] = whole[np.ix_(order, order)] * np.outer(_UNITS, _UNITS)
+    return np.asarray(covariance)
+
+
+def _rows(path: Path) -> list[dict[str, Any]]:
+    """Read the rows of `covariance.parquet`; InputMalformedError when it is none."""
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    try:
+        rows: list[dict[str, Any]] = pyarrow.parquet.read_table(
+            path, columns=["kind", "id", "names", "lower"], filters=[("kind", "==", "image")]
+        ).to_pylist()
+    except (pa.ArrowException, OSError) as failure:
+        raise InputMalformedError(
+            f"is no table of covariances ({str(failure).splitlines()[0]})",
+            where=path,
+            remedy="make the folder again",
+        ) from failure
+    return rows

@@ -83,14 +83,13 @@ def predict(orientation: Orientation, xyz: Floats, sigma: Floats) -> Prediction:
     pixels = seen(poses, point, views)
     away = ~_before(views, point)
     pixels[away] = np.nan
-    covariance = np.zeros((count, 2, 2))
-    stated = orientation.images.sigma
+    slopes = np.empty((count, 2, 6))
     for k, step in enumerate(_STEPS):
         ahead, behind = poses.copy(), poses.copy()
         ahead[:, k] += step
         behind[:, k] -= step
-        slope = (seen(ahead, point, views) - seen(behind, point, views)) / (2 * step)
-        covariance += _spread(slope, np.where(np.isfinite(stated[:, k]), stated[:, k], np.nan))
+        slopes[:, :, k] = (seen(ahead, point, views) - seen(behind, point, views)) / (2 * step)
+    covariance = slopes @ orientation.covariance @ np.swapaxes(slopes, 1, 2)
     for k in range(3):
         step = 1e-2 * np.eye(3)[k]
         slope = (seen(poses, point + step, views) - seen(poses, point - step, views)) / 2e-2

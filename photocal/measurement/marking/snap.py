@@ -24,6 +24,8 @@ DICTIONARIES = ("apriltag_36h11", "4x4_1000", "5x5_1000", "6x6_1000")
 # The picture of the target must explain the grey values: noise in parts of the contrast.
 WORST_MISFIT = 0.15
 LEAST_CONTRAST = 12.0
+# Edges of a target are sharp, px or parts of its size; blots of soil and leaves are not.
+BLUNTEST_PX, BLUNTEST_PART = 1.4, 0.06
 # Targets are not flat and lenses not modelled to the last: what grey values cannot know, px.
 COMMON_PX = 0.02
 
@@ -92,7 +94,7 @@ def snap(
             if kind != "code"
             for start in starts
             for centre in [_FITS[kind](grey, start, size)]
-            if centre is not None and _good(centre, place, reach)
+            if centre is not None and _good(centre, place, reach) and _sharp(centre, size)
         ]
         better = min(found, key=lambda one: _variance(one[2]), default=None)
         if better is not None and (best is None or _variance(better[2]) < _variance(best[2])):
@@ -107,6 +109,11 @@ def snap(
     # A window around a click leans to one side: it is laid around the centre.
     again = _FITS[kind](grey, (centre.column, centre.row), size)
     return _snapped(kind, again if again is not None and _good(again, place, reach) else centre)
+
+
+def _sharp(centre: Centre, size: float) -> bool:
+    # The blur stands last among the parameters of all pictures.
+    return abs(float(centre.shape[-1])) <= max(BLUNTEST_PX, BLUNTEST_PART * size)
 
 
 def _variance(centre: Centre) -> float:
@@ -185,7 +192,7 @@ def _codes(
 ) -> Iterator[Centre]:
     """Find codes in the part of the image that a target of the largest size would cover."""
     height, width = grey.shape
-    far = reach + 2 * SIZES[-1]
+    far = reach + SIZES[-1]
     left, top = (max(math.floor(p - far), 0) for p in place)
     right, bottom = (min(math.ceil(p + far) + 1, n) for p, n in zip(place, (width, height), strict=True))
     if right - left < SIZES[0] or bottom - top < SIZES[0]:

@@ -1,0 +1,266 @@
+"""The page as a person uses it: Chromium, mouse and touch, reload, and a server that is killed.
+
+Waiting times are generous for busy machines; how fast the page is stands in the benchmark.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from photocal.measurement.marks import read_marks
+from tests.photocal.measurement.marking.conftest import IMAGES, POINTS, Survey
+
+PATIENCE_MS = 60_000
+expect.set_options(timeout=PATIENCE_MS)
+COMMAND = "from photocal.cli import main; main()"
+Serve = Callable[..., subprocess.Popen[str]]
+
+
+@pytest.fixture(scope="module")
+def mine(flown: Survey, tmp_path_factory: pytest.TempPathFactory) -> Survey:
+    folder = tmp_path_factory.mktemp("marking") / "field"
+    shutil.copytree(flown.folder, folder)
+    return Survey(folder, flown.site, flown.points)
+
+
+@pytest.fixture(scope="module")
+def port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture(scope="module")
+def serve(mine: Survey, port: int) -> Iterator[Serve]:
+    running: list[subprocess.Popen[str]] = []
+
+    def start() -> subprocess.Popen[str]:
+        arguments = ["mark", mine.file, "--address", f"127.0.0.1:{port}", "--cache", mine.folder / "cache"]
+        command = [sys.executable, "-c", COMMAND, *map(str, arguments)]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        running.append(process)
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith(f"open http://127.0.0.1:{port}/ ")
+        return process
+
+    yield start
+    for process in running:
+        process.kill()
+        process.communicate()
+
+
+def opened(page: Page, port: int) -> list[str]:
+    """Open the page; returns what goes wrong in it and what it asks of others."""
+    problems: list[str] = []
+    page.set_default_timeout(PATIENCE_MS)
+    page.on("pageerror", lambda error: problems.append(str(error)))
+    page.on(
+        "request",
+        lambda r: (
+            None if f"127.0.0.1:{port}/" in r.url or r.url.startswith("data:") else problems.append(r.url)
+        ),
+    )
+    page.goto(f"http://127.0.0.1:{port}/")
+    expect(page.locator("body")).to_have_attribute("data-ready", "true")
+    return problems
+
+
+def until(page: Page, condition: str) -> None:
+    """Wait for a condition; the page forbids the evaluation of texts, also that of Playwright's own wait."""
+    end = time.monotonic() + PATIENCE_MS / 1000
+    while not page.evaluate(condition):
+        assert time.monotonic() < end, condition
+        page.wait_for_timeout(30)
+
+
+def screen(page: Page, image: str, place: tuple[float, float]) -> tuple[float, float]:
+    """Where a view shows a place of its image."""
+    until(page, f"views.some((v) => v.image?.name === '{image}' && v.element.dataset.waiting === '0')")
+    left, top = page.evaluate(
+        """([image, x, y]) => {
+          const view = views.find((v) => v.image?.name === image);
+          const box = view.canvas.getBoundingClientRect();
+          const at = view.toScreen(x, y);
+          return [box.left + at[0], box.top + at[1]];
+        }""",
+        [image, *place],
+    )
+    return float(left), float(top)
+
+
+def choose(page: Page, point: str) -> None:
+    page.locator("#points li button", has=page.locator(f"span:text-is('{point}')")).click()
+    expect(page.locator("#point")).to_have_text(point)
+    until(page, f"state.ranked.length > 0 && views[0].point === '{point}'")
+
+
+def count(page: Page) -> int:
+    return int(page.evaluate("state.marks.size"))
+
+
+def saved(survey: Survey) -> dict[tuple[str, str], tuple[float, float]]:
+    return {(m.image, m.point): (m.x, m.y) for m in read_marks(survey.folder / "marks.csv")}
+
+
+def test_ten_points_in_five_images_from_clicks_to_residuals(
+    browser: Browser, serve: Serve, mine: Survey, port: int
+) -> None:
+    process = serve()
+    context = browser.new_context(viewport={"width": 1366, "height": 768})
+    page = context.new_page()
+    problems = opened(page, port)
+    page.keyboard.press("6")
+    rng = np.random.default_rng(7)
+    made = 0
+    for number in range(1, POINTS + 1):
+        point = f"P{number}"
+        choose(page, point)
+        for image in mine.site.names:
+            x, y = mine.truth(image, point)
+            beside = rng.uniform(-2.5, 2.5, 2)
+            page.mouse.click(*screen(page, image, (x + beside[0], y + beside[1])))
+            made += 1
+            until(page, f"state.marks.size === {made}")
+    marks = saved(mine)
+    assert len(marks) == POINTS * IMAGES
+    errors = np.array([np.subtract(place, mine.truth(*key)) for key, place in marks.items()])
+    assert np.hypot(*errors.T).max() < 0.1
+
+    # Predictions were from exposures with sigmas; all targets lay where they were expected.
+    page.click("#adjust")
+    expect(page.locator("body")).to_have_attribute("data-adjusted", "1")
+    expect(page.locator("#sigma0")).to_have_text(re.compile(r"σ0 \d\.\d\d"))
+    expect(page.locator("#images-source")).to_have_text("by adjusted marks")
+    assert page.evaluate("[...state.residuals.values()].every((r) => Math.hypot(r.vx, r.vy) < 0.2)")
+
+    # A mark that is moved loses its residual; the next adjustment points at it.
+    page.keyboard.press("s")
+    x, y = mine.truth("p3.png", "P4")
+    choose(page, "P4")
+    page.mouse.click(*screen(page, "p3.png", (x + 4, y)))
+    until(page, "Math.abs(state.marks.get('p3.png\\nP4').sx - 1) < 1e-9")
+    until(page, "!state.residuals.has('p3.png\\nP4')")
+    page.keyboard.press("a")
+    expect(page.locator("body")).to_have_attribute("data-adjusted", "2")
+    expect(page.locator("#residuals li").first).to_contain_text("P4 in p3.png")
+    page.keyboard.press("Control+z")
+    until(
+        page,
+        f"Math.hypot(state.marks.get('p3.png\\nP4').x - {x}, state.marks.get('p3.png\\nP4').y - {y}) < 0.1",
+    )
+    page.keyboard.press("s")
+
+    before = saved(mine)
+    page.reload()
+    expect(page.locator("body")).to_have_attribute("data-ready", "true")
+    assert count(page) == len(before)
+    expect(page.locator("#point")).to_have_text("P4")
+    process.kill()
+    process.wait()
+    assert saved(mine) == before
+    expect(page.locator("#banner")).to_contain_text("does not answer")
+    serve()
+    expect(page.locator("#banner")).to_be_hidden()
+    page.reload()
+    expect(page.locator("body")).to_have_attribute("data-ready", "true")
+    assert count(page) == len(before)
+    assert problems == []
+    context.close()
+
+
+@pytest.fixture
+def empty(mine: Survey, serve: Serve, port: int) -> None:
+    (mine.folder / "marks.csv").unlink(missing_ok=True)
+    with socket.socket() as probe:
+        if probe.connect_ex(("127.0.0.1", port)):
+            serve()
+
+
+@pytest.mark.usefixtures("empty")
+def test_keys_undo_redo_remove_and_move_marks(browser: Browser, mine: Survey, port: int) -> None:
+    context = browser.new_context(viewport={"width": 1366, "height": 768})
+    page = context.new_page()
+    problems = opened(page, port)
+    page.keyboard.press("1")
+    first = page.evaluate("state.ranked[0].name")
+    page.keyboard.press("ArrowDown")
+    expect(page.locator("#point")).to_have_text("P2")
+    page.keyboard.press("ArrowUp")
+    expect(page.locator("#point")).to_have_text("P1")
+    for step in (0, 1):
+        image = page.evaluate(f"state.ranked[{step}].name")
+        until(page, f"views[0].image.name === '{image}'")
+        place = mine.truth(image, "P1")
+        page.mouse.click(*screen(page, image, place))
+        until(page, f"state.marks.size === {step + 1}")
+        page.keyboard.press("ArrowRight")
+    assert len(saved(mine)) == 2
+    page.keyboard.press("Control+z")
+    until(page, "state.marks.size === 1")
+    assert list(saved(mine)) == [(first, "P1")]
+    page.keyboard.press("Control+z")
+    until(page, "state.marks.size === 0")
+    assert not (mine.folder / "marks.csv").exists()
+    expect(page.locator("#undo")).to_be_disabled()
+    page.keyboard.press("Control+Shift+z")
+    until(page, "state.marks.size === 1")
+    expect(page.locator(".view .name").first).to_have_text(first)
+    place = saved(mine)[first, "P1"]
+    page.keyboard.press("Shift+ArrowRight")
+    page.keyboard.press("Shift+ArrowUp")
+    until(page, f"Math.abs(state.marks.get('{first}\\nP1').y - {place[1] - 0.1}) < 1e-3")
+    assert np.allclose(saved(mine)[first, "P1"], (place[0] + 0.1, place[1] - 0.1), atol=1e-3)
+    page.keyboard.press("Delete")
+    until(page, "state.marks.size === 0")
+    page.keyboard.press("Control+z")
+    until(page, "state.marks.size === 1")
+    assert problems == []
+    context.close()
+
+
+@pytest.mark.usefixtures("empty")
+def test_a_long_press_marks_and_two_fingers_zoom(browser: Browser, mine: Survey, port: int) -> None:
+    context = browser.new_context(viewport={"width": 412, "height": 840}, has_touch=True, is_mobile=True)
+    page = context.new_page()
+    problems = opened(page, port)
+    image = page.evaluate("state.ranked[0].name")
+    touch = context.new_cdp_session(page)
+
+    def fingers(kind: str, *places: tuple[float, float]) -> None:
+        points = [{"x": x, "y": y, "id": k} for k, (x, y) in enumerate(places)]
+        touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    x, y = screen(page, image, mine.truth(image, "P1"))
+    fingers("touchStart", (x, y))
+    until(page, "state.marks.size === 1")
+    fingers("touchEnd")
+    assert np.hypot(*np.subtract(saved(mine)[image, "P1"], mine.truth(image, "P1"))) < 0.1
+
+    scale, x = page.evaluate("[views[0].scale, views[0].x]")
+    fingers("touchStart", (150, 500))
+    fingers("touchMove", (200, 500))
+    fingers("touchEnd")
+    until(page, f"Math.abs(views[0].x - {x - 50 / scale}) < 1")
+    fingers("touchStart", (180, 500), (230, 500))
+    for step in range(1, 6):
+        fingers("touchMove", (180 - 10 * step, 500), (230 + 10 * step, 500))
+    fingers("touchEnd")
+    until(page, f"Math.abs(views[0].scale / {scale} - 3) < 0.05")
+    assert count(page) == 1
+    # A short tap neither marks nor moves.
+    fingers("touchStart", (200, 500))
+    fingers("touchEnd")
+    page.wait_for_timeout(700)
+    assert count(page) == 1
+    assert problems == []
+    context.close()
