@@ -24,10 +24,11 @@ from photocal.measurement.image_file import list_images
 from photocal.measurement.marks import read_marks, with_marks
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.measure_ties import Sighted, TieBlock, sight, stated_footprints, tie_record
-from photocal.measurement.oriented_ties import Progress, orient_ties
+from photocal.measurement.oriented_ties import Progress, figures, orient_ties
 from photocal.measurement.pair_selection import Footprints, footprints
-from photocal.measurement.start_block import NO_OBSERVATIONS, POSITION_SIGMA_M
-from photocal.measurement.tie_adjustment import GROSS, Adjusted, pixel_residuals
+from photocal.measurement.start_block import NO_OBSERVATIONS, POSITION_SIGMA_M, without_images
+from photocal.measurement.tie_adjustment import GROSS, Adjusted, adjust_ties, pixel_residuals
+from photocal.measurement.tie_block import place, with_ties
 from photocal.measurement.views import local_poses
 from photocal.project import Project
 
@@ -91,21 +92,23 @@ def measure_project(
     block, unknown = with_marks(block, (*by_hand, *found))
     soft = _softened(block)
     oriented = orient_ties(soft, sighted.sources, sighted.tracks, sighted.pairs, plan.processes, progress)
-    suspects = suspected_marks(oriented.adjusted, control)
+    released = _released(oriented.adjusted, soft, block)
+    suspects = suspected_marks(released, control)
     record = {
         **tie_record(sighted, oriented),
         "kind": "project",
+        **figures(replace(oriented, adjusted=released)),
         "marks": {
             "by_hand": len(by_hand),
             "targets": len(found),
-            "used": _marked(oriented.adjusted, control),
+            "used": _marked(released, control),
         },
         "unknown_marks": [f"{mark.point} in {mark.image}" for mark in unknown],
         "unknown_targets": list(strangers),
         "suspected_marks": suspects,
         "warnings": warnings_of(unknown, strangers, suspects, oriented.left_out),
     }
-    return TieBlock(_restored(oriented.adjusted, block), record)
+    return TieBlock(_restored(oriented.adjusted, released, block), record)
 
 
 def _with_cameras(
@@ -209,19 +212,32 @@ def _softened(block: Block) -> Block:
     return replace(block, cameras=cameras, images=replace(block.images, sigma=sigma))
 
 
-def _restored(adjusted: Adjusted, block: Block) -> Block:
-    """The adjusted block with cameras and observed values as they were given."""
-    made = adjusted.block
-    place = {name: k for k, name in enumerate(block.images.names)}
-    rows = np.array([place[name] for name in made.images.names])
-    sigma = block.images.sigma[rows]
-    values = np.where(np.isfinite(sigma), block.images.values[rows], adjusted.values)
-    images = replace(made.images, values=values, sigma=sigma)
-    count = len(block.points.names)
-    # Surveyed coordinates stay as they were surveyed.
-    points = made.points.values.copy()
-    points[:count] = block.points.values
-    return replace(made, cameras=block.cameras, images=images, points=replace(made.points, values=points))
+def _released(held: Adjusted, soft: Block, block: Block) -> Adjusted:
+    """Adjust once more with all parameters that the project estimates.
+
+    Only now the residuals are those of the measurements: a principal point that is held wrongly would go
+    into the sigmas. The exterior orientation of it is not used, for c may drift with the heights.
+    """
+    gone = ~np.isin(soft.images.names, held.block.images.names)
+    given = {own.id: own for own in block.cameras}
+    start = without_images(soft, gone)
+    cameras = tuple(
+        replace(own, estimated=given[own.id].estimated, prior_sigma=given[own.id].prior_sigma)
+        for own in held.block.cameras
+    )
+    return adjust_ties(replace(start, cameras=cameras), held.values, held.tracks)
+
+
+def _restored(held: Adjusted, released: Adjusted, block: Block) -> Block:
+    """The measured block with cameras, surveyed coordinates and observed values as they were given."""
+    names = held.block.images.names
+    bare = without_images(block, ~np.isin(block.images.names, names))
+    poses = np.where(np.isfinite(bare.images.sigma), bare.images.values, held.values)
+    oriented = replace(held.block, images=replace(held.block.images, values=held.values))
+    values = place(oriented, released.tracks, 0.0)
+    sigma = released.block.observations.sigma[len(bare.observations.image) :, 0]
+    bare = replace(bare, images=replace(bare.images, values=poses))
+    return with_ties(bare, released.tracks, values, sigma)
 
 
 def _marked(adjusted: Adjusted, control: ObjectPoints) -> int:

@@ -68,9 +68,10 @@ folder = "images"
 [[camera]]
 id = "cam"
 model = "brown-ideal"
-unit = "px"
+unit = "mm"
 size_px = [480, 360]
-parameters = { c = 450.0 }
+pitch_mm = 0.01
+parameters = { c = 4.5 }
 estimate = ["c", "K1"]
 [control]
 points = "control.csv"
@@ -107,7 +108,7 @@ def test_a_project_becomes_a_block(
     assert record["unknown_marks"] == ["P1 in none.png"]
     assert any("code 77" in name for name in record["unknown_targets"])
     block = read_block(tmp_path / "block")
-    assert block.cameras[0].value("c") == 450.0
+    assert block.cameras[0].value("c") == 4.5
     seen = block.observations
     # Every plate is found where the truth puts it, as well as its own sigma says.
     misses, sigmas = [], []
@@ -125,7 +126,8 @@ def test_a_project_becomes_a_block(
     solution = adjust(assembly.network)
     # Sigmas of tie points are not taken below 0.02 px, which they reach here.
     assert solution.variance_factor < 1.25
-    assert np.sqrt(np.mean(solution.residuals**2)) < 0.02
+    assert np.sqrt(np.mean(solution.residuals**2)) < 0.02 * 0.01
+    assert record["rms_px"] == pytest.approx(np.sqrt(np.mean(solution.residuals**2)) / 0.01, rel=0.2)
     assert record["suspected_marks"] == []
     centres = assembly.frame.to_given(solution.exposures[:, 3:])
     order = [int(name[1]) - 1 for name in block.images.names]
