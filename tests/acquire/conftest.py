@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import io
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
 
+from acquire.cli import main
 from acquire.simulate.flight import telemetry_log
 from drivers.mavlink.dialect import ardupilotmega
 
@@ -17,11 +21,25 @@ Acquire = Callable[..., subprocess.CompletedProcess[str]]
 
 @pytest.fixture(scope="session")
 def acquire() -> Acquire:
-    """Run `acquire` with arguments, as a person does."""
+    """Run `acquire` with arguments, as a person does, in this process: that is quicker than one of its own.
+
+    Tests that kill or stop it, or look at what it imports, start processes of their own.
+    """
 
     def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "acquire.cli", *map(str, arguments)]
-        return subprocess.run(command, capture_output=True, text=True, check=False)
+        out, err, code = io.StringIO(), io.StringIO(), 0
+        handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+        given, sys.argv = sys.argv, ["acquire", *map(str, arguments)]
+        try:
+            with redirect_stdout(out), redirect_stderr(err):
+                main()
+        except SystemExit as end:
+            code = end.code if isinstance(end.code, int) else int(end.code is not None)
+        finally:
+            sys.argv = given
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
+        return subprocess.CompletedProcess(sys.argv, code, out.getvalue(), err.getvalue())
 
     return run
 
