@@ -242,7 +242,8 @@ def _direct(block: Block, note: str, calibration: Calibration | None) -> Georefe
         _direct_residuals(block, found),
         found.chi_squared,
         found.degrees_of_freedom,
-        global_test(found.chi_squared, found.degrees_of_freedom),
+        # The points of an image share its errors: their sum of squares is not chi-squared.
+        None,
         None,
     )
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+from scipy import stats
+
 from photocal.accuracy.findings import Finding
 from photocal.accuracy.georeferencing.comparison import BlockCheck, Judged
 from photocal.accuracy.georeferencing.faults import fault_findings
@@ -14,6 +16,9 @@ from photocal.accuracy.ground_points import name_list
 
 # Errors this many times as large as predicted, or as small, are worth a word.
 _RATIO = 1.5
+# Without ground points all points of a flight share the errors of its rig and of few images: at worst they
+# err as one point, and their root of the mean d' C^-1 d / 3 as that of one (0.1 %).
+_RATIO_DIRECT = math.sqrt(float(stats.chi2(3).ppf(0.999)) / 3.0)
 
 
 def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
@@ -100,7 +105,7 @@ def _judged(judged: Judged) -> list[Finding]:
             )
         )
     ratio = judged.check.ratio
-    if ratio > _RATIO:
+    if ratio > (_RATIO_DIRECT if method == "direct" else _RATIO):
         said.append(
             Finding(
                 "prediction-too-good",
