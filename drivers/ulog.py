@@ -33,6 +33,8 @@ _MEMBER = re.compile(r"([A-Za-z_]\w*)(?:\[(\d+)\])? ([A-Za-z_]\w*)")
 _TEXTS = {TEXT: 9, ord("C"): 11}
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 _LONGEST_TEXT = 512
+# Within so many bytes the name of a format ends.
+_NAME_BYTES = 80
 _LONGEST_FORMAT, _LONGEST_ARRAY, _DEEPEST = 4096, 4096, 8
 _YEAR_US = 366 * 86_400 * 10**6
 _PUBLISHED = ("vehicle_gps_position", "sensor_gps")
@@ -190,7 +192,7 @@ class UlogFramer(RecordFramer):
         if kind == SUBSCRIBED:
             at, length = body + 3, size - 3
         elif kind == FORMAT:
-            at, length = body, min(size, 32) if size <= _LONGEST_FORMAT else 0
+            at, length = body, min(size, _NAME_BYTES) if size <= _LONGEST_FORMAT else 0
         elif kind in _KEYED:
             at = body + _KEYED[kind] + 1
             if len(data) < at:
@@ -207,7 +209,8 @@ class UlogFramer(RecordFramer):
         words = data[at : at + length]
         if len(words) < length:
             return WAIT
-        return int(all(0x20 <= c < 0x7F for c in words))
+        needed = b":" if kind == FORMAT else b" " if kind in _KEYED else b""
+        return int(needed in words and all(0x20 <= c < 0x7F for c in words))
 
     def _next(self, data: bytes, at: int) -> int:
         found = _PLACES.search(data, at)
