@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +24,7 @@ from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.exchange.micmac import read_micmac
 from photocal.geometry.camera import PARAMETERS
-from photocal.measurement.image_file import list_images, read_grey
+from photocal.measurement.image_file import as_eight_bit, list_images, read_grey
 from photocal.measurement.markers import find_markers
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.measure_ties import sight, stated_footprints
@@ -40,7 +40,7 @@ DICTIONARIES = ("apriltag_36h11", "apriltag_25h9", "4x4_50", "6x6_250", "aruco_m
 
 
 @contextmanager
-def quiet(_: str, __: float | None) -> Iterator[object]:
+def quiet(_: str, __: float | None) -> Iterator[Callable[[float], None]]:
     """Show no progress."""
     yield lambda _: None
 
@@ -119,7 +119,7 @@ def false_targets(shared: Path) -> list[str]:
     for _ in range(PATCHES):
         picture = pictures[rng.integers(len(pictures))]
         row, column = (int(rng.integers(side - SIDE)) for side in picture.shape)
-        piece = np.ascontiguousarray(picture[row : row + SIDE, column : column + SIDE])
+        piece = as_eight_bit(picture)[row : row + SIDE, column : column + SIDE].copy()
         for name in DICTIONARIES:
             found[name] += len(find_markers(piece, name))
     lines = [f"| dictionary | false targets in {PATCHES} pieces of {SIDE} x {SIDE} px |", "|---|---|"]
