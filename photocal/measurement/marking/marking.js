@@ -175,7 +175,7 @@ function describe(view, mark, residual) {
   if (!residual) return { text: `${place}  ${byHand ? sigma : `centre ${sigma}`}`, level: byHand ? "warn" : "good" };
   const size = Math.hypot(residual.vx, residual.vy).toFixed(2);
   const tested = residual.in_sigmas === null ? "nothing checks it" : `${residual.in_sigmas.toFixed(1)} \u03c3`;
-  return { text: `${place}  ${sigma}  residual ${size} px, ${tested}`, level: residual.level };
+  return { text: `residual ${size} px, ${tested}; ${place} ${sigma}`, level: residual.level };
 }
 
 const isByHand = (mark) => mark.sx === state.project.by_hand_px && mark.sy === state.project.by_hand_px;
@@ -325,7 +325,8 @@ function adjust() {
     $("left-out").textContent = answer.left_out.join("; ");
     const found = answer.residuals.length;
     const suspects = [...state.residuals.values()].filter((r) => r.level !== "good").length;
-    say(`${found} marks adjusted, ${suspects || "none"} of them suspect`);
+    say(suspects ? `${found} marks adjusted, ${suspects} suspect: mend the first of the list, then adjust again`
+      : `${found} marks adjusted, none suspect`);
     const here = state.ranked[state.at]?.name;
     const ranked = await ask(`/images?point=${encodeURIComponent(state.point)}`);
     state.ranked = ranked.images;

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -150,6 +151,8 @@ def write_marks(path: Path, marks: Iterable[Mark]) -> None:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(COLUMNS)
         writer.writerows(rows)
+        stream.flush()
+        os.fsync(stream.fileno())
 
 
 def _fingerprint(path: Path) -> tuple[int, int] | None:

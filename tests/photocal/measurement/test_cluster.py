@@ -20,6 +20,7 @@ from photocal.measurement.image_file import read_grey
 from photocal.measurement.match_images import MatchingPlan, detect_all, match_all
 from photocal.measurement.tracks import Tracks
 from photocal.measurement.workers import Workers, run_tasks
+from tests.photocal.conftest import Answer
 from tests.photocal.measurement.site import SIDE, flight, texture
 
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
@@ -126,3 +127,24 @@ def test_the_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib, "import_module", without)
     with pytest.raises(ProgramMissingError, match=r"install photocal\[cluster\]"):
         list(run_tasks(len, ["a"], Cluster("tcp://127.0.0.1:1")))
+
+
+def test_the_command_says_what_is_wrong_with_a_cluster(
+    photocal: Callable[..., Answer], pictures: tuple[Path, ...], tmp_path: Path
+) -> None:
+    folder = pictures[0].parent
+    told = photocal("measure", "--images", folder, "-o", tmp_path / "b", "--cluster", "nonsense://here")
+    assert (told.code, "nonsense://here: no scheduler answers there" in told.err) == (10, True)
+    told = photocal(
+        "measure",
+        "--images",
+        folder,
+        "-o",
+        tmp_path / "b",
+        "--cluster",
+        "tcp://127.0.0.1:1",
+        "--workers",
+        "2",
+    )
+    assert (told.code, "--workers and --cluster are both given" in told.err) == (5, True)
+    assert not (tmp_path / "b").exists()

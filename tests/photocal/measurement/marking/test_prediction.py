@@ -26,17 +26,12 @@ def known(survey: Survey) -> Orientation:
 
 def true_marks(survey: Survey, noise: float = 0.0) -> list[Mark]:
     rng = np.random.default_rng(2)
-    return [
-        Mark(
-            image,
-            f"P{k + 1}",
-            *(np.array(survey.truth(image, f"P{k + 1}")) + rng.normal(0, noise, 2)),
-            (0.1, 0.1),
-            "",
-        )
-        for image in survey.site.names
-        for k in range(POINTS)
-    ]
+    marks = []
+    for image in survey.site.names:
+        for k in range(POINTS):
+            x, y = np.array(survey.truth(image, f"P{k + 1}")) + rng.normal(0, noise, 2)
+            marks.append(Mark(image, f"P{k + 1}", float(x), float(y), (0.1, 0.1), ""))
+    return marks
 
 
 def test_ellipses_hold_the_spread_of_simulated_errors(flown: Survey) -> None:
