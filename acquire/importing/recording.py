@@ -151,10 +151,11 @@ def identify(source: Source, dialect: Dialect) -> Format:
         head += piece
         if len(head) >= _HEAD_BYTES:
             break
+    del head[_HEAD_BYTES:]
     best, most = None, 0
     for form in FORMATS:
         framer = form.framer(dialect)
-        batches = [framer.feed(bytes(head[:_HEAD_BYTES]))]
+        batches = [framer.feed(bytes(head))]
         if len(head) < _HEAD_BYTES:
             batches.append(framer.close())
         held = sum(int(batch.length.sum()) for batch in batches)
