@@ -9,12 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.channels.boot_time import BootTime, boot_time
-from acquire.channels.dataflash import DataflashDecoder
 from acquire.channels.decoded import Decoder
-from acquire.channels.event_list import EventListClock, EventListDecoder
-from acquire.channels.receiver import ReceiverDecoder
-from acquire.channels.receiver_time import ReceiverClock
-from acquire.channels.ulog import UlogDecoder
 from acquire.channels.vehicle import VehicleDecoder
 from acquire.importing.log_time import Clock, derived, since_boot, stamped
 from acquire.importing.recording import (
@@ -25,13 +20,11 @@ from acquire.importing.recording import (
     Format,
     Source,
 )
-from drivers.dataflash import DataflashFormats
 from drivers.errors import InputMalformedError
 from drivers.frames import Batch
 from drivers.gnsstime import expiry_warning
 from drivers.logged import Definitions
 from drivers.mavlink.dialect import Dialect
-from drivers.ulog import UlogFormats
 
 HOST_TIME = "host stamps of the recording"
 
@@ -81,17 +74,33 @@ def way_of(source: Source, form: Format, link: str, dialect: Dialect, near_ns: i
     InputMalformedError
         When nothing in an autopilot's log tells UTC.
     """
+    # Each format brings its own modules: an import of a small log takes little longer than theirs.
     if form is TELEMETRY_LOG:
         # Host stamps are UTC already; what a receiver tells in GPS time needs the leap seconds.
         return Way(VehicleDecoder(link, dialect), stamped, lambda: HOST_TIME, lambda _: "")
     if form is DATAFLASH_LOG:
+        from acquire.channels.dataflash import DataflashDecoder
+        from drivers.dataflash import DataflashFormats
+
         boot = _boot(source, form, dialect, DataflashFormats())
         return _logged(DataflashDecoder(link, boot), boot, DataflashFormats(), expiry_warning)
     if form is PX4_LOG:
+        from acquire.channels.ulog import UlogDecoder
+        from drivers.ulog import UlogFormats
+
         boot = _boot(source, form, dialect, UlogFormats())
         return _logged(UlogDecoder(link, boot), boot, UlogFormats(), lambda _: "")
-    clock: Clock = EventListClock() if form is EVENT_LIST else ReceiverClock(near_ns)
-    decoder = EventListDecoder(link) if form is EVENT_LIST else ReceiverDecoder(link)
+    if form is EVENT_LIST:
+        from acquire.channels.event_list import EventListClock, EventListDecoder
+
+        return _self_timed(EventListDecoder(link), EventListClock(), source, near_ns)
+    from acquire.channels.receiver import ReceiverDecoder
+    from acquire.channels.receiver_time import ReceiverClock
+
+    return _self_timed(ReceiverDecoder(link), ReceiverClock(near_ns), source, near_ns)
+
+
+def _self_timed(decoder: Decoder, clock: Clock, source: Source, near_ns: int) -> Way:
     return Way(
         decoder, lambda batches: derived(batches, clock, source.path), lambda: _derivation(clock, near_ns)
     )
