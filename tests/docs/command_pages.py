@@ -33,7 +33,7 @@ MORE = {
     "photocal check": ("georeferencing-check", "guide/processing"),
     "photocal export": ("exchange",),
     "photocal exposures": ("exposures", "guide/hardware"),
-    "photocal mark": ("guide/processing",),
+    "photocal mark": ("marking", "guide/processing"),
     "photocal measure": ("block-folder", "guide/processing"),
     "photocal plan": ("guide/planning",),
     "photocal ppk": ("guide/processing",),
