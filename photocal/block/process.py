@@ -31,13 +31,14 @@ def adjust_block(
     snooping: Test | None = None,
     report: Report | None = None,
     wanted: Wanted = NOTHING_MORE,
+    read: Callable[[Path], Block] = read_block,
 ) -> dict[str, Any]:
     """Read a block, adjust it, write the results.
 
     Parameters
     ----------
     source : Path
-        Block folder, or a set-up file of another program that `exchange` reads.
+        Block folder, or what `read` takes.
     output : Path
         Run folder; made or renewed when everything has succeeded.
     snooping : {"w", "tau"}, optional
@@ -46,6 +47,8 @@ def adjust_block(
         Called after each iteration.
     wanted : Wanted
         What is asked for beside the tables that every run has.
+    read : callable
+        Reader of the source; `exchange.any_block.read_any_block` takes set-up files of other programs too.
 
     Returns
     -------
@@ -58,7 +61,7 @@ def adjust_block(
         For bad input, an ill-posed network, or an output that cannot be written.
     """
     began = time.perf_counter()
-    block = read_any_block(source)
+    block = read(source)
     assembly = assemble(block)
     timing = {"read": time.perf_counter() - began}
     assembly, solution = adjusted(assembly, snooping, report)
@@ -87,30 +90,6 @@ def _origin(source: Path, block: Block, output: Path) -> dict[str, str]:
         root = source.parents[len(Path(setup).parts) - 1]
     # Together they may move to another place; the run folder alone need not.
     return {"source": Path(os.path.relpath(root.resolve(), output.resolve())).as_posix(), "setup": setup}
-
-
-def read_any_block(source: Path) -> Block:
-    """Read a block folder, or the set-up file of another program.
-
-    Parameters
-    ----------
-    source : Path
-
-    Returns
-    -------
-    Block
-
-    Raises
-    ------
-    PhotocalError
-        For what cannot be read.
-    """
-    if not source.is_file():
-        return read_block(source)
-    # Readers of other programs' formats are many; a block folder needs none of them.
-    from photocal.exchange.foreign import read_foreign_block
-
-    return read_foreign_block(source)
 
 
 def adjusted(

@@ -50,6 +50,7 @@ def adjust(
     """
     from photocal.block.more_tables import Wanted, parse_joint
     from photocal.block.process import adjust_block
+    from photocal.exchange.any_block import read_any_block
 
     if snoop not in ("", "w", "tau"):
         raise ConfigurationError(f"--snoop {snoop} is not known", remedy="use w or tau")
@@ -58,7 +59,7 @@ def adjust(
         raise ConfigurationError(f"--ellipses {ellipses:g} is no probability", remedy="give 0.95 for 95 %")
     wanted = Wanted(ellipses, reliability, components, parse_joint(joint))
     with iteration_lines("adjusting") as report:
-        result = adjust_block(block, output, test, report, wanted)
+        result = adjust_block(block, output, test, report, wanted, read_any_block)
     answer(as_json, lambda: result, lambda: _text(result, output))
 
 

@@ -172,7 +172,7 @@ def _block(
     from photocal.accuracy.georeferencing.as_text import to_text
     from photocal.accuracy.georeferencing.comparison import check_block
     from photocal.accuracy.georeferencing.methods import METHODS
-    from photocal.block.process import read_any_block
+    from photocal.exchange.any_block import read_any_block
     from photocal.run.georeferencing import own_calibration
 
     read = read_any_block(source)
@@ -218,7 +218,7 @@ def _experiment(path: Path, output: Path | None, *, as_json: bool) -> None:
     from photocal.accuracy.georeferencing.experiment import run_experiment
     from photocal.accuracy.georeferencing.experiment_file import read_experiment
     from photocal.accuracy.georeferencing.experiment_output import to_json, to_text, write_experiment
-    from photocal.block.process import read_any_block
+    from photocal.exchange.any_block import read_any_block
 
     asked = read_experiment(path, read_any_block, _interiors)
     with progress("running", None) as advance:

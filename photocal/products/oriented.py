@@ -13,8 +13,8 @@ from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.block.folder import IMAGE_COLUMNS, IMAGE_SIGMAS
 from photocal.block.model import Block
 from photocal.block.network import block_frame
-from photocal.block.process import read_any_block
 from photocal.block.table import read_table
+from photocal.exchange.any_block import read_any_block
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.frames import Frame, nearest_rotation
 from photocal.geometry.rotation import matrix_from_angles

@@ -14,7 +14,7 @@ from photocal.analysis.hidden.left_out import Checks
 from photocal.analysis.outcome import Outcome, analyse_network
 from photocal.block.model import Block
 from photocal.block.network import Assembly
-from photocal.block.process import read_any_block
+from photocal.exchange.any_block import read_any_block
 from photocal.report.analysis_record import analysis_record, as_plain
 from photocal.report.as_adjusted import as_adjusted
 from photocal.report.block_files import block_of_run, digest

@@ -9,6 +9,7 @@ from typing import Any
 
 from photocal.block.more_tables import Wanted
 from photocal.block.process import adjust_block
+from photocal.exchange.any_block import read_any_block
 from photocal.report.analysis_file import analyse_run
 from photocal.report.block_files import CARRIED, Source, carry
 from photocal.report.catalogue import catalogue
@@ -51,7 +52,7 @@ def repeated(
         carry(result.inputs, source, aside)
         copied = Source(aside / CARRIED, result.block.setup)
         wanted = Wanted(components=bool(result.variance_components))
-        adjust_block(copied.path, aside / "run", result.snooping, wanted=wanted)
+        adjust_block(copied.path, aside / "run", result.snooping, wanted=wanted, read=read_any_block)
         done()
         analysis = certified.get("analysis")
         if analysis is not None:

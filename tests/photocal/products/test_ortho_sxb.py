@@ -11,6 +11,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from photocal.block.process import adjust_block
+from photocal.exchange.any_block import read_any_block
 from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.frames import Frame
 from photocal.products.displacement import image_points, terrain_points
@@ -30,7 +31,7 @@ SIDE = 100
 @pytest.mark.shared
 def test_the_orthophoto_has_the_check_points_in_their_places(shared: Path, tmp_path: Path) -> None:
     source = shared / "data" / "dbat-sxb"
-    adjust_block(source / "script" / "sxb.xml", tmp_path / "run")
+    adjust_block(source / "script" / "sxb.xml", tmp_path / "run", read=read_any_block)
     block, frame, shots = oriented(source / "script" / "sxb.xml", tmp_path / "run")
     terrain = grid_of_points(read_terrain_points(tmp_path / "run" / "points.csv"), 2.0, "", "local").terrain
     observations = block.observations
