@@ -65,7 +65,7 @@ def against_truth(truth: Path, work: Path) -> tuple[Row, ...]:
     check = json.loads((work / "georeferencing" / "check.json").read_text(encoding="utf-8"))
     rows = [*_camera(true, result), *_mounting(true, result)]
     if (truth / "exposures.csv").is_file() and (work / "ppk").is_dir():
-        rows += _positions(truth, work, true["rig"]["time_offset_s"])
+        rows += _positions(truth, work)
     return (*rows, *_check_points(check))
 
 
@@ -87,15 +87,13 @@ def _mounting(true: dict[str, Any], result: dict[str, Any]) -> Iterator[Row]:
             yield Row(name.replace("_", " "), unit, value, mounting[name]["value"], mounting[name]["sigma"])
 
 
-def _positions(truth: Path, work: Path, offset_s: float) -> Iterator[Row]:
-    """Antenna positions by PPK: root mean square of their errors against 3 cm."""
+def _positions(truth: Path, work: Path) -> Iterator[Row]:
+    """Antenna positions at the events by PPK: root mean square of their errors against 3 cm."""
     true = {row["image"]: row for row in _rows(truth / "exposures.csv")}
     squares: dict[str, list[float]] = {axis: [] for axis in "XYZ"}
     for row in _rows(work / "block" / "positions.csv"):
         for axis, key in zip("XYZ", ("antenna_E", "antenna_N", "antenna_h"), strict=True):
-            # The truth is that of the exposure, the positions are those of its event.
-            at_exposure = float(row[axis]) + float(row[f"v{axis}"]) * offset_s
-            squares[axis].append((at_exposure - float(true[row["image"]][key])) ** 2)
+            squares[axis].append((float(row[axis]) - float(true[row["image"]][key])) ** 2)
     for axis, word in zip("XYZ", ("east", "north", "height"), strict=True):
         rms = math.sqrt(sum(squares[axis]) / len(squares[axis]))
         yield Row(f"antenna positions, rms {word}", "m", 0.0, rms, 0.03, 1.0)
