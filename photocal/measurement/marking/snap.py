@@ -87,7 +87,9 @@ def snap(
     best: tuple[Kind, float, Centre] | None = None
     in_vain = 0
     for size in SIZES:
-        starts = (place, symmetric_place(grey, place, reach, size / 2))
+        middle = symmetric_place(grey, place, reach, size / 2)
+        # Of small targets there may be several within reach: the one that was clicked counts, too.
+        starts = (place, middle) if size <= 2 * reach else (middle,)
         found = [
             (kind, size, centre)
             for kind in kinds
