@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from acquire import __version__
+from acquire.channels.link import LinkLog, Tally
 from acquire.importing.recording import Format, Source, identify, open_recording
 from acquire.importing.timing import way_of
-from acquire.log.link import LinkLog, Tally
 from acquire.log.writer import LogWriter
 from acquire.outputs import output_file
 from drivers.errors import ConfigurationError

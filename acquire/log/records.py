@@ -29,6 +29,9 @@ MESSAGE_ROW = np.dtype(
 )
 INDEX_ROW = np.dtype([("log_ns", "<u8"), ("offset", "<u8")])
 
+# Encoding of the bytes of a link that belong to no frame.
+DAMAGE_ENCODING = "octets"
+
 
 @dataclass(frozen=True)
 class Schema:

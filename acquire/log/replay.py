@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from acquire.log.link import DAMAGE_ENCODING
 from acquire.log.reader import LogReader, Messages
+from acquire.log.records import DAMAGE_ENCODING
 from acquire.transports.sinks import Sink
 from drivers.errors import ConfigurationError, InputMalformedError
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.log.clock_offset import ClockOffset
-from acquire.log.link import DAMAGE_ENCODING
 from acquire.log.reader import LogReader, Messages
+from acquire.log.records import DAMAGE_ENCODING
 from drivers.frames import Batch, Wire
 from drivers.identify import batch_of_payloads
 from drivers.mavlink.decode import decode, sequences, sources

@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 
 from acquire.channels.decoded import SECOND_NS
-from acquire.log.link import DAMAGE_ENCODING
 from acquire.log.reader import Messages
+from acquire.log.records import DAMAGE_ENCODING
 from acquire.log.summary import GAP_S
 from acquire.monitor.state import Link
 from drivers.frames import Wire

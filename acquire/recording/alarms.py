@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from acquire.channels.decoded import TIME, JsonLayout, Times, words
-from acquire.log.link import MessageWriter
+from acquire.channels.link import MessageWriter
 from acquire.log.records import Channel
 
 LEAST_JUMP_S = 0.5

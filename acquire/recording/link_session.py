@@ -7,9 +7,9 @@ import contextlib
 import numpy as np
 
 from acquire.channels.decoded import Decoder
+from acquire.channels.link import LinkLog, MessageWriter
 from acquire.channels.receiver import ReceiverDecoder
 from acquire.channels.vehicle import VehicleDecoder
-from acquire.log.link import LinkLog, MessageWriter
 from acquire.log.records import Channel
 from acquire.recording.alarms import Alarm
 from acquire.recording.caster_position import CasterPosition

@@ -13,7 +13,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 
 from acquire import __version__
-from acquire.log.link import Tally
+from acquire.channels.link import Tally
 from acquire.log.writer import LogWriter
 from acquire.recording.alarms import Alarm, ClockWatch, SilenceWatch, write_alarms
 from acquire.recording.configuration import Configuration

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.channels.decoded import Decoder
-from acquire.log.records import Channel
+from acquire.log.records import DAMAGE_ENCODING, Channel
 from drivers.frames import Batch, Wire
 
-DAMAGE_ENCODING = "octets"
 LISTED_RUNS = 200
 
 
