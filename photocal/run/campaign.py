@@ -15,6 +15,7 @@ from drivers.errors import ConfigurationError, DeviceError, PhotocalError, Progr
 from photocal.project import read_project
 from photocal.run.stage import Made, Progress
 from photocal.run.summary import summary
+from photocal.run.warnings import gather
 from photocal.run.workflow import run_project
 
 
@@ -89,7 +90,13 @@ def run_one(
         what = "kept" if made.kept else f"{made.seconds:.1f} s"
         sys.stderr.write(f"{project.name}: {made.name}: {what}\n")
 
-    made = run_project(project, day, progress, until, again, told)
+    try:
+        made = run_project(project, day, progress, until, again, told)
+    except PhotocalError:
+        # What an earlier stage found doubtful is often why this one cannot go on.
+        for one in gather(project.output):
+            sys.stderr.write(f"{project.name}: warning: {one.code}: {one.text}\n")
+        raise
     return summary(project.name, project.output, made)
 
 

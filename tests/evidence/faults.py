@@ -16,7 +16,9 @@ from pathlib import Path
 from acquire.importing.importer import import_recordings
 from acquire.simulate.world.configuration import read_configuration
 from acquire.simulate.world.site import simulate_flight
+from drivers.errors import PhotocalError
 from photocal.run.campaign import run_one
+from photocal.run.warnings import gather
 
 ROOT = Path(__file__).parents[2]
 FLIGHT = ROOT / "configs" / "demo" / "simulated" / "flight.toml"
@@ -45,8 +47,11 @@ def warnings_of(fault: str, folder: Path) -> list[dict[str, str]]:
         for link, name in (("vehicle", "vehicle.tlog"), ("rover", "rover.ubx"), ("base", "base.ubx"))
     ]
     import_recordings(streams, [], site / "flight.mcap", lambda _: None)
-    figures = run_one(site / "project.toml", dt.date(2025, 6, 16), "georeferencing", None)
-    return [one for one in figures["warnings"] if one["kind"] == "warning"]
+    try:
+        run_one(site / "project.toml", dt.date(2025, 6, 16), "georeferencing", None)
+    except PhotocalError as refusal:
+        sys.stderr.write(f"{refusal}\n")
+    return [one.as_json() for one in gather(site / "work") if not one.note]
 
 
 def main() -> None:

@@ -15,7 +15,7 @@ def _written(folder: Path, c: float) -> None:
     (folder / "truth" / "truth.json").write_text(json.dumps(truth), encoding="utf-8")
     held = {"value": 0.0, "sigma": 0.0, "estimated": False}
     names = [f"{what}_{axis}" for what in ("lever_arm", "boresight") for axis in "xyz"]
-    mounting = {name: held for name in names} | {
+    mounting = dict.fromkeys(names, held) | {
         "time_offset": {"value": 0.003, "sigma": 0.001, "estimated": True}
     }
     parameters = {"c": {"value": c, "sigma": 0.01, "estimated": True}, "x0": held}
