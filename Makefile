@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 
-.PHONY: help setup demo demo-dcs460 test check bench evidence lock clean
+.PHONY: help setup demo demo-dcs460 test check bench evidence manual lock clean
 
 help:
 	@echo "make demo    simulate a flight, record it, process it, compare with the truth"
@@ -13,6 +13,7 @@ help:
 	@echo "make check   ruff and mypy --strict"
 	@echo "make bench   measure speed"
 	@echo "make evidence  the long statistical studies, into docs/evidence"
+	@echo "make manual  renew the command pages and the figure of the architecture"
 	@echo "make setup   only install (.venv, locked packages, compiled kernels)"
 	@echo "make lock    renew requirements.lock from pyproject.toml"
 
@@ -48,6 +49,9 @@ bench: $(READY)
 
 evidence: $(READY)
 	for study in tests/evidence/*.py; do $(BIN)/python -m tests.evidence.$$(basename $$study .py) || exit 1; done
+
+manual: $(READY)
+	$(BIN)/python -m tests.docs
 
 lock:
 	$(PYTHON) -m venv --clear .lock-venv

@@ -1,4 +1,4 @@
-"""`python -m tests.docs`: the pages of the commands and the figure of the architecture, written anew."""
+"""`make manual`: the pages of the commands and the figure of the architecture, written anew."""
 
 from __future__ import annotations
 

@@ -104,7 +104,7 @@ def _index(every: tuple[Command, ...]) -> str:
     lines = [
         "# Commands",
         "",
-        "Made from the programs by `python -m tests.docs`. Every command takes `--help`.",
+        "Made from the programs by `make manual`. Every command takes `--help`.",
     ]
     for program, app in (("acquire", acquire_app), ("photocal", photocal_app)):
         lines += ["", f"## {program}", "", _paragraphs(app.info.help or "")[0], ""]

@@ -68,7 +68,7 @@ def test_rules_of_the_page() -> None:
 
 
 def test_figure_is_that_of_the_sources() -> None:
-    assert FIGURE.read_text(encoding="utf-8") == figure(), "run `python -m tests.docs`"
+    assert FIGURE.read_text(encoding="utf-8") == figure(), "run `make manual`"
 
 
 def test_arrows_cross_no_box() -> None:

@@ -23,12 +23,12 @@ WANTED = pages()
 
 
 def test_command_pages_are_those_of_the_programs() -> None:
-    assert {path.name for path in FOLDER.glob("*.md")} == set(WANTED), "run `python -m tests.docs`"
+    assert {path.name for path in FOLDER.glob("*.md")} == set(WANTED), "run `make manual`"
 
 
 @pytest.mark.parametrize("name", sorted(WANTED))
 def test_command_page_says_what_the_program_says(name: str) -> None:
-    assert (FOLDER / name).read_text(encoding="utf-8") == WANTED[name], "run `python -m tests.docs`"
+    assert (FOLDER / name).read_text(encoding="utf-8") == WANTED[name], "run `make manual`"
 
 
 def test_every_command_says_what_it_does_and_shows_an_example() -> None:
