@@ -14,7 +14,7 @@ CONFIGS = Path(__file__).resolve().parents[2] / "configs" / "demo"
 app = application("Demonstrations: a simulated flight with known truth, a camera of a published study.")
 
 
-@app.callback(invoke_without_command=True)
+@app.callback(invoke_without_command=True, no_args_is_help=False)
 def flight(
     context: typer.Context,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
