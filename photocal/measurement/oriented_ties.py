@@ -27,8 +27,9 @@ Integers = NDArray[np.int64]
 # A title and an amount of work give a context in which the work done is told.
 Progress = Callable[[str, float | None], AbstractContextManager[Callable[[float], None]]]
 
-# Points wanted in each cell of an image, and cells along its longer side.
-CELLS, IN_A_CELL = 20, 6
+# Cells along the longer side of an image, tracks in each that are matched precisely, and points that are
+# adjusted: more of them cost time, and what they have in common is no noise that many points take away.
+CELLS, MATCHED_IN_A_CELL, IN_A_CELL = 20, 8, 3
 # An image with fewer tie points is not oriented by them.
 FEWEST_TIES = 12
 # Images with fewer points of three and more rays also take those of two.
@@ -96,7 +97,7 @@ def orient_ties(
     left_out += more
     first = adjust_ties(start, poses, _strong(tracks, sizes))
     views = _views(first)
-    tracks, points = _placed(views, tracks)
+    tracks, points = _placed(views, thin(tracks, sizes, CELLS, MATCHED_IN_A_CELL))
     partners = _partners(pairs, kept, len(names))
     chosen = [sources[k] for k in kept]
     with progress("matching tie points precisely", 2 * len(kept)) as done:
