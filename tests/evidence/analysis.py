@@ -74,7 +74,7 @@ def injected() -> list[str]:
 
 
 def _stretched(made: Simulated) -> Array:
-    return made.exact * np.array([1.0, 1.0 / 0.9990])
+    return np.asarray(made.exact * np.array([1.0, 1.0 / 0.9990]))
 
 
 def _sheared(made: Simulated) -> Array:

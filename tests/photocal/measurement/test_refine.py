@@ -46,7 +46,10 @@ def test_matches_stand_where_an_affinity_puts_them() -> None:
     move = np.array([-30.4, 61.7])
     second = cv2.warpAffine(first, np.column_stack([turn, move]), (900, 900), flags=cv2.INTER_CUBIC)
     noisy = [image + rng.normal(0, 2.0, image.shape) for image in (first, 0.7 * second + 20)]
-    smooth = [np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.8)) for image in noisy]
+    smooth = [
+        np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.8), dtype=np.float32)
+        for image in noisy
+    ]
     middle = rng.integers(250, 650, (300, 2))
     patches = np.array([smooth[0][r - 11 : r + 12, c - 11 : c + 12] for c, r in middle])
     truth = middle @ turn.T + move
@@ -68,7 +71,7 @@ def test_nothing_is_found_where_there_is_nothing() -> None:
     flat = np.full((100, 100), 90, np.float32)
     edge = flat.copy()
     edge[:, 50:] = 160
-    smooth = np.asarray(cv2.GaussianBlur(edge, (0, 0), 0.8))
+    smooth = np.asarray(cv2.GaussianBlur(edge, (0, 0), 0.8), dtype=np.float32)
     patches = np.array([image[39:62, 39:62] for image in (flat, smooth)])
     place = np.full((2, 2), 50.0)
     found, likeness, _ = _match(patches, smooth, place, np.broadcast_to(np.eye(2), (2, 2, 2)).copy())
