@@ -16,7 +16,7 @@ from drivers.errors import PhotocalError
 SAME_FLIGHT_S = 60.0
 # What one step reads at most, so that a long log shows its beginning at once.
 _MOST_CHUNKS = 20
-_NAME = re.compile(r"flight-(\d{8}T\d{6}Z)(?:-(\d+))?\.mcap")
+_NAME = re.compile(r"flight-(\d{8}T\d{6}Z)(?:_(\d+))?\.mcap")
 
 
 class Tail:
