@@ -110,13 +110,11 @@ def prepare(network: Network) -> Problem:
     point_column[where.kept_points] = where.point_columns[:, 0] - where.envelope.band
     # Threads only wait for each other in small networks.
     threads = min(numba.get_num_threads(), 1 + len(rays.image) // RAYS_PER_THREAD)
-    order = _along_flight(where, rays.image, ray_start)
-    passed = np.concatenate([[0], np.cumsum(np.diff(ray_start)[order])])
-    pieces = np.searchsorted(passed, np.linspace(0, len(rays.image), threads + 1))
+    shares = np.linspace(0, len(rays.image), threads + 1)
+    pieces = np.searchsorted(ray_start, shares)
     pieces[0], pieces[-1] = 0, len(points.values)
     arrays = Design(
         pieces=pieces,
-        point_order=order,
         ray_start=ray_start,
         ray_image=rays.image,
         plane=rays.plane,
@@ -156,16 +154,6 @@ def prepare(network: Network) -> Problem:
     held[where.own_columns[where.own_columns >= 0]] = False
     held[where.point_columns[points.held[where.kept_points]]] = True
     return Problem(network, where, design, structure, held, np.zeros(0, dtype=np.int64))
-
-
-def _along_flight(
-    where: Layout, ray_image: NDArray[np.int64], ray_start: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """Points by the first column, in the reduced system, that their rays touch."""
-    first = np.full(len(ray_start) - 1, where.size)
-    point = np.repeat(np.arange(len(first)), np.diff(ray_start))
-    np.minimum.at(first, point, where.image_columns[ray_image, 0])
-    return np.argsort(first, kind="stable")
 
 
 def values_of(problem: Problem, state: State) -> Values:

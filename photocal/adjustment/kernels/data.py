@@ -26,9 +26,7 @@ class Design(NamedTuple):
     Attributes
     ----------
     pieces : ndarray of int, shape (threads + 1,)
-        Where each thread's piece of `point_order` begins.
-    point_order : ndarray of int, shape (points,)
-        The points along the flight: neighbours touch the same part of the reduced matrix.
+        First point of each thread's piece.
     ray_start : ndarray of int, shape (points + 1,)
         First ray of each point.
     ray_image : ndarray of int, shape (rays,)
@@ -58,7 +56,6 @@ class Design(NamedTuple):
     """
 
     pieces: Integers
-    point_order: Integers
     ray_start: Integers
     ray_image: Integers
     plane: Floats

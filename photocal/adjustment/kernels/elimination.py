@@ -207,8 +207,7 @@ def accumulate_piece(
 ) -> float:
     """Normal equations of one thread's points; returns their v'Pv, infinite for a point behind a camera."""
     total = 0.0
-    for nth in range(design.pieces[piece], design.pieces[piece + 1]):
-        j = design.point_order[nth]
+    for j in range(design.pieces[piece], design.pieces[piece + 1]):
         total += own_block(design, values, j, block, side)
         for a in range(3):
             for s in range(structure.lens):

@@ -18,8 +18,7 @@ Floats = NDArray[np.float64]
 def most_rays(design: Design, piece: int) -> int:
     """Largest number of rays of a point among one thread's points, at least 1."""
     most = 1
-    for nth in range(design.pieces[piece], design.pieces[piece + 1]):
-        j = design.point_order[nth]
+    for j in range(design.pieces[piece], design.pieces[piece + 1]):
         most = max(most, design.ray_start[j + 1] - design.ray_start[j])
     return most
 
@@ -81,8 +80,7 @@ def statistics_piece(
     cov: Floats,
 ) -> None:
     """Statistics of one thread's points, see `statistics`."""
-    for nth in range(design.pieces[piece], design.pieces[piece + 1]):
-        j = design.point_order[nth]
+    for j in range(design.pieces[piece], design.pieces[piece + 1]):
         begin, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
         edge = columns(design) * n
         m = gather(design, structure, j, inverse, local)
