@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import InputMalformedError, InputNotFoundError
+from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.block.model import ROLES, Block, InputFile, ObjectPoints, Observations
 from photocal.block.table import read_table
 from photocal.exchange.json_source import read_json
@@ -255,6 +255,14 @@ def orientations_alone(names: Sequence[str], poses: Floats) -> Reconstruction:
 
 
 def _camera(name: str, keys: dict[str, Any]) -> Camera:
+    # Runs of older versions do not have these keys; their cameras did not vary.
+    varied, focus_m = keys.get("photo_variant") or (), keys.get("focus_m")
+    if varied or focus_m:
+        what = f"{', '.join(varied)} from image to image" if varied else "distortion with the distance"
+        raise ConfigurationError(
+            f"camera {name} varies its {what}: other programs' formats hold one lens for all",
+            remedy="adjust with a lens that does not vary, then export that run",
+        )
     parameters = {key: float(keys["parameters"][key]["value"]) for key in PARAMETERS}
     return camera(
         name,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import InputMalformedError, InputNotFoundError
+from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.block.folder import IMAGE_COLUMNS, IMAGE_SIGMAS
 from photocal.block.model import Block
 from photocal.block.network import block_frame
@@ -48,6 +48,13 @@ def oriented(folder: Path, run: Path | None) -> tuple[Block, Frame, Shots]:
     """
     block = read_any_block(folder)
     frame = block_frame(block)
+    for own in block.cameras:
+        if (own.deviation_sigma > 0).any():
+            raise ConfigurationError(
+                f"camera {own.id} has parameters that vary from image to image",
+                where=folder,
+                remedy="adjust with a lens that does not vary; products take one lens for all images",
+            )
     cameras, values = block.cameras, block.images.values
     if run is not None:
         cameras = _adjusted_cameras(block, run / "result.json")

@@ -74,6 +74,11 @@ def camera_facts(camera_id: str, camera: CameraResult, say: Catalogue) -> KeyVal
                 f"{significant(camera.reference_radius, 6, say.mark)} {camera.unit}",
             )
         )
+    if camera.focus_m:
+        distance = f"{significant(camera.focus_m, 4, say.mark)} m"
+        rows.append((say("camera.focus"), say("camera.focus_value", distance=distance)))
+    if camera.photo_variant:
+        rows.append((say("camera.photo_variant"), ", ".join(camera.photo_variant)))
     rows.append((say("camera.axes"), say("camera.axes_value")))
     return KeyValues(tuple(rows))
 

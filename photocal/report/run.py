@@ -103,6 +103,8 @@ class CameraResult:
     reference_radius: float = 0.0
     affinity: str = "additive"
     affinity_form: str = "fraser"
+    focus_m: float | None = None
+    photo_variant: tuple[str, ...] = ()
 
     def value(self, name: str) -> float:
         """Value of a parameter; 0 for one that the model does not have."""

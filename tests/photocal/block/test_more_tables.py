@@ -17,6 +17,8 @@ from drivers.errors import ConfigurationError
 from photocal.block.camera_setup import CameraKeys, make_camera
 from photocal.block.more_tables import Wanted, parse_joint
 from photocal.block.process import adjust_block
+from photocal.exchange.reconstruction import read_run
+from photocal.products.oriented import oriented
 
 DEMO = Path(__file__).resolve().parents[3] / "configs" / "demo" / "dcs460"
 
@@ -97,6 +99,11 @@ def test_photo_variant_principal_points_lower_the_residuals_as_published(tmp_pat
         image["rays"] * (image["rms_x"] ** 2 + image["rms_y"] ** 2) for image in result["images"]["rms"]
     )
     assert 1000 * math.sqrt(squares / (2 * rays)) == pytest.approx(1.1, abs=0.05)
+    # A format with one lens for all images would lose them without a word.
+    with pytest.raises(ConfigurationError, match="x0, y0 from image to image"):
+        read_run(tmp_path / "run")
+    with pytest.raises(ConfigurationError, match="vary from image to image"):
+        oriented(block, tmp_path / "run")
     table = rows(tmp_path / "run" / "photo_variant.csv")
     assert [row["parameter"] for row in table] == ["x0", "y0"] * images
 
