@@ -5,6 +5,7 @@ Waiting times are generous for busy machines; how fast the page is stands in doc
 
 from __future__ import annotations
 
+import contextlib
 import re
 import subprocess
 import time
@@ -235,9 +236,11 @@ def listeners(pid: int) -> list[tuple[str, int]]:
     """Return address and port of the listening sockets of a process (proc(5))."""
     inodes = set()
     for entry in Path(f"/proc/{pid}/fd").iterdir():
-        target = str(entry.readlink())
-        if target.startswith("socket:["):
-            inodes.add(target[8:-1])
+        # A file that was open a moment ago may be closed by now.
+        with contextlib.suppress(FileNotFoundError):
+            target = str(entry.readlink())
+            if target.startswith("socket:["):
+                inodes.add(target[8:-1])
     found = []
     for table in ("tcp", "tcp6"):
         for line in Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]:

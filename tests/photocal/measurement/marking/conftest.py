@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from playwright.sync_api import Browser, sync_playwright
 
 from photocal.geometry.camera import camera
 from tests.photocal.measurement.site import SIDE, Site, plate_place, texture, with_plate
@@ -131,17 +128,3 @@ def survey(flown: Survey, tmp_path: Path) -> Survey:
     folder = tmp_path / "field"
     shutil.copytree(flown.folder, folder)
     return Survey(folder, flown.site, flown.points)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    path = shutil.which("chromium") or shutil.which("chromium-browser")
-    if path is None:
-        reason = "Chromium is not installed (Debian: apt-get install chromium)"
-        if os.environ.get("CI") == "true":
-            pytest.fail(reason)
-        pytest.skip(reason)
-    with sync_playwright() as playwright:
-        running = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
-        yield running
-        running.close()
