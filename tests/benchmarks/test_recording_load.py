@@ -146,6 +146,8 @@ def recorder(senders: Senders, folder: Path) -> Iterator[subprocess.Popen[str]]:
         process.kill()
 
 
+# The recording may be as long as asked for.
+@pytest.mark.timeout(SECONDS + 240)
 @pytest.mark.parametrize("speed", [1, 50])
 def test_five_links(speed: int, tmp_path: Path, benchmark: Any, capsys: pytest.CaptureFixture[str]) -> None:
     senders = Senders(speed)
