@@ -6,11 +6,14 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
+from numba import typeof
 from numpy.typing import NDArray
 from PIL import Image
 
 from photocal.geometry.camera import camera
 from photocal.geometry.rotation import matrix_from_angles
+from photocal.measurement.compile import compile_kernels
 from photocal.measurement.patch_kernel import match_patches
 from photocal.measurement.refine import Source, refine
 from photocal.measurement.tracks import Tracks, of_images, without_twins
@@ -131,6 +134,25 @@ def test_tracks_become_precise_and_find_their_other_images(tmp_path: Path) -> No
     miss = misses(views, precise, intersected(views, precise))
     before = misses(views, rough, intersected(views, rough))
     assert np.sqrt(np.mean(miss**2)) < 0.06 < 0.2 < np.sqrt(np.mean(before**2))
+
+
+def test_setup_compiles_what_the_matching_calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A kernel compiled for other types would be compiled again in the first measurement."""
+    calls: list[list[str]] = []
+
+    def told(*arguments: object) -> None:
+        calls.append([str(typeof(one)) for one in arguments])  # type: ignore[no-untyped-call]
+
+    for module in ("compile", "patch_kernel"):
+        monkeypatch.setattr(f"photocal.measurement.{module}.match_patches", told)
+    compile_kernels()
+    views = _views(np.array([[-4.0, 0, 40], [4.0, 0, 40]]), np.zeros(2))
+    exact = views.project(np.array([0, 1]), np.zeros((2, 3)))
+    tracks = Tracks(np.zeros(2, np.int64), np.array([0, 1]), exact, np.ones(2))
+    partners = [np.array([1]), np.array([0])]
+    refine(_pictures(views, tmp_path), views, tracks, np.zeros((1, 3)), partners, 1, lambda _: None)
+    assert len(calls) == 2
+    assert calls[0] == calls[1]
 
 
 def test_twins_and_images() -> None:
