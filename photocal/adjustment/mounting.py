@@ -1,8 +1,10 @@
 """GNSS antenna and inertial unit beside the camera: positions and attitudes as observations.
 
-The antenna of image i is observed at  X0 + M' B l - v dt + s + d t,  with l the lever arm from the
-projection centre to the antenna in body axes, B the rotation from body to camera axes, v the velocity
-and dt the time by which exposures happen later than their stamps, s and d shift and drift of the strip.
+The antenna of image i is observed at  X0 + M' B l - v dt + f + g h z + s + d t,  with l the lever arm from
+the projection centre to the antenna in body axes, B the rotation from body to camera axes, v the velocity
+and dt the time by which exposures happen later than their stamps, f the shift of the whole flight, g the
+scale of the heights h above the base station (what the troposphere leaves), s and d shift and drift of the
+strip.
 The attitude R (object to body axes) obeys  M = exp([r]x) B R  with r the residual in camera axes.
 """
 
@@ -22,10 +24,13 @@ Integers = NDArray[np.int64]
 # Camera axes (x right, y up in the image, z backwards) of a camera that looks down, the upper edge of its
 # image forward, in terms of body axes (forward, right, down).
 NADIR = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+_UP = np.array([0.0, 0.0, 1.0])
 
-# What is common to all exposures: 3 lever arm (m), 3 boresight (rad), 1 time offset (s), then 3 shift (m)
-# and 3 drift (m/s) of each strip.
-LEVER, BORESIGHT, TIME, STRIPS = slice(0, 3), slice(3, 6), 6, 7
+# What is common to all exposures: 3 lever arm (m), 3 boresight (rad), 1 time offset (s), 3 shift (m) and 1
+# scale of the heights (m/m) of the flight, then 3 shift (m) and 3 drift (m/s) of each strip.
+LEVER, BORESIGHT, TIME, SHIFT, HEIGHT_SCALE, STRIPS = slice(0, 3), slice(3, 6), 6, slice(7, 10), 10, 11
+# What belongs to the flight, not to the rig.
+OF_FLIGHT = slice(SHIFT.start, STRIPS)
 COMMON = (
     "lever_arm_x",
     "lever_arm_y",
@@ -34,6 +39,10 @@ COMMON = (
     "boresight_y",
     "boresight_z",
     "time_offset",
+    "shift_x",
+    "shift_y",
+    "shift_z",
+    "height_scale",
 )
 
 
@@ -45,9 +54,10 @@ class Mounting:
     ----------
     rotation : ndarray, shape (3, 3)
         Nominal rotation from body to camera axes.
-    values, sigma : ndarray, shape (7 + 6 strips,)
-        Lever arm, boresight (a rotation vector in camera axes), time offset, shift and drift of each
-        strip. A sigma of 0 holds a value, a positive one weights it, infinity leaves it free.
+    values, sigma : ndarray, shape (11 + 6 strips,)
+        Lever arm, boresight (a rotation vector in camera axes), time offset, shift and height scale of the
+        flight, shift and drift of each strip. A sigma of 0 holds a value, a positive one weights it,
+        infinity leaves it free.
     """
 
     rotation: Floats
@@ -70,6 +80,8 @@ class Positions:
     strip : ndarray of int, shape (n,)
     time : ndarray, shape (n,)
         Seconds since the middle of the strip, for the drift.
+    above : ndarray, shape (n,)
+        Height above the base station, m, for the height scale.
     """
 
     image: Integers
@@ -78,6 +90,7 @@ class Positions:
     velocity: Floats
     strip: Integers
     time: Floats
+    above: Floats
 
 
 @dataclass(frozen=True)
@@ -100,7 +113,10 @@ class Attitudes:
 
 NO_MOUNTING = Mounting(NADIR, np.zeros(STRIPS), np.zeros(STRIPS))
 _NONE = np.zeros(0, dtype=np.int64)
-NO_POSITIONS = Positions(_NONE, np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), _NONE, np.zeros(0))
+_NOTHING = np.zeros(0)
+NO_POSITIONS = Positions(
+    _NONE, np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), _NONE, _NOTHING, _NOTHING
+)
 NO_ATTITUDES = Attitudes(_NONE, np.zeros((0, 3, 3)), np.zeros((0, 3, 3)))
 
 
@@ -130,7 +146,7 @@ def position_equations(
     rotation, centre, basis : ndarray, shape (images, 3, 3), (images, 3), (images, 3, 3)
         Current exposures and the turns of their rotation unknowns.
     image_columns : ndarray of int, shape (images, 6)
-    common_columns : ndarray of int, shape (7 + 6 strips,)
+    common_columns : ndarray of int, shape (11 + 6 strips,)
         Columns of the unknowns; -1 for those of held common values.
 
     Returns
@@ -146,7 +162,10 @@ def position_equations(
     shift = np.array([values[at + k] for k in range(3)]).T if n else np.zeros((0, 3))
     drift = np.array([values[at + 3 + k] for k in range(3)]).T if n else np.zeros((0, 3))
     computed = centre[image] + to_object @ arm - positions.velocity * values[TIME] + shift
-    computed = computed + drift * positions.time[:, None]
+    computed = computed + drift * positions.time[:, None] + values[SHIFT]
+    # Heights are those along the Z axis: the frame of a block is level in its middle.
+    raised = positions.above[:, None] * _UP
+    computed = computed + raised * values[HEIGHT_SCALE]
     eye = np.broadcast_to(np.eye(3), (n, 3, 3))
     turned_arm = to_object @ _skew(arm)
     parts = [
@@ -155,6 +174,8 @@ def position_equations(
         (np.tile(common_columns[LEVER], (n, 1)), to_object @ matrix),
         (np.tile(common_columns[BORESIGHT], (n, 1)), -turned_arm @ _left_jacobian(values[BORESIGHT])),
         (np.tile(common_columns[TIME : TIME + 1], (n, 1)), -positions.velocity[:, :, None]),
+        (np.tile(common_columns[SHIFT], (n, 1)), eye),
+        (np.tile(common_columns[HEIGHT_SCALE : HEIGHT_SCALE + 1], (n, 1)), raised[:, :, None]),
         (common_columns[at[:, None] + np.arange(3)], eye),
         (common_columns[at[:, None] + np.arange(3, 6)], eye * positions.time[:, None, None]),
     ]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from photocal.adjustment.mounting import BORESIGHT, COMMON, STRIPS, TIME
+from photocal.adjustment.mounting import BORESIGHT, COMMON, HEIGHT_SCALE, STRIPS, TIME
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import Problem
 from photocal.geometry.camera import PARAMETERS
@@ -86,7 +86,8 @@ def common_unknowns(network: Network) -> list[Unknown]:
     for k in range(len(network.mounting.values)):
         if k < STRIPS:
             angle = BORESIGHT.start <= k < BORESIGHT.stop
-            unit, scale = ("deg", np.degrees(1.0)) if angle else ("s" if k == TIME else "m", 1.0)
+            unit = {TIME: "s", HEIGHT_SCALE: ""}.get(k, "deg" if angle else "m")
+            scale = np.degrees(1.0) if angle else 1.0
             found.append(Unknown("mounting", "", COMMON[k], unit, scale))
             continue
         strip, place = divmod(k - STRIPS, 6)

@@ -72,7 +72,9 @@ def read_block(folder: Path) -> Block:
     relations = _read_relations(folder, points.names)
     tables = ["block.toml", "images.csv", "points.csv", table.name, *(_present(folder))]
     tables += [MARKS, READINGS] if readings is not None else []
-    positions = read_positions(folder / "positions.csv", images.names)
+    positions = read_positions(
+        folder / "positions.csv", images.names, setup.mounting.height_scale_from_m or 0.0
+    )
     attitudes = read_attitudes(folder / "attitudes.csv", images.names)
     strips = int(positions.strip.max()) + 1 if len(positions.strip) else 0
     datum = setup.block.datum

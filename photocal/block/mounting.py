@@ -9,9 +9,14 @@ from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
 from photocal.adjustment.mounting import (
+    BORESIGHT,
+    HEIGHT_SCALE,
+    LEVER,
     NO_ATTITUDES,
     NO_POSITIONS,
+    SHIFT,
     STRIPS,
+    TIME,
     Attitudes,
     Mounting,
     Positions,
@@ -37,7 +42,7 @@ BODY_AXES = {
 }
 
 
-def read_positions(path: Path, images: tuple[str, ...]) -> Positions:
+def read_positions(path: Path, images: tuple[str, ...], from_m: float) -> Positions:
     """Read `positions.csv`: antenna positions in the block's frame.
 
     Parameters
@@ -46,6 +51,8 @@ def read_positions(path: Path, images: tuple[str, ...]) -> Positions:
         Columns image, X, Y, Z, sX, sY, sZ (m) and optionally the covariances sXY, sXZ, sYZ (m^2), the
         velocity vX, vY, vZ (m/s), the strip's name and the time in the strip (s).
     images : tuple of str
+    from_m : float
+        Z from which heights count for the height scale.
 
     Returns
     -------
@@ -63,7 +70,8 @@ def read_positions(path: Path, images: tuple[str, ...]) -> Positions:
     velocity = np.column_stack([table.numbers(column, empty=0.0) for column in ("vX", "vY", "vZ")])
     strip = table.names("strip")[0] if table.has("strip") else np.zeros(len(table), dtype=np.int64)
     values = np.column_stack([table.numbers(column) for column in "XYZ"])
-    return Positions(image, values, covariance, velocity, strip, table.numbers("time_s", empty=0.0))
+    time = table.numbers("time_s", empty=0.0)
+    return Positions(image, values, covariance, velocity, strip, time, values[:, 2] - from_m)
 
 
 def read_attitudes(path: Path, images: tuple[str, ...]) -> Attitudes:
@@ -105,8 +113,14 @@ def make_mounting(keys: MountingKeys, strips: int) -> Mounting:
     Raises
     ------
     ConfigurationError
-        When the camera axes are not right-handed.
+        When the camera axes are not right-handed, or heights are scaled from nowhere.
     """
+    if keys.height_scale_sigma and keys.height_scale_from_m is None:
+        raise ConfigurationError(
+            "height_scale_sigma needs height_scale_from_m",
+            where="block.toml, [mounting]",
+            remedy="give the height of the base station's antenna",
+        )
     rotation = np.array([BODY_AXES[axis] for axis in keys.camera_axes])
     if not np.isclose(np.linalg.det(rotation), 1.0):
         raise ConfigurationError(
@@ -115,10 +129,13 @@ def make_mounting(keys: MountingKeys, strips: int) -> Mounting:
             remedy="give the body directions of x (right), y (up in the image) and z (backwards)",
         )
     values, sigma = np.zeros(STRIPS + 6 * strips), np.zeros(STRIPS + 6 * strips)
-    values[:STRIPS] = [*keys.lever_arm_m, *np.radians(keys.boresight_deg), keys.time_offset_s]
-    sigma[:3] = _sigma(keys.lever_arm_sigma_m)
-    sigma[3:6] = np.radians(_sigma(keys.boresight_sigma_deg))
-    sigma[6] = _sigma(keys.time_offset_sigma_s)[0]
+    values[LEVER], values[BORESIGHT] = keys.lever_arm_m, np.radians(keys.boresight_deg)
+    values[TIME] = keys.time_offset_s
+    sigma[LEVER] = _sigma(keys.lever_arm_sigma_m)
+    sigma[BORESIGHT] = np.radians(_sigma(keys.boresight_sigma_deg))
+    sigma[TIME] = _sigma(keys.time_offset_sigma_s)[0]
+    sigma[SHIFT] = _sigma(keys.flight_shift_sigma_m)
+    sigma[HEIGHT_SCALE] = keys.height_scale_sigma
     for strip in range(strips):
         at = STRIPS + 6 * strip
         sigma[at : at + 3] = _sigma(keys.strip_shift_sigma_m)

@@ -45,6 +45,9 @@ class MountingKeys(Table):
     boresight_sigma_deg: Sigma = 0.0
     time_offset_s: FiniteFloat = 0.0
     time_offset_sigma_s: Sigma = 0.0
+    flight_shift_sigma_m: Sigma = 0.0
+    height_scale_sigma: NonNegative = 0.0
+    height_scale_from_m: FiniteFloat | None = None
     strip_shift_sigma_m: Sigma = 0.0
     strip_drift_sigma_m_s: Sigma = 0.0
     camera_axes: tuple[BodyAxis, BodyAxis, BodyAxis] = ("right", "forward", "up")

@@ -33,7 +33,7 @@ from photocal.accuracy.georeferencing.differences import differences
 from photocal.accuracy.georeferencing.methods import METHODS, Method, of_method
 from photocal.accuracy.georeferencing.mounted import with_attitude_angles
 from photocal.adjustment.adjust import adjust
-from photocal.adjustment.mounting import COMMON, STRIPS
+from photocal.adjustment.mounting import COMMON, OF_FLIGHT, STRIPS
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.block.network import assemble
@@ -86,6 +86,7 @@ def loop(seed: int) -> Loop:
                 *truth["rig"]["camera_to_antenna_m"],
                 *np.radians(truth["rig"]["boresight_deg"]),
                 truth["rig"]["time_offset_s"],
+                *[0.0] * (STRIPS - OF_FLIGHT.start),
             ]
         )
         own = np.sqrt(np.diag(solution.common_covariance))[:STRIPS]
@@ -100,7 +101,7 @@ def loop(seed: int) -> Loop:
             for axis in range(3):
                 found[f"points {'XYZ'[axis]}"].append(float((xyz[k, axis] - true[axis]) / spread[k, axis]))
         distances: dict[Method, dict[str, float]] = {}
-        carried = calibrate(first)
+        carried = calibrate(first).on_flight(second.mounting)
         for method in METHODS:
             block = second if method == "direct" else first
             check = differences(block, of_method(block, method, calibration=carried), "check")

@@ -27,8 +27,8 @@ from tests.photocal.networks import Scene
 Floats = NDArray[np.float64]
 
 BLOCKS = 200
-MOUNTING = np.array([0.3, -0.1, -0.4, 0.01, -0.02, 0.015, 0.02, *[0.0] * 6])
-SIGMA = np.array([np.inf] * 7 + [0.0] * 6)
+MOUNTING = np.array([0.3, -0.1, -0.4, 0.01, -0.02, 0.015, 0.02, *[0.0] * 10])
+SIGMA = np.array([np.inf] * 7 + [0.0] * 10)
 CASES: tuple[tuple[str, Model, dict[str, float]], ...] = (
     ("brown-ideal", "brown-ideal", {}),
     ("brown-observed", "brown-observed", {}),

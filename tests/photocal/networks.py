@@ -213,8 +213,9 @@ def navigated(
     ----------
     network, scene : Network, Scene
     rng : Generator
-    mounting : ndarray, shape (7 + 6 strips,)
-        True lever arm, boresight, time offset, shift and drift of each strip.
+    mounting : ndarray, shape (11 + 6 strips,)
+        True lever arm, boresight, time offset, shift and height scale of the flight, shift and drift of
+        each strip.
     mounting_sigma : ndarray of the same shape
         0 holds the true value, infinity leaves it free and starts at 0.
     strips : int
@@ -228,9 +229,11 @@ def navigated(
     velocity = rng.uniform(-15, 15, (count, 3))
     camera_of_body = Rotation.from_rotvec(mounting[3:6]).as_matrix() @ NADIR
     matrix = matrix_from_angles(scene.exposures[:, :3])
-    at = 7 + 6 * strip[:, None] + np.arange(3)
+    at = 11 + 6 * strip[:, None] + np.arange(3)
     place = scene.exposures[:, 3:] + np.swapaxes(matrix, 1, 2) @ camera_of_body @ mounting[:3]
     place = place - velocity * mounting[6] + mounting[at] + mounting[at + 3] * time[:, None]
+    above = place[:, 2] - 0.5
+    place = place + mounting[7:10] + above[:, None] * [0.0, 0.0, mounting[10]]
     root = np.array([[0.02, 0, 0], [0.005, 0.015, 0], [-0.01, 0.005, 0.03]])
     place = place + rng.normal(size=(count, 3)) @ root.T
     covariance = np.broadcast_to(root @ root.T, (count, 3, 3)).copy()
@@ -243,7 +246,7 @@ def navigated(
     start[weighted] += (rng.normal(size=len(mounting)) * mounting_sigma)[weighted]
     return replace(
         network,
-        positions=Positions(image, place, covariance, velocity, strip, time),
+        positions=Positions(image, place, covariance, velocity, strip, time, above),
         attitudes=Attitudes(
             seen, body[seen], np.broadcast_to(np.diag(turn_sigma**2), (len(seen), 3, 3)).copy()
         ),

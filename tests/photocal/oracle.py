@@ -213,17 +213,18 @@ def _relations(network: Network, values: dict[str, Numbers]) -> list[Any]:
 
 
 def _navigation(network: Network, values: dict[str, Numbers], matrices: Numbers) -> list[Any]:
-    """Antenna X0 + M'Bl - v dt + s + d t; attitude M = exp([r]x) B R with r in camera axes."""
+    """Antenna X0 + M'Bl - v dt + f + g h z + s + d t; attitude M = exp([r]x) B R with r in camera axes."""
     out: list[Any] = []
     common = values["common"][0]
     camera_of_body = exponential(common[3:6]) @ network.mounting.rotation
     p = network.positions
-    for i, place, q, velocity, strip, time in zip(
-        p.image, p.values, p.covariance, p.velocity, p.strip, p.time, strict=True
+    for i, place, q, velocity, strip, time, above in zip(
+        p.image, p.values, p.covariance, p.velocity, p.strip, p.time, p.above, strict=True
     ):
-        own = common[7 + 6 * strip : 13 + 6 * strip]
+        own = common[11 + 6 * strip : 17 + 6 * strip]
         antenna = values["exposure"][i, 3:] + matrices[i].T @ camera_of_body @ common[:3]
         antenna = antenna - velocity * common[6] + own[:3] + own[3:] * time
+        antenna = antenna + common[7:10] + above * np.array([0.0, 0.0, 1.0]) * common[10]
         out += list(np.linalg.cholesky(np.linalg.inv(q)).T @ (antenna - place))
     a = network.attitudes
     for i, body, q in zip(a.image, a.rotation, a.covariance, strict=True):

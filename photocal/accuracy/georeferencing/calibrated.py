@@ -16,7 +16,7 @@ from drivers.errors import ConfigurationError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.covariance import blocks
 from photocal.adjustment.envelope import factorise, selected_inverse
-from photocal.adjustment.mounting import STRIPS
+from photocal.adjustment.mounting import OF_FLIGHT, STRIPS, Mounting
 from photocal.adjustment.normal import normal_equations, prepare
 from photocal.block.model import Block
 from photocal.block.network import assemble
@@ -33,15 +33,35 @@ class Calibration:
     ----------
     cameras : ndarray, shape (n, parameters)
         In the order of the block's cameras.
-    mounting : ndarray, shape (7,)
-        Lever arm (m), boresight (rad), time offset (s).
-    covariance : ndarray, shape (7 + n parameters, 7 + n parameters)
+    mounting : ndarray, shape (11,)
+        Lever arm (m), boresight (rad), time offset (s); shift (m) and height scale of its flight.
+    covariance : ndarray, shape (11 + n parameters, 11 + n parameters)
         Of the mounting, then of the cameras; zero for what was held.
     """
 
     cameras: Floats
     mounting: Floats
     covariance: Floats
+
+    def on_flight(self, mounting: Mounting) -> Calibration:
+        """Give the calibration for another flight, whose positions have errors of their own.
+
+        Parameters
+        ----------
+        mounting : Mounting
+            Of that flight: what it states of its shift and height scale takes the place of those found.
+
+        Returns
+        -------
+        Calibration
+        """
+        values, covariance = self.mounting.copy(), self.covariance.copy()
+        values[OF_FLIGHT] = mounting.values[OF_FLIGHT]
+        covariance[OF_FLIGHT], covariance[:, OF_FLIGHT] = 0.0, 0.0
+        stated = mounting.sigma[OF_FLIGHT]
+        at = np.arange(len(covariance))[OF_FLIGHT]
+        covariance[at, at] = np.where(np.isfinite(stated), stated, 0.0) ** 2
+        return Calibration(self.cameras, values, covariance)
 
 
 def calibrate(block: Block) -> Calibration:
@@ -82,7 +102,7 @@ def calibrate(block: Block) -> Calibration:
 
 
 def with_calibration(block: Block, calibration: Calibration) -> Block:
-    """Return a block with camera and mounting of a calibration, which need not be of its own flight.
+    """Return a block with camera and mounting of a calibration of its own flight, or one made `on_flight`.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.adjustment.mounting import BORESIGHT, LEVER, STRIPS, TIME, body_to_camera
+from photocal.adjustment.mounting import BORESIGHT, HEIGHT_SCALE, LEVER, SHIFT, STRIPS, TIME, body_to_camera
 from photocal.block.model import Block
 from photocal.geometry.rotation import matrix_from_angles, turn_per_angle
 
@@ -79,7 +79,9 @@ def direct_orientation(block: Block) -> DirectOrientation:
         m = matrix @ attitudes.rotation[a]
         at = STRIPS + 6 * int(positions.strip[p])
         velocity, elapsed = positions.velocity[p], positions.time[p]
+        raised = np.array([0.0, 0.0, positions.above[p]])
         shift = mounting.values[at : at + 3] + elapsed * mounting.values[at + 3 : at + 6]
+        shift = shift + mounting.values[SHIFT] + raised * mounting.values[HEIGHT_SCALE]
         rotation[i] = m
         centre[i] = positions.values[p] - m.T @ arm + velocity * mounting.values[TIME] - shift
         # Rows: the turn of the camera, the projection centre; columns: turn of the body, antenna.
@@ -93,6 +95,8 @@ def direct_orientation(block: Block) -> DirectOrientation:
         by_common[i, :3, BORESIGHT] = _left_jacobian(mounting.values[BORESIGHT])
         by_common[i, 3:, LEVER] = -m.T @ matrix
         by_common[i, 3:, TIME] = velocity
+        by_common[i, 3:, SHIFT] = -np.eye(3)
+        by_common[i, 3:, HEIGHT_SCALE] = -raised
         by_common[i, 3:, at : at + 3] = -np.eye(3)
         by_common[i, 3:, at + 3 : at + 6] = -elapsed * np.eye(3)
         known[i] = True

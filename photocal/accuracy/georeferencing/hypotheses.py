@@ -18,9 +18,8 @@ from scipy import stats
 
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.accuracy.georeferencing.camera_change import Change, best_change, split_at
-from photocal.accuracy.georeferencing.mounted import one_strip
 from photocal.adjustment.adjust import adjust
-from photocal.adjustment.mounting import BORESIGHT, COMMON, LEVER, STRIPS, TIME
+from photocal.adjustment.mounting import BORESIGHT, COMMON, LEVER, SHIFT, STRIPS, TIME
 from photocal.adjustment.solution import Solution
 from photocal.block.model import Block
 from photocal.block.network import assemble
@@ -256,9 +255,6 @@ def _freed(block: Block, name: str, change: Change | None) -> Block:
             estimated[which], sigma[which] = True, _LOOSE_CAMERA * camera.value("c")
             cameras.append(replace(camera, estimated=estimated, prior_sigma=sigma))
         return replace(block, cameras=tuple(cameras))
-    # A shift common to all exposures takes the place of one for each strip.
-    if name == "datum shift":
-        block = one_strip(block)
     sigma = block.mounting.sigma.copy()
     if name == "strip shifts":
         # Images without position have no strip: their columns stay held.
@@ -275,7 +271,7 @@ def _columns(name: str) -> slice:
         "lever arm": LEVER,
         "boresight": BORESIGHT,
         "time offset": slice(TIME, TIME + 1),
-        "datum shift": slice(STRIPS, STRIPS + 3),
+        "datum shift": SHIFT,
     }[name]
 
 
@@ -358,17 +354,16 @@ def _estimates(block: Block, freed: Block, solution: Solution, name: str) -> tup
         )
     common, sigma = solution.state.common, np.sqrt(np.diag(solution.common_covariance))
     given = block.mounting.values
-    if name in ("datum shift", "strip shifts"):
-        strips = [0] if name == "datum shift" else np.unique(freed.positions.strip).tolist()
+    if name == "strip shifts":
         labels = [
-            (f"shift_{axis}" + ("" if name == "datum shift" else f"[{strip}]"), STRIPS + 6 * strip + k)
-            for strip in strips
+            (f"shift_{axis}[{strip}]", STRIPS + 6 * strip + k)
+            for strip in np.unique(freed.positions.strip).tolist()
             for k, axis in enumerate("xyz")
         ]
         return tuple(
             one(label, "m", float(common[at]), float(given[at]), float(sigma[at])) for label, at in labels
         )
-    unit = {"lever arm": "m", "boresight": "deg", "time offset": "s"}[name]
+    unit = {"boresight": "deg", "time offset": "s"}.get(name, "m")
     scale = math.degrees(1.0) if name == "boresight" else 1.0
     return tuple(
         one(COMMON[k], unit, common[k] * scale, given[k] * scale, sigma[k] * scale)

@@ -48,7 +48,8 @@ def as_mounted(block: Block) -> Block:
     covariance = np.zeros((count, 3, 3))
     covariance[:, range(3), range(3)] = sigma[placed, 3:] ** 2
     zero = np.zeros(count, dtype=np.int64)
-    positions = Positions(placed, values[placed, 3:], covariance, np.zeros((count, 3)), zero, np.zeros(count))
+    none = np.zeros(count)
+    positions = Positions(placed, values[placed, 3:], covariance, np.zeros((count, 3)), zero, none, none)
     to_body = NO_MOUNTING.rotation.T
     by_angle = to_body @ turn_per_angle(values[turned, :3])
     attitudes = Attitudes(
@@ -66,17 +67,6 @@ def as_mounted(block: Block) -> Block:
         positions=positions,
         attitudes=attitudes,
         mounting=Mounting(NO_MOUNTING.rotation, held, held),
-    )
-
-
-def one_strip(block: Block) -> Block:
-    """Return the block with all exposures in one strip, so that a shift is common to them."""
-    held = block.mounting
-    size = STRIPS + 6
-    return replace(
-        block,
-        positions=replace(block.positions, strip=np.zeros_like(block.positions.strip)),
-        mounting=Mounting(held.rotation, held.values[:size], held.sigma[:size]),
     )
 
 

@@ -11,11 +11,10 @@ from scipy.sparse.csgraph import connected_components
 
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.accuracy.findings import Finding
-from photocal.accuracy.georeferencing.mounted import one_strip
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.covariance import blocks
 from photocal.adjustment.envelope import factorise, selected_inverse
-from photocal.adjustment.mounting import COMMON, STRIPS
+from photocal.adjustment.mounting import BORESIGHT, COMMON, LEVER, SHIFT, TIME
 from photocal.adjustment.normal import normal_equations, prepare
 from photocal.block.model import Block
 from photocal.block.network import assemble
@@ -23,12 +22,11 @@ from photocal.block.network import assemble
 Floats = NDArray[np.float64]
 
 # What is asked of a calibration flight: 1 m, 1 degree, 0.1 s, 1 m; the camera: 1 % of c.
-_SCALE_COMMON = np.array([1.0] * 3 + [np.radians(1.0)] * 3 + [0.1] + [1.0] * 3)
+_SCALE_COMMON = np.array([1.0] * 3 + [np.radians(1.0)] * 3 + [0.1] + [1.0] * 3 + [0.0])
 _SCALE_CAMERA = 0.01
 # A direction is not determined when its standard deviation stays above this share of the scale.
 _UNDETERMINED = 0.05
 _TAKES_PART = 0.1
-_NAMES = (*COMMON, "shift_x", "shift_y", "shift_z")
 _WORDS = {
     "lever_arm_x": "forward lever arm",
     "lever_arm_y": "right lever arm",
@@ -82,14 +80,12 @@ def separation(block: Block) -> Separation | None:
     """
     if not len(block.positions.image):
         return None
-    block = one_strip(block)
-    taken = [*range(3), *range(7, 10)]
-    if len(block.attitudes.image):
-        taken += [3, 4, 5]
-    if np.any(block.positions.velocity):
-        taken.append(6)
-    taken.sort()
-    sigma = np.zeros(STRIPS + 6)
+    asked = np.zeros(len(block.mounting.sigma), dtype=bool)
+    asked[LEVER], asked[SHIFT] = True, True
+    asked[BORESIGHT] = len(block.attitudes.image) > 0
+    asked[TIME] = bool(np.any(block.positions.velocity))
+    taken = np.flatnonzero(asked)
+    sigma = np.zeros(len(asked))
     sigma[taken] = _SCALE_COMMON[taken]
     cameras = tuple(
         replace(own, prior_sigma=np.where(_interior(own.estimated), _SCALE_CAMERA * own.value("c"), np.inf))
@@ -106,7 +102,7 @@ def separation(block: Block) -> Separation | None:
         return None
     inverse = selected_inverse(problem.layout.envelope, normal.matrix)
     columns = [problem.layout.common_columns[k] for k in taken]
-    names = [_NAMES[k] for k in taken]
+    names = [COMMON[k] for k in taken]
     scale = [float(_SCALE_COMMON[k]) for k in taken]
     several = len(cameras) > 1
     for own, (active, at) in zip(cameras, problem.layout.camera_columns, strict=True):

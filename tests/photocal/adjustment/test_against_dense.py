@@ -190,21 +190,24 @@ LEVER = [0.3, -0.1, -0.4]
 BORESIGHT = [0.01, -0.02, 0.015]
 
 
+FLIGHT = [0.05, -0.03, 0.12, 0.02]
+
+
 def mounting(strips: int) -> list[float]:
-    return [*LEVER, *BORESIGHT, 0.02] + [0.1, -0.2, 0.15, 0.01, -0.02, 0.005] * strips
+    return [*LEVER, *BORESIGHT, 0.02, *FLIGHT] + [0.1, -0.2, 0.15, 0.01, -0.02, 0.005] * strips
 
 
 def test_antenna_positions_and_attitudes_with_a_known_mounting() -> None:
     scene, rng = networks.convergent(images=6, points=14), np.random.default_rng(15)
     network = networks.observe(scene, rng, point_sigma=INF)
-    true = np.array([*LEVER, *BORESIGHT, 0.02, *[0.0] * 6])
-    same(networks.navigated(network, scene, rng, true, np.zeros(13)))
+    true = np.array([*LEVER, *BORESIGHT, 0.02, *[0.0] * 10])
+    same(networks.navigated(network, scene, rng, true, np.zeros(17)))
 
 
 def test_shift_and_drift_of_strips() -> None:
     scene, rng = networks.convergent(images=8, points=16), np.random.default_rng(17)
     network = networks.observe(scene, rng, point_sigma=0.01)
-    sigma = np.array([0.0] * 7 + [INF, INF, 0.2, 0.05, INF, 0.05, 0.3, INF, INF, INF, 0.1, 0.0])
+    sigma = np.array([0.0] * 11 + [INF, INF, 0.2, 0.05, INF, 0.05, 0.3, INF, INF, INF, 0.1, 0.0])
     network = networks.navigated(network, scene, rng, np.array(mounting(2)), sigma, strips=2)
     same(network)
 
@@ -212,8 +215,8 @@ def test_shift_and_drift_of_strips() -> None:
 def test_positions_without_attitudes_beside_weighted_exposures() -> None:
     scene, rng = networks.convergent(images=6, points=16), np.random.default_rng(18)
     network = networks.observe(scene, rng, point_sigma=INF, exposure_sigma=np.array([0.01] * 3 + [INF] * 3))
-    sigma = np.array([0.02] * 3 + [0.0] * 3 + [0.01] + [0.0] * 6)
-    true = np.array([*LEVER, 0, 0, 0, 0.01, *[0.0] * 6])
+    sigma = np.array([0.02] * 3 + [0.0] * 3 + [0.01] + [0.0] * 10)
+    true = np.array([*LEVER, 0, 0, 0, 0.01, *[0.0] * 10])
     same(networks.navigated(network, scene, rng, true, sigma, attitudes=False))
 
 
@@ -234,6 +237,14 @@ def test_free_network_with_a_scale() -> None:
 def test_lever_arm_boresight_and_time_offset_estimated() -> None:
     scene, rng = networks.convergent(images=8, points=16), np.random.default_rng(16)
     network = networks.observe(scene, rng, point_sigma=0.01)
-    sigma = np.array([INF, INF, 0.05, INF, 0.02, INF, INF, *[0.0] * 6])
-    true = np.array([*LEVER, *BORESIGHT, 0.02, *[0.0] * 6])
+    sigma = np.array([INF, INF, 0.05, INF, 0.02, INF, INF, *[0.0] * 10])
+    true = np.array([*LEVER, *BORESIGHT, 0.02, *[0.0] * 10])
+    same(networks.navigated(network, scene, rng, true, sigma))
+
+
+def test_shift_and_height_scale_of_the_flight() -> None:
+    scene, rng = networks.convergent(images=8, points=16), np.random.default_rng(19)
+    network = networks.observe(scene, rng, point_sigma=0.01)
+    sigma = np.array([0.05, INF, 0.05, *[0.0] * 4, INF, 0.1, 0.2, 0.05, *[0.0] * 6])
+    true = np.array([*LEVER, 0, 0, 0, 0, *FLIGHT, *[0.0] * 6])
     same(networks.navigated(network, scene, rng, true, sigma))

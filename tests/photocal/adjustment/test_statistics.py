@@ -96,18 +96,18 @@ def test_standardised_residuals_have_unit_variance(truth: Scene, trials: list[So
 
 
 def test_intervals_of_the_mounting() -> None:
-    """Lever arm, boresight and time offset, all free."""
+    """Lever arm, boresight, time offset and shift of the flight free, scale of the heights weighted."""
     own = networks.lens(model="brown-ideal", estimate=("c", "x0", "y0"))
     scene = networks.convergent((own,), images=9, points=14)
-    true = np.array([0.3, -0.1, -0.4, 0.01, -0.02, 0.015, 0.02, *[0.0] * 6])
-    sigma = np.array([np.inf] * 7 + [0.0] * 6)
+    true = np.array([0.3, -0.1, -0.4, 0.01, -0.02, 0.015, 0.02, 0.05, -0.03, 0.12, 0.02, *[0.0] * 6])
+    sigma = np.array([np.inf] * 10 + [0.05] + [0.0] * 6)
     errors, sigmas = [], []
     for k in range(RUNS):
         rng = np.random.default_rng(5000 + k)
         solution = adjust(networks.navigated(networks.observe(scene, rng), scene, rng, true, sigma))
         errors.append(solution.state.common - true)
         sigmas.append(np.sqrt(np.diag(solution.common_covariance)))
-    assert (np.array(sigmas)[:, :7] > 0).all()
+    assert (np.array(sigmas)[:, :11] > 0).all()
     assert 0.93 <= covered(np.array(errors), np.array(sigmas)) <= 0.97
 
 

@@ -15,6 +15,7 @@ from photocal.accuracy.georeferencing.calibrated import Calibration, calibrate
 from photocal.accuracy.georeferencing.differences import differences
 from photocal.accuracy.georeferencing.methods import of_method
 from photocal.accuracy.georeferencing.mounted import with_attitude_angles
+from photocal.adjustment.mounting import STRIPS
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from tests.photocal.accuracy.georeferencing.flights import Errors, Plan, fly
@@ -41,9 +42,10 @@ def test_errors_of_another_flight_are_predicted(tmp_path: Path) -> None:
         calibration = calibrate(_flight(tmp_path, seed))
         # What the second flight states of camera and rig has no part in it.
         block = _flight(tmp_path, 100 + seed, replace(PLAN, tie=0, estimate=(), mounting=""))
-        together.append(_distances(block, calibration))
-        alone = np.diag(np.diag(calibration.covariance))
-        apart.append(_distances(block, replace(calibration, covariance=alone)))
+        carried = calibration.on_flight(block.mounting)
+        together.append(_distances(block, carried))
+        alone = np.diag(np.diag(carried.covariance))
+        apart.append(_distances(block, replace(carried, covariance=alone)))
     table = np.array(together)
     p = stats.chi2(3 * SEEDS).sf(table.sum(axis=0))
     assert p.min() > 1e-3 / table.shape[1]
@@ -59,6 +61,7 @@ def _distances(block: Block, calibration: Calibration) -> NDArray[np.float64]:
 def test_another_rig_is_refused(tmp_path: Path) -> None:
     block = _flight(tmp_path, 1)
     size = len(block.cameras[0].values)
-    wrong = Calibration(np.zeros((2, size)), np.zeros(7), np.zeros((7 + 2 * size, 7 + 2 * size)))
+    all_of_two = STRIPS + 2 * size
+    wrong = Calibration(np.zeros((2, size)), np.zeros(STRIPS), np.zeros((all_of_two, all_of_two)))
     with pytest.raises(ConfigurationError, match="2 cameras"):
         of_method(block, "direct", calibration=wrong)
