@@ -1,7 +1,8 @@
 """Pictures by casting rays: from the pixel through the lens to the ground and the plates on it.
 
-Rays are cast on a grid of every eighth pixel and what they hit is interpolated: over some decimetres the
-ground is so smooth that this moves nothing by more than hundredths of a pixel.
+Rays are cast on a grid of every eighth pixel, and cubic splines go through what they hit: ground and lens are
+so smooth that this moves nothing by a thousandth of a pixel. (Straight lines between the nodes would move
+patches of the ground by some hundredths, all alike where the lens is: a calibration feels that.)
 """
 
 from __future__ import annotations
@@ -98,8 +99,11 @@ def render(scene: Scene, number: int) -> Bytes:
     camera = exposures.cameras[number]
     grid = _cast(scene, number)
     hits = world.terrain.intersect(grid.start_m.reshape(-1, 3), grid.direction.reshape(-1, 3))
-    places = hits.reshape(grid.direction.shape).astype(np.float32)
-    east, north = (_filled(places[..., k], camera) for k in (0, 1))
+    places = hits.reshape(grid.direction.shape)
+    every_row, every_column = (np.arange(size, dtype=float) for size in (camera.height, camera.width))
+    east, north = (
+        _between(places[..., k], every_row, every_column).astype(np.float32, order="C") for k in (0, 1)
+    )
     picture = scene.grounds[int(exposures.covers[number])].seen_at(east, north)
     for plate in scene.plates:
         _lay(picture, plate, scene, number)
@@ -143,18 +147,6 @@ def _poses(world: World, number: int, rows: Floats) -> Pose:
     )
 
 
-def _filled(nodes: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """Interpolate values at the nodes to every pixel."""
-
-    def along(values: NDArray[np.float32], size: int) -> NDArray[np.float32]:
-        at = np.arange(size)
-        cell = at // GRID_PX
-        share = ((at % GRID_PX) / GRID_PX).astype(np.float32)[:, None]
-        return np.asarray(values[cell] * (1 - share) + values[cell + 1] * share, np.float32)
-
-    return np.ascontiguousarray(along(along(nodes, camera.height).T, camera.width).T)
-
-
 def _lay(picture: Bytes, plate: Plate, scene: Scene, number: int) -> None:
     """Draw a plate into a picture."""
     world, camera = scene.world, scene.world.exposures.cameras[number]
@@ -170,7 +162,8 @@ def _lay(picture: Bytes, plate: Plate, scene: Scene, number: int) -> None:
     fine = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
     rows = (np.arange(top, bottom)[:, None] + fine).ravel()
     columns = (np.arange(left, right)[:, None] + fine).ravel()
-    local = _between(scene.directions[camera], rows, columns)
+    nodes = scene.directions[camera]
+    local = np.stack([_between(nodes[..., k], rows, columns) for k in range(3)], axis=-1)
     pose = _poses(world, number, rows)
     turned = local @ (TO_OPENCV @ pose.rotation)
     greys = plate.grey(np.broadcast_to(pose.centre_m[:, None], turned.shape), turned)
@@ -183,14 +176,11 @@ def _lay(picture: Bytes, plate: Plate, scene: Scene, number: int) -> None:
 
 
 def _between(nodes: Floats, rows: Floats, columns: Floats) -> Floats:
-    """Interpolate the grid of directions at rows and columns, shape (rows, columns, 3)."""
+    """Interpolate values at the nodes of the grid at rows and columns, shape (rows, columns)."""
+    from scipy.interpolate import RectBivariateSpline
 
-    def along(values: Floats, at: Floats) -> Floats:
-        cell = np.clip(np.floor(at / GRID_PX).astype(int), 0, len(values) - 2)
-        share = (at / GRID_PX - cell)[:, None, None]
-        return np.asarray(values[cell] * (1 - share) + values[cell + 1] * share)
-
-    return np.swapaxes(along(np.swapaxes(along(nodes, rows), 0, 1), columns), 0, 1)
+    down, across = (np.arange(size) * GRID_PX for size in nodes.shape)
+    return np.asarray(RectBivariateSpline(down, across, nodes)(rows, columns))
 
 
 def _spread(scene: Scene, number: int) -> NDArray[np.float32]:
