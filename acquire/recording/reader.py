@@ -11,6 +11,8 @@ from acquire.transports.sources import LinkLostError, Source
 
 _POLL_S = 0.05
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 5.0
+# What a port holds when the recording is stopped belongs to the flight. No port holds more than this.
+_LAST_POLL_S, _LAST_BYTES = 0.001, 4 << 20
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ def read_link(
     stop: threading.Event,
     clock_ns: Callable[[], int],
 ) -> None:
-    """Read a link until told to stop; to be run in a thread of its own.
+    """Read a link until told to stop, and then what has arrived by then; to be run in a thread of its own.
 
     Parameters
     ----------
@@ -64,6 +66,10 @@ def read_link(
                 if data:
                     arrivals.put(Arrival(link, clock_ns(), data))
                     pause = _FIRST_PAUSE_S
+            left = _LAST_BYTES
+            while left > 0 and (data := source.read(_LAST_POLL_S)):
+                arrivals.put(Arrival(link, clock_ns(), data))
+                left -= len(data)
         except LinkLostError as loss:
             source.close()
             # Told once, not with every attempt.

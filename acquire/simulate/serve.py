@@ -13,7 +13,8 @@ from collections.abc import Iterator
 from typing import Protocol
 
 _TICK_S = 0.005
-_PATIENCE_S = 0.5
+# A reader that was quick enough before is waited for; one that has taken nothing for so long is gone.
+_PATIENCE_S = 10.0
 _DATAGRAM_BYTES = 8192
 
 
@@ -35,7 +36,7 @@ def on_udp(device: Device, host: str, port: int) -> Iterator[None]:
     line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     line.bind(("127.0.0.1", 0))
 
-    def send(data: bytes) -> None:
+    def send(data: bytes, _stop: threading.Event) -> None:
         with contextlib.suppress(OSError):
             for at in range(0, len(data), _DATAGRAM_BYTES):
                 line.sendto(data[at : at + _DATAGRAM_BYTES], (host, port))
@@ -51,15 +52,22 @@ def on_pty(device: Device) -> Iterator[str]:
     tty.setraw(theirs)
     os.set_blocking(ours, False)
 
-    def send(data: bytes) -> None:
+    gone = False
+
+    def send(data: bytes, stop: threading.Event) -> None:
         # A line without a listener fills up; a receiver would lose the bytes, too. A listener that is busy
         # for a moment takes them piece by piece: such a line holds no more than some kilobytes.
-        end = time.monotonic() + _PATIENCE_S
+        nonlocal gone
+        taken = time.monotonic()
         with contextlib.suppress(OSError):
-            while data and time.monotonic() < end:
-                _, ready, _ = select.select([], [ours], [], _TICK_S)
+            while data and not stop.is_set():
+                _, ready, _ = select.select([], [ours], [], 0.0 if gone else _TICK_S)
                 if ready:
                     data = data[os.write(ours, data) :]
+                    taken, gone = time.monotonic(), False
+                elif gone or time.monotonic() - taken > _PATIENCE_S:
+                    gone = True
+                    return
 
     try:
         with _serving(device, ours, send):
@@ -114,7 +122,7 @@ def _converse(device: Device, line: socket.socket, stop: threading.Event, start:
 
 
 class _Send(Protocol):
-    def __call__(self, data: bytes, /) -> None: ...
+    def __call__(self, data: bytes, stop: threading.Event, /) -> None: ...
 
 
 @contextlib.contextmanager
@@ -132,7 +140,7 @@ def _serving(device: Device, descriptor: int, send: _Send) -> Iterator[None]:
                     data = os.read(descriptor, 65536)
             out = (device.receive(data, now) if data else b"") + device.due(now)
             if out:
-                send(out)
+                send(out, stop)
 
     thread = threading.Thread(target=run, daemon=True)
     thread.start()
