@@ -100,6 +100,7 @@ def assemble(block: Block) -> Assembly:
         frame.to_local(block.points.values[used]),
         _known_directions(weight, held) * control[:, None, None],
         relations,
+        ~block.points.of_role("tie")[used],
     )
     network = Network(
         block.cameras,

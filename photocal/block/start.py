@@ -13,9 +13,15 @@ from photocal.adjustment.network import Exposures, Rays, Relations
 from photocal.block.model import Block
 from photocal.geometry.camera import Camera
 from photocal.geometry.distortion import undistorted
+from photocal.geometry.resection import ray_residuals
 from photocal.geometry.rotation import matrix_from_angles
 
 Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+# Start coordinates are impossible where a ray misses them by this many principal distances, and by this many
+# times what rays usually miss: attitudes of a flight may be degrees off, those of all images alike.
+_ASTRAY, _UNLIKE = 0.25, 8.0
 
 
 def with_start_values(
@@ -25,6 +31,7 @@ def with_start_values(
     points: Floats,
     known: Floats,
     relations: Relations,
+    surveyed: Flags,
 ) -> tuple[Exposures, Floats]:
     """Fill what is missing among the start values.
 
@@ -42,6 +49,8 @@ def with_start_values(
         Projections onto the directions in which points were surveyed as control; zero for all others.
     relations : Relations
         Their distances give scale where nothing else does.
+    surveyed : ndarray of bool, shape (n,)
+        Control and check points.
 
     Returns
     -------
@@ -82,24 +91,40 @@ def with_start_values(
         open_ones = np.eye(3) - known[partly]
         away = (found.points - points)[partly]
         points[partly] += np.einsum("nab,nb->na", open_ones, away)
-    return exposures, _intersected(block.cameras, exposures, rays, points)
+    return exposures, _intersected(block.cameras, exposures, rays, points, known, surveyed)
 
 
-def _intersected(cameras: tuple[Camera, ...], exposures: Exposures, rays: Rays, points: Floats) -> Floats:
-    """Fill the coordinates of points that have none by intersecting their rays."""
+def _intersected(
+    cameras: tuple[Camera, ...],
+    exposures: Exposures,
+    rays: Rays,
+    points: Floats,
+    known: Floats,
+    surveyed: Flags,
+) -> Floats:
+    """Fill the coordinates of points that have none, or impossible ones, by intersecting their rays."""
     missing = np.asarray(np.isnan(points).any(axis=1))
-    if not missing.any():
+    some = (missing | surveyed)[rays.point]
+    if not some.any():
         return points
-    some = missing[rays.point]
-    image = rays.image[some]
-    camera = exposures.camera[image]
-    ideal = np.empty((len(image), 2))
+    rays = Rays(*(column[some] for column in vars(rays).values()))
+    camera = exposures.camera[rays.image]
+    slopes = np.empty((len(camera), 2))
     for k, own in enumerate(cameras):
         mine = camera == k
-        ideal[mine] = undistorted(own, rays.plane[some][mine])
-    distance = np.array([own.value("c") for own in cameras])[camera]
-    rotation = matrix_from_angles(exposures.values[:, :3])[image]
-    start = intersect(rays.point[some], len(points), exposures.values[image, 3:], rotation, ideal, distance)
+        slopes[mine] = undistorted(own, rays.plane[mine]) / own.value("c")
+    rotation = matrix_from_angles(exposures.values[:, :3])[rays.image]
+    centre = exposures.values[rays.image, 3:]
+    start = intersect(rays.point, len(points), centre, rotation, slopes, np.ones(len(slopes)))
+    miss = ray_residuals(rotation, centre, points[rays.point], slopes)
+    # Nobody has used the coordinates of a check point before: a slip of the pen stands there unnoticed.
+    of_surveyed = miss[(surveyed & ~missing)[rays.point]]
+    usual = float(np.median(of_surveyed)) if len(of_surveyed) else 0.0
+    least = np.full(len(points), np.inf)
+    np.fmin.at(least, rays.point, miss)
+    unused = surveyed & ~missing & ~known.any(axis=(1, 2))
+    impossible = unused & (least > max(_ASTRAY, _UNLIKE * usual))
+    points = np.where((impossible & np.isfinite(start).all(axis=1))[:, None], start, points)
     lost = np.flatnonzero(missing & np.isnan(start).any(axis=1))
     if len(lost):
         raise IllPosedError(

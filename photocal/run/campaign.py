@@ -85,17 +85,20 @@ def run_one(
 ) -> dict[str, Any]:
     """Run one project and give its figures; each stage that is done is told on standard error."""
     project = read_project(path)
+    made: list[Made] = []
 
-    def told(made: Made) -> None:
-        what = "kept" if made.kept else f"{made.seconds:.1f} s"
-        sys.stderr.write(f"{project.name}: {made.name}: {what}\n")
+    def told(one: Made) -> None:
+        made.append(one)
+        what = "kept" if one.kept else f"{one.seconds:.1f} s"
+        sys.stderr.write(f"{project.name}: {one.name}: {what}\n")
 
     try:
-        made = run_project(project, day, progress, until, again, told)
+        run_project(project, day, progress, until, again, told)
     except PhotocalError:
-        # What an earlier stage found doubtful is often why this one cannot go on.
-        for one in gather(project.output):
-            sys.stderr.write(f"{project.name}: warning: {one.code}: {one.text}\n")
+        # What other stages found doubtful is often why one cannot go on.
+        for warning in gather(project.output, {one.name for one in made}):
+            kind = "note" if warning.note else "warning"
+            sys.stderr.write(f"{project.name}: {kind}: {warning.code}: {warning.text}\n")
         raise
     return summary(project.name, project.output, made)
 

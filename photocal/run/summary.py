@@ -53,7 +53,7 @@ def summary(name: str, work: Path, made: Sequence[Made]) -> dict[str, Any]:
         "calibration": None if result is None else _calibration(result),
         "check_points": None if check is None else _check_points(check),
         "classes": None if check is None else _classes(check),
-        "warnings": [one.as_json() for one in gather(work) if one.stage in done],
+        "warnings": [one.as_json() for one in gather(work, done)],
         "certificate": str(work / "certificate") if "certificate" in done else None,
     }
 

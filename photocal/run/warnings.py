@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -56,13 +56,15 @@ class Warning:  # noqa: A001 - the word of the field; the built-in one is a clas
         return {"kind": "note" if self.note else "warning", **vars(self)}
 
 
-def gather(work: Path) -> tuple[Warning, ...]:
-    """Collect the warnings of all stages that are there, in the order of the stages.
+def gather(work: Path, stages: Container[str] | None = None) -> tuple[Warning, ...]:
+    """Collect the warnings of the stages, in their order.
 
     Parameters
     ----------
     work : Path
         Work folder.
+    stages : container of str, optional
+        Names of the stages that count; without, all that are there.
 
     Returns
     -------
@@ -71,7 +73,8 @@ def gather(work: Path) -> tuple[Warning, ...]:
     """
     found: dict[tuple[str, str], Warning] = {}
     for stage, name, read in _SOURCES:
-        figures = read_json(work / stage / name)
+        counts = stages is None or stage in stages
+        figures = read_json(work / stage / name) if counts else None
         for code, text in read(figures) if figures is not None else ():
             found.setdefault((code, text), Warning(stage, code, text))
     return tuple(found.values())

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Callable
+from pathlib import Path
 
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, PhotocalError
 from photocal.project import Project
 from photocal.run.block import block_stage, given_block_stage
 from photocal.run.calibration import analysis_stage, calibration_stage
@@ -92,7 +93,8 @@ def run_project(
     Raises
     ------
     PhotocalError
-        As the first stage that fails does; what was done before is kept.
+        As the first stage that fails does; the stages that do not need it are made nevertheless, for they
+        may tell why.
     """
     wanted = stages(project, day)
     names = [stage.name for stage in wanted]
@@ -104,10 +106,22 @@ def run_project(
     with alone(project.output):
         digests = Digests(project.output / _MEMORY)
         made: list[Made] = []
+        missing: set[Path] = set()
+        failure: PhotocalError | None = None
         try:
             for stage in wanted[: None if until is None else names.index(until) + 1]:
-                made.append(bring(stage, project.output, digests, progress, again=stage.name == again))
-                told(made[-1])
+                try:
+                    if missing.isdisjoint(stage.after):
+                        made.append(
+                            bring(stage, project.output, digests, progress, again=stage.name == again)
+                        )
+                        told(made[-1])
+                        continue
+                except PhotocalError as refusal:
+                    failure = failure or refusal
+                missing.add(project.output / stage.name)
         finally:
             digests.keep()
+    if failure is not None:
+        raise failure
     return tuple(made)

@@ -55,6 +55,22 @@ def test_control_that_is_known_in_some_coordinates_only(tmp_path: Path) -> None:
     assert results[1]["chi_squared"] == pytest.approx(results[0]["chi_squared"], rel=1e-7)
 
 
+def test_slips_in_check_points_change_nothing(tmp_path: Path) -> None:
+    """The surveyed coordinates of check points take no part, however wrong they are."""
+    results = []
+    for name, slip in (("right", 0.0), ("wrong", 180.0)):
+        folder = without_orientation(tmp_path / name, frozenset())
+        with (folder / "points.csv").open(encoding="utf-8") as text:
+            rows = list(csv.DictReader(text))
+        for k, row in enumerate(rows[5:45:10]):
+            row["role"], row["XYZ"[k % 3]] = "check", f"{float(row['XYZ'[k % 3]]) + slip}"
+        lines = [",".join(rows[0]), *(",".join(row.values()) for row in rows)]
+        (folder / "points.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        results.append(adjust_block(folder, tmp_path / f"run-{name}"))
+    assert results[1]["chi_squared"] == pytest.approx(results[0]["chi_squared"], rel=1e-7)
+    assert results[1]["checks"]["rmse_m"]["x"] > 100.0
+
+
 def test_an_image_that_nothing_connects(tmp_path: Path) -> None:
     folder = without_orientation(tmp_path / "block", frozenset({"8"}))
     rows = (folder / "observations.csv").read_text(encoding="utf-8").splitlines()

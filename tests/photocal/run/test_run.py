@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from drivers.errors import ConfigurationError, InputNotFoundError
+from drivers.errors import ConfigurationError, InputNotFoundError, NotConvergedError
 from photocal.cli import app
 from tests.photocal.accuracy.georeferencing.flights import Errors, Plan, fly
 
@@ -104,6 +104,21 @@ def test_a_flight_without_fault_has_no_warning(tmp_path: Path) -> None:
     assert [one for one in figures["warnings"] if one["kind"] == "warning"] == []
     camera = figures["calibration"]["cameras"]["cam"]["parameters"]["c"]
     assert abs(camera["value"] - 12.0) < 3 * camera["sigma"]
+
+
+def test_a_run_that_fails_tells_why(tmp_path: Path) -> None:
+    """A control point 200 m off: no adjustment ends, and the check of the ground points names it."""
+    path = project(tmp_path, Errors())
+    points = tmp_path / "block" / "points.csv"
+    head, *rows = points.read_text(encoding="utf-8").splitlines()
+    first = next(k for k, row in enumerate(rows) if row.endswith("control"))
+    name, x, *rest = rows[first].split(",")
+    rows[first] = ",".join([name, f"{float(x) + 200:.4f}", *rest])
+    points.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+    said = run(str(path))
+    assert isinstance(said.exception, NotConvergedError)
+    assert f"warning: control-mistyped: control point {name} contradicts" in said.stderr
+    assert not (tmp_path / "work" / "certificate").exists()
 
 
 def test_mistakes_are_one_line(tmp_path: Path) -> None:
