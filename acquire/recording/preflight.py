@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -52,6 +53,7 @@ class _Heard:
     fix: str = ""
     fix_good: bool = False
     host_minus_device_s: float | None = None
+    first_s: float = math.inf
 
 
 def check(
@@ -98,11 +100,19 @@ def check(
         if arrival.event:
             heard[arrival.link].event = arrival.event
         else:
+            heard[arrival.link].first_s = min(heard[arrival.link].first_s, host.steady_s())
             _hear(heard[arrival.link], framers[arrival.link].feed(arrival.data), arrival.time_ns, dialect)
     stop.set()
     for reader in readers:
         reader.join()
-    found = [finding for link in configuration.link for finding in _judge(link, heard[link.name], seconds)]
+    # A port may take a while to open: rates count from the first byte, but over half of the time at least.
+    found = [
+        finding
+        for link in configuration.link
+        for finding in _judge(
+            link, heard[link.name], min(max(until - heard[link.name].first_s, seconds / 2), seconds)
+        )
+    ]
     return [*found, *_disk(configuration, base, host)]
 
 

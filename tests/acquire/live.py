@@ -15,6 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
+from acquire.log.records import MAGIC
 from acquire.log.replay import raw_frames
 
 Found = TypeVar("Found")
@@ -140,7 +141,8 @@ class Recorder(Process):
 def frames_in(place: Path, link: str) -> list[bytes]:
     """Return the raw frames of a link that are in a log, or in those of a folder, by now."""
     logs = sorted(place.iterdir()) if place.is_dir() else [place]
-    return [frame for log in logs for _, frame in raw_frames(log, link)]
+    # A log that has just been made is empty for a moment.
+    return [frame for log in logs if log.stat().st_size >= len(MAGIC) for _, frame in raw_frames(log, link)]
 
 
 def await_frame(place: Path, link: str, frame: bytes) -> None:

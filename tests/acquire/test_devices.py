@@ -15,11 +15,12 @@ from pyubx2 import POLL, SET, UBXMessage, UBXReader
 from acquire.simulate.autopilot import Autopilot
 from acquire.simulate.receiver import Receiver
 from acquire.simulate.serve import on_pty, on_udp
+from tests.acquire.live import PATIENCE_S
 
 
 def collect(peer: socket.socket, kinds: set[str], mav: Any) -> dict[str, Any]:
     found: dict[str, Any] = {}
-    end = time.monotonic() + 10
+    end = time.monotonic() + PATIENCE_S
     while not kinds <= set(found) and time.monotonic() < end:
         for message in mav.parse_buffer(peer.recv(2000)) or []:
             found[message.get_type()] = message
@@ -29,7 +30,7 @@ def collect(peer: socket.socket, kinds: set[str], mav: Any) -> dict[str, Any]:
 def test_the_autopilot_answers_over_udp(udp_peer: socket.socket) -> None:
     peer = udp_peer
     peer.bind(("127.0.0.1", 0))
-    peer.settimeout(10)
+    peer.settimeout(PATIENCE_S)
     mav = tables.MAVLink(None, srcSystem=245, srcComponent=191)
     autopilot = Autopilot(1_777_626_000_000_000)
     with on_udp(autopilot, *peer.getsockname()):
@@ -78,13 +79,13 @@ def udp_peer() -> Iterator[socket.socket]:
 @pytest.fixture
 def receiver_port() -> Iterator[tuple[Receiver, Any]]:
     receiver = Receiver(9)
-    with on_pty(receiver) as path, serial.Serial(path, timeout=5) as port:
+    with on_pty(receiver) as path, serial.Serial(path, timeout=PATIENCE_S) as port:
         yield receiver, port
 
 
 def answers_until(port: Any, identity: str) -> list[Any]:
     found = []
-    end = time.monotonic() + 10
+    end = time.monotonic() + PATIENCE_S
     while time.monotonic() < end:
         _, message = UBXReader(port).read()
         found.append(message)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
-import socket
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,6 +15,7 @@ from pymavlink import mavutil
 from acquire.importing.importer import import_recordings
 from drivers import nmea
 from drivers.ubx import wire as ubx
+from tests.acquire.live import Process, free_port, is_bound, until
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -71,25 +70,12 @@ def test_a_link_without_mavlink_is_no_telemetry_log(flight: Path, acquire: Acqui
 @pytest.mark.skipif(shutil.which("str2str") is None, reason="RTKLIB's str2str is not installed (rtklib)")
 def test_str2str_copies_our_tcp_stream_byte_for_byte(flight: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "acquire.cli", "replay", str(flight), "--link", "rover", "--speed", "0"]
-    replay = subprocess.Popen(
-        [*command, "--to", "tcp://127.0.0.1:0"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    assert replay.stderr is not None
-    port = replay.stderr.readline().strip().rpartition(":")[2]
     copy = tmp_path / "copy.ubx"
-    peer = subprocess.Popen(
-        ["str2str", "-in", f"tcpcli://127.0.0.1:{port}", "-out", f"file://{copy}"],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
     expected = (tmp_path / "rover.ubx").read_bytes()
-    end = time.monotonic() + 30
-    while time.monotonic() < end and (not copy.exists() or copy.stat().st_size < len(expected)):
-        time.sleep(0.1)
-    peer.terminate()
-    peer.communicate(timeout=20)
-    replay.kill()
-    replay.communicate()
+    with Process([*command, "--to", "tcp://127.0.0.1:0"]) as replay:
+        port = replay.line(" to ").rpartition(":")[2]
+        with Process(["str2str", "-in", f"tcpcli://127.0.0.1:{port}", "-out", f"file://{copy}"]):
+            until(lambda: copy.exists() and copy.stat().st_size >= len(expected), "the copy")
     assert copy.read_bytes() == expected
 
 
@@ -109,9 +95,7 @@ def _records(log: bytes) -> list[bytes]:
 
 @pytest.mark.skipif(_mavproxy() is None, reason="MAVProxy is not installed (mavproxy.py or $MAVPROXY)")
 def test_mavproxy_sees_every_message_in_order(flight: Path, acquire: Acquire, tmp_path: Path) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     seen = tmp_path / "seen.tlog"
     peer = subprocess.Popen(
         [
@@ -121,10 +105,7 @@ def test_mavproxy_sees_every_message_in_order(flight: Path, acquire: Acquire, tm
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=tmp_path,
     )  # fmt: skip
     try:
-        bound = f":{port:04X}"
-        end = time.monotonic() + 60
-        while bound not in Path("/proc/net/udp").read_text() and time.monotonic() < end:
-            time.sleep(0.1)
+        until(lambda: is_bound(port), "the port of MAVProxy")
         # Its log is written in blocks: the second time pushes out the first.
         for _ in range(2):
             done = acquire(
@@ -133,12 +114,12 @@ def test_mavproxy_sees_every_message_in_order(flight: Path, acquire: Acquire, tm
             assert done.returncode == 0, done.stderr
         sent = _records((tmp_path / "flight.tlog").read_bytes())
         ours = {frame[5] for frame in sent}
-        while time.monotonic() < end:
-            got = [frame for frame in _records(seen.read_bytes()) if len(frame) > 5 and frame[5] in ours]
-            if len(got) > len(sent):
-                break
-            time.sleep(0.2)
+
+        def got() -> list[bytes]:
+            return [frame for frame in _records(seen.read_bytes()) if len(frame) > 5 and frame[5] in ours]
+
+        until(lambda: len(got()) > len(sent), "the log of MAVProxy")
     finally:
         peer.kill()
         peer.communicate()
-    assert got[: len(sent)] == sent
+    assert got()[: len(sent)] == sent

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 import subprocess
 import time
 from collections.abc import Callable
@@ -12,14 +11,9 @@ from pathlib import Path
 from acquire.simulate.autopilot import Autopilot
 from acquire.simulate.receiver import Receiver
 from acquire.simulate.serve import on_pty, on_udp
+from tests.acquire.live import free_port
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def test_what_is_good_and_what_is_not(acquire: Acquire, tmp_path: Path) -> None:

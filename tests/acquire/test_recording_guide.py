@@ -7,9 +7,9 @@ import json
 import re
 import shlex
 import signal
-import socket
 import subprocess
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import get_args
 
@@ -19,6 +19,7 @@ from pydantic import BaseModel
 from acquire.recording.alarms import ALARM
 from acquire.recording.configuration import Configuration, Section, Site, read_configuration
 from acquire.transports.of_link import source_of_link
+from tests.acquire.live import Process, free_port, is_bound, until
 
 GUIDE = Path(__file__).parents[2] / "docs" / "recording.md"
 TEXT = GUIDE.read_text(encoding="utf-8")
@@ -78,36 +79,38 @@ def test_every_alarm_is_explained() -> None:
 
 @pytest.fixture
 def port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    return free_port()
 
 
 def test_the_commands_run(tmp_path: Path, port: int) -> None:
-    """As they stand, with a port that is free and no waiting between the frames."""
+    """As they stand, with a port that is free and little waiting between the frames."""
     (tmp_path / "first.toml").write_text(blocks("toml")[0].replace("14550", str(port)))
-    recorder: subprocess.Popen[str] | None = None
     answers: dict[str, str] = {}
-    for line in blocks("sh")[0].splitlines():
-        command = shlex.split(
-            line.replace("14550", str(port)).replace("--speed 10", "--speed 60"), comments=True
-        )
-        program, *arguments = [w for word in command for w in (glob.glob(str(tmp_path / word)) or [word])]  # noqa: PTH207
-        assert program == "acquire"
-        words = [sys.executable, "-m", "acquire.cli", *arguments]
-        if arguments[0] == "record":
-            recorder = subprocess.Popen(words, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-            assert recorder.stderr is not None
-            assert recorder.stderr.readline().startswith("recording to ")
-            continue
-        if arguments[0] == "info":
-            assert recorder is not None
-            recorder.send_signal(signal.SIGINT)
-            recorder.communicate(timeout=30)
-            assert recorder.returncode == 0
-        done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, f"{line}: {done.stderr}"
-        answers[arguments[0]] = done.stdout
+    with ExitStack() as running:
+        recorder: Process | None = None
+        for line in blocks("sh")[0].splitlines():
+            command = shlex.split(
+                line.replace("14550", str(port)).replace("--speed 10", "--speed 20"), comments=True
+            )
+            program, *arguments = [
+                w
+                for word in command
+                for w in (glob.glob(str(tmp_path / word)) or [word])  # noqa: PTH207
+            ]
+            assert program == "acquire"
+            words = [sys.executable, "-m", "acquire.cli", *arguments]
+            if arguments[0] == "record":
+                recorder = running.enter_context(Process(words, tmp_path))
+                recorder.line("recording to ")
+                until(lambda: is_bound(port), "the port of the vehicle")
+                continue
+            if arguments[0] == "info":
+                assert recorder is not None
+                recorder.end(signal.SIGINT)
+                assert recorder.process.returncode == 0
+            done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+            assert done.returncode == 0, f"{line}: {done.stderr}"
+            answers[arguments[0]] = done.stdout
     assert "RTK fixed" in answers["monitor"]
     assert re.search(r"vehicle: 8[01]\d frames", answers["info"])
     assert answers["recover"].rstrip().endswith("messages")

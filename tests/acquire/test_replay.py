@@ -6,9 +6,11 @@ import os
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -16,7 +18,8 @@ from pymavlink import mavutil
 
 from acquire.importing.importer import import_recordings
 from acquire.log.replay import replay
-from acquire.transports.sinks import MemorySink
+from acquire.transports.sinks import MemorySink, Sink, open_sink
+from tests.acquire.live import PATIENCE_S, Process, until
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -40,23 +43,18 @@ def frames_of(data: bytes) -> list[bytes]:
 
 
 @pytest.fixture
-def start(log: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    running: list[subprocess.Popen[str]] = []
+def start(log: Path) -> Iterator[Callable[..., Process]]:
+    with ExitStack() as running:
 
-    def run(*arguments: object) -> subprocess.Popen[str]:
-        command = [sys.executable, "-m", "acquire.cli", "replay", str(log), *map(str, arguments)]
-        running.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
-        return running[-1]
+        def run(*arguments: object) -> Process:
+            command = [sys.executable, "-m", "acquire.cli", "replay", str(log), *map(str, arguments)]
+            return running.enter_context(Process(command))
 
-    yield run
-    for process in running:
-        process.kill()
-        process.communicate()
+        yield run
 
 
-def address(process: subprocess.Popen[str]) -> str:
-    assert process.stderr is not None
-    return process.stderr.readline().split(" to ")[1].strip()
+def address(process: Process) -> str:
+    return process.line(" to ").split(" to ")[1]
 
 
 def test_the_frames_keep_their_order_and_their_pace(log: Path, demo_flight: bytes) -> None:
@@ -69,20 +67,21 @@ def test_the_frames_keep_their_order_and_their_pace(log: Path, demo_flight: byte
 
 
 def test_a_tcp_reader_gets_the_stream_byte_for_byte(
-    start: Callable[..., subprocess.Popen[str]], demo_flight: bytes
+    start: Callable[..., Process], demo_flight: bytes
 ) -> None:
     process = start("--to", "tcp://127.0.0.1:0", "--speed", "0")
     host, port = address(process).removeprefix("tcp://").split(":")
-    with socket.create_connection((host, int(port)), timeout=20) as reader:
+    with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as reader:
         received = b""
         while piece := reader.recv(65536):
             received += piece
     assert received == b"".join(frames_of(demo_flight))
-    assert process.wait(20) == 0
+    process.ended()
+    assert process.process.returncode == 0
 
 
 def test_a_terminal_reader_gets_the_stream_byte_for_byte(
-    start: Callable[..., subprocess.Popen[str]], demo_flight: bytes
+    start: Callable[..., Process], demo_flight: bytes
 ) -> None:
     process = start("--to", "pty", "--speed", "0")
     expected = b"".join(frames_of(demo_flight))
@@ -94,22 +93,38 @@ def test_a_terminal_reader_gets_the_stream_byte_for_byte(
     assert received == expected
 
 
-def test_pymavlink_sees_every_message_over_udp(
-    start: Callable[..., subprocess.Popen[str]], demo_flight: bytes
-) -> None:
+def test_pymavlink_sees_every_message_over_udp(log: Path, demo_flight: bytes) -> None:
     ground = mavutil.mavlink_connection("udpin:127.0.0.1:0")
     # pymavlink keeps the port that the system chose.
     port = ground.port.getsockname()[1]
-    process = start("--to", f"udp://127.0.0.1:{port}", "--speed", "60")
     seen: Counter[str] = Counter()
-    until = time.monotonic() + 20
-    while sum(seen.values()) < 810 and time.monotonic() < until:
+
+    class Awaited:
+        """Datagrams wait for a reader that is behind: a port holds no more than some hundred of them."""
+
+        def __init__(self, sink: Sink) -> None:
+            self.sent, self._sink = 0, sink
+
+        def send(self, frame: bytes) -> None:
+            until(lambda: self.sent - seen.total() < 50, "the reader")
+            self._sink.send(frame)
+            self.sent += 1
+
+    def play() -> None:
+        with open_sink(f"udp://127.0.0.1:{port}") as (sink, _):
+            replay(log, "vehicle", Awaited(sink), 60.0, time.monotonic, time.sleep)
+
+    sender = threading.Thread(target=play)
+    sender.start()
+    expected = len(frames_of(demo_flight))
+    end = time.monotonic() + PATIENCE_S
+    while seen.total() < expected and time.monotonic() < end:
         message = ground.recv_match(blocking=True, timeout=1)
         if message is not None:
             seen[message.get_type()] += 1
+    sender.join()
     ground.close()
-    assert process.wait(20) == 0
-    assert sum(seen.values()) == len(frames_of(demo_flight))
+    assert seen.total() == expected
     assert seen["ATTITUDE"] == 240
     assert "BAD_DATA" not in seen
 

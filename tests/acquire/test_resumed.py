@@ -5,17 +5,14 @@ from __future__ import annotations
 import signal
 import socket
 import struct
-import subprocess
-import sys
-import time
 from pathlib import Path
 
-from acquire.log.replay import raw_frames
 from drivers.frames import Wire
 from drivers.framing import StreamFramer
 from drivers.ubx import decode as ubx_decode
 from drivers.ubx import wire as ubx
 from photocal.navigation.flight_log import messages_of
+from tests.acquire.live import Recorder, await_frame, free_port, is_bound, until
 
 
 def epoch(number: int) -> bytes:
@@ -23,29 +20,15 @@ def epoch(number: int) -> bytes:
     return ubx.encode(0x0215, struct.pack("<dHbBBB2x", float(number), 2300, 18, 1, 1, 1) + bytes(32))
 
 
-def recorder(configuration: Path, port: int) -> tuple[subprocess.Popen[str], Path]:
-    command = [sys.executable, "-m", "acquire.cli", "record", str(configuration)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert process.stderr is not None
-    path = Path(process.stderr.readline().removeprefix("recording to ").strip())
-    bound = f":{port:04X}"
-    while not any(bound in line.split()[1] for line in Path("/proc/net/udp").read_text().splitlines()[1:]):
-        time.sleep(0.02)
-    return process, path
-
-
 def send(sender: socket.socket, path: Path, numbers: range) -> None:
     for number in numbers:
         sender.send(epoch(number))
     # Until the last one is safe in the file.
-    while not any(frame == epoch(numbers[-1]) for _, frame in raw_frames(path, "rover")):
-        time.sleep(0.1)
+    await_frame(path, "rover", epoch(numbers[-1]))
 
 
 def test_both_logs_are_one_flight(tmp_path: Path) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     configuration = tmp_path / "flight.toml"
     configuration.write_text(
         '[recording]\noutput = "logs"\nflush_s = 0.1\n'
@@ -53,20 +36,17 @@ def test_both_logs_are_one_flight(tmp_path: Path) -> None:
     )
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         sender.connect(("127.0.0.1", port))
-        first, path = recorder(configuration, port)
-        send(sender, path, range(100))
-        first.kill()
-        first.communicate()
-        second, path = recorder(configuration, port)
-        send(sender, path, range(100, 200))
-        second.send_signal(signal.SIGTERM)
-        assert second.stderr is not None
-        # What the reader of the first line holds already would be lost to communicate() alone.
-        told = second.stderr.read()
-        second.communicate(timeout=20)
+        with Recorder(configuration) as first:
+            until(lambda: is_bound(port), "the port of the rover")
+            send(sender, first.path, range(100))
+            first.end(signal.SIGKILL)
+        with Recorder(configuration) as second:
+            until(lambda: is_bound(port), "the port of the rover")
+            send(sender, second.path, range(100, 200))
+            second.figures()
     logs = tuple(sorted((tmp_path / "logs").iterdir()))
     assert len(logs) == 2
-    assert f"{logs[0]} has no end" in told
+    assert any(f"{logs[0]} has no end" in line for line in second.told)
     # What reads the logs for the trajectory sees one stream, the killed log unrepaired.
     frames = [
         frame

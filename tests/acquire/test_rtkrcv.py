@@ -17,6 +17,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.acquire.live import PATIENCE_S, Process
+
 pytestmark = [
     pytest.mark.shared,
     pytest.mark.skipif(shutil.which("rtkrcv") is None, reason="RTKLIB's rtkrcv is not installed (rtklib)"),
@@ -66,14 +68,8 @@ def test_rtkrcv_counts_every_epoch(logs: dict[str, Path], shared: Path, tmp_path
     name = "data/gnss-ubx-m8p-base-rover/rover-20181004-1237.ubx.gz"
     expected = epochs(gzip.decompress((shared / name).read_bytes()))
     command = [sys.executable, "-m", "acquire.cli", "replay", str(logs["m8p"]), "--link", "rover"]
-    replay = subprocess.Popen(
-        [*command, "--speed", "0", "--to", "tcp://127.0.0.1:0"],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert replay.stderr is not None
-    port = replay.stderr.readline().strip().rpartition(":")[2]
+    replay = Process([*command, "--speed", "0", "--to", "tcp://127.0.0.1:0"])
+    port = replay.line(" to ").rpartition(":")[2]
     settings = tmp_path / "rtkrcv.conf"
     settings.write_text(SETTINGS.format(port=port))
     # Its console wants a terminal.
@@ -88,20 +84,19 @@ def test_rtkrcv_counts_every_epoch(logs: dict[str, Path], shared: Path, tmp_path
         preexec_fn=lambda: os.close(os.open(os.ttyname(0), os.O_RDWR)),
     )
     try:
-        said, end = "", time.monotonic() + 20
+        said, end = "", time.monotonic() + PATIENCE_S
         while "server start" not in said and time.monotonic() < end:
             # What is said before the console is ready is not heard.
-            said = converse(ours, b"start\r", 1.5)
-        counted, end = "", time.monotonic() + 40
+            said += converse(ours, b"start\r", 1.5)
+        counted = ""
         while counted != str(expected) and time.monotonic() < end:
-            said = converse(ours, b"status\r", 1)
-            found = re.search(r"input data rover\s*: obs\((\d+)\).*err\((\d+)\)", said)
-            counted = found[1] if found and found[2] == "0" else ""
+            said += converse(ours, b"status\r", 1)
+            found = re.findall(r"input data rover\s*: obs\((\d+)\).*err\((\d+)\)", said)
+            counted = found[-1][0] if found and found[-1][1] == "0" else ""
     finally:
         peer.send_signal(signal.SIGKILL)
         peer.wait()
-        replay.kill()
-        replay.communicate()
+        replay.end(signal.SIGKILL)
         os.close(ours)
         os.close(theirs)
     assert counted == str(expected), said

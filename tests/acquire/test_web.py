@@ -15,6 +15,7 @@ from starlette.routing import Route
 
 from acquire.web import Address, read_address, serving
 from drivers.errors import ConfigurationError
+from tests.acquire.live import PATIENCE_S
 
 
 def _app() -> Starlette:
@@ -31,7 +32,7 @@ class Page:
         self.token = parse_qs(parts.query).get("token", [""])[0]
 
     def ask(self, path: str = "/", method: str = "GET", **headers: str) -> tuple[int, str, dict[str, str]]:
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=10)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S)
         told = {name.replace("_", "-"): value for name, value in headers.items()}
         connection.request(method, path, headers={"Host": f"127.0.0.1:{self.port}", **told})
         answer = connection.getresponse()

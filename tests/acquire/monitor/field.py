@@ -52,12 +52,11 @@ class Line:
 
 
 class Field:
-    """What goes on; `fix` and `silent` may be changed at any time."""
+    """What goes on; `fix` may be changed at any time."""
 
     def __init__(self) -> None:
         self.lines = {"vehicle": Line(), "rover": Line(), "base": Line()}
         self.fix = RTK_FIXED
-        self.silent: set[str] = set()
         self.pictures = 0
         self._dialect = ardupilotmega()
         self._sequence = 0
@@ -74,8 +73,7 @@ class Field:
             self._sequence += 1
             number = self._dialect.number(name)
             frame = encode(self._dialect, number, values, sequence=self._sequence, system=1, component=1)
-        if "vehicle" not in self.silent:
-            self.lines["vehicle"].put(frame)
+        self.lines["vehicle"].put(frame)
 
     def take_picture(self, *, feedback: bool = True) -> int:
         """Trigger the camera; return the number of the picture."""
@@ -110,10 +108,8 @@ class Field:
             self.say("HEARTBEAT", type=2, autopilot=3, system_status=4, mavlink_version=3)
             self.say("SYSTEM_TIME", time_unix_usec=time.time_ns() // 1000, time_boot_ms=boot)
             self.say("SYS_STATUS", voltage_battery=15_800, current_battery=1400, battery_remaining=81)
-            if "base" not in self.silent:
-                self.lines["base"].put(station_message())
-        if "rover" not in self.silent:
-            self.lines["rover"].put(receiver.due(self.age_s))
+            self.lines["base"].put(station_message())
+        self.lines["rover"].put(receiver.due(self.age_s))
 
 
 @contextmanager
@@ -122,9 +118,9 @@ def at_work(folder: Path, flush_s: float = 0.5) -> Iterator[Field]:
     field = Field()
     stop = threading.Event()
     links = [
-        {"name": "vehicle", "protocol": "mavlink", "url": "file:x", "silent_s": 3},
-        {"name": "rover", "protocol": "ubx", "url": "file:x", "silent_s": 3},
-        {"name": "base", "protocol": "rtcm3", "url": "file:x", "corrections_to": ["rover"], "silent_s": 3},
+        {"name": "vehicle", "protocol": "mavlink", "url": "file:x"},
+        {"name": "rover", "protocol": "ubx", "url": "file:x"},
+        {"name": "base", "protocol": "rtcm3", "url": "file:x", "corrections_to": ["rover"]},
     ]
     configuration = Configuration.model_validate(
         {"recording": {"output": str(folder), "flush_s": flush_s}, "link": links}

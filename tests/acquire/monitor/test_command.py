@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from acquire.importing.importer import import_recordings
+from tests.acquire.live import PATIENCE_S
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -75,19 +76,20 @@ def test_in_a_terminal_it_is_live_and_leaves_a_clean_screen(log: Path) -> None:
     )  # fmt: skip
     os.close(theirs)
     shown = b""
-    end = time.monotonic() + 30
+    end = time.monotonic() + PATIENCE_S
     while b"RTK fixed" not in shown and time.monotonic() < end:
         if select.select([ours], [], [], 1)[0]:
             shown += os.read(ours, 65536)
     assert b"\x1b[?1049h" in shown
     process.send_signal(signal.SIGINT)
-    while select.select([ours], [], [], 5)[0]:
+    while select.select([ours], [], [], PATIENCE_S)[0]:
+        # The end of the last program that had it open is the end of a terminal.
         try:
             piece = os.read(ours, 65536)
         except OSError:
             break
         shown += piece
-    assert process.wait(10) == 0
+    assert process.wait(PATIENCE_S) == 0
     os.close(ours)
     # The other screen was left, and the cursor is there again.
     assert shown.rindex(b"\x1b[?1049l") > shown.rindex(b"\x1b[?1049h")

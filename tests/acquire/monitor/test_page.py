@@ -19,7 +19,7 @@ from acquire.web import Address, serving
 from tests.acquire.monitor.conftest import Monitor
 from tests.acquire.monitor.field import NO_FIX, RTK_FIXED, Field, at_work
 
-PATIENCE_MS = 30_000
+PATIENCE_MS = 120_000
 expect.set_options(timeout=PATIENCE_MS)
 # Counts the tones that the page begins.
 COUNT_TONES = """

@@ -19,6 +19,7 @@ from acquire.monitor.state import State
 from acquire.monitor.tail import Tail
 from acquire.recording.files import Limits, LogFiles
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from tests.acquire.live import until
 
 SECOND = 1_000_000_000
 CHANNEL = Channel("/rover/raw", "ubx")
@@ -119,23 +120,16 @@ def test_flights_of_other_days_are_not_mixed(tmp_path: Path) -> None:
     thread = threading.Thread(target=follow, args=(Tail([tmp_path]), states.append, stop))
     thread.start()
     try:
-        _until(lambda: bool(states) and _frames(states[-1]) == 1)
+        until(lambda: bool(states) and _frames(states[-1]) == 1, "the old flight")
         assert states[-1].flight == old.name
         new = Recorder(tmp_path)
         new.write(7)
-        _until(lambda: states[-1].flight == new.files.paths[0].name and _frames(states[-1]) >= 7)
+        name = new.files.paths[0].name
+        until(lambda: states[-1].flight == name and _frames(states[-1]) >= 7, "the new flight")
         assert _frames(states[-1]) == 7
     finally:
         stop.set()
         thread.join()
-
-
-def _until(condition: object) -> None:
-    assert callable(condition)
-    end = time.monotonic() + 20
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 def test_a_file_that_vanishes_and_a_damaged_chunk_are_told_in_words(tmp_path: Path) -> None:
