@@ -140,7 +140,7 @@ class Recorder(Process):
 
 def frames_in(place: Path, link: str) -> list[bytes]:
     """Return the raw frames of a link that are in a log, or in those of a folder, by now."""
-    logs = sorted(place.iterdir()) if place.is_dir() else [place]
+    logs = [place] if place.suffix == ".mcap" else sorted(place.glob("*.mcap"))
     # A log that has just been made is empty for a moment.
     return [frame for log in logs if log.stat().st_size >= len(MAGIC) for _, frame in raw_frames(log, link)]
 

@@ -49,7 +49,7 @@ def decode(framer: Framer, decoder: Decoder, data: bytes, cuts: list[int]) -> tu
     return {channel: rows for channel, rows in content.items() if rows}, published
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.lists(st.integers(0, len(DEMO)), max_size=10))
 def test_vehicle_channels_do_not_depend_on_the_batches(cuts: list[int]) -> None:
     whole = decode(TlogFramer(), VehicleDecoder("vehicle", DIALECT), DEMO, [])

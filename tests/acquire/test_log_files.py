@@ -55,7 +55,7 @@ def write(messages: list[tuple[int, bytes, int, int, bool]]) -> bytes:
     return stream.getvalue()
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(MESSAGES)
 def test_the_published_reader_reads_what_was_written(
     messages: list[tuple[int, bytes, int, int, bool]],
@@ -92,7 +92,7 @@ def test_the_published_reader_reads_what_was_written(
     assert [(a.name, a.data) for a in reader.iter_attachments()] == [("rig.toml", b"lever = 1\n")]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(MESSAGES)
 def test_our_reader_gives_back_what_was_written(messages: list[tuple[int, bytes, int, int, bool]]) -> None:
     import tempfile
@@ -157,7 +157,7 @@ def test_a_log_that_grows_is_read_on_where_it_ended(tmp_path: Path) -> None:
     assert reader.metadata == {"site": {"name": "field", "empty": ""}}
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.data())
 def test_a_damaged_log_is_refused_in_words(draw: st.DataObject) -> None:
     import tempfile

@@ -86,7 +86,7 @@ def test_without_any_feedback_nothing_is_expected() -> None:
     assert missed(after(*[("trigger", n, n) for n in range(50)], ("now", 0, 100))) == []
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(
     st.lists(st.tuples(st.booleans(), st.booleans(), st.floats(0.0, 0.9)), min_size=1, max_size=40),
     st.booleans(),

@@ -350,7 +350,7 @@ ODD = {
 }
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(
     st.dictionaries(st.sampled_from(list(ODD)), st.dictionaries(NAMES, VALUES), min_size=1),
     st.binary(max_size=30),

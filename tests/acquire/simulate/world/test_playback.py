@@ -6,6 +6,8 @@ import threading
 import time
 import tomllib
 from collections import Counter
+from collections.abc import Collection
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +22,7 @@ from acquire.simulate.hardware import awaited, on_ports, record_settings
 from acquire.simulate.playback import FlightClock, FlownAutopilot
 from acquire.simulate.played_flight import Line, PlayedFlight, read_flight
 from drivers.errors import InputMalformedError, InputNotFoundError
+from tests.acquire.live import frames_in, until
 from tests.acquire.simulate.world.conftest import DEMO, Flight, flown
 
 SPEED = 20.0
@@ -30,7 +33,7 @@ def recorded(
 ) -> tuple[Recorded, FlightClock]:
     """Play a flight and record it until it is over."""
     clock = FlightClock(awaited(flight, base_on_tcp=base_on_tcp), SPEED)
-    stop, done, failed = threading.Event(), [], []
+    stop = threading.Event()
     told: list[str] = []
     with on_ports(flight, clock, base_on_tcp=base_on_tcp) as urls:
         text = record_settings(flight, urls, Path("log"))
@@ -39,25 +42,31 @@ def recorded(
         if rates is not None:
             given["link"][0]["vehicle"]["rates_hz"] = rates
 
-        def work() -> None:
+        with ThreadPoolExecutor(1) as pool:
+            recording = pool.submit(record, Configuration.model_validate(given), folder, stop, told.append)
+            thinned = {ardupilotmega.MAVLINK_MSG_ID_ATTITUDE} if rates else set()
             try:
-                done.append(record(Configuration.model_validate(given), folder, stop, told.append))
-            except BaseException as failure:
-                failed.append(failure)
-
-        thread = threading.Thread(target=work)
-        thread.start()
-        end = flight.end_s
-        deadline = time.monotonic() + 60
-        while clock.flight_s() < end and thread.is_alive() and time.monotonic() < deadline:
-            time.sleep(0.05)
-        time.sleep(0.5)
-        stop.set()
-        thread.join(20)
-    if failed:
-        raise failed[0]
+                until(lambda: recording.done() or arrived(flight, folder / "log", thinned), "the end")
+            finally:
+                stop.set()
+            result = recording.result()
     assert not clock.awaited, told
-    return done[0], clock
+    return result, clock
+
+
+def arrived(flight: PlayedFlight, logs: Path, thinned: Collection[int] = ()) -> bool:
+    """Tell whether the last frame of every link is in a log, apart from messages that are sent less often."""
+    for name, line in flight.lines.items():
+        last = next(f for f in reversed(line.frames) if name != "vehicle" or message(f) not in thinned)
+        frames = frames_in(logs, name)
+        found = unnumbered([last]) <= unnumbered(frames) if name == "vehicle" else last in frames
+        if not found:
+            return False
+    return True
+
+
+def message(frame: bytes) -> int:
+    return int.from_bytes(frame[7:10], "little")
 
 
 def raw(result: Recorded, link: str) -> list[bytes]:
@@ -97,8 +106,8 @@ def test_a_base_by_tcp_and_lower_rates(small: Flight, tmp_path: Path) -> None:
     flight = read_flight(small.folder)
     result, _ = recorded(flight, tmp_path, base_on_tcp=True, rates={"ATTITUDE": 5, "SYSTEM_TIME": 1})
     assert not Counter(flight.lines["base"].frames) - Counter(raw(result, "base"))
-    kinds = Counter(int.from_bytes(frame[7:10], "little") for frame in raw(result, "vehicle"))
-    sent = Counter(int.from_bytes(frame[7:10], "little") for frame in flight.lines["vehicle"].frames)
+    kinds = Counter(map(message, raw(result, "vehicle")))
+    sent = Counter(map(message, flight.lines["vehicle"].frames))
     # Asked for in flight: the first part still comes at the full rate.
     assert 0.2 * sent[30] < kinds[30] < 0.8 * sent[30]
     assert kinds[2] == sent[2]
@@ -113,20 +122,16 @@ def test_a_recorder_that_was_stopped_is_started_again_in_flight(small: Flight, t
     with on_ports(flight, clock) as urls:
         given = tomllib.loads(record_settings(flight, urls, Path("log")))
         given["recording"]["least_free_mb"] = 0
-        for until in (end / 3, end):
-            stop = threading.Event()
-            work = threading.Thread(
-                target=lambda stop=stop: parts.append(
-                    record(Configuration.model_validate(given), tmp_path, stop, lambda _: None)
-                )
-            )
-            work.start()
-            deadline = time.monotonic() + 60
-            while clock.flight_s() < until and time.monotonic() < deadline:
-                time.sleep(0.02)
-            time.sleep(0.3)
-            stop.set()
-            work.join(20)
+        with ThreadPoolExecutor(1) as pool:
+            for enough in (lambda: clock.flight_s() > end / 3, lambda: arrived(flight, tmp_path / "log")):
+                stop = threading.Event()
+                settings = Configuration.model_validate(given)
+                recording = pool.submit(record, settings, tmp_path, stop, lambda _: None)
+                try:
+                    until(enough, "its part of the flight")
+                finally:
+                    stop.set()
+                parts.append(recording.result())
     first, second = (raw(part, "rover") for part in parts)
     sent = flight.lines["rover"].frames
     # The first has the beginning, the second the end; between them some seconds of flight are missing.

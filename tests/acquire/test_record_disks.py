@@ -1,0 +1,167 @@
+"""Disks that fill up, fail or are changed: what was taken is in one file or the next."""
+
+from __future__ import annotations
+
+import errno
+import io
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from acquire.log.records import Channel
+from acquire.log.recovery import recover
+from acquire.log.writer import LogWriter
+from acquire.recording.files import Limits, LogFiles, WholeWrites
+from drivers.errors import OutputError
+from tests.acquire.live import until
+from tests.acquire.scripted import messages
+
+
+class _SmallDisk(WholeWrites):
+    """A disk with little room, shared by all files in a folder; the last write is cut in the middle."""
+
+    def __init__(self, file: io.FileIO, room: dict[Path, int], folder: Path) -> None:
+        super().__init__(file)
+        self._room, self._folder = room, folder
+
+    def write(self, data: bytes) -> int:  # type: ignore[override]
+        if self._room.get(self._folder, 1 << 40) < len(data):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        self._room[self._folder] = self._room.get(self._folder, 1 << 40) - len(data)
+        return super().write(data)
+
+
+def _fill(files: LogFiles, count: int) -> list[bytes]:
+    chance = np.random.default_rng(5)
+    sent = []
+    for number in range(count):
+        payload = chance.bytes(300)
+        one = np.array([number], np.int64)
+        files.messages(Channel("/rover/raw", "ubx"), [payload], one, one, one)
+        sent.append(payload)
+        files.make_safe()
+    return sent
+
+
+def _kept(paths: list[Path], folder: Path) -> list[bytes]:
+    found = []
+    for number, path in enumerate(paths):
+        fixed = folder / f"fixed-{number}.mcap"
+        recover(path, fixed)
+        found += messages(fixed, "/rover/raw")
+    return found
+
+
+def _nothing(writer: LogWriter) -> None:
+    writer.metadata("site", {"operator": "A. Surveyor"})
+
+
+def test_a_full_disk_sends_the_recording_to_the_spare_folder(tmp_path: Path) -> None:
+    first, spare = tmp_path / "first", tmp_path / "spare"
+    room = {first: 5000}
+
+    def make(path: Path) -> WholeWrites:
+        return _SmallDisk(io.FileIO(path, "xb"), room, path.parent)
+
+    files = LogFiles([first, spare], _nothing, Limits(), time.time_ns, make)
+    sent = _fill(files, 40)
+    files.close()
+    assert [path.parent for path in files.paths] == [first, spare]
+    assert _kept(files.paths, tmp_path) == sent
+
+
+def test_when_every_disk_is_full_what_was_written_is_safe(tmp_path: Path) -> None:
+    room = {tmp_path: 5000}
+
+    def make(path: Path) -> WholeWrites:
+        return _SmallDisk(io.FileIO(path, "xb"), room, path.parent)
+
+    files = LogFiles([tmp_path], _nothing, Limits(), time.time_ns, make)
+    sent = _fill(files, 40)
+    with pytest.raises(OutputError, match="what was written is safe"):
+        files.close()
+    kept = _kept(files.paths, tmp_path)
+    assert len(kept) > 5
+    assert kept == sent[: len(kept)]
+
+
+def test_when_a_full_disk_has_room_again_nothing_is_lost(tmp_path: Path) -> None:
+    room, clock = {tmp_path: 5000}, {"ns": 1_777_626_000_000_000_000}
+
+    def make(path: Path) -> WholeWrites:
+        return _SmallDisk(io.FileIO(path, "xb"), room, path.parent)
+
+    files = LogFiles([tmp_path], _nothing, Limits(), lambda: clock["ns"], make)
+    sent = _fill(files, 20)
+    told = []
+    for second in range(12):
+        clock["ns"] += 1_000_000_000
+        told += files.make_safe()
+        if second == 7:
+            assert told == []
+            room[tmp_path] = 1 << 20
+    sent += _fill(files, 5)
+    told += files.close()
+    assert [kind for kind, _ in told] == ["note"]
+    assert len(files.paths) == 2
+    assert sorted(_kept(files.paths, tmp_path)) == sorted(sent)
+
+
+def test_a_disk_that_fails_later_sends_the_recording_to_the_next_file(tmp_path: Path) -> None:
+    """What a disk took may still fail on its way to the platter: fsync tells, after the writing."""
+    made: list[Path] = []
+
+    class FailsOnce(WholeWrites):
+        def make_safe(self) -> None:
+            if len(made) == 1:
+                raise OSError(errno.EIO, "Input/output error")
+            super().make_safe()
+
+    def make(path: Path) -> WholeWrites:
+        made.append(path)
+        return FailsOnce(io.FileIO(path, "xb"))
+
+    files = LogFiles([tmp_path], _nothing, Limits(), time.time_ns, make)
+    sent = _fill(files, 1)
+    told: list[tuple[str, str]] = []
+
+    def failed() -> bool:
+        told.extend(files.make_safe())
+        return bool(told)
+
+    until(failed, "the failure of the disk")
+    sent += _fill(files, 3)
+    files.close()
+    assert [kind for kind, _ in told] == ["disk_full"]
+    assert "Input/output error" in told[0][1]
+    assert len(files.paths) == 2
+    assert sorted(_kept(files.paths, tmp_path)) == sorted(sent)
+
+
+def test_too_much_held_ends_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("acquire.recording.files.HELD_BYTES", 3000)
+    room = {tmp_path: 5000}
+
+    def make(path: Path) -> WholeWrites:
+        return _SmallDisk(io.FileIO(path, "xb"), room, path.parent)
+
+    files = LogFiles([tmp_path], _nothing, Limits(), time.time_ns, make)
+    with pytest.raises(OutputError, match="what was written is safe"):
+        _fill(files, 40)
+
+
+def test_files_rotate_and_each_stands_for_itself(tmp_path: Path) -> None:
+    files = LogFiles([tmp_path], _nothing, Limits(size=4000), time.time_ns)
+    sent = _fill(files, 40)
+    files.close()
+    assert len(files.paths) >= 4
+    kept = []
+    for path in files.paths:
+        kept += messages(path, "/rover/raw")
+        with path.open("rb") as stream:
+            notes = {m.name: m.metadata for m in make_reader(stream).iter_metadata()}
+        assert notes["site"] == {"operator": "A. Surveyor"}
+    assert kept == sent
