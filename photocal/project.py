@@ -50,6 +50,14 @@ class ProjectKeys(Table):
         return self
 
 
+class AirAtBase(Table):
+    """`[flight] weather`: temperature in the shade, humidity, pressure at the place (not of sea level)."""
+
+    temperature_c: Annotated[float, Field(ge=-60, le=60)]
+    relative_humidity_percent: Annotated[float, Field(ge=0, le=100)]
+    pressure_hpa: Annotated[float, Field(ge=400, le=1100)] | None = None
+
+
 class Flight(Table):
     """`[flight]`: recordings and what is known of the receivers and the camera's events.
 
@@ -67,6 +75,10 @@ class Flight(Table):
         Latitude, longitude in degrees, ellipsoidal height in m; goes before what the log says.
     base_antenna_height_m, rover_antenna_height_m : float or None
         Antenna reference point above the mark; None: as the RINEX headers have it.
+    base_sigma_m : (float, float, float) or None
+        Standard deviations of the base's position, east, north, up.
+    weather : AirAtBase or None
+        Measured at the base during the flight.
     edge : str
         Of the time marks.
     delay_s : float
@@ -85,6 +97,8 @@ class Flight(Table):
     base_position: tuple[Annotated[float, Field(ge=-90, le=90)], Degrees, FiniteFloat] | None = None
     base_antenna_height_m: FiniteFloat | None = None
     rover_antenna_height_m: FiniteFloat | None = None
+    base_sigma_m: Sigmas | None = None
+    weather: AirAtBase | None = None
     edge: Literal["rising", "falling"] = "rising"
     delay_s: FiniteFloat = 0.0
     clock_offset_s: PositiveFloat = 60.0

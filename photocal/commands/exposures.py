@@ -65,6 +65,13 @@ def exposures(
     base_position: Annotated[
         str | None, typer.Option(help="LAT,LON,H of the base: degrees, ellipsoidal height in metres.")
     ] = None,
+    base_sigma: Annotated[
+        str | None, typer.Option(help="Standard deviations E,N,U of the base's position, metres.")
+    ] = None,
+    weather: Annotated[
+        str | None,
+        typer.Option(help="TEMPERATURE,HUMIDITY[,PRESSURE] at the base: degrees Celsius, percent, hPa."),
+    ] = None,
     rover_link: Annotated[str, typer.Option(help="Link of the rover in the flight log.")] = "rover",
     base_link: Annotated[str, typer.Option(help="Link of the base in the flight log.")] = "base",
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
@@ -96,6 +103,7 @@ def exposures(
     from photocal.navigation.rig import Rig
     from photocal.navigation.rig import camera_axes as axes_of
     from photocal.navigation.triple import parse_triple
+    from photocal.navigation.troposphere import parse_weather
 
     logs = tuple(flight or ())
     project = [path for path in logs if path.suffix == ".toml"]
@@ -114,7 +122,17 @@ def exposures(
             np.radians(parse_triple(boresight_sigma, "--boresight-sigma")),
             axes_of(tuple(camera_axes.split(","))),
         )
-        sources = Sources(logs, rover, base, tuple(nav or ()), base_position, rover_link, base_link)
+        sources = Sources(
+            logs,
+            rover,
+            base,
+            tuple(nav or ()),
+            base_position,
+            rover_link,
+            base_link,
+            base_sigma_m=None if base_sigma is None else parse_triple(base_sigma, "--base-sigma"),
+            weather=None if weather is None else parse_weather(weather, "--weather"),
+        )
         choices = Choices(sources, images, mrk, edge, delay, delay_sigma, rig, clock_offset)
     choices = replace(choices, oriented=oriented)
     if check_images:

@@ -28,6 +28,13 @@ def ppk(
     base_position: Annotated[
         str | None, typer.Option(help="LAT,LON,H of the base: degrees, ellipsoidal height in metres.")
     ] = None,
+    base_sigma: Annotated[
+        str | None, typer.Option(help="Standard deviations E,N,U of the base's position, metres.")
+    ] = None,
+    weather: Annotated[
+        str | None,
+        typer.Option(help="TEMPERATURE,HUMIDITY[,PRESSURE] at the base: degrees Celsius, percent, hPa."),
+    ] = None,
     rover_link: Annotated[str, typer.Option(help="Link of the rover in the flight log.")] = "rover",
     base_link: Annotated[str, typer.Option(help="Link of the base in the flight log.")] = "base",
     rover_antenna_height: Annotated[
@@ -59,10 +66,22 @@ def ppk(
     from photocal.navigation.ppk_inputs import Sources, gather_inputs
     from photocal.navigation.ppk_report import plot_ppk, ppk_figures, ppk_text
     from photocal.navigation.trajectory import write_trajectory
+    from photocal.navigation.triple import parse_triple
+    from photocal.navigation.troposphere import parse_weather
 
     engine = Rtklib()
     logs = tuple(flight or ())
-    sources = Sources(logs, rover, base, tuple(nav or ()), base_position, rover_link, base_link)
+    sources = Sources(
+        logs,
+        rover,
+        base,
+        tuple(nav or ()),
+        base_position,
+        rover_link,
+        base_link,
+        base_sigma_m=None if base_sigma is None else parse_triple(base_sigma, "--base-sigma"),
+        weather=None if weather is None else parse_weather(weather, "--weather"),
+    )
     with tempfile.TemporaryDirectory() as scratch:
         inputs, remarks = gather_inputs(sources, engine, Path(scratch))
         options = options_for(inputs.rover, inputs.base, rover_antenna_height, base_antenna_height, elevation)

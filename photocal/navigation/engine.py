@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import IllPosedError, ProgramMissingError
 from photocal.navigation.engine_output import EngineSolution, read_solution
+from photocal.navigation.engine_sights import Sights, read_sights
 from photocal.navigation.time import GpsTime
 
 Mode = Literal["kinematic", "static", "single", "ppp-static"]
@@ -85,6 +86,10 @@ class Engine(Protocol):
         """Compute positions from rover, base and navigation files."""
         ...
 
+    def sights(self, rover: Path, folder: Path) -> Sights:
+        """Return the satellites of the forward kinematic run that `solve` has done in the folder."""
+        ...
+
 
 @dataclass(frozen=True)
 class Rtklib:
@@ -129,6 +134,10 @@ class Rtklib:
             )
         return read_solution(output)
 
+    def sights(self, rover: Path, folder: Path) -> Sights:
+        """Return the satellites of the forward kinematic run that `solve` has done in the folder."""
+        return read_sights(folder / f"{rover.stem}-kinematic-forward.pos.stat")
+
 
 def configuration(mode: Mode, direction: Direction, options: ProcessingOptions) -> str:
     """Return the engine's configuration file, also for a run by hand."""
@@ -160,6 +169,8 @@ def configuration(mode: Mode, direction: Direction, options: ProcessingOptions) 
         # With the type "*" the engine takes type and height from the header and passes over the height here.
         settings[f"{antenna}-anttype"] = "*" if height_m is None else ""
         settings[f"{antenna}-antdelu"] = f"{height_m or 0.0:.4f}"
+    if (mode, direction) == ("kinematic", "forward"):
+        settings["out-outstat"] = "residual"
     if mode == "ppp-static":
         # Two frequencies remove the ionosphere; the wet troposphere is an unknown, the earth's tides are not.
         settings |= {"pos1-ionoopt": "dual-freq", "pos1-tropopt": "est-ztd", "pos1-tidecorr": "on"}

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from photocal.navigation.check import Check, findings
+from photocal.navigation.common_errors import common_text
 from photocal.navigation.device_clocks import ComparedClocks, clock_sentences
 from photocal.navigation.events import Events
 from photocal.navigation.exposures import CameraMatch, Exposures
@@ -46,6 +47,7 @@ def exposure_figures(
         "clocks": [clock.figures() for clock in clocks],
         "checks": [vars(check) for check in checks],
         "findings": [*findings(checks), *unmatched, *_missing(exposures)],
+        "common": None if ppk is None else ppk.get("common"),
         "ppk": ppk,
     }  # fmt: skip
 
@@ -136,6 +138,8 @@ def exposures_text(figures: dict[str, Any]) -> str:
     if sigma["roll_pitch_yaw_deg"]:
         told = " ".join(f"{v:.2f}" for v in sigma["roll_pitch_yaw_deg"])
         lines.append(f"sigma (median) roll pitch yaw {told} deg")
+    if figures["common"] is not None:
+        lines += common_text(figures["common"])
     lines += figures["remarks"]
     for camera in figures["cameras"]:
         rest = f"{len(camera['unmatched_images'])} images, {len(camera['unmatched_events'])} events"

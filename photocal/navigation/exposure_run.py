@@ -11,6 +11,7 @@ import numpy as np
 from drivers.errors import ConfigurationError
 from photocal.navigation.attitude import Attitudes
 from photocal.navigation.check import Check
+from photocal.navigation.common_errors import CommonErrors
 from photocal.navigation.device_clocks import device_by_arrival
 from photocal.navigation.engine import Engine
 from photocal.navigation.events import Events
@@ -144,7 +145,12 @@ def run_exposures(choices: Choices, engine: Engine, folder: Path) -> ExposureRun
 def place_exposures(
     choices: Choices, trajectory: Trajectory | None, ppk: dict[str, Any] | None
 ) -> ExposureRun:
-    """Do the same with a trajectory that is there already, with the figures of its PPK."""
+    """Do the same with a trajectory that is there already, with the figures of its PPK.
+
+    What the engine leaves of the air between base and rover is taken out of the positions.
+    """
+    if trajectory is not None and ppk is not None and "common" in ppk:
+        trajectory = CommonErrors.from_json(ppk["common"]).corrected(trajectory)
     sources = choices.sources
     flight = _Flight(
         read_receivers(sources.logs),

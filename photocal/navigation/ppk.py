@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, IllPosedError
 from photocal.navigation.combination import between_directions
+from photocal.navigation.common_errors import CommonErrors, common_errors
 from photocal.navigation.engine import Direction, Engine, Mode, ProcessingOptions
 from photocal.navigation.engine_output import EngineSolution
 from photocal.navigation.fix_validation import Judgement, judge
@@ -18,6 +19,7 @@ from photocal.navigation.rinex import ObservationFile, count_ephemerides
 from photocal.navigation.static_position import in_order, static_position, trajectory_of
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric, geodetic
+from photocal.navigation.troposphere import Weather
 
 _LEAST_EPOCHS = 10
 _AT_ONCE = 2
@@ -41,6 +43,10 @@ class Inputs:
         Earth-centred position of the base's antenna reference point (or mark, with an antenna height).
     base_source : str
         Where the position stands.
+    base_sigma_m : ndarray, shape (3,), or None
+        Its standard deviations, east, north, up; None: nobody stated them.
+    weather : Weather or None
+        Measured at the base; None: that of the climate.
     """
 
     rover: ObservationFile
@@ -48,6 +54,8 @@ class Inputs:
     navigation: list[Path]
     base_m: NDArray[np.float64]
     base_source: str
+    base_sigma_m: NDArray[np.float64] | None = None
+    weather: Weather | None = None
 
 
 @dataclass(frozen=True)
@@ -76,6 +84,8 @@ class PpkResult:
         Begin and length of the gaps of the base within the rover's time, longest first.
     replaced : int
         Epochs at which the engine's combination lay apart from both directions.
+    common : CommonErrors or None
+        Of all positions of a kinematic run.
     """
 
     inputs: Inputs
@@ -88,6 +98,7 @@ class PpkResult:
     base_off_code_m: NDArray[np.float64]
     base_gaps_s: list[tuple[GpsTime, float]]
     replaced: int = 0
+    common: CommonErrors | None = None
 
 
 def options_for(
@@ -176,8 +187,16 @@ def process(
     row = code.at(combined.time)
     velocity = np.where((row >= 0)[:, None], code.velocity_m_s[row], np.nan)
     trajectory = trajectory_of(judgement.solution, judgement.velocity_sigma_m_s, inputs.base_m, velocity)
+    common = common_errors(
+        trajectory,
+        engine.sights(inputs.rover.path, folder),
+        inputs.base_m,
+        inputs.base_sigma_m,
+        inputs.weather,
+    )
+    count = int(replaced.sum())
     return PpkResult(
-        inputs, options, mode, engine.name, combined, judgement, trajectory, off_m, gaps, int(replaced.sum())
+        inputs, options, mode, engine.name, combined, judgement, trajectory, off_m, gaps, count, common
     )
 
 

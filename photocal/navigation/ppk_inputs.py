@@ -21,6 +21,7 @@ from photocal.navigation.receiver_recording import (
 )
 from photocal.navigation.rinex import count_ephemerides, read_observation_file
 from photocal.navigation.time import GpsTime
+from photocal.navigation.troposphere import Weather
 
 NAV_OF_BASE = "base"
 
@@ -43,6 +44,10 @@ class Sources:
         Links of the logs; no vehicle link: any.
     rover_antenna_m, base_antenna_m : float or None
         Antenna reference point above the mark; None: as the RINEX header has it.
+    base_sigma_m : float64 (3,) or None
+        Standard deviations of the base's coordinates, east, north, up; goes before what a survey-in says.
+    weather : Weather or None
+        Measured at the base.
     """
 
     logs: tuple[Path, ...] = ()
@@ -55,6 +60,8 @@ class Sources:
     vehicle_link: str | None = None
     rover_antenna_m: float | None = None
     base_antenna_m: float | None = None
+    base_sigma_m: NDArray[np.float64] | None = None
+    weather: Weather | None = None
 
 
 def gather_inputs(sources: Sources, engine: Engine, folder: Path) -> tuple[Inputs, list[str]]:
@@ -100,7 +107,10 @@ def gather_inputs(sources: Sources, engine: Engine, folder: Path) -> tuple[Input
             navigation.append(Path(name))
     position, source = _base_position(sources, base_recording)
     files = [path for path in navigation if path.exists()]
-    return Inputs(rover, base, files, position, source), remarks
+    sigma = sources.base_sigma_m
+    if sigma is None and sources.base_position is None and base_recording is not None:
+        sigma = base_recording.position_sigma_m()
+    return Inputs(rover, base, files, position, source, sigma, sources.weather), remarks
 
 
 def _needed(logs: tuple[Path, ...], role: str) -> tuple[Path, ...]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from photocal.navigation.common_errors import common_text
 from photocal.navigation.ppk import PpkResult
 from photocal.navigation.trajectory import enu_offsets, geodetic
 
@@ -62,6 +63,8 @@ def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
     }
     if result.judgement is not None:
         figures["validation"] = _validation(result)
+    if result.common is not None:
+        figures["common"] = result.common.as_json()
     if result.mode == "static":
         figures["position"] = {
             "lat_deg": float(trajectory.lat_deg[0]),
@@ -150,6 +153,8 @@ def ppk_text(figures: dict[str, Any]) -> str:
     validation = figures.get("validation")
     if validation:
         lines += _validation_text(validation)
+    if "common" in figures:
+        lines += common_text(figures["common"])
     position = figures.get("position")
     if position:
         lines.append(

@@ -20,6 +20,8 @@ from photocal.navigation.flight_log import messages_of, named
 from photocal.navigation.geoid_separation import told_by_receiver
 
 Integers = NDArray[np.int64]
+# A survey-in is announced with rounded coordinates.
+_SAME_MARK_M = 0.01
 _MSM_FIRST, _MSM_LAST = 1071, 1137
 _NO_DIALECT = Dialect({}, np.full(1, -1, np.int16), {})
 
@@ -42,6 +44,8 @@ class ReceiverRecording:
         Earth-centred positions in RTCM 1005/1006.
     surveyed_m : ndarray, shape (3,), or None
         Mean of a survey-in that is valid.
+    surveyed_sigma_m : float or None
+        Its accuracy as the receiver states it, in space.
     first_log_ns : int
         Time of receipt of the first frame (UTC ns).
     time_marks : list of ndarray
@@ -64,6 +68,7 @@ class ReceiverRecording:
     observation_frames: int = 0
     announced_m: list[NDArray[np.float64]] = field(default_factory=list)
     surveyed_m: NDArray[np.float64] | None = None
+    surveyed_sigma_m: float | None = None
     first_log_ns: int = 0
     time_marks: list[NDArray[Any]] = field(default_factory=list)
     mark_epoch_ns: list[Integers] = field(default_factory=list)
@@ -103,6 +108,7 @@ class ReceiverRecording:
             last = survey[-1]
             mean = [float(last[f"mean{a}"]) * 1e-2 + float(last[f"mean{a}HP"]) * 1e-4 for a in "XYZ"]
             self.surveyed_m = np.array(mean)
+            self.surveyed_sigma_m = float(last["meanAcc"]) * 1e-4
         used = ~empty & ~untimed
         epoch = week_to_ns(raw.fields["week"][used], raw.fields["rcvTow"][used])
         before = np.concatenate([[int(self.epoch_ns[-1][-1]) if self.epoch_ns else -1], epoch])
@@ -147,6 +153,16 @@ class ReceiverRecording:
                 )
             return all_m[0], "RTCM 1005/1006"
         return None if self.surveyed_m is None else (self.surveyed_m, "survey-in")
+
+    def position_sigma_m(self) -> NDArray[np.float64] | None:
+        """Return the standard deviations of a position that a survey-in found; None of any other."""
+        found = self.position_m()
+        if found is None or self.surveyed_m is None or self.surveyed_sigma_m is None:
+            return None
+        # An announced position is that of the survey-in, or was typed in.
+        if np.linalg.norm(found[0] - self.surveyed_m) > _SAME_MARK_M:
+            return None
+        return np.full(3, self.surveyed_sigma_m / np.sqrt(3))
 
 
 def read_receivers(logs: tuple[Path, ...]) -> dict[str, ReceiverRecording]:

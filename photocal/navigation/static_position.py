@@ -17,7 +17,7 @@ _STATUS = {1: "fixed", 2: "float"}
 _DIFFERENTIAL, _PRECISE = 2, 6
 # What differences do not remove of orbits, troposphere and ionosphere: a millimetre per kilometre at quiet
 # times (Odijk 2002, chapter 3).
-_PER_METRE = 1e-6
+PER_METRE = 1e-6
 # Antennas without calibration: phase centres agree to a millimetre or two at best.
 _STATIC_FLOOR_M = np.array([0.001, 0.001, 0.002])
 
@@ -115,7 +115,7 @@ def trajectory_of(
         East, north, up, m/s.
     """
     place = geocentric(solution.lat_deg, solution.lon_deg, solution.height_m)
-    apart = _PER_METRE * np.linalg.norm(place - base_m, axis=1)
+    apart = PER_METRE * np.linalg.norm(place - base_m, axis=1)
     apart[solution.quality > _DIFFERENTIAL] = 0.0
     status = np.array([_STATUS.get(q, "single") for q in solution.quality.tolist()], "U6")
     return Trajectory(

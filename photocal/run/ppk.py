@@ -21,7 +21,15 @@ def ppk_stage(project: Project) -> Stage:
     inputs |= {name: path for name, path in named.items() if path is not None}
     settings = flight.model_dump(
         mode="json",
-        include={"rover", "base", "base_position", "base_antenna_height_m", "rover_antenna_height_m"},
+        include={
+            "rover",
+            "base",
+            "base_position",
+            "base_antenna_height_m",
+            "rover_antenna_height_m",
+            "base_sigma_m",
+            "weather",
+        },
     )
     return Stage(
         "ppk", "positions of the antenna", lambda out, show: _make(project, out, show), inputs, settings

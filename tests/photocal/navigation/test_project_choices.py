@@ -10,6 +10,7 @@ import pytest
 from drivers.errors import InputMalformedError
 from photocal.navigation.image_metadata import read_images
 from photocal.navigation.project_choices import choices_of_project
+from photocal.navigation.troposphere import Weather
 from photocal.project import read_project
 
 PROJECT = """
@@ -23,6 +24,8 @@ logs = ["a.mcap", "b.mcap"]
 vehicle = "drone"
 base_position = [-22.7, -43.2, 30.0]
 base_antenna_height_m = 1.5
+base_sigma_m = [0.01, 0.02, 0.03]
+weather = { temperature_c = 21.5, relative_humidity_percent = 60.0 }
 edge = "falling"
 delay_s = 0.004
 clock_offset_s = 12.0
@@ -49,6 +52,9 @@ def test_every_key_finds_its_place(tmp_path: Path) -> None:
     assert (sources.vehicle_link, sources.rover_link) == ("drone", "rover")
     assert sources.base_position == "-22.7,-43.2,30.0"
     assert (sources.base_antenna_m, sources.rover_antenna_m) == (1.5, None)
+    assert sources.base_sigma_m is not None
+    assert sources.base_sigma_m.tolist() == [0.01, 0.02, 0.03]
+    assert sources.weather == Weather(21.5, 0.6)
     assert (choices.edge, choices.delay_s, choices.largest_offset_s) == ("falling", 0.004, 12.0)
     # From the antenna to the camera here, the other way round in the project.
     assert rig.lever_m is not None

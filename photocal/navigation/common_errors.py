@@ -1,0 +1,179 @@
+"""Errors that all exposures of a flight share: base, lasting multipath, air between base and rover."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.navigation.engine_sights import Sights, correlation_time_s, shift_by_zenith_delay
+from photocal.navigation.static_position import PER_METRE
+from photocal.navigation.time import GpsTime
+from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric, geodetic
+from photocal.navigation.troposphere import DelayLapse, Weather, remaining_lapse
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CommonErrors:
+    """What the covariances of single positions do not tell: parts that no average over the flight removes.
+
+    Parameters
+    ----------
+    base_sigma_m : float64 (3,) or None
+        Standard deviations of the base's coordinates, east, north, up; None: nobody stated them.
+    correlation_time_s : float or None
+        How long errors of positions last (see `engine_sights.correlation_time_s`).
+    lasting_sigma_m : float64 (3,)
+        Of the mean over the flight of errors that last, with those that grow with the distance.
+    base_height_m : float
+        Ellipsoidal.
+    lapse : DelayLapse
+        What the engine leaves of the air between base and rover.
+    shift_by_zenith_delay : float64 (3,) or None
+        Shift of a position for each metre of zenith delay, east, north, up.
+    """
+
+    base_sigma_m: Floats | None
+    correlation_time_s: float | None
+    lasting_sigma_m: Floats
+    base_height_m: float
+    lapse: DelayLapse
+    shift_by_zenith_delay: Floats | None
+
+    @property
+    def shift_sigma_m(self) -> Floats:
+        """Standard deviations of a shift common to all positions, east, north, up (3,)."""
+        base = np.zeros(3) if self.base_sigma_m is None else self.base_sigma_m
+        return np.asarray(np.hypot(base, self.lasting_sigma_m))
+
+    @property
+    def zenith_scale_sigma(self) -> float:
+        """Standard deviation of an error of heights that grows with the height above the base, m per m."""
+        moved = self.shift_by_zenith_delay
+        return 0.0 if moved is None else float(abs(moved[2]) * self.lapse.sigma)
+
+    @property
+    def correction_per_metre(self) -> Floats:
+        """Shift to add to positions for each metre above the base, east, north, up (3,)."""
+        moved = self.shift_by_zenith_delay
+        return np.zeros(3) if moved is None else moved * self.lapse.value
+
+    def as_json(self) -> dict[str, Any]:
+        """Give them as a JSON value."""
+        return {
+            "shift_sigma_m": self.shift_sigma_m.tolist(),
+            "zenith_scale_sigma": self.zenith_scale_sigma,
+            "correlation_time_s": self.correlation_time_s,
+            "base_sigma_m": _listed(self.base_sigma_m),
+            "lasting_sigma_m": self.lasting_sigma_m.tolist(),
+            "base_height_m": self.base_height_m,
+            "lapse": vars(self.lapse),
+            "shift_by_zenith_delay": _listed(self.shift_by_zenith_delay),
+            "correction_per_metre": self.correction_per_metre.tolist(),
+        }
+
+    @classmethod
+    def from_json(cls, figures: dict[str, Any]) -> CommonErrors:
+        """Read what `as_json` gave."""
+        return cls(
+            _array(figures["base_sigma_m"]),
+            figures["correlation_time_s"],
+            np.array(figures["lasting_sigma_m"]),
+            figures["base_height_m"],
+            DelayLapse(**figures["lapse"]),
+            _array(figures["shift_by_zenith_delay"]),
+        )
+
+    def corrected(self, trajectory: Trajectory) -> Trajectory:
+        """Return a trajectory with the expected effect of the air between base and rover taken out.
+
+        The rover above the base has less air above it than the engine believes: its lowest satellites seem
+        too near, which puts it too low.
+        """
+        if not self.correction_per_metre.any():
+            return trajectory
+        t = trajectory
+        above = t.height_m - self.base_height_m
+        offset = above[:, None] * self.correction_per_metre
+        # Axes of the flight's middle serve all its positions: corrections are centimetres.
+        axes = enu_axes(float(np.median(t.lat_deg)), float(np.median(t.lon_deg)))
+        place = geodetic(geocentric(t.lat_deg, t.lon_deg, t.height_m) + offset @ axes)
+        return replace(t, lat_deg=place[0], lon_deg=place[1], height_m=place[2])
+
+
+def common_errors(
+    trajectory: Trajectory,
+    sights: Sights,
+    base_m: Floats,
+    base_sigma_m: Floats | None = None,
+    weather: Weather | None = None,
+) -> CommonErrors:
+    """Estimate what all positions of a flight share.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        With the covariances of single positions.
+    sights : Sights
+        Of the engine's forward run.
+    base_m : float64 (3,)
+        Earth-centred position of the base.
+    base_sigma_m : float64 (3,), optional
+        Its standard deviations, east, north, up.
+    weather : Weather, optional
+        Measured at the base.
+    """
+    t = trajectory
+    (lat,), _, (height,) = geodetic(base_m[None])
+    lapse = remaining_lapse(float(lat), float(height), day_of_year(t.time), weather)
+    lasts = correlation_time_s(sights)
+    moved = shift_by_zenith_delay(sights)
+    good = t.status == "fixed" if (t.status == "fixed").any() else np.ones(len(t), bool)
+    sigma = np.sqrt(np.median(np.diagonal(t.covariance_m2[good], axis1=1, axis2=2), axis=0))
+    duration = max(float(t.time.ns[-1] - t.time.ns[0]) / 1e9, 1e-9)
+    # Errors of which it is not known how long they last are taken to last for the whole flight.
+    share = min(float(np.nan_to_num(2 * lasts / duration, nan=1.0)), 1.0)
+    away = np.linalg.norm(geocentric(t.lat_deg, t.lon_deg, t.height_m) - base_m, axis=1)
+    return CommonErrors(
+        base_sigma_m,
+        lasts if np.isfinite(lasts) else None,
+        np.hypot(sigma * np.sqrt(share), PER_METRE * float(np.median(away))),
+        float(height),
+        lapse,
+        moved if np.isfinite(moved).all() else None,
+    )
+
+
+def day_of_year(time: GpsTime) -> float:
+    """Return the day of the year (1 to 366) of the first instant."""
+    moment = np.datetime64("1980-01-06T00:00:00", "ns") + np.timedelta64(int(time.ns[0]), "ns")
+    return float((moment - moment.astype("datetime64[Y]")) / np.timedelta64(1, "D")) + 1
+
+
+def common_text(figures: dict[str, Any]) -> list[str]:
+    """Return what `CommonErrors.as_json` gave in words."""
+    shift = " ".join(f"{v:.3f}" for v in figures["shift_sigma_m"])
+    base = "" if figures["base_sigma_m"] else "; the base's own sigma was not stated"
+    lasts = figures["correlation_time_s"]
+    told = "" if lasts is None else f", errors last {lasts:.0f} s"
+    lines = [f"common to all positions: sigma {shift} m (E N U){told}{base}"]
+    if figures["shift_by_zenith_delay"] is not None:
+        moved = 1e3 * figures["correction_per_metre"][2]
+        spread = 1e3 * figures["zenith_scale_sigma"]
+        lines.append(
+            f"air between base and rover ({figures['lapse']['source']}): {moved:+.2f} mm of height for each "
+            f"metre above the base, sigma {spread:.2f} mm"
+        )
+    return lines
+
+
+def _listed(values: Floats | None) -> list[float] | None:
+    return None if values is None else values.tolist()
+
+
+def _array(values: list[float] | None) -> Floats | None:
+    return None if values is None else np.array(values)
