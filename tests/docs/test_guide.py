@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from photocal.accuracy.georeferencing.hypotheses import MEANING
+from photocal.accuracy.georeferencing.freed_groups import MEANING
 from photocal.block.mounting import BODY_AXES
 from photocal.project import Rig
 from photocal.run.warnings import _UNMATCHED as UNMATCHED

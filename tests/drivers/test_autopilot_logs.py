@@ -152,7 +152,7 @@ def test_damage_costs_no_record_but_its_own(framer: type[Framer], harm: str) -> 
         assert not lost, (victim, place)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     st.sampled_from(FRAMERS),
     st.lists(st.one_of(st.integers(0, 40), st.binary(max_size=40)), max_size=12),

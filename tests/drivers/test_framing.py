@@ -129,7 +129,7 @@ PIECES: st.SearchStrategy[list[tuple[Wire | None, bytes]]] = st.lists(
 ALL = (Wire.MAVLINK, *GNSS)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(PIECES, st.lists(st.integers(0, 5000), max_size=6))
 def test_frames_between_noise_are_all_found_however_the_stream_is_cut(
     pieces: list[tuple[Wire | None, bytes]], cuts: list[int]
@@ -145,7 +145,7 @@ def test_frames_between_noise_are_all_found_however_the_stream_is_cut(
     assert not put - Counter(f.data for f in whole)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.sampled_from(ALL), st.data())
 def test_damage_costs_no_frame_but_its_own(wire: Wire, draw: st.DataObject) -> None:
     put = draw.draw(st.lists(FRAMES[wire], min_size=3, max_size=8))
@@ -166,7 +166,7 @@ def test_damage_costs_no_frame_but_its_own(wire: Wire, draw: st.DataObject) -> N
     assert not expected - Counter(f.data for f in frames(found) if f.known)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.binary(max_size=2000), st.lists(st.integers(0, 2000), max_size=4))
 def test_noise_is_never_an_error(data: bytes, cuts: list[int]) -> None:
     assert_every_byte_is_counted(batches(data, ALL, cuts), data)

@@ -37,7 +37,7 @@ def same(ours: Any, theirs: Any) -> bool:
     return bool(ours == theirs)
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 @given(st.sampled_from(sorted(peer.mavlink_map)), st.binary(min_size=255, max_size=255), st.booleans())
 def test_every_message_decodes_as_by_pymavlink(message: int, noise: bytes, truncated: bool) -> None:
     known = peer.mavlink_map[message]
@@ -109,7 +109,7 @@ def test_frames_with_flags_that_nobody_knows_are_damage() -> None:
     assert batch.damage.tolist() == [[0, len(strange)]]
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.floats(-3, 3, width=32), st.integers(0, 2**32 - 1), st.integers(0, 255))
 def test_our_frames_are_read_by_pymavlink(angle: float, boot: int, sequence: int) -> None:
     frame = encode(

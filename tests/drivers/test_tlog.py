@@ -129,7 +129,7 @@ def test_noise_that_looks_like_an_unknown_frame_does_not_swallow_known_ones() ->
         assert known == [part[8:] for part in whole[:12]]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.integers(0, len(DEMO)), st.lists(st.integers(0, len(DEMO)), max_size=8))
 def test_a_log_cut_anywhere_gives_its_whole_records_however_it_is_fed(end: int, cuts: list[int]) -> None:
     whole, at = [], 0
@@ -146,7 +146,7 @@ def test_a_log_cut_anywhere_gives_its_whole_records_however_it_is_fed(end: int, 
     assert rest < 9 or framer.cut == rest
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.data())
 def test_damage_costs_only_the_frames_that_it_touches(draw: st.DataObject) -> None:
     first = draw.draw(st.integers(0, 700))
@@ -170,7 +170,7 @@ def test_damage_costs_only_the_frames_that_it_touches(draw: st.DataObject) -> No
     assert not expected - Counter(f.data for batch in found for f in batch if f.known)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.binary(max_size=1500), st.lists(st.integers(0, 1500), max_size=4))
 def test_noise_is_never_an_error(data: bytes, cuts: list[int]) -> None:
     found, _ = batches(data, cuts)

@@ -163,7 +163,7 @@ cells = st.one_of(st.floats(-5.0, 5.0), st.just(math.nan), st.just(0.0))
 tables = st.lists(st.tuples(cells, cells, cells), min_size=1, max_size=12).map(np.array)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(tables)
 def test_every_table_has_text_and_valid_json(d: FloatArray) -> None:
     if not np.isfinite(d).any():
@@ -174,7 +174,7 @@ def test_every_table_has_text_and_valid_json(d: FloatArray) -> None:
     assert to_text(result).startswith(f"{len(d)} check points; discrepancies are reference minus product")
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.permutations(range(8)))
 def test_the_order_of_the_points_does_not_matter(order: list[int]) -> None:
     d = np.random.default_rng(12).normal(0.1, 0.2, (8, 3))

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -127,7 +127,6 @@ vectors = st.lists(
 ).map(np.array)
 
 
-@settings(deadline=None)
 @given(vectors, st.sampled_from("ABCD"))
 def test_a_class_is_reached_just_above_its_exact_scale_and_not_just_below(d: FloatArray, name: str) -> None:
     limits = table("pec-pcd", "planimetry")
@@ -147,7 +146,6 @@ def test_a_class_is_reached_just_above_its_exact_scale_and_not_just_below(d: Flo
         assert not decision(exact.precision * (1 - 1e-6), precise=True)
 
 
-@settings(deadline=None)
 @given(vectors, st.floats(0.5, 20.0))
 def test_a_bias_lowers_the_accuracy_class_and_leaves_the_precision_class(d: FloatArray, bias: float) -> None:
     limits = table("pec-pcd", "planimetry")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.errors import InputMalformedError, InputNotFoundError, PhotocalError
@@ -90,7 +90,6 @@ def test_a_missing_file_and_a_binary_file(tmp_path: Path) -> None:
         read_discrepancies(binary)
 
 
-@settings(deadline=None)
 @given(st.text(max_size=300))
 def test_any_text_is_read_or_refused(text: str) -> None:
     try:
@@ -100,7 +99,6 @@ def test_any_text_is_read_or_refused(text: str) -> None:
     assert np.isfinite(found.d_m).any()
 
 
-@settings(deadline=None)
 @given(
     st.lists(
         st.sampled_from(

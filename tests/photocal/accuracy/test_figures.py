@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.quiver import QuiverKey
 
@@ -46,7 +46,6 @@ def test_histograms_count_every_point() -> None:
     assert len(histograms(Discrepancies(NAMES, D * np.array([np.nan, np.nan, 1.0]))).axes) == 1
 
 
-@settings(deadline=None)
 @given(st.floats(1e-6, 1e6))
 def test_round_numbers_of_the_scale_bar(value: float) -> None:
     found = round_down(value)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from photocal.accuracy.probable_error import circular_error, counted_error, linear_error
@@ -41,7 +41,6 @@ def test_circle_holds_its_share_of_simulated_errors(ratio: float) -> None:
     assert abs(held - 0.90) < 3.0 * math.sqrt(0.09 / 200_000)
 
 
-@settings(deadline=None)
 @given(st.floats(0.001, 100.0), st.floats(0.0, 1.0))
 def test_circular_error_lies_between_line_and_circle(sigma: float, ratio: float) -> None:
     found = circular_error(np.diag([sigma**2, (ratio * sigma) ** 2]), 0.90)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -106,7 +106,6 @@ def test_moments_from_published_rmse_and_t() -> None:
     assert figures.mean_m * math.sqrt(9) / figures.std_m == pytest.approx(-5.692, rel=1e-12)
 
 
-@settings(deadline=None)
 @given(values)
 def test_rmse_is_the_mean_square_of_the_values(sample: FloatArray) -> None:
     figures = moments(sample)
@@ -114,7 +113,6 @@ def test_rmse_is_the_mean_square_of_the_values(sample: FloatArray) -> None:
     assert figures.rmse_without_mean_m == pytest.approx(float(np.std(sample)), rel=1e-9, abs=1e-12)
 
 
-@settings(deadline=None)
 @given(values, st.floats(-50.0, 50.0))
 def test_a_shift_of_the_product_changes_the_mean_and_not_the_spread(sample: FloatArray, shift: float) -> None:
     before, after = moments(sample), moments(sample - shift)

@@ -53,7 +53,7 @@ def packed(structure: Envelope, full: Floats) -> Floats:
     return values
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(systems())
 def test_packing_and_solution(system: tuple[Envelope, Floats, Floats]) -> None:
     structure, values, full = system
@@ -65,7 +65,7 @@ def test_packing_and_solution(system: tuple[Envelope, Floats, Floats]) -> None:
     assert solve(structure, values, right[:, 0]) == pytest.approx(expected[:, 0], rel=1e-9, abs=1e-11)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(systems())
 def test_selected_inverse(system: tuple[Envelope, Floats, Floats]) -> None:
     structure, values, full = system
@@ -75,7 +75,7 @@ def test_selected_inverse(system: tuple[Envelope, Floats, Floats]) -> None:
     assert inverse[kept] == pytest.approx(np.linalg.inv(full)[kept], rel=1e-9, abs=1e-12)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(systems(), st.data())
 def test_an_indefinite_matrix_is_noticed(
     system: tuple[Envelope, Floats, Floats], data: st.DataObject

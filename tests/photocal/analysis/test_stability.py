@@ -180,7 +180,7 @@ def test_a_camera_is_like_itself() -> None:
     assert max(figure.value_px for figure in pair.figures) < 1e-8
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.floats(-3e-3, 3e-3), st.floats(-3e-3, 3e-3), st.floats(-1e-2, 1e-2))
 def test_rotation_and_resection_do_not_see_a_turned_bundle(omega: float, phi: float, kappa: float) -> None:
     """A bundle turned about its centre is the same bundle: the closed form of what ROT and SPR free."""
@@ -312,7 +312,7 @@ def test_wrong_files_are_refused_in_one_line(
     assert "\n" not in str(caught.value)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, len(GOOD) - 1), st.binary(max_size=6))
 def test_damaged_files_are_refused_or_read(
     tmp_path_factory: pytest.TempPathFactory, at: int, put: bytes

@@ -149,7 +149,7 @@ def test_huge_count_is_not_believed(tmp_path: Path, vision: Reconstruction, name
 
 
 @given(st.integers(0, 2), st.integers(0, 10**6), st.binary(max_size=12))
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 def test_damaged_binary_never_tracebacks(
     tmp_path_factory: pytest.TempPathFactory, vision: Reconstruction, which: int, at: int, noise: bytes
 ) -> None:

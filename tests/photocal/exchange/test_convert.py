@@ -82,7 +82,7 @@ small = st.floats(-1, 1, allow_nan=False)
 
 
 @given(st.tuples(*[small] * 7), st.floats(0.5, 2), st.floats(0.9, 1.1))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_pinhole_round_trip(unit: tuple[float, ...], focal: float, aspect: float) -> None:
     c = 3000 * focal
     scale = np.array([50, 50, 0.2 / c**2, 0.2 / c**4, 0.2 / c**6, 1e-3 / c, 1e-3 / c])

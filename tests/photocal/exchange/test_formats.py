@@ -69,7 +69,7 @@ def written(form: Format, folder: Path, given_: Reconstruction) -> Reconstructio
 
 @pytest.mark.parametrize("form", READ, ids=lambda form: form.name)
 @given(first=lens, second=lens)
-@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=6, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_round_trip_loses_nothing(
     tmp_path_factory: pytest.TempPathFactory,
     form: Format,

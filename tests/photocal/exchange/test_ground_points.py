@@ -30,7 +30,7 @@ FLOAT = st.floats(-1e7, 1e7, allow_nan=False)
         unique_by=lambda row: tuple(v + 0.0 for v in row[0]),
     )
 )
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_gcp_list_round_trip(tmp_path_factory: pytest.TempPathFactory, rows: list) -> None:  # type: ignore[type-arg]
     path = tmp_path_factory.mktemp("gcp") / "gcp_list.txt"
     marks = [GroundMark(f"p{k}", xyz, x, y, "a.jpg", "") for k, (xyz, x, y) in enumerate(rows)]

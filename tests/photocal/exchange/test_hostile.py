@@ -68,7 +68,7 @@ def test_xml(tmp_path: Path, read: Callable[[Path], Any], text: str) -> None:
 
 
 @given(st.binary(max_size=400))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_noise(tmp_path_factory: pytest.TempPathFactory, noise: bytes) -> None:
     path = tmp_path_factory.mktemp("noise") / "file.xml"
     path.write_bytes(noise)
@@ -338,7 +338,7 @@ def test_archive_that_unpacks_to_gigabytes(tmp_path: Path) -> None:
 
 
 @given(st.integers(0, 10**6), st.binary(min_size=1, max_size=20))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_damaged_archive(tmp_path_factory: pytest.TempPathFactory, at: int, noise: bytes) -> None:
     path = small_archive(tmp_path_factory.mktemp("archive"), {})
     content = path.read_bytes()

@@ -304,7 +304,7 @@ def test_entities_and_laughs(tmp_path: Path, case: Case) -> None:
 
 @each
 @given(which=st.integers(0, 20), at=st.integers(0, 10**6), noise=st.binary(max_size=12), cut=st.booleans())
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_damage_never_tracebacks(
     tmp_path_factory: pytest.TempPathFactory, case: Case, which: int, at: int, noise: bytes, cut: bool
 ) -> None:

@@ -65,7 +65,7 @@ def made(kind: tuple[Model, Affinity, AffinityForm], parameters: dict[str, float
 
 
 @pytest.mark.parametrize("kind", KINDS, ids="-".join)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(ray=rays())
 def test_residual_and_derivatives(
     kind: tuple[Model, Affinity, AffinityForm], ray: tuple[dict[str, float], float, Floats, Floats]
@@ -91,7 +91,7 @@ def test_residual_and_derivatives(
 
 
 @pytest.mark.parametrize("kind", KINDS, ids="-".join)
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(ray=rays(), focus_m=st.floats(0.3, 20.0), distance=st.floats(0.3, 20.0))
 def test_distortion_that_varies_with_the_distance(
     kind: tuple[Model, Affinity, AffinityForm],

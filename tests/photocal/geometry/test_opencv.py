@@ -14,7 +14,7 @@ from photocal.geometry.distortion import projected
 WIDTH, HEIGHT = 4000, 3000
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     st.floats(2500, 4500), st.floats(0.97, 1.03), st.floats(-40, 40), st.floats(-40, 40),
     st.floats(-0.3, 0.3), st.floats(-0.1, 0.1), st.floats(-0.05, 0.05),

@@ -49,7 +49,9 @@ def test_zenith_delay_moves_a_position_as_ranges_say() -> None:
         return np.asarray((np.linalg.norm(far - x[:3], axis=1) + clock - measured) * root)
 
     # Steps of metres: a double holds 4 nm of these distances.
-    found = least_squares(misfit, np.zeros(5), jac="3-point", diff_step=[1.0] * 5, x_scale=1.0, xtol=1e-15).x[:3]
+    found = least_squares(misfit, np.zeros(5), jac="3-point", diff_step=[1.0] * 5, x_scale=1.0, xtol=1e-15).x[
+        :3
+    ]
     assert found[2] > 0.02
     assert 0.010 * shift_by_zenith_delay(sights(3, np.zeros((3, len(SKY))))) == pytest.approx(found, abs=1e-5)
 

@@ -13,9 +13,10 @@ import pytest
 from photocal.measurement.features import FeatureSettings
 from photocal.measurement.match_images import MatchingPlan
 from photocal.navigation.exposure_run import Choices, place_exposures
-from photocal.navigation.image_rotations import Neighbours, PairRotation, stored_turns
+from photocal.navigation.image_rotations import Neighbours
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.rig import Rig
+from photocal.navigation.rotation_check import PairRotation, stored_turns
 from tests.photocal.conftest import Answer
 
 Photocal = Callable[..., Answer]

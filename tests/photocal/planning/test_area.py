@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import Geod
 
@@ -67,7 +67,6 @@ def test_area_of_the_published_target_field() -> None:
     assert abs(polygon_area(corners)) == pytest.approx(abs(geodesic), rel=1e-6)
 
 
-@settings(deadline=None)
 @given(
     st.floats(-80.0, 80.0), st.floats(-179.0, 179.0), st.floats(-2000.0, 2000.0), st.floats(-2000.0, 2000.0)
 )
@@ -150,7 +149,6 @@ anything = st.recursive(
 )
 
 
-@settings(deadline=None)
 @given(st.sampled_from(["Polygon", "MultiPolygon", "Feature", "FeatureCollection", "Point"]), anything)
 def test_any_json_is_read_or_refused(
     tmp_path_factory: pytest.TempPathFactory, kind: str, content: Any

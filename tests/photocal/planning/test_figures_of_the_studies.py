@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError
@@ -101,7 +101,6 @@ def test_phantom4pro_resolution_and_altimetric_accuracy() -> None:
     )
 
 
-@settings(deadline=None)
 @given(st.floats(0.0, 0.95), st.floats(1.0, 2000.0))
 def test_base_and_overlap_belong_together(overlap: float, side: float) -> None:
     assert overlap_at(air_base(overlap, side), side) == pytest.approx(overlap, abs=1e-12)

@@ -39,7 +39,7 @@ def rays(
     return np.asarray(seen.sum(axis=1))
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(stars, st.floats(0.0, math.pi), st.floats(0.6, 0.85), st.floats(0.3, 0.8))
 def test_every_point_of_the_area_is_on_as_many_photos_as_the_overlaps_promise(
     corners: FloatArray, azimuth: float, forward: float, side: float
@@ -55,7 +55,6 @@ def test_every_point_of_the_area_is_on_as_many_photos_as_the_overlaps_promise(
     assert counts.min() >= promised
 
 
-@settings(deadline=None)
 @given(stars, st.floats(0.0, math.pi), st.floats(10.0, 80.0), st.floats(5.0, 60.0))
 def test_strips_are_parallel_evenly_spaced_and_flown_to_and_fro(
     corners: FloatArray, azimuth: float, spacing: float, base: float
@@ -82,7 +81,6 @@ def test_a_rectangle_is_flown_along_its_long_side() -> None:
     assert strips[0].length_m == pytest.approx(520.0)
 
 
-@settings(deadline=None)
 @given(stars, st.floats(0.0, math.pi))
 def test_no_other_direction_crosses_a_narrower_area(corners: FloatArray, other: float) -> None:
     def width(azimuth: float) -> float:
@@ -118,7 +116,7 @@ def test_control_takes_the_corners_and_check_points_stay_away() -> None:
     assert inside(np.vstack((layout.control_m, layout.check_m)), SQUARE).all()
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(stars, st.integers(3, 12), st.integers(0, 30))
 def test_points_lie_inside_and_apart(corners: FloatArray, control: int, check: int) -> None:
     layout = suggest_layout(corners, control, check, 0.5)

@@ -134,7 +134,7 @@ def test_variance_factor_and_radius_scatter_as_predicted() -> None:
     assert radii.std(ddof=1) == pytest.approx(np.sqrt(runs[0].covariance[2, 2]), rel=0.15)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     center=st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)),
     radius=st.floats(0.1, 100),

@@ -34,7 +34,7 @@ def centers(terrain: Terrain) -> tuple[Floats, Floats]:
     return x, y
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     slope=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-100, 100)),
     shift=st.tuples(st.floats(-1e6, 1e6), st.floats(-1e7, 1e7)),

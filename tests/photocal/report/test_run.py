@@ -169,7 +169,7 @@ def test_table_of_another_run(run_folder: Path) -> None:
     refused(run_folder, "IMG_0901", "images.csv")
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_cut_is_refused_or_harmless(run_folder: Path, data: st.DataObject) -> None:
     """A file cut at any byte never gives another result, and never anything but one of our errors."""

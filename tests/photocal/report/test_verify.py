@@ -92,7 +92,7 @@ def test_certificate_names_what_it_was_made_from(elsewhere: Path) -> None:
     )
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(data=st.data())
 def test_one_changed_digit_in_any_input_is_named(issued: Path, data: st.DataObject) -> None:
     name = data.draw(st.sampled_from(["block.toml", "images.csv", "points.csv", "observations.csv"]))
