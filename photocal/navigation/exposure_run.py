@@ -30,15 +30,17 @@ from photocal.navigation.exposure_sources import (
 from photocal.navigation.exposures import CameraMatch, Exposures, at_camera, at_events, match_images
 from photocal.navigation.flight_log import named
 from photocal.navigation.image_metadata import ImageMetadata, clock_time_s, read_images
-from photocal.navigation.image_rotations import Neighbours, compare_rotations, rotation_check
+from photocal.navigation.image_rotations import Neighbours, compare_rotations
 from photocal.navigation.mrk import CameraEventList, listed_in, read_mrk
-from photocal.navigation.oriented_images import oriented_positions
+from photocal.navigation.oriented_images import oriented_images
+from photocal.navigation.oriented_rotations import boresight_check, compare_with_oriented
 from photocal.navigation.position_check import judge_positions
 from photocal.navigation.ppk import options_for, process
 from photocal.navigation.ppk_inputs import Sources, gather_inputs
 from photocal.navigation.ppk_report import ppk_figures
 from photocal.navigation.receiver_recording import ReceiverRecording, read_receivers
 from photocal.navigation.rig import Rig
+from photocal.navigation.rotation_check import rotation_check
 from photocal.navigation.time import HostTime
 from photocal.navigation.trajectory import Trajectory
 from photocal.navigation.vehicle import VehicleTrack, autopilot_time, read_vehicle
@@ -250,15 +252,26 @@ def _judged(
     evidence = Evidence(choices.rig, events, others, antenna, trajectory, rover, vehicle, listed, images, ppk)
     checks = check_exposures(evidence)
     if choices.oriented is not None:
-        theirs = oriented_positions(choices.oriented, exposures.image)
-        checks.append(
-            judge_positions("positions of the adjusted images", exposures, theirs, choices.rig, "similarity")
-        )
+        checks = [check for check in checks if check.code != "boresight"]
+        checks += _of_oriented(choices.oriented, exposures, choices.rig)
     if choices.neighbours is not None:
         pairs = compare_rotations(exposures, flight.images, choices.rig, choices.neighbours)
-        checks.append(rotation_check(exposures, pairs))
+        checks.append(rotation_check(exposures, pairs, "matched points"))
     figures = exposure_figures(exposures, events, cameras, clocks, checks, ppk)
     return ExposureRun(antenna, exposures, trajectory, cameras, flight.images, checks, figures)
+
+
+def _of_oriented(folder: Path, exposures: Exposures, rig: Rig) -> list[Check]:
+    """Hold exposures against images that an adjustment oriented."""
+    oriented = oriented_images(folder, exposures.image)
+    found = [
+        judge_positions("positions of the adjusted images", exposures, oriented.place, rig, "similarity")
+    ]
+    pairs = compare_with_oriented(exposures, oriented, rig)
+    if pairs:
+        found.append(rotation_check(exposures, pairs, "the adjustment"))
+        found.append(boresight_check(exposures, oriented, rig))
+    return found
 
 
 def _above_take_off(images: list[ImageMetadata | None]) -> np.ndarray[Any, np.dtype[np.float64]]:

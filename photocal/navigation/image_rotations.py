@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,19 +16,16 @@ from photocal.geometry.distortion import undistorted
 from photocal.geometry.relative_orientation import RelativeOrientation, relative_orientations
 from photocal.measurement.match_images import MatchingPlan, detect_all, match_all
 from photocal.measurement.start_camera import principal_distance_px, start_camera
-from photocal.navigation.check import Check
 from photocal.navigation.exposures import Exposures, orientations
 from photocal.navigation.image_metadata import ImageMetadata
 from photocal.navigation.rig import Rig
-from photocal.navigation.trajectory import enu_offsets
+from photocal.navigation.rotation_check import PairRotation, least_turn, places_of
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float | None], AbstractContextManager[Callable[[float], None]]]
 _LEAST_POINTS = 30
 # Relative orientations whose sum of squares is within 5 % are not told apart by the points.
 _AS_GOOD = 1.05
-# Attitudes of small vehicles are good to a few degrees.
-_ROUGH_DEG = 5.0
 
 
 @dataclass(frozen=True)
@@ -49,34 +45,6 @@ class Neighbours:
     plan: MatchingPlan
     progress: Progress
     camera: Camera | None = None
-
-
-@dataclass(frozen=True)
-class PairRotation:
-    """Two neighbouring images.
-
-    Parameters
-    ----------
-    first, second : int
-        Rows of the exposures.
-    points : int
-        Matched points.
-    quarter_turns : int
-        Turns by 90 degrees in the image plane by which the second image is stored otherwise than recorded,
-        relative to the first.
-    angle_deg : float
-        Angle between both relative rotations beside those turns.
-    along : float
-        Cosine between the direction to the second image by the points and by the recorded orientation and
-        positions, both in the axes of the first; NaN without positions.
-    """
-
-    first: int
-    second: int
-    points: int
-    quarter_turns: int
-    angle_deg: float
-    along: float
 
 
 def compare_rotations(
@@ -116,7 +84,7 @@ def compare_rotations(
     with how.progress("matching neighbours", len(pairs)) as done:
         tracks, _ = match_all(keys, pairs, how.plan, done)
     recorded = orientations(exposures, rig).rotation
-    place = _places(exposures)
+    place = places_of(exposures)
     found = []
     for i, j in pairs.tolist():
         a, b = rows[i], rows[j]
@@ -144,11 +112,9 @@ def _pair(first: Floats, second: Floats, recorded: Floats, base: Floats) -> tupl
     for cost, rotation, direction in fits:
         if cost > _AS_GOOD * least:
             continue
-        for turns in range(4):
-            quarter = Rotation.from_rotvec([0, 0, np.pi / 2 * turns]).as_matrix()
-            angle = np.degrees(Rotation.from_matrix(quarter @ rotation @ recorded.T).magnitude())
-            if angle < best[1]:
-                best = (turns, float(angle), float(direction @ base))
+        turns, angle = least_turn(rotation, recorded)
+        if angle < best[1]:
+            best = (turns, angle, float(direction @ base))
     return best
 
 
@@ -185,89 +151,3 @@ def _rays(image: ImageMetadata, camera: Camera | None, pixels: Floats) -> Floats
         own = camera
     plane = pixel_to_plane(own.size_px, own.pitch, pixels)
     return np.asarray(undistorted(own, plane) / own.value("c"))
-
-
-def _places(exposures: Exposures) -> Floats:
-    p = exposures.placed
-    known = p.placed
-    if not known.any():
-        return np.full((len(exposures), 3), np.nan)
-    origin = np.array([np.mean(c[known]) for c in (p.lat_deg, p.lon_deg, p.height_m)])
-    return enu_offsets(p.lat_deg, p.lon_deg, p.height_m, origin)
-
-
-def stored_turns(pairs: list[PairRotation]) -> dict[int, int]:
-    """Tell which exposures' images are stored turned against their attitude, in quarter turns.
-
-    Turns between neighbours leave one turn common to all open: the images whose direction to the next one
-    agrees with the recorded positions decide it; without positions most images are taken to be right.
-
-    Returns
-    -------
-    dict of int to int
-        Row of the exposure to quarter turns, of all that are not 0.
-    """
-    turns: dict[int, int] = {}
-    group: dict[int, int] = {}
-    for number, pair in enumerate(pairs):
-        if pair.first not in turns:
-            turns[pair.first], group[pair.first] = 0, number
-        turns[pair.second] = (turns[pair.first] + pair.quarter_turns) % 4
-        group[pair.second] = group[pair.first]
-    for own in set(group.values()):
-        members = [row for row in turns if group[row] == own]
-        votes = np.zeros(4)
-        for pair in pairs:
-            if group[pair.first] == own and np.isfinite(pair.along):
-                # Pictures stored upside down see their follower behind them.
-                votes[(turns[pair.first] + (0 if pair.along > 0 else 2)) % 4] += abs(pair.along)
-        if not votes.any():
-            votes = np.bincount([turns[row] for row in members], minlength=4).astype(float)
-        upright = int(np.argmax(votes))
-        for row in members:
-            turns[row] = (turns[row] - upright) % 4
-    return {row: turn for row, turn in turns.items() if turn}
-
-
-def rotation_check(exposures: Exposures, pairs: list[PairRotation]) -> Check:
-    """Return what the comparison shows as a check."""
-    compared = "rotations between neighbouring images by matched points against the recorded attitudes"
-    if not pairs:
-        return Check("image-rotations", "not possible", compared, "no neighbours with common points", {})
-    angles = np.array([pair.angle_deg for pair in pairs])
-    turned = stored_turns(pairs)
-    # Over a turn of the vehicle attitudes lag behind: pairs within a strip are told apart from those across.
-    within = np.array([pair.quarter_turns == 0 for pair in pairs])
-    figures: dict[str, Any] = {
-        "pairs": [
-            {
-                "first": exposures.image[pair.first],
-                "second": exposures.image[pair.second],
-                "points": pair.points,
-                "angle_deg": pair.angle_deg,
-                "quarter_turns": pair.quarter_turns,
-            }
-            for pair in pairs
-        ],
-        "median_deg": float(np.median(angles)),
-        "median_same_way_deg": float(np.median(angles[within])) if within.any() else None,
-        "stored_turned": [
-            {"image": exposures.image[row], "degrees": 90 * turn} for row, turn in sorted(turned.items())
-        ],
-    }
-    said = f"{len(pairs)} pairs differ by {figures['median_deg']:.2f} deg (median)"
-    if within.any() and not within.all():
-        said += f", the {int(within.sum())} without such a turn between them by "
-        said += f"{figures['median_same_way_deg']:.2f} deg"
-    if turned:
-        rows = sorted(turned)
-        names = [exposures.image[row] for row in rows]
-        told = (
-            f"{names[0]} to {names[-1]}" if rows == list(range(rows[0], rows[-1] + 1)) else ", ".join(names)
-        )
-        degrees = " or ".join(sorted({str(90 * turn) for turn in turned.values()}))
-        text = f"{len(rows)} images are stored turned by {degrees} deg against their attitude: {told}; {said}"
-        return Check("image-rotations", "failed", compared, text, figures)
-    bad = figures["median_deg"] > _ROUGH_DEG
-    text = said + (": the attitudes do not belong to these images" if bad else "")
-    return Check("image-rotations", "failed" if bad else "passed", compared, text, figures)

@@ -1,23 +1,43 @@
-"""Positions of images that an adjustment oriented, to hold exposures against them."""
+"""Positions and rotations of images that an adjustment oriented, to hold exposures against them."""
 
 from __future__ import annotations
 
 import csv
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.geometry.rotation import matrix_from_angles
+
+Floats = NDArray[np.float64]
 
 
-def oriented_positions(folder: Path, images: list[str]) -> NDArray[np.float64]:
-    """Return X, Y, Z of images in a run or block folder, m (n, 3); NaN for those that it does not have.
+@dataclass(frozen=True)
+class OrientedImages:
+    """Images in the frame of a block, any Cartesian one.
+
+    Parameters
+    ----------
+    place : float64 (n, 3)
+        X, Y, Z, m; NaN for images that the block does not have.
+    rotation : float64 (n, 3, 3)
+        From the block's axes to camera axes; NaN where it is not known.
+    """
+
+    place: Floats
+    rotation: Floats
+
+
+def oriented_images(folder: Path, images: list[str]) -> OrientedImages:
+    """Read images of a run or block folder.
 
     Parameters
     ----------
     folder : Path
-        With `images.csv`.
+        With `images.csv`, or such a table.
     images : list of str (n,)
         Names; of several cameras' ones the first counts.
 
@@ -34,13 +54,16 @@ def oriented_positions(folder: Path, images: list[str]) -> NDArray[np.float64]:
         raise InputNotFoundError(
             "cannot be read", where=path, remedy="name the run folder of the adjustment"
         ) from refusal
-    place = {}
+    found = {}
     for number, row in enumerate(rows, 2):
         try:
-            place[row["image"]] = [float(row[axis]) for axis in "XYZ"]
+            place = [float(row[axis]) for axis in "XYZ"]
+            angles = [float(row.get(name) or "nan") for name in ("omega", "phi", "kappa")]
+            found[row["image"]] = [*place, *angles]
         except (KeyError, TypeError, ValueError) as damage:
             raise InputMalformedError(
                 "has no position of an image", where=f"{path}, line {number}", remedy="give image,X,Y,Z"
             ) from damage
-    unknown = [np.nan] * 3
-    return np.array([place.get(name.split(" ")[0], unknown) for name in images]).reshape(-1, 3)
+    unknown = [np.nan] * 6
+    table = np.array([found.get(name.split(" ")[0], unknown) for name in images]).reshape(-1, 6)
+    return OrientedImages(table[:, :3], matrix_from_angles(np.radians(table[:, 3:])))

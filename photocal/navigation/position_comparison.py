@@ -142,7 +142,7 @@ def compare_positions(pairs: PositionPairs) -> PositionComparison:
     rows = np.flatnonzero(known)
     if len(rows) < _LEAST:
         raise IllPosedError(
-            f"{len(rows)} exposures have both positions, at least {_LEAST} are needed to compare them"
+            f"{len(rows)} exposures have both positions and a velocity, at least {_LEAST} are needed"
         )
     turned = bool(np.isfinite(pairs.to_object[rows]).all())
     blocks = [_nuisance(pairs), pairs.velocity[:, :, None], *([pairs.to_object] if turned else [])]

@@ -1,0 +1,161 @@
+"""Rotations between neighbouring images against recorded attitudes: images stored turned, other attitudes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from photocal.navigation.check import Check
+from photocal.navigation.exposures import Exposures
+from photocal.navigation.trajectory import enu_offsets
+
+Floats = NDArray[np.float64]
+CODE = "image-rotations"
+# Attitudes of small vehicles are good to a few degrees.
+ROUGH_DEG = 5.0
+
+
+@dataclass(frozen=True)
+class PairRotation:
+    """Two neighbouring images.
+
+    Parameters
+    ----------
+    first, second : int
+        Rows of the exposures.
+    points : int
+        Matched points; 0 where an adjustment gave the rotations.
+    quarter_turns : int
+        Turns by 90 degrees in the image plane by which the second image is stored otherwise than recorded,
+        relative to the first.
+    angle_deg : float
+        Angle between both relative rotations beside those turns.
+    along : float
+        Cosine between the direction to the second image by the points and by the recorded orientation and
+        positions, both in the axes of the first; NaN without positions.
+    """
+
+    first: int
+    second: int
+    points: int
+    quarter_turns: int
+    angle_deg: float
+    along: float
+
+
+def least_turn(measured: Floats, recorded: Floats) -> tuple[int, float]:
+    """Return the quarter turns in the image plane that bring two relative rotations closest, and the rest.
+
+    Parameters
+    ----------
+    measured, recorded : float64 (3, 3)
+        From the first image's camera axes to the second's.
+
+    Returns
+    -------
+    int, float
+        Quarter turns, and the angle beside them in degrees.
+    """
+    quarters = Rotation.from_rotvec([[0, 0, np.pi / 2 * turns] for turns in range(4)])
+    angles = np.degrees((quarters * Rotation.from_matrix(measured @ recorded.T)).magnitude())
+    turns = int(np.argmin(angles))
+    return turns, float(angles[turns])
+
+
+def places_of(exposures: Exposures) -> Floats:
+    """Return positions east, north, up about their middle, m (n, 3); NaN where unknown."""
+    p = exposures.placed
+    known = p.placed
+    if not known.any():
+        return np.full((len(exposures), 3), np.nan)
+    origin = np.array([np.mean(c[known]) for c in (p.lat_deg, p.lon_deg, p.height_m)])
+    return enu_offsets(p.lat_deg, p.lon_deg, p.height_m, origin)
+
+
+def stored_turns(pairs: list[PairRotation]) -> dict[int, int]:
+    """Tell which exposures' images are stored turned against their attitude, in quarter turns.
+
+    Turns between neighbours leave one turn common to all open: the images whose direction to the next one
+    agrees with the recorded positions decide it; without positions most images are taken to be right.
+
+    Returns
+    -------
+    dict of int to int
+        Row of the exposure to quarter turns, of all that are not 0.
+    """
+    turns: dict[int, int] = {}
+    group: dict[int, int] = {}
+    for number, pair in enumerate(pairs):
+        if pair.first not in turns:
+            turns[pair.first], group[pair.first] = 0, number
+        turns[pair.second] = (turns[pair.first] + pair.quarter_turns) % 4
+        group[pair.second] = group[pair.first]
+    for own in set(group.values()):
+        members = [row for row in turns if group[row] == own]
+        votes = np.zeros(4)
+        for pair in pairs:
+            if group[pair.first] == own and np.isfinite(pair.along):
+                # Pictures stored upside down see their follower behind them.
+                votes[(turns[pair.first] + (0 if pair.along > 0 else 2)) % 4] += abs(pair.along)
+        if not votes.any():
+            votes = np.bincount([turns[row] for row in members], minlength=4).astype(float)
+        upright = int(np.argmax(votes))
+        for row in members:
+            turns[row] = (turns[row] - upright) % 4
+    return {row: turn for row, turn in turns.items() if turn}
+
+
+def rotation_check(exposures: Exposures, pairs: list[PairRotation], source: str) -> Check:
+    """Return what the comparison shows as a check.
+
+    Parameters
+    ----------
+    exposures : Exposures
+    pairs : list of PairRotation
+    source : str
+        What told the rotations.
+    """
+    compared = f"rotations between neighbouring images by {source} against the recorded attitudes"
+    if not pairs:
+        return Check(CODE, "not possible", compared, "no neighbours with common points", {})
+    angles = np.array([pair.angle_deg for pair in pairs])
+    turned = stored_turns(pairs)
+    # Over a turn of the vehicle attitudes lag behind: pairs within a strip are told apart from those across.
+    within = np.array([pair.quarter_turns == 0 for pair in pairs])
+    figures: dict[str, Any] = {
+        "pairs": [
+            {
+                "first": exposures.image[pair.first],
+                "second": exposures.image[pair.second],
+                "points": pair.points,
+                "angle_deg": pair.angle_deg,
+                "quarter_turns": pair.quarter_turns,
+            }
+            for pair in pairs
+        ],
+        "median_deg": float(np.median(angles)),
+        "median_same_way_deg": float(np.median(angles[within])) if within.any() else None,
+        "stored_turned": [
+            {"image": exposures.image[row], "degrees": 90 * turn} for row, turn in sorted(turned.items())
+        ],
+    }
+    said = f"{len(pairs)} pairs differ by {figures['median_deg']:.2f} deg (median)"
+    if within.any() and not within.all():
+        said += f", the {int(within.sum())} without such a turn between them by "
+        said += f"{figures['median_same_way_deg']:.2f} deg"
+    if turned:
+        rows = sorted(turned)
+        names = [exposures.image[row] for row in rows]
+        told = (
+            f"{names[0]} to {names[-1]}" if rows == list(range(rows[0], rows[-1] + 1)) else ", ".join(names)
+        )
+        degrees = " or ".join(sorted({str(90 * turn) for turn in turned.values()}))
+        text = f"{len(rows)} images are stored turned by {degrees} deg against their attitude: {told}; {said}"
+        return Check(CODE, "failed", compared, text, figures)
+    bad = figures["median_deg"] > ROUGH_DEG
+    text = said + (": the attitudes do not belong to these images" if bad else "")
+    return Check(CODE, "failed" if bad else "passed", compared, text, figures)
