@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import poisson
 
 from drivers.errors import IllPosedError
 
@@ -14,6 +15,10 @@ Integers = NDArray[np.int64]
 _LEAST_PAIRS = 4
 _CERTAIN = 0.6
 _SIGMAS = 4.0
+# What nobody else can be meant by may scatter so much more.
+_LATE = 12.0
+# So many such pairs have to be less probable than this where the strays fall at random.
+_CHANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -97,6 +102,7 @@ def match(
     rows = np.arange(len(x))
     mutual = (of_image >= 0) & ~image_rivals
     mutual &= np.where(of_image >= 0, (of_event[of_image] == rows) & ~event_rivals[of_image], False)
+    _add_late(predicted, y, of_image, mutual, _LATE * scatter)
     left, right = rows[mutual], of_image[mutual]
     taken = np.zeros(len(y), bool)
     taken[right] = True
@@ -113,6 +119,26 @@ def match(
         scatter,
         y[right] - predicted[left],
     )
+
+
+def _add_late(
+    predicted: Floats, y: Floats, of_image: Integers, mutual: NDArray[np.bool_], reach: float
+) -> None:
+    """Pair, in place, images and events that are left over and have nobody else within a wider reach.
+
+    Cameras stamp a picture late now and then, by far more than they usually scatter.
+    """
+    free = np.setdiff1d(np.arange(len(y)), of_image[of_image >= 0])
+    lone = np.flatnonzero(of_image < 0)
+    to_event, event_rivals = _partners(predicted[lone], y, reach)
+    to_image, image_rivals = _partners(y[free], predicted, reach)
+    of_event = np.full(len(y), -1)
+    of_event[free[~image_rivals]] = to_image[~image_rivals]
+    paired = (to_event >= 0) & ~event_rivals
+    paired &= of_event[to_event] == lone
+    by_chance = 2 * reach * len(free) * len(lone) / float(np.ptp(y))
+    if poisson.sf(int(paired.sum()) - 1, by_chance) < _CHANCE:
+        of_image[lone[paired]], mutual[lone[paired]] = to_event[paired], True
 
 
 def _best_offset(x: Floats, y: Floats, resolution: float, largest: float, drift: float) -> float:

@@ -71,6 +71,17 @@ def test_whole_seconds_of_exif() -> None:
     assert len(found.image) >= 72
 
 
+def test_a_late_stamp_is_no_lost_event() -> None:
+    """Delays are one-sided: one of 400 lies beyond four standard deviations of the usual scatter."""
+    rng = np.random.default_rng(7)
+    for _ in range(200):
+        event = np.cumsum(rng.uniform(2.0, 5.0, 40))
+        camera = event + 7.3 + np.abs(rng.normal(0, 0.003, 40))
+        found = match(np.floor(camera * 1e3) / 1e3, event, resolution_s=0.001)
+        assert (found.image == found.event).all()
+        assert len(found.image) == 40
+
+
 def test_clock_is_told_with_its_sigma() -> None:
     rng = np.random.default_rng(6)
     event = np.cumsum(rng.uniform(1.6, 3.2, 120))
