@@ -55,7 +55,7 @@ def certificate(
             particulars=particulars,
             client=client,
             operator=operator,
-            warnings=told_beside(run),
+            told=told_beside(run),
             done=lambda: step(1),
         )
     written = [str(output / name) for name in (*FORMS, CARRIED) if (output / name).exists()]

@@ -34,7 +34,7 @@ from photocal.report.ministry_sections import (
 from photocal.report.particulars import Particulars
 from photocal.report.run import CameraResult, Run
 from photocal.report.sensor import sensor_residuals
-from photocal.report.warning_sections import warned, warning_sections
+from photocal.report.warning_sections import NOTHING_TOLD, Told, warned, warning_sections
 from photocal.report.words import finding_text
 
 # Findings of the plausibility that a reader must see first.
@@ -42,9 +42,7 @@ WEAK = "weak_principal_distance"
 WORDS = ("table", "figure", "page", "of", "contents")
 
 
-def certificate(
-    run: Run, particulars: Particulars, say: Catalogue, warnings: tuple[str, ...] = ()
-) -> Document:
+def certificate(run: Run, particulars: Particulars, say: Catalogue, told: Told = NOTHING_TOLD) -> Document:
     """Compose the certificate.
 
     Parameters
@@ -55,8 +53,8 @@ def certificate(
         What a person gives.
     say : Catalogue
         Language.
-    warnings : tuple of str
-        Of the processing before the adjustment, each a sentence.
+    told : Told
+        By the processing before the adjustment.
 
     Returns
     -------
@@ -74,11 +72,11 @@ def certificate(
         language=say.language,
         title=say("title.certificate"),
         subtitle=_subtitle(run, say),
-        number=certificate_number(run, particulars, warnings),
-        facts=_facts(run, particulars, certificate_number(run, particulars, warnings), say),
+        number=certificate_number(run, particulars, told),
+        facts=_facts(run, particulars, certificate_number(run, particulars, told), say),
         highlights=_highlights(run, say),
-        verdicts=(*_verdicts(run, known, say), *warned(warnings, say)),
-        sections=(*_sections(run, particulars, known, say), *warning_sections(warnings, say)),
+        verdicts=(*_verdicts(run, known, say), *warned(told, say)),
+        sections=(*_sections(run, particulars, known, say), *warning_sections(told, say)),
         words={word: say(f"word.{word}") for word in WORDS},
     )
 
@@ -89,7 +87,7 @@ def _subtitle(run: Run, say: Catalogue) -> str:
     return say("title.subtitle" if calibrated else "title.subtitle_held", cameras=", ".join(cameras))
 
 
-def certificate_number(run: Run, particulars: Particulars, warnings: tuple[str, ...] = ()) -> str:
+def certificate_number(run: Run, particulars: Particulars, told: Told = NOTHING_TOLD) -> str:
     """Make the number of a certificate from its date, inputs, software and particulars, in whatever language.
 
     Parameters
@@ -98,8 +96,8 @@ def certificate_number(run: Run, particulars: Particulars, warnings: tuple[str, 
         Results of the adjustment.
     particulars : Particulars
         What a person gives.
-    warnings : tuple of str
-        Of the processing before the adjustment.
+    told : Told
+        By the processing before the adjustment.
 
     Returns
     -------
@@ -108,7 +106,7 @@ def certificate_number(run: Run, particulars: Particulars, warnings: tuple[str, 
     """
     software = run.result.software
     files = (f"{f.path} {f.sha256}" for f in run.result.inputs)
-    content = [f"{software.name} {software.version}", *files, repr(particulars), *warnings]
+    content = [f"{software.name} {software.version}", *files, repr(particulars), *told.warnings, *told.notes]
     digest = hashlib.sha256("\n".join(content).encode()).hexdigest()
     return f"PC-{particulars.date:%Y%m%d}-{digest[:8].upper()}"
 

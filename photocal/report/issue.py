@@ -18,6 +18,7 @@ from photocal.report.pdf import pdf
 from photocal.report.record import NAME, record, with_documents
 from photocal.report.run import Run
 from photocal.report.run_reader import read_run
+from photocal.report.warning_sections import NOTHING_TOLD, Told
 
 FORMS = ("certificate.html", "certificate.pdf", NAME)
 
@@ -32,7 +33,7 @@ def issue(
     particulars: Path | None = None,
     client: str = "",
     operator: str = "",
-    warnings: tuple[str, ...] = (),
+    told: Told = NOTHING_TOLD,
     done: Callable[[], None] = lambda: None,
 ) -> Document:
     """Write the certificate of a run.
@@ -53,8 +54,8 @@ def issue(
         TOML file with what a person gives.
     client, operator : str
         For whom and by whom; go before those of the file.
-    warnings : tuple of str
-        Of the processing before the adjustment, each a sentence.
+    told : Told
+        By the processing before the adjustment.
     done : callable
         Called after each of four steps.
 
@@ -73,11 +74,11 @@ def issue(
     results = read_run(run)
     source = _source(run, results, block)
     done()
-    document = certificate(results, given, say, warnings)
+    document = certificate(results, given, say, told)
     done()
     forms = {FORMS[0]: html(document).encode(), FORMS[1]: pdf(document, day)}
     done()
-    forms[NAME] = with_documents(record(results, given, say, warnings), forms)
+    forms[NAME] = with_documents(record(results, given, say, told), forms)
     done()
     with output_folder(output) as folder:
         for name, content in forms.items():

@@ -21,14 +21,13 @@ from photocal.report.ministry import entries, read_layout
 from photocal.report.ministry_rows import Context
 from photocal.report.particulars import Particulars
 from photocal.report.run import Result, Run
+from photocal.report.warning_sections import NOTHING_TOLD, Told
 
 SCHEMA = "photocal.certificate/1"
 NAME = "certificate.json"
 
 
-def record(
-    run: Run, particulars: Particulars, say: Catalogue, warnings: tuple[str, ...] = ()
-) -> dict[str, Any]:
+def record(run: Run, particulars: Particulars, say: Catalogue, told: Told = NOTHING_TOLD) -> dict[str, Any]:
     """Make the machine-readable certificate.
 
     Parameters
@@ -39,8 +38,8 @@ def record(
         What a person gave.
     say : Catalogue
         Language of the technical report's texts.
-    warnings : tuple of str
-        Of the processing before the adjustment.
+    told : Told
+        By the processing before the adjustment.
 
     Returns
     -------
@@ -49,11 +48,12 @@ def record(
     """
     return {
         "schema": SCHEMA,
-        "number": certificate_number(run, particulars, warnings),
+        "number": certificate_number(run, particulars, told),
         "date": particulars.date.isoformat(),
         "language": say.language,
         "particulars": particulars.model_dump(mode="json", exclude={"date"}),
-        "warnings": list(warnings),
+        "warnings": list(told.warnings),
+        "notes": list(told.notes),
         "result": dataclasses.asdict(run.result),
         "exposures": _exposures(run),
         "cameras": {name: _camera(run, facts(run, name, particulars)) for name in run.result.cameras},
@@ -127,13 +127,13 @@ def _report(context: Context) -> list[dict[str, str]]:
 
 
 def plain_record(
-    run: Run, particulars: Particulars, say: Catalogue, warnings: tuple[str, ...] = ()
+    run: Run, particulars: Particulars, say: Catalogue, told: Told = NOTHING_TOLD
 ) -> dict[str, Any]:
     """Make the certificate as it comes back from JSON: lists for tuples.
 
     Parameters
     ----------
-    run, particulars, say, warnings
+    run, particulars, say, told
         As for `record`.
 
     Returns
@@ -141,7 +141,7 @@ def plain_record(
     dict
         Comparable with what `read_record` gives.
     """
-    content: dict[str, Any] = json.loads(json.dumps(record(run, particulars, say, warnings), allow_nan=False))
+    content: dict[str, Any] = json.loads(json.dumps(record(run, particulars, say, told), allow_nan=False))
     return content
 
 
@@ -243,7 +243,7 @@ def _complete(content: dict[str, Any], file: Path) -> None:
         dt.date.fromisoformat(content["date"])
         names = [(str(entry["path"]), str(entry["sha256"])) for entry in content["result"]["inputs"]]
         dict(content["documents"]), dict(content["particulars"]), str(content["language"])
-        list(content["warnings"])
+        list(content["warnings"]), list(content["notes"])
     except (KeyError, TypeError, ValueError) as lacking:
         raise InputMalformedError(
             f"lacks what a verification needs ({lacking})", where=file, remedy="make the certificate again"

@@ -16,6 +16,7 @@ from photocal.report.catalogue import catalogue
 from photocal.report.particulars import given_particulars
 from photocal.report.record import certified_result, plain_record
 from photocal.report.run_reader import read_run
+from photocal.report.warning_sections import Told
 
 
 def repeated(
@@ -58,7 +59,8 @@ def repeated(
         if analysis is not None:
             asked = analysis["alpha"], analysis["correlation_threshold"]
             analyse_run(aside / "run", copied.path, *asked, done)
-        again = plain_record(read_run(aside / "run"), particulars, say, tuple(certified["warnings"]))
+        told = Told(tuple(certified["warnings"]), tuple(certified["notes"]))
+        again = plain_record(read_run(aside / "run"), particulars, say, told)
     # A block that does not name itself is called as its folder, which is another one here.
     again["result"]["block"]["name"] = certified["result"]["block"].get("name")
     return again

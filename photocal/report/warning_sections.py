@@ -1,18 +1,38 @@
-"""Warnings of the processing before the adjustment: a fault may not pass silently into a certificate."""
+"""What the processing before the adjustment told: a fault may not pass silently into a certificate."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 from photocal.report.catalogue import Catalogue
 from photocal.report.document import Column, Section, Statement, Table
 
 
-def warned(warnings: tuple[str, ...], say: Catalogue) -> list[Statement]:
+@dataclass(frozen=True)
+class Told:
+    """What the processing told, each a sentence.
+
+    Attributes
+    ----------
+    warnings : tuple of str
+        Faults: what was measured is not as it should be.
+    notes : tuple of str
+        Limits: what this flight cannot tell, though nothing is wrong with it.
+    """
+
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+NOTHING_TOLD = Told()
+
+
+def warned(told: Told, say: Catalogue) -> list[Statement]:
     """Say at the head of a document that there are warnings.
 
     Parameters
     ----------
-    warnings : tuple of str
-        Each a sentence.
+    told : Told
     say : Catalogue
         Language.
 
@@ -21,19 +41,18 @@ def warned(warnings: tuple[str, ...], say: Catalogue) -> list[Statement]:
     list of Statement
         One, or none.
     """
-    if not warnings:
+    if not told.warnings:
         return []
-    text = say("warnings.verdict", count=len(warnings), first=warnings[0])
+    text = say("warnings.verdict", count=len(told.warnings), first=told.warnings[0])
     return [Statement("bad", say("warnings.title"), text)]
 
 
-def warning_sections(warnings: tuple[str, ...], say: Catalogue) -> list[Section]:
-    """List the warnings.
+def warning_sections(told: Told, say: Catalogue) -> list[Section]:
+    """List warnings and notes.
 
     Parameters
     ----------
-    warnings : tuple of str
-        Each a sentence.
+    told : Told
     say : Catalogue
         Language.
 
@@ -42,9 +61,11 @@ def warning_sections(warnings: tuple[str, ...], say: Catalogue) -> list[Section]
     list of Section
         One, or none.
     """
-    if not warnings:
-        return []
-    columns = (Column("", align="right"), Column(say("warnings.warning"), align="left"))
-    rows = tuple((str(n), text) for n, text in enumerate(warnings, start=1))
-    table = Table(say("warnings.table"), columns, rows, widths=(0.06, 0.94))
-    return [Section(say("warnings.section"), (table,))]
+    kinds = (("warning", told.warnings), ("note", told.notes))
+    tables = []
+    for kind, texts in kinds:
+        columns = (Column("", align="right"), Column(say(f"warnings.{kind}"), align="left"))
+        rows = tuple((str(n), text) for n, text in enumerate(texts, start=1))
+        if rows:
+            tables.append(Table(say(f"warnings.table_{kind}"), columns, rows, widths=(0.06, 0.94)))
+    return [Section(say("warnings.section"), tuple(tables))] if tables else []

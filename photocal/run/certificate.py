@@ -8,7 +8,7 @@ from pathlib import Path
 
 from photocal.project import Project
 from photocal.run.stage import Progress, Stage
-from photocal.run.warnings import gather, told_beside
+from photocal.run.warnings import gather, told_by
 
 WARNINGS = "warnings.json"
 
@@ -37,7 +37,7 @@ def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple
                 particulars=keys.particulars,
                 client=keys.client,
                 operator=keys.operator,
-                warnings=told_beside(work / "analysis"),
+                told=told_by(warnings),
             )
 
     settings = keys.model_dump(mode="json", exclude={"particulars"})

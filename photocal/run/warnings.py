@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Container, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from photocal.report.warning_sections import NOTHING_TOLD, Told
+
 LEAST_FIXED_PERCENT = 95.0
+# Findings of the exposures that are told image by image.
+_SAID_ABOVE = ("unmatched-images", "exposures-without-position")
 _NAMED = 5
 _NOTES = ("not-separated", "not-determined")
 _UNMATCHED = (
@@ -80,8 +84,8 @@ def gather(work: Path, stages: Container[str] | None = None) -> tuple[Warning, .
     return tuple(found.values())
 
 
-def told_beside(run: Path) -> tuple[str, ...]:
-    """Give the warnings of the whole processing to a certificate that is made of one of its stages.
+def told_beside(run: Path) -> Told:
+    """Give what the whole processing told to a certificate that is made of one of its stages.
 
     Parameters
     ----------
@@ -90,12 +94,20 @@ def told_beside(run: Path) -> tuple[str, ...]:
 
     Returns
     -------
-    tuple of str
-        Empty for a folder of `photocal adjust`, which has no stages beside it.
+    Told
+        Nothing for a folder of `photocal adjust`, which has no stages beside it.
     """
     if not (run / "stage.json").is_file():
-        return ()
-    return tuple(f"{one.code}: {one.text}" for one in gather(run.resolve().parent))
+        return NOTHING_TOLD
+    return told_by(gather(run.resolve().parent))
+
+
+def told_by(warnings: Iterable[Warning]) -> Told:
+    """Sort warnings and notes for a certificate."""
+    kinds: tuple[list[str], list[str]] = ([], [])
+    for one in warnings:
+        kinds[one.note].append(f"{one.code}: {one.text}")
+    return Told(tuple(kinds[0]), tuple(kinds[1]))
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
@@ -132,7 +144,7 @@ def _of_exposures(figures: dict[str, Any]) -> Iterator[tuple[str, str]]:
     told = list(_told(figures))
     if without > 0 and "telemetry-gap" not in dict(told):
         yield "telemetry-gap", f"{without} exposures have no attitude: telemetry was lost."
-    yield from told
+    yield from ((code, text) for code, text in told if code not in _SAID_ABOVE)
 
 
 def _of_measurements(record: dict[str, Any]) -> Iterator[tuple[str, str]]:

@@ -1,83 +1,150 @@
 """Long study: each fault of a flight switched on alone must be named by the processing.
 
 Writes `docs/evidence/faults.md`. Flights of the demonstration with streams (raw GNSS, telemetry, time marks)
-and image observations instead of pictures, imported, and processed up to the georeferencing.
+and image observations instead of pictures, imported, and processed to the certificate.
 
-Run: `make evidence`, or `python -m tests.evidence.faults`.
+Run: `make evidence`, or `python -m tests.evidence.faults [SEEDS]`.
 """
 
 from __future__ import annotations
 
+import contextlib
 import datetime as dt
+import html
+import io
+import json
+import os
 import sys
 import tempfile
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 from acquire.importing.importer import import_recordings
-from acquire.simulate.world.configuration import read_configuration
+from acquire.simulate.world.configuration import Fault, read_configuration
 from acquire.simulate.world.site import simulate_flight
 from drivers.errors import PhotocalError
 from photocal.run.campaign import run_one
-from photocal.run.warnings import gather
+from photocal.run.summary import summary_text
 
+SEEDS = 5
 ROOT = Path(__file__).parents[2]
 FLIGHT = ROOT / "configs" / "demo" / "simulated" / "flight.toml"
 OUTPUT = ROOT / "docs" / "evidence" / "faults.md"
-NAMED = {
-    "": "",
-    "wrong_antenna_height": "antenna-height",
-    "base_off": "base-position",
-    "event_time_base": "event-time-base",
-    "lever_arm_axis": "lever-arm-axes",
-    "zoom": "camera-change",
-    "control_digits": "control-mistyped",
-    "missing_images": "events-without-image",
-    "telemetry_gap": "telemetry-gap",
-    "cycle_slips": "ppk-not-fixed",
+NAMES = {
+    Fault.ANTENNA_HEIGHT: "antenna-height",
+    Fault.BASE_OFF: "base-position",
+    Fault.EVENT_TIME_BASE: "event-time-base",
+    Fault.LEVER_ARM_AXIS: "lever-arm-axes",
+    Fault.ZOOM: "camera-change",
+    Fault.CONTROL_DIGITS: "control-mistyped",
+    Fault.MISSING_IMAGES: "events-without-image",
+    Fault.TELEMETRY_GAP: "telemetry-gap",
+    Fault.CYCLE_SLIPS: "ppk-not-fixed",
 }
 
 
-def warnings_of(fault: str, folder: Path) -> list[dict[str, str]]:
-    """Fly with a fault, process, and return the warnings."""
-    faults = {"faults": frozenset({fault})} if fault else {}
-    simulate_flight(read_configuration(FLIGHT, {"level": "observations", **faults}), folder, lambda _: None)
-    site = folder / "site"
-    streams = [
-        (link, site / name)
-        for link, name in (("vehicle", "vehicle.tlog"), ("rover", "rover.ubx"), ("base", "base.ubx"))
-    ]
-    import_recordings(streams, [], site / "flight.mcap", lambda _: None)
-    try:
-        run_one(site / "project.toml", dt.date(2025, 6, 16), "georeferencing", None)
-    except PhotocalError as refusal:
-        sys.stderr.write(f"{refusal}\n")
-    return [one.as_json() for one in gather(site / "work") if not one.note]
+@dataclass(frozen=True)
+class Processed:
+    """What the processing said of one flight.
+
+    Attributes
+    ----------
+    shown : str
+        What a person saw: the summary, or what stood before the refusal.
+    warnings : tuple of str
+        Their codes, each once.
+    certificate : str or None
+        All that the certificate says in its two forms; None when there is none.
+    refusal : str
+        Empty for none.
+    """
+
+    shown: str
+    warnings: tuple[str, ...]
+    certificate: tuple[str, str] | None
+    refusal: str
 
 
-def main() -> None:
+def processed(task: tuple[Fault | None, int]) -> Processed:
+    """Fly with a fault or without one, and process to the certificate."""
+    fault, seed = task
+    with tempfile.TemporaryDirectory() as scratch:
+        flight = Path(scratch) / "flight"
+        instead = {"level": "observations", "seed": seed, "faults": frozenset({fault} - {None})}
+        simulate_flight(read_configuration(FLIGHT, instead), flight, lambda _: None)
+        site = flight / "site"
+        links = {"vehicle": "vehicle.tlog", "rover": "rover.ubx", "base": "base.ubx"}
+        streams = [(link, site / name) for link, name in links.items()]
+        import_recordings(streams, [], site / "flight.mcap", lambda _: None)
+        said = io.StringIO()
+        try:
+            with contextlib.redirect_stderr(said):
+                figures = run_one(site / "project.toml", dt.date(2025, 6, 16), None, None)
+        except PhotocalError as refusal:
+            lines = [line.split(": ", 3) for line in said.getvalue().splitlines()]
+            codes = tuple(dict.fromkeys(line[2] for line in lines if line[1:2] == ["warning"]))
+            if (site / "work" / "certificate").exists():
+                raise AssertionError("a certificate of a run that failed") from refusal
+            return Processed(said.getvalue(), codes, None, str(refusal))
+        codes = tuple(dict.fromkeys(one["code"] for one in figures["warnings"] if one["kind"] == "warning"))
+        folder = site / "work" / "certificate"
+        record = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
+        page = html.unescape((folder / "certificate.html").read_text(encoding="utf-8"))
+        return Processed(summary_text(figures), codes, ("\n".join(record["warnings"]), page), "")
+
+
+def row(fault: Fault | None, flights: list[Processed]) -> str:
+    """Line of the table."""
+    name = "" if fault is None else NAMES[fault]
+    others = Counter(code for one in flights for code in one.warnings if code != name)
+    count = len(flights)
+    certified = [one.certificate for one in flights if one.certificate is not None]
+    if fault is None:
+        cells = ["none", "", f"silent in {sum(not one.warnings for one in flights)} of {count}"]
+        cells.append(f"silent in {sum(not json_form for json_form, _ in certified)} of {len(certified)}")
+    else:
+        named = sum(f"{name}: " in one.shown for one in flights)
+        written = sum(all(f"{name}: " in form for form in forms) for forms in certified)
+        cells = [fault.value, f"`{name}`", f"{named} of {count}"]
+        cells.append(f"{written} of {len(certified)}" if certified else "-")
+    cells.append(str(count - len(certified)))
+    cells.append(", ".join(f"{code} {times}" for code, times in sorted(others.items())) or "-")
+    return "| " + " | ".join(cells) + " |"
+
+
+def main(seeds: int = SEEDS) -> None:
     """Switch on each fault alone and write the table."""
-    rows = ["| fault | named as | what else was said |", "|---|---|---|"]
-    for fault, name in NAMED.items():
-        with tempfile.TemporaryDirectory() as scratch:
-            (Path(scratch) / "flight").mkdir()
-            found = warnings_of(fault, Path(scratch) / "flight")
-        codes = list(dict.fromkeys(one["code"] for one in found))
-        others = ", ".join(code for code in codes if code != name) or "-"
-        verdict = (name if name in codes else f"NOT NAMED ({name})") if name else "nothing to name"
-        rows.append(f"| {fault or 'none'} | {verdict} | {others} |")
-        sys.stderr.write(rows[-1] + "\n")
+    os.environ["OPENBLAS_NUM_THREADS"] = os.environ["NUMBA_NUM_THREADS"] = "1"
+    tasks = [(fault, seed) for fault in (None, *NAMES) for seed in range(1, seeds + 1)]
+    with ProcessPoolExecutor(2) as pool:
+        found: dict[Fault | None, list[Processed]] = {}
+        for (fault, _), one in zip(tasks, pool.map(processed, tasks), strict=True):
+            found.setdefault(fault, []).append(one)
+            if len(found[fault]) == seeds:
+                sys.stderr.write(row(fault, found[fault]) + "\n")
+    refusals = sorted({one.refusal for flights in found.values() for one in flights if one.refusal})
     lines = [
         "# Each fault alone",
         "",
-        "Flights of `configs/demo/simulated/flight.toml` with one fault each, from raw GNSS and telemetry to",
-        "the check points. Named: the code stands among the warnings of `photocal run`, and so in the",
-        "certificate.",
+        f"{seeds} flights of `configs/demo/simulated/flight.toml` with one fault each, from raw GNSS and",
+        "telemetry to the certificate. Named: the code stands in the summary of `photocal run`, or before",
+        "the error that ends it. Certified: of the certificates that were written, those that have the code",
+        "in their JSON and on their page. Without certificate: runs that ended with an error. Last: in how",
+        "many flights.",
         "",
-        *rows,
+        "| fault | name | named | certified | without certificate | what else was said |",
+        "|---|---|---|---|---|---|",
+        *(row(fault, flights) for fault, flights in found.items()),
+        "",
+        "Errors that ended runs:",
+        "",
+        *(f"- {refusal}" for refusal in refusals or ["none"]),
     ]
     OUTPUT.parent.mkdir(parents=True, exist_ok=True)
     OUTPUT.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main()
+    main(*map(int, sys.argv[1:2]))

@@ -24,6 +24,7 @@ from photocal.report.particulars import read_particulars
 from photocal.report.record import record
 from photocal.report.run import Run
 from photocal.report.run_reader import read_adjustment, read_run
+from photocal.report.warning_sections import Told
 from tests.photocal.accuracy.georeferencing.flights import Plan, fly
 from tests.photocal.report.conftest import DAY
 
@@ -89,13 +90,21 @@ def test_without_analysis_it_is_said(analysed: Run) -> None:
 
 def test_warnings_reach_every_form(analysed: Run) -> None:
     given, say = read_particulars(None, DAY), catalogue("en")
-    warned = certificate(analysed, given, say, ("PPK: 62 % of the epochs are fixed.",))
+    told = Told(("PPK: 62 % of the epochs are fixed.",), ("one height only",))
+    warned = certificate(analysed, given, say, told)
     assert "62 % of the epochs" in warned.verdicts[-1].text
     assert "62 % of the epochs" in words(warned)
     assert warned.number != certificate(analysed, given, say).number
-    plain = record(analysed, given, say, ("PPK: 62 % of the epochs are fixed.",))
-    assert plain["warnings"] == ["PPK: 62 % of the epochs are fixed."]
+    plain = record(analysed, given, say, told)
+    assert (plain["warnings"], plain["notes"]) == (list(told.warnings), list(told.notes))
     json.dumps(plain, allow_nan=False)
+
+
+def test_a_limit_of_the_flight_is_no_warning(analysed: Run) -> None:
+    given, say = read_particulars(None, DAY), catalogue("en")
+    noted = certificate(analysed, given, say, Told(notes=("one height only",)))
+    assert noted.verdicts == certificate(analysed, given, say).verdicts
+    assert "one height only" in words(noted)
 
 
 def test_table_3_is_original_less_adjusted(tmp_path: Path) -> None:
