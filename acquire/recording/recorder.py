@@ -15,7 +15,7 @@ from queue import Empty, SimpleQueue
 from acquire import __version__
 from acquire.channels.link import Tally
 from acquire.log.writer import LogWriter
-from acquire.recording.alarms import Alarm, ClockWatch, SilenceWatch, write_alarms
+from acquire.recording.alarms import LEAST_JUMP_S, Alarm, ClockWatch, SilenceWatch, write_alarms
 from acquire.recording.configuration import Configuration
 from acquire.recording.files import Limits, LogFiles, Told, WholeWrites, new_file, unclosed
 from acquire.recording.link_session import LinkSession, link_sessions
@@ -175,7 +175,7 @@ class _Flight:
         now = self._host.steady_s()
         self._take(arrivals, now)
         clock_ns = self._host.clock_ns()
-        self._raise([*self._clock.look(clock_ns, now), *self._silence.look(now, clock_ns), *self._disk(now)])
+        self._raise([*self._jump(), *self._silence.look(now, clock_ns), *self._disk(now)])
         if self._files.open_bytes > CHUNK_BYTES:
             self._report(self._files.end_chunk())
         if now >= self._safe_at:
@@ -203,6 +203,13 @@ class _Flight:
                 self._raise(self._silence.hear(name, now, clock_ns))
                 self._raise(session.forward(batch, clock_ns))
             self._raise(session.converse(batch, now, clock_ns))
+
+    def _jump(self) -> list[Alarm]:
+        """Look for a jump of the clock; a pause between the readings of two clocks would look like one."""
+        before = self._host.steady_s()
+        clock_ns = self._host.clock_ns()
+        after = self._host.steady_s()
+        return self._clock.look(clock_ns, before) if after - before < LEAST_JUMP_S / 5 else []
 
     def _disk(self, now: float) -> list[Alarm]:
         if now < self._disk_at:

@@ -69,6 +69,26 @@ def test_a_clock_that_drifts_is_no_jump() -> None:
     assert watch.look(round(2000e9), 1000.0)
 
 
+def test_a_computer_that_stands_still_for_a_while_has_no_jumping_clock(tmp_path: Path) -> None:
+    """Busy computers pause a program for seconds, also between its looks at two clocks."""
+    passed = {"s": 1000.0, "looks": 0}
+
+    def clock_ns() -> int:
+        passed["looks"] += 1
+        if passed["looks"] % 3 == 0:
+            passed["s"] += 50.0
+        return START_NS + round(passed["s"] * 1e9)
+
+    def reached(told: list[str]) -> bool:
+        passed["s"] += 0.1
+        return passed["looks"] > 30 or said("jumped")(told)
+
+    host = Host(clock_ns=clock_ns, steady_s=lambda: passed["s"])
+    rover = {"name": "rover", "protocol": "ubx", "url": "file:x", "silent_s": 1e9}
+    done, _ = run(configured(rover), tmp_path, reached, host, {"rover": Script([])})
+    assert done.alarms == ()
+
+
 def test_a_serial_line_that_is_unplugged_and_plugged_in_again(tmp_path: Path) -> None:
     """A real pseudo terminal: it goes away with its other end, a new one takes its name."""
     before, after = (ubx.encode(0x0213, bytes([number]) * 8) for number in range(2))
