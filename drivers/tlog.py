@@ -111,23 +111,23 @@ class TlogFramer:
         bool
             Whether all were taken over.
         """
-        first = 0
-        for index in [*np.flatnonzero(~intact).tolist(), len(rows)]:
-            if index > first:
-                parts.append(rows[first:index])
-                at = int(rows[index - 1, 0] + rows[index - 1, 1])
-                self._stamp_us = int(rows[index - 1, 4])
-            if index == len(rows):
-                break
-            frame, stamp = int(rows[index, 0]), self._stamp(window.data, at)
+        upto = len(rows)
+        for index in np.flatnonzero(~intact).tolist():
+            frame = int(rows[index, 0])
+            stamp = self._stamp(window.data, frame - STAMP_BYTES)
             if not stamp:
-                return at, False
+                upto = index
+                break
             length, kind, known = self._grammar.examine(window, frame, lambda end: self._may_end(window, end))
             if length != rows[index, 1]:
-                return at, False
-            at = self._append((frame, length, kind, int(known), stamp), parts)
-            first = index + 1
-        return at, True
+                upto = index
+                break
+            rows[index] = frame, length, kind, known, stamp
+        if upto:
+            parts.append(rows[:upto])
+            at = int(rows[upto - 1, 0] + rows[upto - 1, 1])
+            self._stamp_us = int(rows[upto - 1, 4])
+        return at, upto == len(rows)
 
     def _append(self, record: _Record, parts: list[NDArray[np.int64]]) -> int:
         self._stamp_us = record[4]

@@ -29,16 +29,16 @@ class Window:
     def __init__(self, data: bytes, closed: bool) -> None:
         self.data = data
         self.closed = closed
-        self._turned: memoryview | None = None
+        self._turned: bytes | None = None
         self._first: NDArray[np.uint32] | None = None
         self._second: NDArray[np.uint32] | None = None
         self._xor: NDArray[np.uint8] | None = None
 
     @property
-    def turned(self) -> memoryview:
+    def turned(self) -> bytes:
         """The bytes with the bits of each reversed, see `REVERSED`."""
         if self._turned is None:
-            self._turned = memoryview(self.data.translate(REVERSED))
+            self._turned = self.data.translate(REVERSED)
         return self._turned
 
     def fletcher8(self, begin: int, end: int) -> tuple[int, int]:

@@ -127,7 +127,7 @@ class LinkLog:
             told, made = decoder.feed(batch, log_ns)
             publish = np.where(told != log_ns, told, publish)
             decoded.extend(made)
-        for wire in np.unique(batch.wire).tolist():
+        for wire in np.flatnonzero(np.bincount(batch.wire)).tolist():
             rows = np.flatnonzero(batch.wire == wire)
             data = batch.data
             begin, end = batch.start[rows], batch.start[rows] + batch.length[rows]

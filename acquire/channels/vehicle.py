@@ -49,7 +49,7 @@ class VehicleDecoder:
         """Return the device's time of each frame and the decoded messages."""
         publish = log_ns.copy()
         wanted = (batch.wire == Wire.MAVLINK) & batch.known
-        kinds = np.unique(batch.kind[wanted]).tolist()
+        kinds = sorted(set(batch.kind[wanted].tolist()))
         boot = self._boot_offsets(batch)
         decoded: list[Decoded] = []
         for kind in kinds:

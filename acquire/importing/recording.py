@@ -20,7 +20,7 @@ from drivers.mrk import MrkFramer
 from drivers.tlog import TlogFramer
 from drivers.ulog import UlogFramer
 
-PIECE_BYTES = 1 << 18
+PIECE_BYTES = 1 << 20
 _HEAD_BYTES = 1 << 17
 _GZIP = b"\x1f\x8b"
 

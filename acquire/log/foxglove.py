@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.log.protobuf_rows import Field, RowEncoder
+from acquire.log.protobuf_rows import Field, RowEncoder, length_delimited
 from acquire.log.records import Schema
 
 SECOND_NS = 1_000_000_000
@@ -24,11 +24,8 @@ def schema(name: str) -> Schema:
     """Return the published schema of a message type, for example ``foxglove.LocationFix``."""
     from importlib import import_module
 
-    from google.protobuf.descriptor_pb2 import FileDescriptorSet
-
     short = name.split(".")[-1]
-    module = import_module(f"foxglove_schemas_protobuf.{short}_pb2")
-    files = FileDescriptorSet()
+    files: list[bytes] = []
     seen: set[str] = set()
 
     def add(file: Any) -> None:
@@ -36,10 +33,11 @@ def schema(name: str) -> Schema:
             seen.add(file.name)
             for dependency in file.dependencies:
                 add(dependency)
-            file.CopyToProto(files.file.add())
+            files.append(file.serialized_pb)
 
-    add(module.DESCRIPTOR)
-    return Schema(name, "protobuf", files.SerializeToString(deterministic=True))
+    add(import_module(f"foxglove_schemas_protobuf.{short}_pb2").DESCRIPTOR)
+    # A FileDescriptorSet has one field, repeated: the files as they are, each behind those that it needs.
+    return Schema(name, "protobuf", b"".join(length_delimited(1, file) for file in files))
 
 
 @cache

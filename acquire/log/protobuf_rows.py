@@ -76,7 +76,7 @@ def _lay_out(fields: list[Field], members: list[tuple[Any, ...]], constants: dic
     for field in fields:
         value = field.value
         if isinstance(value, bytes):
-            constant(_tag(field.number, _LENGTH_DELIMITED) + _minimal(len(value)) + value)
+            constant(length_delimited(field.number, value))
         elif isinstance(value, list):
             inner: list[tuple[Any, ...]] = []
             _lay_out(value, inner, {})
@@ -92,6 +92,11 @@ def _lay_out(fields: list[Field], members: list[tuple[Any, ...]], constants: dic
         else:
             constant(_tag(field.number, _FIXED64))
             members.append((value, "<f8"))
+
+
+def length_delimited(number: int, value: bytes) -> bytes:
+    """Return a field that holds bytes, a text or a message: its tag, its length, its value."""
+    return _tag(number, _LENGTH_DELIMITED) + _minimal(len(value)) + value
 
 
 def _tag(number: int, wire_type: int) -> bytes:
