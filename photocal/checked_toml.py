@@ -71,7 +71,9 @@ def _unreadable(refusal: OSError) -> str:
 
 def _complaint(path: Path, error: Any) -> ConfigurationError:
     """Say in words what is wrong with a key."""
-    key = ".".join(str(part + 1) if isinstance(part, int) else part for part in error["loc"])
+    # What stands in angle brackets is the name of a variant, not of a key.
+    parts = (str(part + 1) if isinstance(part, int) else part for part in error["loc"])
+    key = ".".join(part for part in parts if not part.startswith("<"))
     if error["type"] == "extra_forbidden":
         return ConfigurationError(
             f"unknown key {key}", where=path, remedy="correct its spelling or remove it"

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import (
     AfterValidator,
+    BeforeValidator,
+    Discriminator,
     Field,
     FiniteFloat,
     PositiveFloat,
+    Tag,
     ValidationInfo,
     model_validator,
 )
@@ -158,20 +161,72 @@ class Rig(Table):
         )
 
 
-class Targets(Table):
-    """`targets` of `[control]`: coded targets that are found by themselves."""
+class CodedTargets(Table):
+    """`targets` of `[control]` with a code: found in whole images, named by it."""
 
     dictionary: str
     side_m: PositiveFloat
     names: dict[str, str]
 
 
+class PlainTargets(Table):
+    """`targets` of `[control]` without a code: found and named where the exposures predict them.
+
+    Parameters
+    ----------
+    kind : str
+        As `photocal targets` prints them.
+    side_m : float
+        Diameter, or side of the square around the target.
+    part : float or None
+        Width of a cross's bars, or diameter of a ring's hole, as a part of `side_m`; None: as printed.
+    points : tuple of str
+        Control and check points that have such a target; empty for all.
+    """
+
+    kind: Literal["disc", "ring", "cross", "hourglass"]
+    side_m: PositiveFloat
+    part: Annotated[float, Field(ge=0.05, le=0.9)] | None = None
+    points: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.part is not None and self.kind not in ("ring", "cross"):
+            raise ValueError(f"a {self.kind} has no part: remove it")
+        return self
+
+
+def _variant(given: Any) -> str:
+    plain = isinstance(given, PlainTargets) or (isinstance(given, dict) and "kind" in given)
+    return "<plain>" if plain else "<coded>"
+
+
+def _several(given: Any) -> Any:
+    """Take one table as a list of one."""
+    return (given,) if isinstance(given, dict) else given
+
+
+Targets = Annotated[
+    Annotated[CodedTargets, Tag("<coded>")] | Annotated[PlainTargets, Tag("<plain>")], Discriminator(_variant)
+]
+
+
 class Control(Table):
-    """`[control]`: surveyed points, marks made by hand, coded targets."""
+    """`[control]`: surveyed points, marks made by hand, targets that are found by themselves."""
 
     points: Beside
     marks: Beside | None = None
-    targets: Targets | None = None
+    targets: Annotated[tuple[Targets, ...], BeforeValidator(_several)] = ()
+
+    @property
+    def coded_targets(self) -> tuple[CodedTargets, ...]:
+        """Targets with a code."""
+        return tuple(own for own in self.targets if isinstance(own, CodedTargets))
+
+    @property
+    def plain_targets(self) -> tuple[PlainTargets, ...]:
+        """Targets without a code."""
+        return tuple(own for own in self.targets if isinstance(own, PlainTargets))
 
 
 class Measurements(Table):

@@ -127,23 +127,17 @@ def _board_text(record: dict[str, Any], output: Path) -> str:
 
 
 def _project(path: Path, crew: Workers, cache: Path | None, output: Path) -> dict[str, Any]:
-    from dataclasses import replace
-
-    import numpy as np
-
     from acquire.outputs import output_folder
-    from photocal.block.folder import read_images
     from photocal.measurement.block_files import write_block
+    from photocal.measurement.orientation import of_exposures
     from photocal.measurement.project_block import measure_project
     from photocal.project import read_project
 
     project = read_project(path)
     # What `photocal exposures` or `photocal run` left in the work folder: good to start from.
-    exposures = project.output / "exposures" / "images.csv"
-    starts = read_images(exposures, project.cameras) if exposures.exists() else None
-    if starts is not None:
-        starts = replace(starts, sigma=np.full_like(starts.sigma, np.inf))
-    measured = measure_project(project, starts, _plan(crew, cache, project.picture_folder), progress)
+    folder = project.output / "exposures"
+    exposures = of_exposures(project, folder) if (folder / "images.csv").exists() else None
+    measured = measure_project(project, exposures, _plan(crew, cache, project.picture_folder), progress)
     with output_folder(output) as aside:
         write_block(aside, measured.block, measured.record)
     return measured.record
@@ -154,10 +148,16 @@ def _project_text(record: dict[str, Any], output: Path) -> str:
     return "\n".join(
         [
             f"marks by hand: {marks['by_hand']}, targets found: {marks['targets']}, used: {marks['used']}",
+            *_plain_lines(record["targets"]),
             *record["warnings"],
             _ties_text(record, output),
         ]
     )
+
+
+def _plain_lines(targets: dict[str, Any]) -> list[str]:
+    plain = targets.get("plain")
+    return [] if plain is None else [f"uncoded targets: {plain['found']} of {plain['predicted']} predicted"]
 
 
 def _gcp(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from photocal.measurement import patterns
 from photocal.measurement.image_file import Grey
+from photocal.measurement.patterns import FLAT
 from photocal.measurement.template import Fit, Template, Window, cut_window, fit_template
 
 Floats = NDArray[np.float64]
@@ -32,7 +34,7 @@ class Centre:
     contrast, noise : float
         Grey values.
     shape : ndarray, shape (k,)
-        Further parameters of the target, as in `patterns`; for a disc semi-axes, direction and blur.
+        Further parameters of the target, as in `patterns`; the blur stands last.
     """
 
     column: float
@@ -83,7 +85,11 @@ def saddle_centre(grey: Grey, approximate: tuple[float, float], radius: float) -
 
 
 def cross_centre(
-    grey: Grey, approximate: tuple[float, float], size: float, width: float | None = None
+    grey: Grey,
+    approximate: tuple[float, float],
+    size: float,
+    width: float | None = None,
+    bend: Floats = FLAT,
 ) -> Centre | None:
     """Centre of a cross of two bars.
 
@@ -96,6 +102,8 @@ def cross_centre(
         Length of a bar, px: the window is a circle of this diameter.
     width : float, optional
         Of a bar, px; a fifth of the size when not given.
+    bend : ndarray, shape (2, 2, 2)
+        Of the ground, from `eccentricity.ground_bend`.
 
     Returns
     -------
@@ -109,13 +117,13 @@ def cross_centre(
     half, broad = _half_contrast(window), width or size / 5
     low, high = np.quantile(window.grey, [0.1, 0.9])
     sizes = np.array([1, 1, 0.3, 0.3, 1, 0.5, half, half])
-    fits = []
+    fits, template = [], partial(patterns.cross, bend=bend)
     for turn in np.arange(0, np.pi / 2, np.pi / 8):
         for beside, contrast in ((low, high - low), (high, low - high)):
             start = np.array([x, y, turn, turn + np.pi / 2, broad, 1.0, beside, contrast])
-            fits.append(_sketch(window, patterns.cross, start))
+            fits.append(_sketch(window, template, start))
     _, start = min(fits, key=lambda pair: pair[0])
-    fit = fit_template(window, patterns.cross, start, sizes)
+    fit = fit_template(window, template, start, sizes)
     if fit is None or not 0.3 * broad < fit.parameters[4] < 3 * broad:
         return None
     if abs(np.sin(fit.parameters[2] - fit.parameters[3])) < 0.4:
@@ -124,11 +132,14 @@ def cross_centre(
 
 
 def disc_centre(
-    grey: Grey, approximate: tuple[float, float], semi_axes: tuple[float, float], direction: float = 0.0
+    grey: Grey,
+    approximate: tuple[float, float],
+    semi_axes: tuple[float, float],
+    direction: float = 0.0,
+    bend: Floats = FLAT,
+    margin: float | None = None,
 ) -> Centre | None:
-    """Centre of an ellipse: a filled circle in perspective.
-
-    It is not the image of the circle's centre: see `eccentricity.circle_centre`.
+    """Centre of a filled circle in perspective.
 
     Parameters
     ----------
@@ -139,34 +150,114 @@ def disc_centre(
         px.
     direction : float
         Of the first axis, from the columns towards the rows, radians.
+    bend : ndarray, shape (2, 2, 2)
+        Of the ground, from `eccentricity.ground_bend`. Without it the centre is that of the ellipse,
+        which is not where the circle's centre is seen.
+    margin : float, optional
+        Even ground around it that is used, px; without it all within a third more than the longer axis.
 
     Returns
     -------
     Centre or None
         None when there is no such target; `shape` holds semi-axes, direction and blur.
     """
-    longest = max(semi_axes)
-    window = cut_window(grey, approximate, longest + max(3.0, 0.35 * longest))
+    window = _round_window(grey, approximate, semi_axes, direction, margin)
     if window is None:
         return None
-    x, y = approximate[0] - window.middle[0], approximate[1] - window.middle[1]
-    half = _half_contrast(window)
-    inside = np.hypot(window.x - x, window.y - y) < 0.6 * min(semi_axes)
-    outside = np.hypot(window.x - x, window.y - y) > longest + 1.5
-    if not inside.any() or not outside.any():
+    start, sizes = _round_start(window, approximate, semi_axes, direction, (0.0, 0.6))
+    if not np.isfinite(start).all():
         return None
-    within, beside = float(np.median(window.grey[inside])), float(np.median(window.grey[outside]))
+    fit = fit_template(window, partial(patterns.disc, bend=bend), start, sizes)
+    if fit is None or not _alike(fit.parameters[2:4], semi_axes):
+        return None
+    farthest = max(semi_axes) / 2 + 1
+    return _centre(window, fit, abs(fit.parameters[7]), approximate, farthest, fit.parameters[2:6])
+
+
+def ring_centre(
+    grey: Grey,
+    approximate: tuple[float, float],
+    semi_axes: tuple[float, float],
+    direction: float = 0.0,
+    hole: float = 0.5,
+    bend: Floats = FLAT,
+    margin: float | None = None,
+) -> Centre | None:
+    """Centre of a ring between two concentric circles, in perspective.
+
+    Parameters
+    ----------
+    grey, approximate, direction, bend, margin
+        As in `disc_centre`.
+    semi_axes : tuple of float
+        Of the outer circle, px.
+    hole : float
+        Inner over outer diameter.
+
+    Returns
+    -------
+    Centre or None
+        None when there is no such target; `shape` holds semi-axes, direction, hole and blur.
+    """
+    window = _round_window(grey, approximate, semi_axes, direction, margin)
+    if window is None:
+        return None
+    start, sizes = _round_start(window, approximate, semi_axes, direction, (hole, 1.0))
+    if not np.isfinite(start).all():
+        return None
+    start, sizes = np.insert(start, 5, hole), np.insert(sizes, 5, 0.1)
+    fit = fit_template(window, partial(patterns.ring, bend=bend), start, sizes)
+    if fit is None or not (_alike(fit.parameters[2:4], semi_axes) and 0.05 < fit.parameters[5] < 0.95):
+        return None
+    farthest = max(semi_axes) * (1 - hole) / 2 + 1
+    return _centre(window, fit, abs(fit.parameters[8]), approximate, farthest, fit.parameters[2:7])
+
+
+def _round_window(
+    grey: Grey,
+    approximate: tuple[float, float],
+    semi_axes: tuple[float, float],
+    direction: float,
+    margin: float | None,
+) -> Window | None:
+    longest = max(semi_axes)
+    beside = max(3.0, 0.35 * longest) if margin is None else margin
+    window = cut_window(grey, approximate, longest + beside)
+    if window is None or margin is None:
+        return window
+    x, y = approximate[0] - window.middle[0], approximate[1] - window.middle[1]
+    outline = np.array([x, y, *semi_axes, direction])
+    return window.where(patterns.inside_circle(outline, window.x, window.y) >= -margin)
+
+
+def _round_start(
+    window: Window,
+    approximate: tuple[float, float],
+    semi_axes: tuple[float, float],
+    direction: float,
+    filled: tuple[float, float],
+) -> tuple[Floats, Floats]:
+    """Parameters of a disc to start from, and their sizes; NaN where a part of the picture has no pixel.
+
+    `filled` tells between which parts of the radius the picture is inside.
+    """
+    longest = max(semi_axes)
+    x, y = approximate[0] - window.middle[0], approximate[1] - window.middle[1]
+    depth = patterns.inside_circle(np.array([x, y, *semi_axes, direction]), window.x, window.y)
+    shortest = min(semi_axes)
+    inside = (depth >= (1 - filled[1]) * shortest) & (depth <= (1 - filled[0]) * shortest)
+    outside = depth < -min(1.5, -depth.min() / 2)
+    within, beside = (float(np.median(window.grey[m])) if m.any() else np.nan for m in (inside, outside))
     start = np.array([x, y, *semi_axes, direction, 0.7, beside, within - beside])
     # The direction of a circle is undetermined: a whisper of an ellipse keeps the system regular.
     if abs(semi_axes[0] - semi_axes[1]) < 0.02 * longest:
         start[2] *= 1.02
-    sizes = np.array([1, 1, 1, 1, 0.3, 0.5, half, half])
-    fit = fit_template(window, patterns.disc, start, sizes)
-    if fit is None or not (
-        0.5 < fit.parameters[2] / semi_axes[0] < 2 and 0.5 < fit.parameters[3] / semi_axes[1] < 2
-    ):
-        return None
-    return _centre(window, fit, abs(fit.parameters[7]), approximate, longest / 2 + 1, fit.parameters[2:6])
+    half = _half_contrast(window)
+    return start, np.array([1, 1, 1, 1, 0.3, 0.5, half, half])
+
+
+def _alike(found: Floats, semi_axes: tuple[float, float]) -> bool:
+    return all(0.5 < a / b < 2 for a, b in zip(found, semi_axes, strict=True))
 
 
 def quadrilateral_centre(grey: Grey, corners: Floats, cell: float) -> tuple[Centre, Floats] | None:

@@ -1,71 +1,48 @@
-"""From the centre of an ellipse to the image of the circle's centre."""
+"""How level ground is bent in an image: what takes a target's middle out of the middle of its picture.
+
+The centre of the ellipse that shows a circle is not where the circle's centre is seen: perspective and
+distortion move it by a part of the target's size squared. To the second order an offset d in the image
+belongs to the offset A^-1 (d + b(d, d)) on the ground, with A the affine part and b the bend that is found
+here. A picture that is drawn with this bend has its centre where the target has its own (for perspective
+alone this is the correction of Ahn, Warnecke and Kotowski 1999, up to the third order).
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from photocal.geometry.camera import Camera, pixel_to_plane
+from photocal.geometry.distortion import undistorted
+
 Floats = NDArray[np.float64]
 
-
-def ellipse_conic(centre: Floats, semi_axes: Floats, direction: float) -> Floats:
-    """Matrix of an ellipse: points with (x, y, 1) Q (x, y, 1)' = 0.
-
-    Parameters
-    ----------
-    centre, semi_axes : ndarray, shape (2,)
-    direction : float
-        Of the first axis, from x towards y, radians.
-
-    Returns
-    -------
-    ndarray, shape (3, 3)
-    """
-    turn = np.array([[np.cos(direction), np.sin(direction)], [-np.sin(direction), np.cos(direction)]])
-    form = turn.T @ np.diag(1 / np.asarray(semi_axes, dtype=float) ** 2) @ turn
-    beside = -form @ centre
-    return np.block([[form, beside[:, None]], [beside[None, :], np.array([[centre @ form @ centre - 1]])]])
+# Far enough for digits, near enough for the third order not to matter.
+_STEP_PX = 8.0
+_AROUND = _STEP_PX * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1], [1, -1], [-1, 1]])
 
 
-def circle_centre(conic: Floats, vanishing_line: Floats) -> Floats:
-    """Image of a circle's centre, from its ellipse and the orientation of its plane.
-
-    The centre is the pole of the line at infinity of the circle's plane; in the image that is the pole of
-    the plane's vanishing line with respect to the ellipse (Hartley and Zisserman 2004, section 2.8).
+def ground_bend(camera: Camera, rotation: Floats, pixel: Floats) -> Floats:
+    """Bend of level ground about a place in an image.
 
     Parameters
     ----------
-    conic : ndarray, shape (3, 3)
-    vanishing_line : ndarray, shape (3,)
-        Coefficients of l x + m y + n = 0 in the same coordinates. For undistorted coordinates (x, y) over
-        the principal distance, camera axes x right, y up, z backwards, and the plane's normal N in these
-        axes, it is (N_x, N_y, -N_z).
+    camera : Camera
+    rotation : ndarray, shape (3, 3)
+        From object to camera axes; the third object axis points up.
+    pixel : ndarray, shape (2,)
+        Column and row.
 
     Returns
     -------
-    ndarray, shape (2,)
+    ndarray, shape (2, 2, 2)
+        1/px, symmetric in the last two; zero where the image is parallel to the ground and not distorted.
     """
-    pole = np.linalg.solve(conic, vanishing_line)
-    return np.asarray(pole[:2] / pole[2])
-
-
-def ring_centre(inner: Floats, outer: Floats) -> Floats:
-    """Image of the centre of two concentric circles, from their ellipses alone.
-
-    Two concentric circles have their centre and the line at infinity in common as pole and polar; so the
-    centre is the eigenvector of inner^-1 outer whose eigenvalue stands alone (Kim, Gurdjos and Kweon 2005).
-
-    Parameters
-    ----------
-    inner, outer : ndarray, shape (3, 3)
-        Matrices of the ellipses.
-
-    Returns
-    -------
-    ndarray, shape (2,)
-    """
-    values, vectors = np.linalg.eig(np.linalg.solve(inner, outer))
-    values = values.real
-    gaps = [min(abs(values[k] - values[j]) for j in range(3) if j != k) for k in range(3)]
-    centre = vectors[:, int(np.argmax(gaps))].real
-    return np.asarray(centre[:2] / centre[2])
+    ideal = undistorted(camera, pixel_to_plane(camera.size_px, camera.pitch, pixel + _AROUND))
+    ray = np.column_stack([ideal, np.full(len(ideal), -camera.value("c"))]) @ rotation
+    ground = ray[:, :2] / ray[:, 2:]
+    by_pixel = np.column_stack([ground[1] - ground[2], ground[3] - ground[4]]) / (2 * _STEP_PX)
+    second = np.empty((2, 2, 2))
+    second[:, 0, 0], second[:, 1, 1] = (ground[k] - 2 * ground[0] + ground[k + 1] for k in (1, 3))
+    second[:, 0, 1] = second[:, 1, 0] = (ground[5] + ground[6] - ground[7] - ground[8]) / 4
+    return np.asarray(np.tensordot(np.linalg.inv(by_pixel), second, 1) / (2 * _STEP_PX**2))

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
+# Of a plane parallel to an image without distortion: see `eccentricity.ground_bend`.
+FLAT = np.zeros((2, 2, 2))
 _FINEST_BLUR_PX = 0.15
 
 
@@ -30,37 +32,88 @@ def saddle(p: Floats, x: Floats, y: Floats) -> Floats:
     return np.asarray(p[5] + p[6] * _edge(_beside(p, p[2], x, y), p[4]) * _edge(_beside(p, p[3], x, y), p[4]))
 
 
-def cross(p: Floats, x: Floats, y: Floats) -> Floats:
-    """Two bars that cross.
+def cross(p: Floats, x: Floats, y: Floats, bend: Floats = FLAT) -> Floats:
+    """Two bars that cross, in perspective.
 
     Parameters
     ----------
     p : ndarray
         Column, row, directions of the bars, width, blur, grey value beside, contrast of the bars.
     x, y : ndarray, shape (n,)
+    bend : ndarray, shape (2, 2, 2)
+        Of the ground, from `eccentricity.ground_bend`.
 
     Returns
     -------
     ndarray, shape (n,)
     """
-    first, second = (_bar(_beside(p, angle, x, y), p[4], p[5]) for angle in (p[2], p[3]))
+    dx, dy = flattened(x - p[0], y - p[1], bend)
+    first, second = (_bar(dy * np.cos(a) - dx * np.sin(a), p[4], p[5]) for a in (p[2], p[3]))
     return np.asarray(p[6] + p[7] * (first + second - first * second))
 
 
-def disc(p: Floats, x: Floats, y: Floats) -> Floats:
-    """Filled ellipse.
+def disc(p: Floats, x: Floats, y: Floats, bend: Floats = FLAT) -> Floats:
+    """Filled circle in perspective.
 
     Parameters
     ----------
     p : ndarray
-        Column, row, the two semi-axes, direction of the first, blur, grey value outside, contrast inside.
+        Column, row of the circle's centre, the two semi-axes, direction of the first, blur, grey value
+        outside, contrast inside.
     x, y : ndarray, shape (n,)
+    bend : ndarray, shape (2, 2, 2)
+        As in `cross`.
 
     Returns
     -------
     ndarray, shape (n,)
     """
-    return np.asarray(p[6] + p[7] * 0.5 * (1 + _edge(_inside_ellipse(p[:5], x, y), p[5])))
+    return np.asarray(p[6] + p[7] * 0.5 * (1 + _edge(inside_circle(p[:5], x, y, bend), p[5])))
+
+
+def ring(p: Floats, x: Floats, y: Floats, bend: Floats = FLAT) -> Floats:
+    """Ring between two concentric circles, in perspective.
+
+    Parameters
+    ----------
+    p : ndarray
+        Column, row of the centre, the two semi-axes of the outer circle, direction of the first, the inner
+        radius over the outer one, blur, grey value beside, contrast of the ring.
+    x, y : ndarray, shape (n,)
+    bend : ndarray, shape (2, 2, 2)
+        As in `cross`.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    hole = np.r_[p[:2], p[2:4] * p[5], p[4]]
+    outer, inner = (_edge(inside_circle(own, x, y, bend), p[6]) for own in (p[:5], hole))
+    return np.asarray(p[7] + p[8] * 0.5 * (outer - inner))
+
+
+def inside_circle(p: Floats, x: Floats, y: Floats, bend: Floats = FLAT) -> Floats:
+    """Distance from a circle in perspective to first order, positive inside (Sampson 1982).
+
+    Parameters
+    ----------
+    p : ndarray
+        Column, row of the centre, the two semi-axes, direction of the first.
+    x, y : ndarray, shape (n,)
+    bend : ndarray, shape (2, 2, 2)
+        As in `cross`.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        px.
+    """
+    cos, sin = np.cos(p[4]), np.sin(p[4])
+    dx, dy = flattened(x - p[0], y - p[1], bend)
+    u, v = (dx * cos + dy * sin) / p[2], (dy * cos - dx * sin) / p[3]
+    radius = np.maximum(np.hypot(u, v), 1e-9)
+    gradient = np.hypot(u / p[2], v / p[3]) / radius
+    return np.asarray((1 - radius) / np.maximum(gradient, 1e-9))
 
 
 def quadrilateral(p: Floats, x: Floats, y: Floats) -> Floats:
@@ -84,6 +137,26 @@ def quadrilateral(p: Floats, x: Floats, y: Floats) -> Floats:
     return np.asarray(p[9] + p[10] * inside)
 
 
+def flattened(dx: Floats, dy: Floats, bend: Floats) -> tuple[Floats, Floats]:
+    """Offsets in an image as they would be if it were parallel to the ground and not distorted.
+
+    Parameters
+    ----------
+    dx, dy : ndarray
+        Columns and rows from a place, px.
+    bend : ndarray, shape (2, 2, 2)
+
+    Returns
+    -------
+    tuple of ndarray
+    """
+    xx, xy, yy = dx * dx, 2 * dx * dy, dy * dy
+    return (
+        dx + bend[0, 0, 0] * xx + bend[0, 0, 1] * xy + bend[0, 1, 1] * yy,
+        dy + bend[1, 0, 0] * xx + bend[1, 0, 1] * xy + bend[1, 1, 1] * yy,
+    )
+
+
 def _beside(p: Floats, angle: float, x: Floats, y: Floats) -> Floats:
     """Distance from the line through the centre with this direction."""
     return np.asarray((y - p[1]) * np.cos(angle) - (x - p[0]) * np.sin(angle))
@@ -97,13 +170,3 @@ def _edge(distance: Floats, blur: float) -> Floats:
 
 def _bar(distance: Floats, width: float, blur: float) -> Floats:
     return 0.5 * (_edge(distance + width / 2, blur) - _edge(distance - width / 2, blur))
-
-
-def _inside_ellipse(p: Floats, x: Floats, y: Floats) -> Floats:
-    """Distance from the ellipse to first order, positive inside (Sampson 1982)."""
-    cos, sin = np.cos(p[4]), np.sin(p[4])
-    u = ((x - p[0]) * cos + (y - p[1]) * sin) / p[2]
-    v = (-(x - p[0]) * sin + (y - p[1]) * cos) / p[3]
-    radius = np.maximum(np.hypot(u, v), 1e-9)
-    slope = np.hypot(u / p[2], v / p[3]) / radius
-    return np.asarray((1 - radius) / np.maximum(slope, 1e-9))

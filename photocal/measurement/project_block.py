@@ -1,4 +1,4 @@
-"""From a project to its block: tie points, coded targets and marks in all images."""
+"""From a project to its block: tie points, targets and marks in all images."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ from photocal.exchange.parts import Mark
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
 from photocal.geometry.rotation import matrix_from_angles
-from photocal.measurement.coded_targets import find_coded_targets
 from photocal.measurement.georeferenced import map_places
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.image_file import list_images
 from photocal.measurement.marks import read_marks, with_marks
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.measure_ties import Sighted, TieBlock, sight, stated_footprints, tie_record
+from photocal.measurement.orientation import Orientation
 from photocal.measurement.oriented_ties import Progress, figures, orient_ties
 from photocal.measurement.pair_selection import Footprints, footprints
+from photocal.measurement.project_targets import targets_of_project
 from photocal.measurement.start_block import NO_OBSERVATIONS, POSITION_SIGMA_M, without_images
 from photocal.measurement.tie_adjustment import GROSS, Adjusted, adjust_ties, pixel_residuals
 from photocal.measurement.tie_block import place, with_ties
@@ -43,7 +44,7 @@ FEWEST_CONTROL, OTHER_SURFACE_M = 3, 50.0
 
 
 def measure_project(
-    project: Project, starts: Images | None, plan: MatchingPlan, progress: Progress
+    project: Project, exposures: Orientation | None, plan: MatchingPlan, progress: Progress
 ) -> TieBlock:
     """Measure the images of a project.
 
@@ -51,9 +52,9 @@ def measure_project(
     ----------
     project : Project
         Of it: the folder of the pictures, cameras, control points, marks and targets, system and heights.
-    starts : Images or None
-        Exterior orientations of some or all images in the project's system, NaN where unknown; where a
-        sigma stands the value is an observation. Without: the positions that the images state.
+    exposures : Orientation or None
+        Exterior orientations of some or all images in the project's system, NaN where unknown: good to start
+        from, and with their covariances to predict targets. Without: the positions that the images state.
     plan : MatchingPlan
     progress : callable
 
@@ -70,7 +71,11 @@ def measure_project(
     """
     control = read_points(project.control.points)
     by_hand = _marks_by_hand(project)
-    if starts is None and project.crs == "local" and not by_hand and project.control.targets is None:
+    # What was observed of them stands elsewhere: in the block they are start values.
+    starts = None
+    if exposures is not None:
+        starts = replace(exposures.images, sigma=np.full_like(exposures.images.sigma, np.inf))
+    if starts is None and project.crs == "local" and not by_hand and not project.control.coded_targets:
         raise _nowhere(project.name)
     looking = stated_footprints if starts is None else partial(_footprints, project, starts, control)
     sighted = sight(list_images(project.picture_folder), plan, progress, looking)
@@ -88,8 +93,8 @@ def measure_project(
         NO_OBSERVATIONS,
         (),
     )
-    found, strangers = _targets(project, sighted, plan, progress)
-    block, unknown = with_marks(block, (*by_hand, *found))
+    found = targets_of_project(project, sighted.sources, exposures, control, plan.processes, progress)
+    block, unknown = with_marks(block, (*by_hand, *found.marks))
     soft = _softened(block)
     oriented = orient_ties(soft, sighted.sources, sighted.tracks, sighted.pairs, plan.processes, progress)
     released = _released(oriented.adjusted, soft, block)
@@ -100,13 +105,17 @@ def measure_project(
         **figures(replace(oriented, adjusted=released)),
         "marks": {
             "by_hand": len(by_hand),
-            "targets": len(found),
+            "targets": len(found.marks),
             "used": _marked(released, control),
         },
+        "targets": found.record,
         "unknown_marks": [f"{mark.point} in {mark.image}" for mark in unknown],
-        "unknown_targets": list(strangers),
+        "unknown_targets": list(found.strangers),
         "suspected_marks": suspects,
-        "warnings": warnings_of(unknown, strangers, suspects, oriented.left_out),
+        "warnings": [
+            *found.warnings,
+            *warnings_of(unknown, found.strangers, suspects, oriented.left_out),
+        ],
     }
     return TieBlock(_restored(oriented.adjusted, released, block), record)
 
@@ -174,16 +183,6 @@ def _footprints(
 def _marks_by_hand(project: Project) -> tuple[Mark, ...]:
     path = project.control.marks
     return read_marks(path) if path is not None and path.exists() else ()
-
-
-def _targets(
-    project: Project, sighted: Sighted, plan: MatchingPlan, progress: Progress
-) -> tuple[tuple[Mark, ...], tuple[str, ...]]:
-    wanted = project.control.targets
-    if wanted is None:
-        return (), ()
-    with progress("looking for targets", len(sighted.sources)) as done:
-        return find_coded_targets(sighted.sources, wanted.dictionary, wanted.names, plan.processes, done)
 
 
 def _nowhere(name: str) -> InputNotFoundError:

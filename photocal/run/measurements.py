@@ -29,7 +29,7 @@ def measurements_stage(project: Project, exposures: Path) -> Stage:
         "crs": project.crs,
         "height": project.height,
         "camera": [keys.model_dump(mode="json") for keys in project.contents.camera],
-        "targets": None if control.targets is None else control.targets.model_dump(mode="json"),
+        "targets": [own.model_dump(mode="json") for own in control.targets],
         "sigma_px": None if given is None else given.sigma_px,
     }
     return Stage(
@@ -46,17 +46,18 @@ def _make(project: Project, exposures: Path, folder: Path, show: Progress) -> No
     from photocal.measurement.block_files import write_block
     from photocal.run.given_observations import given_block
 
-    starts = read_images(exposures / "images.csv", project.cameras)
-    # The orientations are start values: what was observed stands in positions.csv and attitudes.csv.
-    starts = replace(starts, sigma=np.full_like(starts.sigma, np.inf))
     if project.contents.measurements is not None:
+        starts = read_images(exposures / "images.csv", project.cameras)
+        # The orientations are start values: what was observed stands in positions.csv and attitudes.csv.
+        starts = replace(starts, sigma=np.full_like(starts.sigma, np.inf))
         block = given_block(project, starts)
         write_block(folder, block, {"schema": "photocal.measurement/1", "kind": "given observations"})
         return
     from photocal.measurement.cache import default_cache
     from photocal.measurement.match_images import MatchingPlan
+    from photocal.measurement.orientation import of_exposures
     from photocal.measurement.project_block import measure_project
 
     plan = MatchingPlan(default_cache(), os.cpu_count() or 1)
-    measured = measure_project(project, starts, plan, show)
+    measured = measure_project(project, of_exposures(project, exposures), plan, show)
     write_block(folder, measured.block, measured.record)

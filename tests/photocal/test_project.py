@@ -51,6 +51,8 @@ standards = ["pec-pcd"]
     + CAMERA
 )
 
+CODED = '{ dictionary = "apriltag_36h11", side_m = 0.6, names = { "3" = "P3" } }'
+
 
 def _read(folder: Path, text: str) -> object:
     (folder / "project.toml").write_text(text, encoding="utf-8")
@@ -64,8 +66,8 @@ def test_paths_are_taken_from_the_folder_of_the_file(tmp_path: Path) -> None:
     assert project.output == tmp_path / "work"
     assert project.picture_folder == tmp_path / "images"
     assert project.control.marks == tmp_path / "marks.csv"
-    assert project.control.targets is not None
-    assert project.control.targets.names == {"3": "P3"}
+    (targets,) = project.control.coded_targets
+    assert targets.names == {"3": "P3"}
 
 
 def test_cameras_are_those_of_a_block(tmp_path: Path) -> None:
@@ -99,7 +101,10 @@ def test_the_rig_is_the_mounting_of_a_block(tmp_path: Path) -> None:
         ("boresight_sigma_deg = 1.0", "", "key rig.boresight_sigma_deg is missing"),
         ("boresight_sigma_deg = 1.0", "boresight_sigma_deg = -1.0", "rig.boresight_sigma_deg"),
         ("attitude_sigma_deg = [0.5,", "attitude_sigma_deg = [0.0,", "rig.attitude_sigma_deg.1"),
-        ("side_m = 0.6", "side = 0.6", "unknown key control.targets.side"),
+        ("side_m = 0.6", "side = 0.6", "unknown key control.targets.1.side"),
+        (CODED, '[{ kind = "star", side_m = 1 }]', "control.targets.1.kind = 'star'"),
+        (CODED, '{ kind = "cross", side_m = 0.6, names = {} }', "unknown key control.targets.1.names"),
+        (CODED, '{ kind = "disc", side_m = 0.6, part = 0.2 }', "control.targets.1: a disc has no part"),
         ("[judgement]", "[judgment]", "unknown key judgment"),
         ("c = 1000.0", "f = 1000.0", "names f, which is no camera parameter"),
         (CAMERA, CAMERA + CAMERA, "two cameras have the same id"),

@@ -16,8 +16,8 @@ from drivers.errors import IllPosedError
 from photocal.block.model import Block, Images, ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.geometry.camera import PARAMETERS
-from photocal.measurement.marking.orientation import Orientation
 from photocal.measurement.marks import with_marks
+from photocal.measurement.orientation import Orientation
 from photocal.measurement.start_block import NO_OBSERVATIONS
 
 Floats = NDArray[np.float64]

@@ -16,12 +16,12 @@ from photocal.block.model import ROLES
 from photocal.exchange.parts import Mark
 from photocal.measurement.image_file import Grey, read_grey
 from photocal.measurement.marking.adjustment import Adjusted, adjust_marks
-from photocal.measurement.marking.prediction import ellipse, predict
 from photocal.measurement.marking.scene import Picture, Scene
 from photocal.measurement.marking.snap import KINDS, Kind, snap
 from photocal.measurement.marking.store import MarkStore
 from photocal.measurement.marking.tiles import TILE_PX, TileAddress, Tiles
 from photocal.measurement.marks import BY_HAND_PX
+from photocal.measurement.prediction import ellipse, predict
 
 FARTHEST_REACH_PX = 60.0
 # Decimals in marks.csv: what is shown is what is written.

@@ -11,8 +11,8 @@ from photocal.block.folder import read_points
 from photocal.block.model import ObjectPoints
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import list_images
-from photocal.measurement.marking.orientation import Orientation, of_project, of_run
 from photocal.measurement.marking.snap import DICTIONARIES
+from photocal.measurement.orientation import Orientation, of_project, of_run
 from photocal.measurement.start_block import NO_POINTS
 from photocal.project import Project
 
@@ -92,8 +92,7 @@ def scene_of_project(project: Project, run: Path | None) -> tuple[Scene, Path]:
         )
     pictures = read_pictures(project.picture_folder)
     orientation = of_project(project, tuple(pictures)) if run is None else of_run(run)
-    targets = control.targets
-    dictionaries = DICTIONARIES if targets is None else (targets.dictionary,)
+    dictionaries = tuple(own.dictionary for own in control.coded_targets) or DICTIONARIES
     points = read_points(control.points)
     return Scene(project.name, pictures, points, True, orientation, dictionaries), control.marks
 

@@ -9,14 +9,19 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
+from photocal.geometry.camera import camera
+from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.centres import (
     Centre,
     cross_centre,
     disc_centre,
     quadrilateral_centre,
+    ring_centre,
     saddle_centre,
 )
-from photocal.measurement.eccentricity import circle_centre, ellipse_conic, ring_centre
+from photocal.measurement.eccentricity import ground_bend
+from photocal.measurement.patterns import flattened
+from photocal.measurement.views import Views
 
 from .rendering import DARK, LIGHT, perspective, render
 
@@ -60,17 +65,25 @@ def _square(u: Floats, v: Floats) -> Floats:
     return np.where(inside & ~(code & (u > 0)), DARK, LIGHT)
 
 
+def _ring(u: Floats, v: Floats) -> Floats:
+    return np.where((np.hypot(u, v) < 10) & (np.hypot(u, v) > 5), DARK, LIGHT)
+
+
+def _bend(matrix: Floats) -> Floats:
+    """Of the picture's plane at the image of the origin, from its line at infinity."""
+    line = np.linalg.solve(matrix.T, [0.0, 0.0, 1.0])
+    slope = line[:2] / (line @ matrix[:, 2]) * matrix[2, 2]
+    # d / (1 + slope d) = d - d (slope d) + ...
+    one = np.einsum("ij,k->ijk", np.eye(2), slope)
+    return np.asarray(-(one + np.swapaxes(one, 1, 2)) / 2)
+
+
 def _measured_disc(grey: NDArray[np.uint8], near: Floats, matrix: Floats) -> Centre | None:
-    found = disc_centre(grey, (near[0], near[1]), (9.0, 8.0))
-    if found is None:
-        return None
-    conic = ellipse_conic(np.array([found.column, found.row]), found.shape[:2], float(found.shape[2]))
-    # The plane's line at infinity, seen in the picture.
-    line = np.linalg.inv(matrix).T @ [0.0, 0.0, 1.0]
-    place: Floats = circle_centre(conic, line)
-    return Centre(
-        float(place[0]), float(place[1]), found.covariance, found.contrast, found.noise, found.shape
-    )
+    return disc_centre(grey, (near[0], near[1]), (9.0, 8.0), bend=_bend(matrix))
+
+
+def _measured_ring(grey: NDArray[np.uint8], near: Floats, matrix: Floats) -> Centre | None:
+    return ring_centre(grey, (near[0], near[1]), (9.0, 8.0), bend=_bend(matrix))
 
 
 def _measured_square(grey: NDArray[np.uint8], near: Floats, matrix: Floats) -> Centre | None:
@@ -85,6 +98,7 @@ CASES: dict[str, tuple[Measure, Callable[[Floats, Floats], Floats]]] = {
     "hourglass": (lambda g, n, _: saddle_centre(g, (n[0], n[1]), 10.0), _hourglass),
     "cross": (lambda g, n, _: cross_centre(g, (n[0], n[1]), 20.0), _cross),
     "disc": (_measured_disc, _disc),
+    "ring": (_measured_ring, _ring),
     "square": (_measured_square, _square),
 }
 
@@ -116,21 +130,59 @@ def test_discs_from_small_to_large(diameter: float) -> None:
     assert np.sqrt(np.mean(np.square(errors))) < (0.08 if diameter < 10 else 0.05)
 
 
-def test_eccentricity_of_a_tilted_circle() -> None:
-    """A circle projected point by point: the conic's pole is its centre, the ellipse's centre is not."""
+@pytest.mark.parametrize(("measure", "scene"), [(disc_centre, _disc), (ring_centre, _ring)])
+def test_eccentricity_of_tilted_circles(
+    measure: Callable[..., Centre | None], scene: Callable[[Floats, Floats], Floats]
+) -> None:
+    """The circle's centre is the pole of its plane's vanishing line (Hartley and Zisserman, section 2.8)."""
     rng = np.random.default_rng(5)
-    matrix = perspective(rng, 60)
-    matrix[2, :2] = [0.004, 0.003]
+    matrix = np.array([[1.6, 0.3, 40.2], [-0.1, 1.5, 39.7], [0.008, 0.005, 1.0]])
     back = np.linalg.inv(matrix)
-    outer, inner = (back.T @ np.diag([1 / r**2, 1 / r**2, -1.0]) @ back for r in (15.0, 8.0))
-    true = matrix[:2, 2] / matrix[2, 2]
-    ellipse = np.linalg.solve(outer[:2, :2], -outer[:2, 2])
-    assert np.hypot(*(ellipse - true)) > 0.2
-    assert circle_centre(outer, back.T @ [0.0, 0.0, 1.0]) == pytest.approx(true, abs=1e-9)
-    assert ring_centre(inner, outer) == pytest.approx(true, abs=1e-6)
+    conic = back.T @ np.diag([1 / 100, 1 / 100, -1.0]) @ back
+    pole = np.linalg.solve(conic, back.T @ [0.0, 0.0, 1.0])
+    assert pole[:2] / pole[2] == pytest.approx(matrix[:2, 2], abs=1e-9)
+    ellipse = np.linalg.solve(conic[:2, :2], -conic[:2, 2])
+    assert np.hypot(*(ellipse - matrix[:2, 2])) > 1
+    grey = render(scene, matrix, 80, rng, noise=0.01)
+    near = (float(ellipse[0]), float(ellipse[1]))
+    mended, bare = measure(grey, near, (14.0, 13.0), bend=_bend(matrix)), measure(grey, near, (14.0, 13.0))
+    assert mended is not None
+    assert bare is not None
+    assert (mended.column, mended.row) == pytest.approx(tuple(matrix[:2, 2]), abs=0.03)
+    if measure is disc_centre:
+        assert (bare.column, bare.row) == pytest.approx(tuple(ellipse), abs=0.03)
 
 
-@pytest.mark.parametrize("kind", ["hourglass", "cross", "disc"])
+@pytest.mark.parametrize("k1", [0.0, -3e-9])
+def test_the_bend_of_level_ground(k1: float) -> None:
+    """A circle projected point by point: mended by the bend, its ellipse lies about its centre."""
+    own = camera("c", "brown-ideal", "px", (4000, 3000), (1.0, 1.0), {"c": 3000.0, "x0": 12.0, "K1": k1})
+    rotation, station = matrix_from_angles(np.array([[0.4, -0.3, 0.7]]))[0], np.array([3.0, -2.0, 50.0])
+    angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    circle = 0.5 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    points = np.array([-10.0, 8.0, 0.0]) + np.vstack([circle, np.zeros((1, 3))])
+    count = len(points)
+    views = Views(
+        (own,), np.zeros(count, np.int64), np.tile(rotation, (count, 1, 1)), np.tile(station, (count, 1))
+    )
+    pixels = views.project(np.arange(count), points)
+    middle = pixels[-1]
+    assert (np.abs(middle - [1999.5, 1499.5]) < [1950, 1450]).all()
+    x, y = (pixels[:-1] - middle).T
+    assert np.hypot(*_ellipse_centre(x, y)) > 0.1
+    flat = flattened(x, y, ground_bend(own, rotation, middle))
+    assert np.hypot(*_ellipse_centre(*flat)) < 0.003
+
+
+def _ellipse_centre(x: Floats, y: Floats) -> Floats:
+    """Centre of the conic through points, by linear least squares."""
+    a, b, c, d, e = np.linalg.lstsq(
+        np.column_stack([x * x, x * y, y * y, x, y]), np.ones(len(x)), rcond=None
+    )[0]
+    return np.asarray(np.linalg.solve([[2 * a, b], [b, 2 * c]], [-d, -e]))
+
+
+@pytest.mark.parametrize("kind", ["hourglass", "cross", "disc", "ring"])
 def test_plain_ground_has_no_target(kind: str) -> None:
     rng = np.random.default_rng(1)
     grey = np.asarray(np.clip(rng.normal(120, 5, (56, 56)), 0, 255), np.uint8)

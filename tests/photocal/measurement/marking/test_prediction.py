@@ -11,8 +11,8 @@ from photocal.block.folder import read_points
 from photocal.exchange.parts import Mark
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.marking.adjustment import adjust_marks
-from photocal.measurement.marking.orientation import Orientation, of_project, of_run
-from photocal.measurement.marking.prediction import WITHIN_95, ellipse, predict
+from photocal.measurement.orientation import Orientation, of_project, of_run
+from photocal.measurement.prediction import WITHIN_95, ellipse, predict
 from photocal.measurement.views import Views
 from photocal.project import read_project
 from tests.photocal.measurement.marking.conftest import IMAGES, POINTS, Survey

@@ -11,7 +11,7 @@ from scipy.special import ndtr
 
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import matrix_from_angles
-from photocal.measurement.marking.orientation import Orientation
+from photocal.measurement.orientation import Orientation
 from photocal.measurement.views import Views, local_poses
 
 Floats = NDArray[np.float64]
@@ -37,11 +37,14 @@ class Prediction:
     probability : ndarray, shape (m,)
         That the point lies within the image; NaN where it is not oriented. Nothing is known of what may
         stand before the point.
+    slope : ndarray, shape (m, 2, 3)
+        How columns and rows change with the point, px/m; local axes, the third one up.
     """
 
     pixels: Floats
     covariance: Floats
     probability: Floats
+    slope: Floats
 
 
 @dataclass(frozen=True)
@@ -90,17 +93,17 @@ def predict(orientation: Orientation, xyz: Floats, sigma: Floats) -> Prediction:
         behind[:, k] -= step
         slopes[:, :, k] = (seen(ahead, point, views) - seen(behind, point, views)) / (2 * step)
     covariance = slopes @ orientation.covariance @ np.swapaxes(slopes, 1, 2)
-    for k in range(3):
-        step = 1e-2 * np.eye(3)[k]
-        slope = (seen(poses, point + step, views) - seen(poses, point - step, views)) / 2e-2
-        covariance += _spread(slope, np.full(count, sigma[k] if np.isfinite(sigma[k]) else 0.0))
+    moved = np.empty((count, 2, 3))
+    for k, step in enumerate(1e-2 * np.eye(3)):
+        moved[:, :, k] = (seen(poses, point + step, views) - seen(poses, point - step, views)) / 2e-2
+        covariance += _spread(moved[:, :, k], np.full(count, sigma[k] if np.isfinite(sigma[k]) else 0.0))
     for ahead_views, behind_views, size in _camera_steps(views):
         slope = (seen(poses, point, ahead_views) - seen(poses, point, behind_views)) / 2
         # The cameras were moved by a standard deviation: the slope is in px.
         covariance += _spread(slope, size[views.camera])
     probability = _within(pixels, covariance, views.sizes())
     probability[away & np.isfinite(poses).all(axis=1)] = 0
-    return Prediction(pixels, covariance, probability)
+    return Prediction(pixels, covariance, probability, moved)
 
 
 def ellipse(covariance: Floats) -> Ellipse | None:

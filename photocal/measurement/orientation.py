@@ -124,24 +124,52 @@ def of_project(project: Project, names: tuple[str, ...]) -> Orientation | None:
     Orientation or None
         None without a camera: nothing can be said then, whatever is known of the images.
     """
-    adjusted, exposures = project.output / "calibration", project.output / "exposures" / "images.csv"
+    adjusted, exposures = project.output / "calibration", project.output / "exposures"
     if (adjusted / "result.json").is_file():
         return of_run(adjusted)
     if not project.cameras:
         return None
-    if exposures.is_file():
-        images, source = read_images(exposures, project.cameras), "exposures"
-        boresight = _boresight_sigma(project)
-        covariance = _covariance(images, exposures.parent) + np.diag(np.r_[boresight, 0, 0, 0] ** 2)
-        sigma = images.sigma.copy()
-        sigma[:, :3] = np.hypot(sigma[:, :3], boresight)
-        images = replace(images, sigma=sigma)
-    else:
-        count = len(names)
-        nothing = np.full((count, 6), np.nan)
-        images = Images(names, np.zeros(count, np.int64), nothing, np.full((count, 6), np.inf))
-        source, covariance = "nothing yet", np.full((count, 6, 6), np.nan)
-    return Orientation(project.cameras, images, project.crs, project.height, source, covariance)
+    if (exposures / "images.csv").is_file():
+        return of_exposures(project, exposures)
+    count = len(names)
+    images = Images(
+        names, np.zeros(count, np.int64), np.full((count, 6), np.nan), np.full((count, 6), np.inf)
+    )
+    covariance = np.full((count, 6, 6), np.nan)
+    return Orientation(project.cameras, images, project.crs, project.height, "nothing yet", covariance)
+
+
+def of_exposures(project: Project, folder: Path) -> Orientation:
+    """Read how images are oriented by the flight log.
+
+    Parameters
+    ----------
+    project : Project
+    folder : Path
+        That `photocal exposures` made.
+
+    Returns
+    -------
+    Orientation
+        The sigmas of the attitudes hold how unsure the boresight is.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+    """
+    images = read_images(folder / "images.csv", project.cameras)
+    boresight = _boresight_sigma(project)
+    covariance = _covariance(images, folder) + np.diag(np.r_[boresight, 0, 0, 0] ** 2)
+    sigma = images.sigma.copy()
+    sigma[:, :3] = np.hypot(sigma[:, :3], boresight)
+    return Orientation(
+        project.cameras,
+        replace(images, sigma=sigma),
+        project.crs,
+        project.height,
+        "exposures",
+        covariance,
+    )
 
 
 def _boresight_sigma(project: Project) -> Floats:

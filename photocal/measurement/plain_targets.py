@@ -1,0 +1,234 @@
+"""Uncoded targets of control points: found where the exposures predict them, named by where they lie."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.block.model import ObjectPoints
+from photocal.exchange.parts import Mark
+from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.geometry.rotation import matrix_from_angles
+from photocal.measurement.cache import Arrays, array_key, cached, combined_key
+from photocal.measurement.coded_targets import COMMON_PX
+from photocal.measurement.eccentricity import ground_bend
+from photocal.measurement.image_file import read_grey
+from photocal.measurement.orientation import Orientation
+from photocal.measurement.prediction import predict
+from photocal.measurement.refine import Source
+from photocal.measurement.target_look import PARTS, Look
+from photocal.measurement.target_search import find_targets
+from photocal.measurement.views import local_poses
+from photocal.measurement.workers import Workers, run_tasks
+from photocal.project import PlainTargets
+
+Floats = NDArray[np.float64]
+
+# Raised whenever the meaning of cached results changes.
+VERSION = 1
+# Images that show a point with less than this probability are not searched.
+LEAST_PROBABILITY = 0.05
+# How wrong a camera may be that is to be estimated and says no more: displacement at the corner of an image,
+# as a part of its distance from the middle.
+UNKNOWN_CAMERA = 0.01
+
+
+@dataclass(frozen=True)
+class Sight:
+    """Where an image should show the target of a point.
+
+    Attributes
+    ----------
+    point : str
+    place : ndarray, shape (2,)
+        Column and row, px.
+    covariance : ndarray, shape (2, 2)
+    look : Look
+    """
+
+    point: str
+    place: Floats
+    covariance: Floats
+    look: Look
+
+
+@dataclass(frozen=True)
+class PlainMarks:
+    """Uncoded targets that were found.
+
+    Attributes
+    ----------
+    marks : tuple of Mark
+        With the standard deviation that the grey values give, and a common part.
+    ambiguous : tuple of str
+        Points that were given up, because two targets fit them, or their target fits two points.
+    sought : int
+        How many were predicted.
+    """
+
+    marks: tuple[Mark, ...]
+    ambiguous: tuple[str, ...]
+    sought: int
+
+
+@dataclass(frozen=True)
+class _Task:
+    source: Source
+    sights: tuple[Sight, ...]
+
+
+def find_plain_targets(
+    sources: Sequence[Source],
+    orientation: Orientation,
+    points: ObjectPoints,
+    wanted: Sequence[PlainTargets],
+    processes: Workers,
+    done: Callable[[float], None],
+) -> PlainMarks:
+    """Find uncoded targets in images.
+
+    Parameters
+    ----------
+    sources : sequence of Source
+    orientation : Orientation
+        With covariances: they give the windows their sizes.
+    points : ObjectPoints
+        Control and check points; their targets lie level.
+    wanted : sequence of PlainTargets
+    processes : Workers
+    done : callable
+        Told 1 after each image.
+
+    Returns
+    -------
+    PlainMarks
+    """
+    sights = predicted_sights(orientation, points, wanted)
+    tasks = [_Task(source, sights.get(source.path.name, ())) for source in sources]
+    marks: list[Mark] = []
+    doubts: dict[str, list[str]] = {}
+    for task, found in zip(tasks, run_tasks(_find, tasks, processes), strict=True):
+        name = task.source.path.name
+        mine, doubtful = identified(task.sights, found)
+        marks += [replace(mark, image=name) for mark in mine]
+        for point, doubt in doubtful.items():
+            doubts.setdefault(point, []).append(f"{doubt} in {name}")
+        done(1)
+    # What stands beside a target stands there in all images, though some may not show both.
+    sure = tuple(mark for mark in marks if mark.point not in doubts)
+    sought = sum(len(task.sights) for task in tasks)
+    return PlainMarks(sure, tuple(f"point {name}: {own[0]}" for name, own in doubts.items()), sought)
+
+
+def predicted_sights(
+    orientation: Orientation, points: ObjectPoints, wanted: Iterable[PlainTargets]
+) -> dict[str, tuple[Sight, ...]]:
+    """Predict where images should show targets.
+
+    Parameters
+    ----------
+    orientation, points, wanted
+        As in `find_plain_targets`.
+
+    Returns
+    -------
+    dict
+        By image; targets that would be too small are left out.
+    """
+    unsure = replace(orientation, cameras=tuple(map(_unsure, orientation.cameras)))
+    images = orientation.images
+    sights: dict[str, list[Sight]] = {}
+    for targets in wanted:
+        part = targets.part or PARTS[targets.kind]
+        for k, name in enumerate(points.names):
+            if targets.points and name not in targets.points:
+                continue
+            rotation = matrix_from_angles(_local_angles(unsure, points.values[k]))
+            seen = predict(unsure, points.values[k], points.sigma[k])
+            for i in np.flatnonzero(seen.probability >= LEAST_PROBABILITY):
+                if not (np.isfinite(seen.covariance[i]).all() and np.isfinite(seen.slope[i]).all()):
+                    continue
+                camera = unsure.cameras[images.camera[i]]
+                bend = ground_bend(camera, rotation[i], seen.pixels[i])
+                look = Look(targets.kind, seen.slope[i, :, :2] * targets.side_m / 2, part, bend)
+                if look.large_enough:
+                    own = Sight(name, seen.pixels[i], seen.covariance[i], look)
+                    sights.setdefault(images.names[i], []).append(own)
+    return {name: tuple(own) for name, own in sights.items()}
+
+
+def identified(sights: Sequence[Sight], found: Floats) -> tuple[list[Mark], dict[str, str]]:
+    """Give the targets of an image the names of the points that predict them, where that is beyond doubt.
+
+    Parameters
+    ----------
+    sights : sequence of Sight
+    found : ndarray, shape (n, 5)
+        Sight, column, row and their sigmas of each target that was found.
+
+    Returns
+    -------
+    marks : list of Mark
+        Without an image.
+    doubts : dict
+        Why points are given up: two targets fit them, or their target fits another point, too.
+    """
+    marks, doubts = [], {}
+    for k, sight in enumerate(sights):
+        mine = found[found[:, 0] == k]
+        if len(mine) > 1:
+            doubts[sight.point] = f"{len(mine)} targets fit it"
+        if len(mine) != 1:
+            continue
+        _, x, y, sx, sy = mine[0].tolist()
+        here = np.hypot(*(found[:, 1:3] - (x, y)).T) < sight.look.size / 3
+        rivals = sorted({sights[int(row[0])].point for row in found[here & (found[:, 0] != k)]})
+        if rivals:
+            doubts[sight.point] = f"its target fits {' and '.join(rivals)}, too,"
+            continue
+        sigma = (math.hypot(sx, COMMON_PX), math.hypot(sy, COMMON_PX))
+        marks.append(Mark("", sight.point, x, y, sigma, sight.look.kind))
+    return marks, doubts
+
+
+def _find(task: _Task) -> Floats:
+    if not task.sights:
+        return np.empty((0, 5))
+
+    def make() -> Arrays:
+        grey = read_grey(task.source.path)
+        rows = [
+            (k, centre.column, centre.row, *centre.sigma)
+            for k, own in enumerate(task.sights)
+            for centre in find_targets(
+                grey, (float(own.place[0]), float(own.place[1])), own.covariance, own.look
+            )
+        ]
+        return {"targets": np.array(rows, dtype=float).reshape(-1, 5)}
+
+    numbers = [
+        np.r_[
+            own.place, own.covariance.ravel(), own.look.affine.ravel(), own.look.part, own.look.bend.ravel()
+        ]
+        for own in task.sights
+    ]
+    kinds = ",".join(own.look.kind for own in task.sights)
+    key = combined_key(VERSION, "plain targets", task.source.key, kinds, array_key(*numbers))
+    return np.asarray(cached(task.source.cache, key, ("targets",), make)["targets"], dtype=np.float64)
+
+
+def _local_angles(orientation: Orientation, place: Floats) -> Floats:
+    return local_poses(orientation.to_local(place[None]), orientation.images.values)[:, :3]
+
+
+def _unsure(camera: Camera) -> Camera:
+    """Camera with sigmas for what is to be estimated and of which nothing is said."""
+    c, radius = camera.value("c"), float(np.hypot(*(np.array(camera.size_px) * camera.pitch))) / 2
+    assumed = {"c": c, "x0": c, "y0": c, "K1": 1 / radius**2}
+    sigma = np.array([UNKNOWN_CAMERA * assumed.get(name, np.inf) for name in PARAMETERS])
+    unknown = camera.estimated & ~np.isfinite(camera.prior_sigma)
+    return replace(camera, prior_sigma=np.where(unknown, sigma, camera.prior_sigma))

@@ -1,0 +1,109 @@
+"""All targets of a project: coded ones wherever they are, uncoded ones where the exposures predict them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from drivers.errors import ConfigurationError
+from photocal.block.model import ObjectPoints
+from photocal.exchange.parts import Mark
+from photocal.measurement.coded_targets import find_coded_targets
+from photocal.measurement.orientation import Orientation
+from photocal.measurement.oriented_ties import Progress
+from photocal.measurement.plain_targets import find_plain_targets
+from photocal.measurement.refine import Source
+from photocal.measurement.workers import Workers
+from photocal.project import Project
+
+
+@dataclass(frozen=True)
+class Targets:
+    """Targets that were found in the images of a project.
+
+    Attributes
+    ----------
+    marks : tuple of Mark
+    strangers : tuple of str
+        Codes without a name.
+    record : dict
+        How many were sought and found, and what was refused.
+    warnings : tuple of str
+    """
+
+    marks: tuple[Mark, ...]
+    strangers: tuple[str, ...]
+    record: dict[str, Any]
+    warnings: tuple[str, ...]
+
+
+def targets_of_project(
+    project: Project,
+    sources: Sequence[Source],
+    exposures: Orientation | None,
+    control: ObjectPoints,
+    workers: Workers,
+    progress: Progress,
+) -> Targets:
+    """Find the targets of a project.
+
+    Parameters
+    ----------
+    project : Project
+    sources : sequence of Source
+        Its images.
+    exposures : Orientation or None
+        Uncoded targets are not sought without it.
+    control : ObjectPoints
+    workers : Workers
+    progress : callable
+
+    Returns
+    -------
+    Targets
+
+    Raises
+    ------
+    ConfigurationError
+        For an unknown dictionary, or targets of points that the control table does not have.
+    """
+    given = project.control
+    marks: list[Mark] = []
+    strangers: list[str] = []
+    warnings: list[str] = []
+    record: dict[str, Any] = {"coded": 0}
+    _require_points(project, control)
+    for coded in given.coded_targets:
+        with progress("looking for coded targets", len(sources)) as done:
+            found, unnamed = find_coded_targets(sources, coded.dictionary, coded.names, workers, done)
+        marks += found
+        strangers += unnamed
+    record["coded"] = len(marks)
+    kinds = ", ".join(dict.fromkeys(own.kind for own in given.plain_targets))
+    if given.plain_targets and exposures is None:
+        warnings.append(f"targets ({kinds}) are not sought: no exposures say where, run photocal exposures")
+    elif exposures is not None and given.plain_targets:
+        with progress("looking for targets", len(sources)) as done:
+            plain = find_plain_targets(sources, exposures, control, given.plain_targets, workers, done)
+        marks += plain.marks
+        record["plain"] = {
+            "predicted": plain.sought,
+            "found": len(plain.marks),
+            "ambiguous": list(plain.ambiguous),
+        }
+        warnings += [f"ambiguous, not used: {refusal}" for refusal in plain.ambiguous]
+        if not plain.marks:
+            warnings.append(f"none of {plain.sought} predicted targets ({kinds}) was found")
+    return Targets(tuple(marks), tuple(strangers), record, tuple(warnings))
+
+
+def _require_points(project: Project, control: ObjectPoints) -> None:
+    for own in project.control.plain_targets:
+        for name in own.points:
+            if name not in control.names:
+                raise ConfigurationError(
+                    f"targets ({own.kind}) name point {name}, which {project.control.points.name} lacks",
+                    where=project.path,
+                    remedy="correct the name or add the point",
+                )

@@ -1,0 +1,194 @@
+"""Uncoded targets of a known look, searched in a part of an image."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.measurement.centres import Centre, cross_centre, disc_centre, ring_centre, saddle_centre
+from photocal.measurement.image_file import Grey
+from photocal.measurement.target_look import Look
+
+Floats = NDArray[np.float64]
+Place = tuple[float, float]
+
+# Of the places that may show the target this part of a plane normal distribution is searched: 99.9 %.
+WITHIN = float(np.sqrt(-2 * np.log(0.001)))
+# Large targets are sought in a reduced image, where they are as long as this, px.
+_SOUGHT_PX = 24.0
+# Correlation with the ideal picture: of a place that is worth a fit, and of a target after it.
+WORTH, LIKE = 0.62, 0.85
+# More places than this in a window are texture; the likest are tried.
+_MOST = 15
+# The picture must explain the grey values: noise as a part of the contrast; and the contrast itself.
+WORST_MISFIT, LEAST_CONTRAST = 0.12, 20.0
+# Edges of a target are sharp, px or parts of its size.
+_BLUNTEST_PX, _BLUNTEST_PART = 1.3, 0.06
+# Sizes agree to this part, and this many pixels of blur.
+_SIZE, _SIZE_PX = 0.15, 0.5
+# Angles on the target, radians, and the part of a cross or ring.
+_ANGLE, _PART = 0.22, 0.3
+# Windows of fits, as parts of the shortest half side: nothing beside the target gets in.
+_CROSS, _HOURGLASS = 0.92, 0.85
+
+
+def find_targets(grey: Grey, place: Place, covariance: Floats, look: Look) -> tuple[Centre, ...]:
+    """Find all targets of a look where one is predicted.
+
+    Parameters
+    ----------
+    grey : ndarray, shape (height, width)
+    place : tuple of float
+        Column and row that are predicted, px.
+    covariance : ndarray, shape (2, 2)
+        Of the prediction, px squared: it gives the window its size.
+    look : Look
+
+    Returns
+    -------
+    tuple of Centre
+        The likest first.
+    """
+    inverse = np.linalg.inv(covariance + 1e-6 * np.eye(2))
+    found: list[tuple[float, Centre]] = []
+    for start, turn in _worth_a_fit(grey, place, covariance, look):
+        centre = _FITS[look.kind](grey, start, look)
+        if centre is not None:
+            # A window that is laid around the centre has the same of the ground on all sides.
+            centre = _FITS[look.kind](grey, (centre.column, centre.row), look)
+        if centre is None or not (_clear(centre, look) and _AGREES[look.kind](centre, look)):
+            continue
+        away = np.array([centre.column - place[0], centre.row - place[1]])
+        likeness = _likeness(grey, centre, look, turn)
+        if away @ inverse @ away <= WITHIN**2 and likeness >= LIKE:
+            found.append((likeness, centre))
+    kept: list[Centre] = []
+    for _, centre in sorted(found, key=lambda one: -one[0]):
+        if all(not same_target(centre, other, look.size) for other in kept):
+            kept.append(centre)
+    return tuple(kept)
+
+
+def same_target(one: Centre, other: Centre, size: float) -> bool:
+    """Whether two centres are of one target of a size, px."""
+    return bool(np.hypot(one.column - other.column, one.row - other.row) < size / 3)
+
+
+def _worth_a_fit(grey: Grey, place: Place, covariance: Floats, look: Look) -> Iterator[tuple[Place, float]]:
+    """Places where the image is like the target, with its turn; those that are likest first."""
+    import cv2
+
+    factor = max(look.size / _SOUGHT_PX, 1.0)
+    small = look.smaller(factor)
+    reach = np.array(small.reach)
+    height, width = grey.shape
+    half = WITHIN * np.sqrt(np.diag(covariance)) + factor * (reach + 2)
+    left, top = (max(int(np.floor(v)), 0) for v in np.array(place) - half)
+    right, bottom = (
+        min(int(np.ceil(v)) + 1, n) for v, n in zip(np.array(place) + half, (width, height), strict=True)
+    )
+    if min(right - left, bottom - top) < 2:
+        return
+    part = grey[top:bottom, left:right].astype(np.float32)
+    if factor > 1:
+        rows, columns = (max(round(n / factor), 1) for n in part.shape)
+        part = np.asarray(cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA), np.float32)
+    zoom = np.array([(right - left) / part.shape[1], (bottom - top) / part.shape[0]])
+    if (np.array(part.shape) < 2 * reach[::-1] + 1).any():
+        return
+    likeness = np.stack(
+        [
+            np.abs(cv2.matchTemplate(part, small.picture(t).astype(np.float32), cv2.TM_CCOEFF_NORMED))
+            for t in look.turns
+        ]
+    )
+    # Even ground divides by zero.
+    likeness[~np.isfinite(likeness)] = 0
+    best, which = likeness.max(axis=0), likeness.argmax(axis=0)
+    around = np.ones((3, 3), np.uint8)
+    peaks = np.argwhere((best >= WORTH) & (best <= 1.001) & (best == cv2.dilate(best, around)))
+    order = np.argsort(-best[peaks[:, 0], peaks[:, 1]], kind="stable")[:_MOST]
+    for row, column in peaks[order]:
+        middle = (np.array([column, row]) + reach + 0.5) * zoom - 0.5 + [left, top]
+        yield (float(middle[0]), float(middle[1])), float(look.turns[which[row, column]])
+
+
+def _clear(centre: Centre, look: Look) -> bool:
+    sharp = abs(float(centre.shape[-1])) <= max(_BLUNTEST_PX, _BLUNTEST_PART * look.size)
+    plain = centre.noise <= WORST_MISFIT * centre.contrast
+    return sharp and plain and centre.contrast >= LEAST_CONTRAST
+
+
+def _likeness(grey: Grey, centre: Centre, look: Look, turn: float) -> float:
+    """Correlation of the image about a centre with the ideal picture there."""
+    column, row = round(centre.column), round(centre.row)
+    columns, rows = look.reach
+    if not (columns <= column < grey.shape[1] - columns and rows <= row < grey.shape[0] - rows):
+        return 0.0
+    if look.kind == "cross":
+        turn = look.in_plane(float(centre.shape[0]))
+    elif look.kind == "hourglass":
+        # Its axis halves the angle between the sides, on the side where the search had it.
+        sides = [look.in_plane(float(angle)) for angle in centre.shape[:2]]
+        axis = 0.5 * (sides[0] + sides[1])
+        turn = axis + np.pi / 2 * round(2 * (turn - axis) / np.pi)
+    aside = (centre.column - column, centre.row - row)
+    ideal, covered = look.picture(turn, aside, max(abs(float(centre.shape[-1])), 0.3)), look.covered(aside)
+    seen = grey[row - rows : row + rows + 1, column - columns : column + columns + 1]
+    return abs(float(np.corrcoef(ideal[covered], seen[covered])[0, 1]))
+
+
+def _disc(grey: Grey, place: Place, look: Look) -> Centre | None:
+    return disc_centre(grey, place, look.semi_axes, look.direction, look.bend, look.margin)
+
+
+def _ring(grey: Grey, place: Place, look: Look) -> Centre | None:
+    return ring_centre(grey, place, look.semi_axes, look.direction, look.part, look.bend, look.margin)
+
+
+def _cross(grey: Grey, place: Place, look: Look) -> Centre | None:
+    size = 2 * _CROSS * look.semi_axes[1]
+    return cross_centre(grey, place, size, look.part * look.size, look.bend)
+
+
+def _saddle(grey: Grey, place: Place, look: Look) -> Centre | None:
+    return saddle_centre(grey, place, _HOURGLASS * look.semi_axes[1])
+
+
+def _round(centre: Centre, look: Look) -> bool:
+    """Whether an ellipse is a circle of the right size in the target's plane."""
+    a, b, direction = centre.shape[:3]
+    turn = np.array([[np.cos(direction), -np.sin(direction)], [np.sin(direction), np.cos(direction)]])
+    radii = np.linalg.svd(np.linalg.solve(look.affine, turn @ np.diag([a, b])), compute_uv=False)
+    return bool((np.abs(radii - 1) <= _SIZE + _SIZE_PX / look.semi_axes[1]).all())
+
+
+def _ring_agrees(centre: Centre, look: Look) -> bool:
+    return _round(centre, look) and abs(centre.shape[3] / look.part - 1) <= _PART
+
+
+def _square(centre: Centre, look: Look) -> bool:
+    """Whether two lines are perpendicular in the target's plane."""
+    first, second = (look.in_plane(float(angle)) for angle in centre.shape[:2])
+    return bool(abs(np.cos(first - second)) <= np.sin(_ANGLE))
+
+
+def _cross_agrees(centre: Centre, look: Look) -> bool:
+    wide = look.part * look.size
+    return _square(centre, look) and abs(centre.shape[2] - wide) <= _PART * wide + _SIZE_PX
+
+
+_FITS: dict[str, Callable[[Grey, Place, Look], Centre | None]] = {
+    "disc": _disc,
+    "ring": _ring,
+    "cross": _cross,
+    "hourglass": _saddle,
+}
+_AGREES: dict[str, Callable[[Centre, Look], bool]] = {
+    "disc": _round,
+    "ring": _ring_agrees,
+    "cross": _cross_agrees,
+    "hourglass": _square,
+}
