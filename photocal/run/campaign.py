@@ -3,20 +3,39 @@
 from __future__ import annotations
 
 import datetime as dt
-import importlib
 import sys
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import ConfigurationError, DeviceError, PhotocalError, ProgramMissingError
+from drivers.errors import ConfigurationError, PhotocalError
 from photocal.project import read_project
 from photocal.run.stage import Made, Progress
 from photocal.run.summary import summary
 from photocal.run.warnings import gather
 from photocal.run.workflow import run_project
+
+Task = tuple[Path, dt.date, str | None, str | None]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How the run of one project ended.
+
+    Attributes
+    ----------
+    figures : dict
+        Empty when it failed.
+    failure : PhotocalError or None
+    told : tuple of str
+        What it said on the way, where nobody could listen.
+    """
+
+    figures: dict[str, Any]
+    failure: PhotocalError | None
+    told: tuple[str, ...] = ()
 
 
 def run_projects(
@@ -62,16 +81,23 @@ def run_projects(
             raise ConfigurationError(
                 "two projects have the same output", where=paths[k], remedy="give each its own folder"
             )
-    tasks = [(path.resolve(), day, until, again) for path in paths]
-    if cluster is not None:
-        return _on_cluster(tasks, cluster)
-    if workers > 1 and len(paths) > 1:
-        with ProcessPoolExecutor(min(workers, len(paths))) as pool:
-            futures = [pool.submit(run_one, *task) for task in tasks]
-            failures = [future.exception() for future in futures]
-            _raise_first(failures)
-            return [future.result() for future in futures]
-    return [run_one(*task, progress=progress) for task in tasks]
+    tasks: list[Task] = [(path.resolve(), day, until, again) for path in paths]
+    if cluster is None and (workers == 1 or len(tasks) == 1):
+        outcomes = [_outcome(task, progress, _say) for task in tasks]
+    else:
+        from photocal.measurement.cluster import Cluster
+        from photocal.measurement.workers import run_tasks
+
+        crew = min(workers, len(tasks)) if cluster is None else Cluster(cluster)
+        outcomes = []
+        for one in run_tasks(_elsewhere, tasks, crew):
+            outcomes.append(one)
+            for line in one.told:
+                _say(line)
+    for one in outcomes:
+        if one.failure is not None:
+            raise one.failure
+    return [one.figures for one in outcomes]
 
 
 @contextmanager
@@ -80,17 +106,59 @@ def quiet(_: str, __: float | None) -> Iterator[Any]:
     yield lambda _: None
 
 
+def _say(line: str) -> None:
+    sys.stderr.write(line + "\n")
+
+
+def _elsewhere(task: Task) -> Outcome:
+    """Run a project in another process: what it says and what ends it come back with its figures."""
+    told: list[str] = []
+    one = _outcome(task, quiet, told.append)
+    return Outcome(one.figures, one.failure, tuple(told))
+
+
+def _outcome(task: Task, progress: Progress, say: Callable[[str], None]) -> Outcome:
+    try:
+        return Outcome(run_one(*task, progress, say), None)
+    except PhotocalError as failure:
+        return Outcome({}, failure)
+
+
 def run_one(
-    path: Path, day: dt.date, until: str | None, again: str | None, progress: Progress = quiet
+    path: Path,
+    day: dt.date,
+    until: str | None = None,
+    again: str | None = None,
+    progress: Progress = quiet,
+    say: Callable[[str], None] = _say,
 ) -> dict[str, Any]:
-    """Run one project and give its figures; each stage that is done is told on standard error."""
+    """Run one project and give its figures.
+
+    Parameters
+    ----------
+    path : Path
+        Project file.
+    day, until, again, progress
+        As in `workflow.run_project`.
+    say : callable
+        Is told of each stage that is done and, when the run fails, of what was found doubtful.
+
+    Returns
+    -------
+    dict
+        From `summary.summary`.
+
+    Raises
+    ------
+    PhotocalError
+        As `workflow.run_project` does.
+    """
     project = read_project(path)
     made: list[Made] = []
 
     def told(one: Made) -> None:
         made.append(one)
-        what = "kept" if one.kept else f"{one.seconds:.1f} s"
-        sys.stderr.write(f"{project.name}: {one.name}: {what}\n")
+        say(f"{project.name}: {one.name}: " + ("kept" if one.kept else f"{one.seconds:.1f} s"))
 
     try:
         run_project(project, day, progress, until, again, told)
@@ -98,34 +166,6 @@ def run_one(
         # What other stages found doubtful is often why one cannot go on.
         for warning in gather(project.output, {one.name for one in made}):
             kind = "note" if warning.note else "warning"
-            sys.stderr.write(f"{project.name}: {kind}: {warning.code}: {warning.text}\n")
+            say(f"{project.name}: {kind}: {warning.code}: {warning.text}")
         raise
     return summary(project.name, project.output, made)
-
-
-def _on_cluster(tasks: Sequence[tuple[Any, ...]], address: str) -> list[dict[str, Any]]:
-    try:
-        distributed: Any = importlib.import_module("distributed")
-    except ImportError as refusal:
-        raise ProgramMissingError(
-            "dask.distributed is not installed", remedy="install photocal[cluster]"
-        ) from refusal
-    try:
-        client = distributed.Client(address, timeout="10s")
-    except (OSError, ValueError) as refusal:
-        raise DeviceError(
-            "no scheduler answers there", where=address, remedy="start `dask scheduler` and name its address"
-        ) from refusal
-    with client:
-        futures = [client.submit(run_one, *task, pure=False) for task in tasks]
-        _raise_first([future.exception() for future in futures])
-        figures: list[dict[str, Any]] = client.gather(futures)
-    return figures
-
-
-def _raise_first(failures: Sequence[BaseException | None]) -> None:
-    for failure in failures:
-        if isinstance(failure, PhotocalError):
-            raise failure
-        if failure is not None:
-            raise failure

@@ -81,7 +81,7 @@ def processed(task: tuple[Fault | None, int]) -> Processed:
         said = io.StringIO()
         try:
             with contextlib.redirect_stderr(said):
-                figures = run_one(site / "project.toml", dt.date(2025, 6, 16), None, None)
+                figures = run_one(site / "project.toml", dt.date(2025, 6, 16))
         except PhotocalError as refusal:
             lines = [line.split(": ", 3) for line in said.getvalue().splitlines()]
             codes = tuple(dict.fromkeys(line[2] for line in lines if line[1:2] == ["warning"]))

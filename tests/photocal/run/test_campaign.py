@@ -1,0 +1,88 @@
+"""Several projects give the same one by one, on processes and on a cluster; one that fails stops none."""
+
+from __future__ import annotations
+
+import datetime as dt
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.errors import InputNotFoundError
+from photocal.run.campaign import quiet, run_projects
+from tests.photocal.accuracy.georeferencing.flights import Errors, Plan, fly
+
+pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
+DAY = dt.date(2025, 6, 16)
+PLAN = Plan(tie=30, estimate=("c",), mounting="lever_arm_sigma_m = 0.02\nboresight_sigma_deg = 0.5")
+PROJECT = """
+[project]
+name = "{name}"
+crs = "local"
+height = "local"
+output = "work"
+[measurements]
+block = "block"
+"""
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("flown")
+    for seed, name in enumerate(("may", "june"), start=1):
+        fly(folder / name / "block", np.random.default_rng(seed), Errors(), PLAN)
+        (folder / name / "project.toml").write_text(PROJECT.format(name=name), encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        dashboard_address=None,
+        local_directory=str(tmp_path_factory.mktemp("dask")),
+        silence_logs=50,
+    ) as running:
+        yield running.scheduler_address
+
+
+def campaign(flown: Path, folder: Path, **where: Any) -> list[dict[str, Any]]:
+    """Run copies of the flights; their figures without times and places."""
+    paths = []
+    for name in ("may", "june"):
+        shutil.copytree(flown / name, folder / name)
+        paths.append(folder / name / "project.toml")
+    found = run_projects(paths, DAY, quiet, until="calibration", **where)
+    return [{key: one[key] for key in ("project", "calibration", "warnings")} for one in found]
+
+
+def test_everywhere_the_same(
+    flown: Path, cluster: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    alone = campaign(flown, tmp_path / "alone")
+    said = capsys.readouterr().err
+    assert [one["project"] for one in alone] == ["may", "june"]
+    assert alone[0]["calibration"]["cameras"] != alone[1]["calibration"]["cameras"]
+    for name, where in (("processes", {"workers": 2}), ("cluster", {"cluster": cluster})):
+        assert campaign(flown, tmp_path / name, **where) == alone
+        # What the stages say comes back from there.
+        told = capsys.readouterr().err
+        assert [line.rsplit(":", 1)[0] for line in told.splitlines()] == [
+            line.rsplit(":", 1)[0] for line in said.splitlines()
+        ]
+
+
+@pytest.mark.parametrize("elsewhere", [False, True], ids=["here", "cluster"])
+def test_one_that_fails_stops_no_other(flown: Path, cluster: str, tmp_path: Path, elsewhere: bool) -> None:
+    for name in ("may", "june"):
+        shutil.copytree(flown / name, tmp_path / name)
+    (tmp_path / "may" / "block" / "block.toml").unlink()
+    paths = [tmp_path / name / "project.toml" for name in ("may", "june")]
+    with pytest.raises(InputNotFoundError, match=r"block\.toml"):
+        run_projects(paths, DAY, quiet, until="calibration", cluster=cluster if elsewhere else None)
+    assert (tmp_path / "june" / "work" / "calibration" / "result.json").exists()
