@@ -15,8 +15,6 @@ Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
 # Telemetry overtakes itself by fractions of a second; a clock that goes back by more was started anew.
 _RESTART_NS = 5_000_000_000
-# Answers that took longer than this multiple of the shortest waited in a queue on one way.
-_SLOW_ANSWER = 3.0
 
 
 @dataclass(frozen=True)
@@ -29,10 +27,13 @@ class ComparedClocks:
         Which two, and what told it.
     cycles : tuple of ClockModel
         One model for each time that the device was switched on.
+    constant_sigma_s : float
+        Standard deviation of an error that all readings share.
     """
 
     name: str
     cycles: tuple[ClockModel, ...]
+    constant_sigma_s: float = 0.0
 
     @property
     def scatter_s(self) -> float:
@@ -51,6 +52,7 @@ class ComparedClocks:
             "restarts": len(self.cycles) - 1,
             "jumps_s": [jump for model in self.cycles for jump in model.jumps_s],
             "played_back": self.played_back,
+            "constant_sigma_s": self.constant_sigma_s,
             "stretches": [
                 {
                     "readings": s.readings,
@@ -74,7 +76,7 @@ class AutopilotClock:
     Parameters
     ----------
     compared : ComparedClocks
-        Boot time against UTC, from SYSTEM_TIME.
+        UTC by boot time, from SYSTEM_TIME, or through the recording computer.
     start_host_ns : int64 (k,)
         Arrival of the first reading of each cycle.
     """
@@ -92,7 +94,12 @@ class AutopilotClock:
         for number, model in enumerate(self.compared.cycles):
             rows = cycle == number
             time[rows], sigma[rows] = model.convert(boot_ns[rows])
-        return time, np.hypot(sigma, self.compared.scatter_s)
+        return time, np.hypot(sigma, self.sigma_s)
+
+    @property
+    def sigma_s(self) -> float:
+        """Standard deviation of one reading, with what all readings share."""
+        return float(np.hypot(self.compared.scatter_s, self.compared.constant_sigma_s))
 
 
 def autopilot_clock(boot_ns: Integers, utc_ns: Integers, host_ns: Integers) -> AutopilotClock | None:
@@ -124,49 +131,13 @@ def autopilot_clock(boot_ns: Integers, utc_ns: Integers, host_ns: Integers) -> A
     return AutopilotClock(compared, np.array(begins, np.int64))
 
 
-def host_by_timesync(boot_ns: Integers, host_ns: Integers, round_trip_ns: Integers) -> ComparedClocks | None:
-    """Fit the recording computer's clock to the autopilot's by TIMESYNC exchanges.
-
-    Parameters
-    ----------
-    boot_ns : int64 (n,)
-        The autopilot's time in its answers.
-    host_ns : int64 (n,)
-        Arrival of the answers.
-    round_trip_ns : int64 (n,)
-        From request to answer.
-
-    Returns
-    -------
-    ComparedClocks or None
-        The answer is taken to be given half-way (Cristian 1989); exchanges that waited are left out.
-    """
-    if not len(boot_ns):
-        return None
-    quick = round_trip_ns <= _SLOW_ANSWER * max(int(round_trip_ns.min()), 1_000_000)
-    trip = round_trip_ns[quick]
-    return _compared(
-        "recording computer by the autopilot's time since boot (TIMESYNC)",
-        boot_ns[quick],
-        host_ns[quick] - trip // 2,
-        # The middle is uncertain by up to half of what goes over the shortest trip.
-        float(np.median(trip)) / 1e9,
-    )
-
-
 def device_by_arrival(name: str, device_ns: Integers, host_ns: Integers) -> ComparedClocks | None:
     """Fit a device's clock to that of the recording computer by arrivals, which are late by the way.
 
     This way round an uneven playback keeps its stretches: the host's clock is the even one.
     """
-    return _compared(name, host_ns, device_ns, 1e-3)
-
-
-def _compared(
-    name: str, device_ns: Integers, host_ns: Integers, resolution_s: float
-) -> ComparedClocks | None:
     try:
-        return ComparedClocks(name, (fit_clock(device_ns, host_ns, resolution_s),))
+        return ComparedClocks(name, (fit_clock(host_ns, device_ns),))
     except IllPosedError:
         return None
 

@@ -12,7 +12,7 @@ from drivers.errors import ConfigurationError
 from photocal.navigation.attitude import Attitudes
 from photocal.navigation.check import Check
 from photocal.navigation.common_errors import CommonErrors
-from photocal.navigation.device_clocks import device_by_arrival
+from photocal.navigation.device_clocks import ComparedClocks, device_by_arrival
 from photocal.navigation.engine import Engine
 from photocal.navigation.events import Events
 from photocal.navigation.exposure_checks import Evidence, check_exposures
@@ -29,6 +29,7 @@ from photocal.navigation.exposure_sources import (
 )
 from photocal.navigation.exposures import CameraMatch, Exposures, at_camera, at_events, match_images
 from photocal.navigation.flight_log import named
+from photocal.navigation.host_time import autopilot_time
 from photocal.navigation.image_metadata import ImageMetadata, clock_time_s, read_images
 from photocal.navigation.image_rotations import Neighbours, compare_rotations
 from photocal.navigation.mrk import CameraEventList, listed_in, read_mrk
@@ -43,7 +44,7 @@ from photocal.navigation.rig import Rig
 from photocal.navigation.rotation_check import rotation_check
 from photocal.navigation.time import HostTime
 from photocal.navigation.trajectory import Trajectory
-from photocal.navigation.vehicle import VehicleTrack, autopilot_time, read_vehicle
+from photocal.navigation.vehicle import VehicleTrack, read_vehicle
 
 
 @dataclass(frozen=True)
@@ -154,14 +155,15 @@ def place_exposures(
     if trajectory is not None and ppk is not None and "common" in ppk:
         trajectory = CommonErrors.from_json(ppk["common"]).corrected(trajectory)
     sources = choices.sources
+    receivers = read_receivers(sources.logs)
+    gnss = _receiver_clock(receivers.get(sources.rover_link))
     flight = _Flight(
-        read_receivers(sources.logs),
-        read_vehicle(sources.logs, sources.vehicle_link) if sources.logs else None,
+        receivers,
+        read_vehicle(sources.logs, sources.vehicle_link, gnss) if sources.logs else None,
         listed_in(sources.logs) if choices.mrk is None else read_mrk(choices.mrk),
         [] if choices.images is None else read_images(choices.images),
     )
-    clock_sigma_s = 0.0 if flight.vehicle is None else flight.vehicle.clock_sigma_s
-    noted, others = events_of(sources, choices.edge, flight.receivers, clock_sigma_s)
+    noted, others = events_of(sources, choices.edge, flight.receivers, flight.vehicle)
     noted = noted if flight.listed is None else flight.listed.events
     if noted is None:
         return _without_events(choices, flight)
@@ -244,10 +246,8 @@ def _judged(
     exposures = later if flight.listed is not None else at_camera(later, choices.rig)
     rover = flight.receivers.get(choices.sources.rover_link)
     clocks = [] if flight.vehicle is None else list(flight.vehicle.clocks)
-    if rover is not None:
-        epochs, arrivals = rover.epochs_and_arrivals()
-        made = device_by_arrival("GNSS time by the recording computer's clock (RXM-RAWX)", epochs, arrivals)
-        clocks += [] if made is None else [made]
+    gnss = _receiver_clock(rover)
+    clocks += [] if gnss is None else [gnss]
     vehicle, listed, images = flight.vehicle, flight.listed, flight.images
     evidence = Evidence(choices.rig, events, others, antenna, trajectory, rover, vehicle, listed, images, ppk)
     checks = check_exposures(evidence)
@@ -259,6 +259,13 @@ def _judged(
         checks.append(rotation_check(exposures, pairs, "matched points"))
     figures = exposure_figures(exposures, events, cameras, clocks, checks, ppk)
     return ExposureRun(antenna, exposures, trajectory, cameras, flight.images, checks, figures)
+
+
+def _receiver_clock(rover: ReceiverRecording | None) -> ComparedClocks | None:
+    if rover is None:
+        return None
+    epochs, arrivals = rover.epochs_and_arrivals()
+    return device_by_arrival("GNSS time by the recording computer's clock (RXM-RAWX)", epochs, arrivals)
 
 
 def _of_oriented(folder: Path, exposures: Exposures, rig: Rig) -> list[Check]:

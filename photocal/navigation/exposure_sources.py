@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
 from photocal.navigation.attitude import LINE_OF_SIGHT, Attitudes, at_instants, from_angles, no_attitudes
+from photocal.navigation.boot_events import boot_exposures
 from photocal.navigation.events import Events, logged_exposures, time_marks
 from photocal.navigation.image_metadata import ImageMetadata, clock_time_s
 from photocal.navigation.interpolation import Placed, interpolate
@@ -32,7 +33,7 @@ _LISTED = "MRK"
 
 
 def events_of(
-    sources: Sources, edge: str, receivers: dict[str, ReceiverRecording], clock_sigma_s: float
+    sources: Sources, edge: str, receivers: dict[str, ReceiverRecording], vehicle: VehicleTrack | None
 ) -> tuple[Events | None, list[Events]]:
     """Return the best events of the logs, and all others.
 
@@ -44,8 +45,8 @@ def events_of(
         Of the time marks.
     receivers : dict of str to ReceiverRecording
         Of the logs.
-    clock_sigma_s : float
-        Standard deviation of the autopilot's clock, for events that it noted.
+    vehicle : VehicleTrack or None
+        Whose clock timed the events that it noted.
     """
     found = []
     rover = receivers.get(sources.rover_link)
@@ -54,11 +55,15 @@ def events_of(
         if len(marks):
             found.append(marks)
     logged = {events.source: events for events in logged_exposures(sources.logs) if len(events)}
-    for source in (*_LOGGED, *(name for name in logged if name not in _LOGGED)):
-        # The whole of an imported event list is read elsewhere.
-        if source in logged and source != _LISTED:
-            own = logged[source]
-            found.append(replace(own, accuracy_s=np.hypot(own.accuracy_s, clock_sigma_s)))
+    clock_sigma_s = 0.0 if vehicle is None else vehicle.clock_sigma_s
+    logged = {
+        name: replace(own, accuracy_s=np.hypot(own.accuracy_s, clock_sigma_s)) for name, own in logged.items()
+    }
+    if vehicle is not None and vehicle.clock is not None and not logged:
+        logged = boot_exposures(sources.logs, sources.vehicle_link, vehicle.clock)
+    order = (*_LOGGED, *(name for name in logged if name not in _LOGGED))
+    # The whole of an imported event list is read elsewhere.
+    found += [logged[source] for source in order if source in logged and source != _LISTED]
     return (found[0], found[1:]) if found else (None, [])
 
 

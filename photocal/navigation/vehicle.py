@@ -15,15 +15,11 @@ from drivers.mavlink.decode import decode
 from drivers.mavlink.dialect import ardupilotmega
 from photocal.geometry.body import object_to_body
 from photocal.navigation.attitude import AttitudeTrack, rotations_of_quaternions
-from photocal.navigation.device_clocks import (
-    AutopilotClock,
-    ComparedClocks,
-    autopilot_clock,
-    device_by_arrival,
-    host_by_timesync,
-)
+from photocal.navigation.device_clocks import AutopilotClock, ComparedClocks
 from photocal.navigation.flight_log import messages_of
 from photocal.navigation.time import GpsTime, HostTime, UtcTime
+from photocal.navigation.time_sync import TimeSync
+from photocal.navigation.vehicle_clocks import VehicleClocks, vehicle_clocks
 from photocal.navigation.vehicle_topics import decoded_attitude, decoded_positions
 
 Floats = NDArray[np.float64]
@@ -64,6 +60,10 @@ class VehicleTrack:
         Height above the ellipsoid less height above sea level that the autopilot's GNSS receiver tells.
     untimed : int
         Messages without a time of the autopilot, left out.
+    clock : AutopilotClock or None
+        UTC of its time since boot.
+    sync : TimeSync or None
+        Its time since boot against the recording computer's clock.
     """
 
     position_time: GpsTime
@@ -77,6 +77,8 @@ class VehicleTrack:
     clocks: list[ComparedClocks] = field(default_factory=list)
     geoid_m: float | None = None
     untimed: int = 0
+    clock: AutopilotClock | None = None
+    sync: TimeSync | None = None
 
     @property
     def attitude_time(self) -> GpsTime:
@@ -98,7 +100,9 @@ class _Received:
         return np.concatenate(self.host), np.concatenate(self.device), np.concatenate(self.fields)
 
 
-def read_vehicle(logs: tuple[Path, ...], link: str | None = None) -> VehicleTrack:
+def read_vehicle(
+    logs: tuple[Path, ...], link: str | None = None, gnss: ComparedClocks | None = None
+) -> VehicleTrack:
     """Read positions, attitudes and clocks of the autopilot from flight logs.
 
     Raw MAVLink frames go first; what was imported from an autopilot's own log stands in decoded topics.
@@ -109,15 +113,18 @@ def read_vehicle(logs: tuple[Path, ...], link: str | None = None) -> VehicleTrac
         Flight logs that follow each other.
     link : str, optional
         Link of the autopilot; without: all links, the first system that tells a position.
+    gnss : ComparedClocks, optional
+        GNSS time by the recording computer's clock; with TIMESYNC it stands in for SYSTEM_TIME.
     """
     found = _received(logs, link)
     if not any(received.fields for received in found.values()):
         return _of_topics(logs, link or "vehicle")
-    clock, clocks = _clocks(found)
+    clocks = vehicle_clocks(found["SYSTEM_TIME"].joined(), found["TIMESYNC"].joined(), gnss)
+    clock = clocks.clock
     untimed = 0
     tracks: dict[str, tuple[Integers, Integers, NDArray[Any]] | None] = {}
     for name in ("GLOBAL_POSITION_INT", "ATTITUDE", "ATTITUDE_QUATERNION"):
-        tracks[name], lost = _timed(found[name], clock)
+        tracks[name], lost = _timed(found[name], clocks)
         untimed += lost
     p = tracks["GLOBAL_POSITION_INT"]
     none = np.empty(0, np.int64)
@@ -131,10 +138,12 @@ def read_vehicle(logs: tuple[Path, ...], link: str | None = None) -> VehicleTrac
         columns["alt"],
         columns["relative_alt"],
         _attitude(tracks),
-        0.0 if clock is None else clock.compared.scatter_s,
-        clocks,
+        0.0 if clock is None else clock.sigma_s,
+        clocks.compared,
         _geoid(found["GPS_RAW_INT"]),
         untimed,
+        clock,
+        clocks.sync,
     )
 
 
@@ -177,38 +186,8 @@ def _received(logs: tuple[Path, ...], link: str | None) -> dict[str, _Received]:
     return found
 
 
-def _clocks(found: dict[str, _Received]) -> tuple[AutopilotClock | None, list[ComparedClocks]]:
-    clocks: list[ComparedClocks] = []
-    clock = None
-    system = found["SYSTEM_TIME"].joined()
-    if system is not None:
-        host, _, fields = system
-        boot = fields["time_boot_ms"].astype(np.int64) * _MILLISECOND_NS
-        utc = fields["time_unix_usec"].astype(np.int64) * 1000
-        # A bit error that a checksum of 16 bits passed shows as a time of another year.
-        good = utc > 0
-        good &= np.abs(utc - np.median(utc[good])) < 86_400 * 10**9 if good.any() else False
-        clock = autopilot_clock(boot[good], utc[good], host[good])
-        arrival = device_by_arrival(
-            "autopilot's UTC by the recording computer's clock (SYSTEM_TIME)",
-            utc[good],
-            host[good],
-        )
-        clocks += [c for c in (clock.compared if clock else None, arrival) if c is not None]
-    sync = found["TIMESYNC"].joined()
-    if sync is not None:
-        host, _, fields = sync
-        trip = host - fields["ts1"]
-        answered = (fields["tc1"] > 0) & (trip >= 0) & (trip < 10_000_000_000)
-        made = host_by_timesync(
-            fields["tc1"][answered].astype(np.int64), host[answered], trip[answered].astype(np.int64)
-        )
-        clocks += [] if made is None else [made]
-    return clock, clocks
-
-
 def _timed(
-    received: _Received, clock: AutopilotClock | None
+    received: _Received, clocks: VehicleClocks
 ) -> tuple[tuple[Integers, Integers, NDArray[Any]] | None, int]:
     """Return arrival, UTC and fields in the order of UTC, and how many messages had no time."""
     joined = received.joined()
@@ -216,12 +195,12 @@ def _timed(
         return None, 0
     host, device, fields = joined
     # Where the device told no time the log repeats the time of arrival.
-    timed = host != device
+    timed = np.ones(len(host), bool) if clocks.clock is not None and not clocks.told else host != device
     host, device, fields = host[timed], device[timed], fields[timed]
     kept = np.flatnonzero(~_strays(device))
     host, device, fields = host[kept], device[kept], fields[kept]
-    if clock is not None and len(host):
-        device, _ = clock.utc(fields["time_boot_ms"].astype(np.int64) * _MILLISECOND_NS, host)
+    if clocks.clock is not None and len(host):
+        device, _ = clocks.clock.utc(fields["time_boot_ms"].astype(np.int64) * _MILLISECOND_NS, host)
     _, first = np.unique(device, return_index=True)
     return (host[first], device[first], fields[first]), int((~timed).sum())
 
@@ -262,28 +241,3 @@ def _strays(device: Integers) -> NDArray[np.bool_]:
     padded = np.concatenate([device[:1].repeat(2), device, device[-1:].repeat(2)])
     windows = np.lib.stride_tricks.sliding_window_view(padded, 5)
     return np.asarray(np.abs(device - np.median(windows, axis=1).astype(np.int64)) > _STRAY_NS)
-
-
-def autopilot_time(track: VehicleTrack, host: HostTime) -> tuple[GpsTime, Floats]:
-    """Return the autopilot's time at moments of the recording computer's clock, and its sigma (s).
-
-    Between two messages that arrived around a moment the autopilot's clock is taken to run evenly: so an
-    uneven playback does no harm beyond the distance of the messages.
-
-    Returns
-    -------
-    time : GpsTime (n,)
-    sigma_s : float64 (n,)
-        A quarter of the autopilot's time between the two messages; infinite outside the log.
-    """
-    arrival = track.position_host.ns
-    order = np.argsort(arrival, kind="stable")
-    arrival, device = arrival[order], track.position_time.ns[order]
-    after = np.clip(np.searchsorted(arrival, host.ns, side="right"), 1, max(len(arrival) - 1, 1))
-    before = after - 1
-    span = np.maximum(arrival[after] - arrival[before], 1)
-    share = (host.ns - arrival[before]) / span
-    step = device[after] - device[before]
-    time = device[before] + np.rint(share * step).astype(np.int64)
-    inside = (host.ns >= arrival[0]) & (host.ns <= arrival[-1])
-    return GpsTime(time), np.where(inside, np.abs(step) / 4e9, np.inf)

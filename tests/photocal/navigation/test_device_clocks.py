@@ -10,7 +10,6 @@ from photocal.navigation.device_clocks import (
     autopilot_clock,
     clock_sentences,
     device_by_arrival,
-    host_by_timesync,
 )
 
 Integers = NDArray[np.int64]
@@ -41,27 +40,6 @@ def test_utc_of_boot_times_over_a_restart() -> None:
     assert any("started anew 1 times" in line for line in clock_sentences([clock.compared]))
 
 
-def test_timesync_is_better_than_arrival() -> None:
-    rng = np.random.default_rng(2)
-    # 2 ms each way, and a queue in front of some answers.
-    queue = np.where(rng.random(300) < 0.3, rng.exponential(0.2, 300), 0.0)
-    trip = nanoseconds(0.004 + rng.normal(0, 2e-4, 300) + queue)
-    answered = UTC + BOOT + nanoseconds(BOOT / 1e9 * -12e-6)
-    host = answered + trip - trip // 2 + nanoseconds(queue / 2)
-    sync = host_by_timesync(BOOT, host, trip)
-    assert sync is not None
-    segment = sync.cycles[0].segments[0]
-    assert segment.drift_ppm == pytest.approx(-12, abs=1.0)
-    assert abs(segment.drift_ppm + 12) < 4 * segment.rate_sigma * 1e6
-    time, sigma = sync.cycles[0].convert(BOOT[100:101])
-    assert abs(int(time[0] - answered[100])) < 500_000
-    assert sigma[0] < 1e-3
-    late = device_by_arrival("arrival", BOOT, host)
-    assert late is not None
-    # What arrives is taken for what is: behind by the way.
-    assert int(late.cycles[0].convert(answered[100:101])[0][0] - BOOT[100]) < -1_000_000
-
-
 def test_playback_and_jumps_are_told() -> None:
     rng = np.random.default_rng(3)
     arrival = UTC + BOOT // 5 + nanoseconds(rng.normal(0, 0.002, 300))
@@ -79,4 +57,3 @@ def test_playback_and_jumps_are_told() -> None:
 
 def test_too_few_readings_say_nothing() -> None:
     assert autopilot_clock(BOOT[:2], BOOT[:2] + UTC, BOOT[:2] + UTC) is None
-    assert host_by_timesync(BOOT[:0], BOOT[:0], BOOT[:0]) is None

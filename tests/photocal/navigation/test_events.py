@@ -20,7 +20,8 @@ from photocal.navigation.exposure_sources import events_of
 from photocal.navigation.mrk import listed_in, moved, read_mrk
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.receiver_recording import read_receivers
-from photocal.navigation.time import GpsTime
+from photocal.navigation.time import GpsTime, HostTime
+from photocal.navigation.vehicle import VehicleTrack
 from tests.photocal.navigation.conftest import ImportLog, Run
 
 NEW_RISING_UTC, NEW_FALLING_UTC = 241, 117
@@ -143,7 +144,9 @@ def test_events_of_autopilot_logs(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = [Row("CAM", 1.6e9 + k, k, latitude_deg=-22.0, altitude_msl_m=50.0 + k) for k in (3, 1, 2)]
     rows += [Row("TRIG", 1.6e9 + k - 0.1, k) for k in range(4)]
     monkeypatch.setattr(events_module, "messages_of", lambda _logs: exposure_messages(rows, 0))
-    best, others = events_of(Sources(), "rising", {}, 0.007)
+    none, empty = np.empty(0, np.int64), np.empty(0)
+    vehicle = VehicleTrack(GpsTime(none), HostTime(none), empty, empty, empty, empty, None, 0.007)
+    best, others = events_of(Sources(), "rising", {}, vehicle)
     assert best is not None
     assert (best.source, len(best)) == ("CAM", 3)
     assert best.number.tolist() == [1, 2, 3]
@@ -158,7 +161,7 @@ def test_exposures_without_a_device_time_are_counted(monkeypatch: pytest.MonkeyP
     rows = [Row("CAMERA_FEEDBACK", 1.6e9 + k, k) for k in range(3)]
     twice = exposure_messages(rows, 50_000_000) * 2
     monkeypatch.setattr(events_module, "messages_of", lambda _logs: twice)
-    best, _ = events_of(Sources(), "rising", {}, 0.0)
+    best, _ = events_of(Sources(), "rising", {}, None)
     assert best is not None
     # The same exposures came over two links.
     assert len(best) == 3

@@ -1,0 +1,127 @@
+"""The autopilot's clock and that of the recording computer by TIMESYNC exchanges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import IllPosedError
+from photocal.navigation.clock_model import ClockModel, fit_clock
+from photocal.navigation.device_clocks import AutopilotClock, ComparedClocks
+from photocal.navigation.time import GpsTime
+
+Integers = NDArray[np.int64]
+Floats = NDArray[np.float64]
+# Answers that took longer than this multiple of the shortest waited in a queue on one way.
+_SLOW_ANSWER = 3.0
+_LEAST_TRIP_NS = 1_000_000
+# Clocks of computers are set by milliseconds at a time; what stands out of the scatter by more is a jump.
+_JUMP_TRIPS = 3.0
+# A receiver sends an epoch up to a tenth of a second after it: computation and transmission.
+_RECEIVER_LATE_S, _RECEIVER_LATE_SIGMA_S = 0.05, 0.03
+
+
+@dataclass(frozen=True)
+class TimeSync:
+    """Two clocks by exchanges of messages, both ways round.
+
+    Parameters
+    ----------
+    host_of_boot, boot_of_host : ComparedClocks
+        The recording computer's clock by the autopilot's time since boot, and the reverse.
+    """
+
+    host_of_boot: ComparedClocks
+    boot_of_host: ComparedClocks
+
+    def boot(self, host_ns: Integers) -> tuple[Integers, Floats]:
+        """Return the autopilot's time since boot (ns) at moments of the host's clock, and the sigma (s)."""
+        time, sigma = self.boot_of_host.cycles[0].convert(host_ns)
+        return time, np.hypot(sigma, self.boot_of_host.constant_sigma_s)
+
+
+def time_sync(boot_ns: Integers, host_ns: Integers, round_trip_ns: Integers) -> TimeSync | None:
+    """Fit the recording computer's clock to the autopilot's by TIMESYNC exchanges.
+
+    Parameters
+    ----------
+    boot_ns : int64 (n,)
+        The autopilot's time in its answers.
+    host_ns : int64 (n,)
+        Arrival of the answers.
+    round_trip_ns : int64 (n,)
+        From request to answer.
+
+    Returns
+    -------
+    TimeSync or None
+        The answer is taken to be given half-way (Cristian 1989); exchanges that waited are left out. What all
+        readings share is that one way may be longer than the other: at most by the whole shortest trip, which
+        moves the middle by a uniformly distributed error of the standard deviation trip / sqrt(12).
+    """
+    if not len(boot_ns):
+        return None
+    shortest = max(int(round_trip_ns.min()), _LEAST_TRIP_NS)
+    quick = round_trip_ns <= _SLOW_ANSWER * shortest
+    boot, trip = boot_ns[quick], round_trip_ns[quick]
+    middle = host_ns[quick] - trip // 2
+    # A single middle is uncertain by what its trip goes over the shortest.
+    resolution = max(float(np.median(trip - round_trip_ns.min())) / 1e9, 1e-4)
+    jump = _JUMP_TRIPS * shortest / 1e9
+    models = _both_ways(boot, middle, resolution, jump)
+    if models is None:
+        return None
+    names = (
+        "recording computer by the autopilot's time since boot (TIMESYNC)",
+        "autopilot's time since boot by the recording computer (TIMESYNC)",
+    )
+    constant = float(round_trip_ns.min()) / 1e9 / np.sqrt(12)
+    one, other = (ComparedClocks(name, (model,), constant) for name, model in zip(names, models, strict=True))
+    return TimeSync(one, other)
+
+
+def _both_ways(
+    boot: Integers, host: Integers, resolution_s: float, jump_s: float
+) -> tuple[ClockModel, ClockModel] | None:
+    try:
+        return fit_clock(boot, host, resolution_s, jump_s), fit_clock(host, boot, resolution_s, jump_s)
+    except IllPosedError:
+        return None
+
+
+def clock_through_host(
+    boot_ns: Integers, host_ns: Integers, round_trip_ns: Integers, gnss: ComparedClocks
+) -> AutopilotClock | None:
+    """Return the UTC of an autopilot that does not tell it, by the recording computer and a GNSS receiver.
+
+    Parameters
+    ----------
+    boot_ns, host_ns, round_trip_ns : int64 (n,)
+        TIMESYNC exchanges, see `time_sync`.
+    gnss : ComparedClocks
+        GNSS time by the recording computer's clock, from the arrival of a receiver's epochs.
+
+    Returns
+    -------
+    AutopilotClock or None
+        None where the exchanges do not tell the time, or a clock was played back at another speed.
+    """
+    sync = time_sync(boot_ns, host_ns, round_trip_ns)
+    if sync is None or sync.host_of_boot.played_back or gnss.played_back:
+        return None
+    model = sync.host_of_boot.cycles[0]
+    boot = np.sort(boot_ns)
+    host, _ = model.convert(boot)
+    epoch, _ = gnss.cycles[0].convert(host)
+    late = round(_RECEIVER_LATE_S * 1e9)
+    utc = GpsTime(epoch + late).to_utc().ns
+    try:
+        fitted = fit_clock(boot, utc, sync.host_of_boot.scatter_s)
+    except IllPosedError:
+        return None
+    constant = float(np.hypot(sync.host_of_boot.constant_sigma_s, _RECEIVER_LATE_SIGMA_S))
+    name = "autopilot's UTC by TIMESYNC and the epochs of a GNSS receiver"
+    compared = replace(sync.host_of_boot, name=name, cycles=(fitted,), constant_sigma_s=constant)
+    return AutopilotClock(compared, host_ns[:1])
