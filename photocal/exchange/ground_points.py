@@ -4,8 +4,10 @@ gcp_list.txt: first line the coordinate system (EPSG:n, WGS84 UTM zone, or a PRO
 column, row, image and an optional name, separated by blanks; pixels x right, y down, the centre of the
 upper-left pixel is (0, 0), as ours; rows with the same coordinates are the same point. geo.txt: coordinate
 system, then image, X, Y and optional Z, yaw, pitch, roll (deg), horizontal and vertical accuracy (m).
-Neither states the kind of the heights: that stays with the reader. Source: OpenDroneMap documentation,
-"Ground control points".
+Yaw, pitch and roll turn from north, east, down to a body whose camera looks down and whose image has its
+upper edge forward: all three are 0 for a camera that looks down, its upper edge to the north; a gimbal's
+pitch of -90 is 0 here. Neither states the kind of the heights: that stays with the reader. Source:
+OpenDroneMap documentation, "Ground control points" and "Image geolocation files"; ODM's `compute_opk`.
 """
 
 from __future__ import annotations
@@ -23,6 +25,8 @@ from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import Line, number, numbers, read_lines
 
 Floats = NDArray[np.float64]
+_CAMERA_TO_BODY = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+_NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 @dataclass(frozen=True)
@@ -169,6 +173,22 @@ def read_geo(path: Path) -> tuple[str, tuple[ImagePosition, ...]]:
         positions.append(ImagePosition(cells[0], (x, y, z), (yaw, pitch, roll), (h, v)))
     require_unique([position.image for position in positions], "image", path)
     return crs, tuple(positions)
+
+
+def angles_of_geo(to_camera: Floats) -> Floats:
+    """Return yaw, pitch, roll as geo.txt means them, degrees (n, 3); NaN where the rotation is unknown.
+
+    Parameters
+    ----------
+    to_camera : ndarray, shape (n, 3, 3)
+        From east, north, up to camera axes (x right, y up in the image, z backwards).
+    """
+    # The body's forward is the camera's y, its right the x, its down the direction of view.
+    to_body = _CAMERA_TO_BODY @ to_camera @ _NED_TO_ENU
+    pitch = np.arcsin(np.clip(-to_body[:, 0, 2], -1.0, 1.0))
+    yaw = np.arctan2(to_body[:, 0, 1], to_body[:, 0, 0]) % (2 * np.pi)
+    roll = np.arctan2(to_body[:, 1, 2], to_body[:, 2, 2])
+    return np.asarray(np.degrees(np.stack([yaw, pitch, roll], axis=1)))
 
 
 def write_geo(path: Path, crs: str, positions: Sequence[ImagePosition]) -> None:

@@ -154,16 +154,39 @@ def projected(lat: Floats, lon: Floats, height: Floats, crs: str) -> tuple[Float
     return np.stack([east, north, up], axis=1), np.moveaxis(turn, -1, 0)
 
 
-def write_geo_txt(path: Path, exposures: Exposures) -> None:
-    """Write OpenDroneMap's `geo.txt`: image, longitude, latitude, height on EPSG:4326."""
-    rows = with_images(exposures)
+def write_geo_txt(path: Path, exposures: Exposures, rig: Rig) -> None:
+    """Write OpenDroneMap's `geo.txt` on EPSG:4326: place, and where they are known angles and accuracies.
+
+    Parameters
+    ----------
+    path : Path
+    exposures : Exposures
+        Those with position and image are written.
+    rig : Rig
+        Camera axes and boresight: the angles are the camera's, see `photocal.exchange.ground_points`.
+    """
+    from photocal.exchange.ground_points import ImagePosition, angles_of_geo, write_geo
+
     p = exposures.placed
-    lines = [
-        f"{name} {p.lon_deg[row]:.10f} {p.lat_deg[row]:.10f} {p.height_m[row]:.4f}"
-        for row in rows.tolist()
-        for name in exposures.image[row].split()
-    ]
-    path.write_text("\n".join(["EPSG:4326", *lines]) + "\n", encoding="utf-8")
+    angles = angles_of_geo(orientations(exposures, rig).rotation)
+    sigma = np.sqrt(np.diagonal(p.covariance_m2, axis1=1, axis2=2))
+    nan = float("nan")
+    positions = []
+    for row in with_images(exposures).tolist():
+        place = (
+            round(float(p.lon_deg[row]), 10),
+            round(float(p.lat_deg[row]), 10),
+            round(float(p.height_m[row]), 4),
+        )
+        known = bool(np.isfinite(angles[row]).all())
+        yaw, pitch, roll = (round(v, 5) for v in angles[row].tolist()) if known else (nan, nan, nan)
+        east, north, up = sigma[row].tolist()
+        # The accuracies follow the angles: without these there is no place for them.
+        accuracy = (round(float(np.hypot(east, north)), 4), round(up, 4)) if known else (nan, nan)
+        positions += [
+            ImagePosition(name, place, (yaw, pitch, roll), accuracy) for name in exposures.image[row].split()
+        ]
+    write_geo(path, "EPSG:4326", positions)
 
 
 def write_geopackage_of(path: Path, exposures: Exposures, rig: Rig, camera: str, changed_utc: str) -> None:

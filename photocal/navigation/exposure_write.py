@@ -51,7 +51,7 @@ def write_run(folder: Path, run: ExposureRun, rig: Rig, camera: str, crs: str | 
                 remedy="leave out --crs",
             )
         figures["images_csv"] = write_block_images(folder / "images.csv", run.exposures, camera, rig, crs)
-        write_geo_txt(folder / "geo.txt", run.exposures)
+        write_geo_txt(folder / "geo.txt", run.exposures, rig)
         changed = dt.datetime.now(dt.UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
         write_geopackage_of(folder / "exposures.gpkg", run.exposures, rig, camera, changed)
     plot_exposures(run, folder / "exposures.png")

@@ -71,7 +71,7 @@ def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
         )
     write_exposures(folder / "exposures.csv", run.exposures)
     write_block_images(folder / "images.csv", run.exposures, project.camera.id, None, project.crs)
-    write_geo_txt(folder / "geo.txt", run.exposures)
+    write_geo_txt(folder / "geo.txt", run.exposures, choices.rig)
     write_positions(folder / "positions.csv", run.antenna, project.crs)
     write_attitudes(folder / "attitudes.csv", run.antenna)
     (folder / FIGURES).write_text(json.dumps(run.figures, indent=2) + "\n", encoding="utf-8")

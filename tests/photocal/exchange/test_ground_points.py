@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from drivers.errors import InputMalformedError
 from photocal.exchange.ground_points import (
     GroundMark,
     ImagePosition,
+    angles_of_geo,
     read_gcp_list,
     read_geo,
     write_gcp_list,
@@ -79,3 +82,16 @@ def test_geo_round_trip(tmp_path: Path) -> None:
     crs, again = read_geo(tmp_path / "geo.txt")
     assert crs == "EPSG:4326"
     assert repr(again) == repr(tuple(given_))
+
+
+def test_angles_are_those_of_a_body_whose_camera_looks_down() -> None:
+    """The sequence yaw, pitch, roll of a body (forward, right, down) in north, east, down."""
+    given_ = np.array([[0.0, 0.0, 0.0], [90.0, 0.0, 0.0], [215.0, 12.0, -7.0], [300.0, -30.0, 20.0]])
+    body = Rotation.from_euler("ZYX", given_, degrees=True).as_matrix()
+    forward, right, down = np.moveaxis(body, 2, 0)
+    camera = np.stack([right, forward, -down], axis=1)
+    to_camera = camera[:, :, [1, 0, 2]] * [1.0, 1.0, -1.0]
+    assert angles_of_geo(to_camera) == pytest.approx(given_, abs=1e-9)
+    # Looks down, the upper edge of the image to the east.
+    assert to_camera[1] @ [1.0, 0.0, 0.0] == pytest.approx([0.0, 1.0, 0.0])
+    assert np.isnan(angles_of_geo(np.full((1, 3, 3), np.nan))).all()

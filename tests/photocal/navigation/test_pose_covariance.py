@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,17 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from photocal.adjustment.mounting import NADIR
-from photocal.geometry.rotation import angles_from_matrix
-from photocal.navigation.attitude import AttitudeTrack, at_instants, left_out_turns, rotations_of_quaternions
+from photocal.exchange.ground_points import read_geo
+from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
+from photocal.navigation.attitude import (
+    AttitudeTrack,
+    at_instants,
+    left_out_turns,
+    no_attitudes,
+    rotations_of_quaternions,
+)
 from photocal.navigation.events import Events
-from photocal.navigation.exposure_files import write_block_images
+from photocal.navigation.exposure_files import write_block_images, write_geo_txt
 from photocal.navigation.exposures import Exposures, at_camera, at_events, orientations
 from photocal.navigation.interpolation import interpolate
 from photocal.navigation.rig import Rig
@@ -126,3 +134,22 @@ def test_quaternions_and_gaps() -> None:
     assert rotation[1] @ [0.0, 1.0, 0.0] == pytest.approx([1.0, 0.0, 0.0])
     track = AttitudeTrack(GpsTime.from_week([2022, 2022], [1.0, 3.0]), rotation, "test")
     assert not at_instants(track, GpsTime.from_week([2022], [2.0]), None).known.any()
+
+
+def test_geo_txt_has_the_cameras_angles_and_accuracies(tmp_path: Path) -> None:
+    found, rig = exposure()
+    write_geo_txt(tmp_path / "geo.txt", found, rig)
+    crs, (told,) = read_geo(tmp_path / "geo.txt")
+    assert (crs, told.image) == ("EPSG:4326", "a")
+    p = found.placed
+    assert told.xyz == pytest.approx((p.lon_deg[0], p.lat_deg[0], p.height_m[0]), abs=1e-4)
+    # omega, phi, kappa and yaw, pitch, roll of the same camera.
+    angles, covariance = claimed()
+    body = Rotation.from_euler("ZYX", told.yaw_pitch_roll_deg, degrees=True).as_matrix()
+    camera = (NED_TO_ENU @ body).T
+    assert camera == pytest.approx(NADIR.T @ matrix_from_angles(angles), abs=1e-5)
+    assert told.accuracy_m[0] == pytest.approx(np.sqrt(covariance[0, 0] + covariance[1, 1]), abs=1e-4)
+    assert told.accuracy_m[1] == pytest.approx(np.sqrt(covariance[2, 2]), abs=1e-4)
+    unknown = replace(found, attitude=no_attitudes(1))
+    write_geo_txt(tmp_path / "geo.txt", unknown, rig)
+    assert len((tmp_path / "geo.txt").read_text().splitlines()[1].split()) == 4
