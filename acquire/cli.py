@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 from acquire.commands import check, export, import_, info, monitor, record, recover, replay, simulate
 from acquire.console import application, run
 
@@ -19,6 +21,8 @@ app.add_typer(simulate.app, name="simulate")
 
 def main() -> None:
     """Run the command line."""
+    # Nothing here multiplies large matrices: threads for that would cost every command a start.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     run(app)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.channels.decoded import Decoder
-from acquire.log.records import DAMAGE_ENCODING, Channel
+from acquire.log.records import DAMAGE_ENCODING, Channel, Payloads, Pieces
 from drivers.frames import Batch, Wire
 
 LISTED_RUNS = 200
@@ -74,7 +74,7 @@ class MessageWriter(Protocol):
     def messages(
         self,
         channel: Channel,
-        payloads: Sequence[bytes | memoryview],
+        payloads: Payloads,
         log_ns: NDArray[np.int64],
         publish_ns: NDArray[np.int64],
         sequence: NDArray[np.int64],
@@ -129,9 +129,7 @@ class LinkLog:
             decoded.extend(made)
         for wire in np.flatnonzero(np.bincount(batch.wire)).tolist():
             rows = np.flatnonzero(batch.wire == wire)
-            data = batch.data
-            begin, end = batch.start[rows], batch.start[rows] + batch.length[rows]
-            payloads = [data[a:b] for a, b in zip(begin.tolist(), end.tolist(), strict=True)]
+            payloads = Pieces(batch.data, batch.start[rows], batch.length[rows])
             channel = raw_channel(self._link, Wire(wire))
             self._writer.messages(channel, payloads, log_ns[rows], publish[rows], own[rows])
         if len(damage) and len(log_ns):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -67,6 +67,30 @@ class Channel:
         return hash((self.topic, self.encoding, tuple(sorted(self.metadata.items()))))
 
 
+@dataclass(frozen=True)
+class Pieces:
+    """Payloads of messages as they lie in one buffer.
+
+    Parameters
+    ----------
+    data : bytes
+        The buffer.
+    start, length : int64 (n,)
+        Where each payload lies, bytes.
+    """
+
+    data: bytes
+    start: NDArray[np.int64]
+    length: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+
+# What a message holds: bytes, or their place in a buffer.
+Payloads = Sequence[bytes | memoryview] | Pieces
+
+
 def text(value: str) -> bytes:
     """Return a string after its length in bytes."""
     encoded = value.encode()
@@ -101,6 +125,41 @@ def attachment_record(name: str, media_type: str, data: bytes, log_ns: int, crea
     body = struct.pack("<QQ", log_ns, create_ns) + text(name) + text(media_type)
     body += struct.pack("<Q", len(data)) + data
     return record(ATTACHMENT, body + struct.pack("<I", zlib.crc32(body)))
+
+
+def message_records(head: NDArray[np.void], payloads: Payloads) -> bytes | memoryview:
+    """Return the records of messages.
+
+    Parameters
+    ----------
+    head : structured array (n,)
+        What stands before each payload, see `MESSAGE_ROW`.
+    payloads : sequence of bytes or Pieces (n,)
+        The payloads.
+    """
+    width = head.itemsize
+    if not isinstance(payloads, Pieces):
+        heads = head.tobytes()
+        parts: list[bytes | memoryview] = [b""] * (2 * len(payloads))
+        parts[0::2] = [heads[at : at + width] for at in range(0, len(heads), width)]
+        parts[1::2] = payloads
+        return b"".join(parts)
+    end = np.cumsum(payloads.length + width)
+    begin = end - payloads.length
+    made = np.empty(int(end[-1]), np.uint8)
+    _items(made, width)[begin - width] = head.view(f"V{width}")
+    # Those of one length at once: no message becomes an object of its own.
+    source = np.frombuffer(payloads.data, np.uint8)
+    for length in np.flatnonzero(np.bincount(payloads.length)).tolist():
+        rows = np.flatnonzero(payloads.length == length)
+        if length:
+            _items(made, length)[begin[rows]] = _items(source, length)[payloads.start[rows]]
+    return made.data
+
+
+def _items(octets: NDArray[np.uint8], width: int) -> NDArray[np.void]:
+    """Return a view with an item of some bytes beginning at every byte."""
+    return np.ndarray((len(octets) - width + 1,), f"V{width}", octets, strides=(1,))
 
 
 def index_record(channel: int, rows: NDArray[np.void]) -> bytes:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquire.log import records
-from acquire.log.records import Channel, Schema
+from acquire.log.records import Channel, Payloads, Pieces, Schema
 
 LIBRARY = "photocal"
 COMPRESSION = "lz4"
@@ -41,7 +41,7 @@ class LogWriter:
         self._schemas: dict[Schema, int] = {}
         self._channels: dict[Channel, int] = {}
         self._definitions: list[bytes] = []
-        self._pieces: list[bytes] = []
+        self._pieces: list[bytes | memoryview] = []
         self._size = 0
         self._index: defaultdict[int, list[NDArray[np.void]]] = defaultdict(list)
         self._counts: defaultdict[int, int] = defaultdict(int)
@@ -108,7 +108,7 @@ class LogWriter:
     def messages(
         self,
         channel: Channel,
-        payloads: Sequence[bytes | memoryview],
+        payloads: Payloads,
         log_ns: NDArray[np.int64],
         publish_ns: NDArray[np.int64],
         sequence: NDArray[np.int64],
@@ -119,7 +119,7 @@ class LogWriter:
         ----------
         channel : Channel
             The channel.
-        payloads : sequence of bytes (n,)
+        payloads : sequence of bytes or Pieces (n,)
             The messages.
         log_ns, publish_ns : int64 (n,)
             Time of receipt and time of the device, UTC, nanoseconds since 1970.
@@ -129,7 +129,10 @@ class LogWriter:
         if not len(payloads):
             return
         number = self.channel(channel)
-        size = np.fromiter(map(len, payloads), np.int64, len(payloads))
+        if isinstance(payloads, Pieces):
+            size = payloads.length
+        else:
+            size = np.fromiter(map(len, payloads), np.int64, len(payloads))
         head = np.empty(len(payloads), records.MESSAGE_ROW)
         head["opcode"] = records.MESSAGE
         head["size"] = size + (records.MESSAGE_ROW.itemsize - 9)
@@ -142,12 +145,7 @@ class LogWriter:
         index["log_ns"] = log_ns
         index["offset"] = self._size
         index["offset"][1:] += end[:-1].astype(np.uint64)
-        heads = head.tobytes()
-        width = records.MESSAGE_ROW.itemsize
-        pieces: list[bytes | memoryview] = [b""] * (2 * len(payloads))
-        pieces[0::2] = [heads[at : at + width] for at in range(0, len(heads), width)]
-        pieces[1::2] = payloads
-        self._pieces.append(b"".join(pieces))
+        self._pieces.append(records.message_records(head, payloads))
         self._size += int(end[-1])
         self._index[number].append(index)
         self._counts[number] += len(payloads)

@@ -144,7 +144,7 @@ class LogFiles:
     def messages(
         self,
         channel: Channel,
-        payloads: Sequence[bytes | memoryview],
+        payloads: records.Payloads,
         log_ns: NDArray[np.int64],
         publish_ns: NDArray[np.int64],
         sequence: NDArray[np.int64],

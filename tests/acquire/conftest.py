@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import signal
 import subprocess
 import sys
@@ -30,6 +31,7 @@ def acquire() -> Acquire:
         out, err, code = io.StringIO(), io.StringIO(), 0
         handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
         given, sys.argv = sys.argv, ["acquire", *map(str, arguments)]
+        environment = dict(os.environ)
         try:
             with redirect_stdout(out), redirect_stderr(err):
                 main()
@@ -37,6 +39,8 @@ def acquire() -> Acquire:
             code = end.code if isinstance(end.code, int) else int(end.code is not None)
         finally:
             sys.argv = given
+            os.environ.clear()
+            os.environ.update(environment)
             for number, handler in handlers.items():
                 signal.signal(number, handler)
         return subprocess.CompletedProcess(sys.argv, code, out.getvalue(), err.getvalue())

@@ -13,13 +13,12 @@ import resource
 import sys
 import threading
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.log.records import Channel
+from acquire.log.records import Channel, Payloads
 from acquire.recording import files as log_files
 from acquire.recording.configuration import read_configuration
 from acquire.recording.recorder import Host, record
@@ -69,7 +68,7 @@ class WatchedFiles(log_files.LogFiles):
     def messages(
         self,
         channel: Channel,
-        payloads: Sequence[bytes | memoryview],
+        payloads: Payloads,
         log_ns: NDArray[np.int64],
         publish_ns: NDArray[np.int64],
         sequence: NDArray[np.int64],
