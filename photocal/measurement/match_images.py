@@ -19,8 +19,8 @@ from photocal.measurement.workers import Workers, run_tasks
 
 Integers = NDArray[np.int64]
 
-# Raised whenever the meaning of cached results changes.
-VERSION = 1
+# Raised whenever the meaning of cached results changes: of features, of matches.
+FEATURES, MATCHES = 1, 2
 _NAMES = ("pixels", "scale", "descriptors")
 
 
@@ -61,7 +61,7 @@ def detect_all(
         Why an image cannot be read; empty for those that can.
     """
     keys, reasons = [], []
-    images = (_Image(path, combined_key(VERSION, content_key(path), plan.features), plan) for path in paths)
+    images = (_Image(path, combined_key(FEATURES, content_key(path), plan.features), plan) for path in paths)
     for key, reason in run_tasks(_detect_one, images, plan.processes):
         keys.append(key)
         reasons.append(reason)
@@ -115,7 +115,7 @@ def _detect_one(image: _Image) -> tuple[str, str]:
 
 def _match_one(task: tuple[str, str, MatchingPlan]) -> Integers:
     first, second, plan = task
-    key = combined_key(VERSION, "match", first, second, plan.matches)
+    key = combined_key(MATCHES, "match", first, second, plan.matches)
 
     def make() -> Arrays:
         pairs = match(_features(plan, first, whole=True), _features(plan, second, whole=True), plan.matches)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,12 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.measurement.features import Features
+from photocal.measurement.guided import search_windows
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Integers = NDArray[np.int64]
 
-_BLOCK = 2048
+# So many features at a time: their likenesses fit into the processor's cache.
+_BLOCK = 512
+
+Window = tuple[Integers, Integers] | tuple[slice, slice]
 
 
 @dataclass(frozen=True)
@@ -31,7 +36,8 @@ class MatchSettings:
         Verified matches that a pair needs; by chance a few always agree.
     sketch, sketch_fewest : int
         First only so many features of each image are matched, the coarsest: a pair that has fewer verified
-        matches among them is given up, for a small part of the cost. By chance about ten agree.
+        matches among them is given up, for a small part of the cost. By chance about ten agree. The others
+        are sought only where these say that they should be.
     """
 
     ratio: float = 0.85
@@ -55,11 +61,15 @@ def match(first: Features, second: Features, settings: MatchSettings) -> Integer
         Indices of the features; empty when the images do not belong together.
     """
     large = len(first.scale) > 2 * settings.sketch and len(second.scale) > 2 * settings.sketch
+    windows: Iterable[Window] | None = None
     if large:
         coarse = [_coarsest(features, settings.sketch) for features in (first, second)]
-        if len(_verified(coarse[0], coarse[1], settings)) < settings.sketch_fewest:
+        known = _verified(coarse[0], coarse[1], settings)
+        if len(known) < settings.sketch_fewest:
             return np.zeros((0, 2), dtype=np.int64)
-    pairs = _verified(first, second, settings)
+        places = [own.pixels[index] for own, index in zip(coarse, known.T, strict=True)]
+        windows = search_windows(first.pixels, second.pixels, places[0], places[1])
+    pairs = _verified(first, second, settings, windows)
     return pairs if len(pairs) >= settings.fewest else pairs[:0]
 
 
@@ -67,13 +77,20 @@ def _coarsest(features: Features, count: int) -> Features:
     return features.some(np.argsort(-features.scale, kind="stable")[:count])
 
 
-def _verified(first: Features, second: Features, settings: MatchSettings) -> Integers:
-    pairs = mutual_matches(first.descriptors, second.descriptors, settings.ratio)
+def _verified(
+    first: Features, second: Features, settings: MatchSettings, windows: Iterable[Window] | None = None
+) -> Integers:
+    pairs = mutual_matches(first.descriptors, second.descriptors, settings.ratio, windows)
     keep = epipolar_inliers(first.pixels[pairs[:, 0]], second.pixels[pairs[:, 1]], settings.epipolar_px)
     return pairs[keep]
 
 
-def mutual_matches(first: NDArray[np.uint8], second: NDArray[np.uint8], ratio: float) -> Integers:
+def mutual_matches(
+    first: NDArray[np.uint8],
+    second: NDArray[np.uint8],
+    ratio: float,
+    windows: Iterable[Window] | None = None,
+) -> Integers:
     """Features that are each other's nearest, clearly before the second nearest (Lowe 2004).
 
     Descriptors are compared by the Hellinger kernel (Arandjelovic and Zisserman 2012).
@@ -82,6 +99,9 @@ def mutual_matches(first: NDArray[np.uint8], second: NDArray[np.uint8], ratio: f
     ----------
     first, second : ndarray of uint8, shape (n, 128)
     ratio : float
+    windows : iterable of pairs of ndarray of int, optional
+        Features of the first image, each in one window only, and those of the second that they may match;
+        all when not given.
 
     Returns
     -------
@@ -90,20 +110,19 @@ def mutual_matches(first: NDArray[np.uint8], second: NDArray[np.uint8], ratio: f
     if len(first) < 2 or len(second) < 2:
         return np.zeros((0, 2), dtype=np.int64)
     a, b = _rooted(first), _rooted(second)
-    forward = np.empty(len(a), dtype=np.int64)
-    best = np.empty(len(a), dtype=np.float32)
-    clear = np.empty(len(a), dtype=np.bool_)
+    forward = np.zeros(len(a), dtype=np.int64)
+    best = np.zeros(len(a), dtype=np.float32)
+    clear = np.zeros(len(a), dtype=np.bool_)
     best_back = np.full(len(b), -1.0, dtype=np.float32)
-    for start in range(0, len(a), _BLOCK):
-        likeness = a[start : start + _BLOCK] @ b.T
-        np.maximum(best_back, likeness.max(axis=0), out=best_back)
-        rows = np.arange(len(likeness))
+    for rows, columns in _blocks(len(a), len(b)) if windows is None else windows:
+        likeness = a[rows] @ b[columns].T
+        best_back[columns] = np.maximum(best_back[columns], likeness.max(axis=0))
+        each = np.arange(len(likeness))
         nearest = likeness.argmax(axis=1)
-        high = likeness[rows, nearest]
-        likeness[rows, nearest] = -1.0
-        part = slice(start, start + _BLOCK)
-        forward[part], best[part] = nearest, high
-        clear[part] = _is_clear(high, likeness.max(axis=1), ratio)
+        high = likeness[each, nearest]
+        likeness[each, nearest] = -1.0
+        forward[rows], best[rows] = np.arange(len(b))[columns][nearest], high
+        clear[rows] = _is_clear(high, likeness.max(axis=1), ratio)
     # The nearest of my nearest is me when nobody is nearer to it than I am.
     good = clear & (best >= best_back[forward])
     return np.column_stack([np.flatnonzero(good), forward[good]]).astype(np.int64)
@@ -136,6 +155,12 @@ def epipolar_inliers(first: Floats32, second: Floats32, tolerance_px: float) -> 
         return none
     mask = found[1]
     return none if mask is None else np.asarray(np.ravel(mask) > 0)
+
+
+def _blocks(count: int, other: int) -> Iterator[tuple[slice, slice]]:
+    """All features of one image with all of the other, in pieces."""
+    for start in range(0, count, _BLOCK):
+        yield slice(start, start + _BLOCK), slice(0, other)
 
 
 def _rooted(descriptors: NDArray[np.uint8]) -> Floats32:

@@ -16,6 +16,7 @@ from pyproj import Geod
 from photocal.block.folder import read_block
 from photocal.measurement.cache import cached
 from photocal.measurement.features import Features, FeatureSettings, detect
+from photocal.measurement.guided import search_windows
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.match_images import MatchingPlan, detect_all, match_all
 from photocal.measurement.matching import MatchSettings, match, mutual_matches
@@ -77,6 +78,46 @@ def test_matches_follow_a_known_homography() -> None:
     there = np.column_stack([first.pixels[pairs[:, 0]], np.ones(len(pairs))]) @ move.T
     miss = np.hypot(*(there[:, :2] / there[:, 2:] - second.pixels[pairs[:, 1]]).T)
     assert np.median(miss) < 0.3
+    assert np.mean(miss > 3) < 0.02
+
+
+def test_few_matches_tell_where_the_others_are_sought() -> None:
+    """Every feature's partner stands in its window, on ground that rises by 20 px of parallax."""
+    rng = np.random.default_rng(2)
+    first = rng.uniform(0, 1000, (4000, 2)).astype(np.float32)
+    move = np.array([[0.9, -0.3, 200], [0.3, 0.9, -100], [1e-4, 5e-5, 1.0]])
+    there = np.column_stack([first, np.ones(len(first))]) @ move.T
+    relief = np.column_stack([20 * np.sin(first[:, 0] / 90), np.zeros(len(first))])
+    second = (there[:, :2] / there[:, 2:] + relief).astype(np.float32)
+    known = rng.choice(len(first), 60, replace=False)
+    # Some of the known matches are wrong.
+    wrong = np.r_[known[:-8], np.roll(known[-8:], 1)]
+    windows = search_windows(first, second, first[known], second[wrong])
+    assert windows is not None
+    sought = {int(i): columns for rows, columns in windows for i in rows}
+    assert np.mean([i in sought.get(i, ()) for i in range(len(first))]) > 0.995
+    assert sum(len(columns) for columns in sought.values()) < 0.15 * len(first) * len(second)
+
+
+def test_matches_without_a_common_plane_narrow_nothing() -> None:
+    rng = np.random.default_rng(3)
+    first, second = (rng.uniform(0, 1000, (500, 2)).astype(np.float32) for _ in range(2))
+    assert search_windows(first, second, first[:40], second[:40]) is None
+    line = np.column_stack([np.arange(40.0), np.zeros(40)]).astype(np.float32)
+    assert search_windows(first, second, line, line) is None
+
+
+def test_narrowed_matching_finds_what_the_whole_finds() -> None:
+    texture = _texture()
+    move = np.array([[0.96, -0.2, 60], [0.2, 0.96, -40], [5e-5, 2e-5, 1.0]])
+    moved = np.asarray(cv2.warpPerspective(texture, move, (700, 700)), np.uint8)
+    first, second = (detect(image, FeatureSettings(most=1500)) for image in (texture, moved))
+    whole = match(first, second, MatchSettings())
+    narrowed = match(first, second, MatchSettings(sketch=300))
+    both = set(map(tuple, whole.tolist())) & set(map(tuple, narrowed.tolist()))
+    assert len(both) > 0.97 * len(whole)
+    there = np.column_stack([first.pixels[narrowed[:, 0]], np.ones(len(narrowed))]) @ move.T
+    miss = np.hypot(*(there[:, :2] / there[:, 2:] - second.pixels[narrowed[:, 1]]).T)
     assert np.mean(miss > 3) < 0.02
 
 
