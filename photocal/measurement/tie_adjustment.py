@@ -24,7 +24,7 @@ Flags = NDArray[np.bool_]
 GROSS = 3.5
 _ROUNDS = 8
 # Rays of a kind have one sigma: classes of feature scale, or of the precision of the match.
-CLASSES = 4
+CLASSES, FEWEST_IN_CLASS = 8, 200
 FINEST_PX = 0.02
 
 
@@ -124,19 +124,26 @@ def class_sigmas(scale: Floats, size: Floats, redundancy: Floats) -> Floats:
     -------
     ndarray, shape (n,)
     """
-    edges = np.quantile(scale, np.linspace(0, 1, CLASSES + 1)[1:-1])
+    classes = int(np.clip(len(scale) // FEWEST_IN_CLASS, 1, CLASSES))
+    edges = np.quantile(scale, np.linspace(0, 1, classes + 1)[1:-1])
     member = np.searchsorted(edges, scale)
     sigma = np.ones(len(scale))
-    for k in range(CLASSES):
+    for k in range(classes):
         mine = (member == k) & (redundancy > 0.05)
         if mine.any():
-            # Squared lengths over 2 r are exponential in units of the variance; three sigma cut 1 % of them.
-            squares = size[mine] ** 2 / (2 * redundancy[mine])
-            good = squares <= 9 * np.median(squares) / np.log(2)
-            sigma[member == k] = np.sqrt(
-                size[mine][good] @ size[mine][good] / (2 * redundancy[mine][good].sum())
-            )
+            sigma[member == k] = _sigma_of_the_kept(size[mine] ** 2, 2 * redundancy[mine])
     return np.maximum(sigma, FINEST_PX)
+
+
+def _sigma_of_the_kept(squares: Floats, redundancy: Floats) -> float:
+    """Sigma of the rays that stay when those beyond `GROSS` of it are rejected."""
+    share = squares / redundancy
+    # Such shares are exponential in units of the variance: their median is ln 2 of it.
+    variance = float(np.median(share) / np.log(2))
+    for _ in range(_ROUNDS):
+        good = share <= GROSS**2 * variance
+        variance = float(squares[good].sum() / redundancy[good].sum())
+    return float(np.sqrt(variance))
 
 
 def _placed(start: Block, tracks: Tracks) -> Tracks:
