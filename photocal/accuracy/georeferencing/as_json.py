@@ -11,7 +11,8 @@ from photocal.accuracy.as_json import to_json as assessment_json
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.georeferencing.comparison import BlockCheck, Judged
 from photocal.accuracy.georeferencing.differences import CRITICAL_W, ELLIPSE_PROBABILITY, Differences
-from photocal.accuracy.georeferencing.hypotheses import Estimate, Hypothesis, SystematicErrors
+from photocal.accuracy.georeferencing.freed_groups import Estimate
+from photocal.accuracy.georeferencing.hypotheses import Hypothesis, SystematicErrors
 from photocal.accuracy.georeferencing.separation import Separation
 from photocal.accuracy.georeferencing.wording import block_findings
 

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.accuracy.findings import Finding
-from photocal.accuracy.georeferencing.hypotheses import Estimate, SystematicErrors
+from photocal.accuracy.georeferencing.freed_groups import Estimate
+from photocal.accuracy.georeferencing.hypotheses import SystematicErrors
 
 Floats = NDArray[np.float64]
 

@@ -9,7 +9,8 @@ from scipy import stats
 from photocal.accuracy.findings import Finding
 from photocal.accuracy.georeferencing.comparison import BlockCheck, Judged
 from photocal.accuracy.georeferencing.faults import fault_findings
-from photocal.accuracy.georeferencing.hypotheses import MEANING, Estimate, SystematicErrors
+from photocal.accuracy.georeferencing.freed_groups import MEANING, Estimate
+from photocal.accuracy.georeferencing.hypotheses import SystematicErrors
 from photocal.accuracy.georeferencing.mistyped import Mistyped
 from photocal.accuracy.georeferencing.separation import separation_findings
 from photocal.accuracy.ground_points import name_list
