@@ -95,6 +95,12 @@ class NetworkSolution:
         Redundancy numbers of east, north, up.
     detectable_m : float64 (m, 3)
         Smallest error found with 80 % power at a level of 0.1 %; infinite where nothing checks it.
+    effects_m : float64 (m, 3, n, 3)
+        External reliability: what the smallest detectable error of each baseline's east, north and up does to
+        the east, north and up of every mark when it is not found (Baarda 1968): Q A' P e times the error.
+        Infinite where nothing checks it.
+    distortion : float64 (m, 3)
+        Its length in units of the marks' covariance, the root of dx' Q^-1 dx.
     used : list of Baseline
         Baselines used.
     blunders : list of Blunder
@@ -110,6 +116,8 @@ class NetworkSolution:
     residuals_m: Floats
     redundancy: Floats
     detectable_m: Floats
+    effects_m: Floats
+    distortion: Floats
     used: list[Baseline]
     blunders: list[Blunder]
     degrees_of_freedom: int
@@ -200,6 +208,10 @@ def _adjust(
     dof = m + 3 * sum(1 for mark in control if np.any(mark.covariance_m2)) - int(free.sum())
     squared = float(residual @ weight @ residual)
     shifts = correction.reshape(-1, 3)
+    detectable = np.where(checked, _DELTA / spread, np.inf)
+    moved = covariance @ design.T @ weight
+    # dx' Q^-1 dx with dx = Q A' P e d is d^2 e' P A Q A' P e.
+    inner = np.sum((weight @ design) * moved.T, axis=1)
     for mark in control:
         if np.any(mark.covariance_m2):
             shift = shifts[place[mark.name] // 3]
@@ -210,7 +222,9 @@ def _adjust(
         covariance,
         residual.reshape(-1, 3),
         redundancy,
-        np.where(checked, _DELTA / spread, np.inf).reshape(-1, 3),
+        detectable.reshape(-1, 3),
+        _local(moved, np.stack([start[name] for name in names]), detectable),
+        (detectable * np.sqrt(np.maximum(inner, 0.0))).reshape(-1, 3),
         baselines,
         [],
         dof,
@@ -230,6 +244,16 @@ def _adjust(
         float(abs(test[worst])),
     )
     return solution, (worst // 3, blunder)
+
+
+def _local(moved: Floats, places: Floats, detectable: Floats) -> Floats:
+    """Return the effect of detectable errors on the marks, east, north, up (m, 3, n, 3)."""
+    lat, lon, _ = geodetic(places)
+    turn = np.array([enu_axes(a, b) for a, b in zip(lat.tolist(), lon.tolist(), strict=True)])
+    each = np.einsum("nij,njk->kni", turn, moved.reshape(len(places), 3, -1))
+    known = np.isfinite(detectable)
+    effects = np.where(known[:, None, None], each * np.where(known, detectable, 0.0)[:, None, None], np.inf)
+    return np.asarray(effects.reshape(-1, 3, len(places), 3))
 
 
 def _start(baselines: list[Baseline], held: dict[str, Mark], names: list[str]) -> dict[str, Floats]:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.adjustment.ellipses import ellipses
-from photocal.adjustment.reliability import external_reliability, noncentrality
 from photocal.navigation.baseline_network import NetworkSolution
 from photocal.navigation.exposure_files import projected
 from photocal.navigation.trajectory import enu_axes, enu_offsets, geodetic
@@ -24,9 +23,6 @@ def survey_figures(solution: NetworkSolution, sessions: list[dict[str, Any]]) ->
     """Return the figures of a survey, ready for JSON."""
     sigma0 = solution.sigma0_squared
     test = solution.test
-    checked = np.isfinite(solution.detectable_m)
-    some = np.where(checked, solution.redundancy, 0.5)
-    outer = np.where(checked, external_reliability(some, noncentrality(0.001, 0.80)), np.inf)
     return {
         "schema": "photocal.survey/1",
         "marks": _marks(solution),
@@ -41,11 +37,25 @@ def survey_figures(solution: NetworkSolution, sessions: list[dict[str, Any]]) ->
                 "residual_enu_m": solution.residuals_m[i].tolist(),
                 "redundancy_enu": solution.redundancy[i].tolist(),
                 "detectable_enu_m": _finite(solution.detectable_m[i]),
-                "external_reliability_enu": _finite(outer[i]),
+                "external_reliability_enu": _finite(solution.distortion[i]),
+                "effects_of_detectable": _effects(solution, i),
             }
             for i, b in enumerate(solution.used)
         ],
     }
+
+
+def _effects(solution: NetworkSolution, row: int) -> list[dict[str, Any]]:
+    """Return what undetected errors of a baseline do to the marks, the mark that moves most first."""
+    found = []
+    for component, name in enumerate(("east", "north", "up")):
+        shifts = solution.effects_m[row, component]
+        if not np.isfinite(shifts).all():
+            continue
+        order = np.argsort(-np.linalg.norm(shifts, axis=1), kind="stable")
+        marks = {solution.names[k]: shifts[k].tolist() for k in order.tolist()}
+        found.append({"error_of": name, "marks_move_enu_m": marks})
+    return found
 
 
 def _marks(solution: NetworkSolution) -> list[dict[str, Any]]:
@@ -131,6 +141,7 @@ def survey_text(figures: dict[str, Any]) -> str:
             f"{mark['ellipse_azimuth_deg']:.0f} deg"
         )
     lines.append(f"redundancy {figures['degrees_of_freedom']}")
+    lines += _reliability_text(figures)
     test = figures["global_test"]
     if test is None:
         lines.append("no redundancy: nothing checks these baselines")
@@ -140,3 +151,20 @@ def survey_text(figures: dict[str, Any]) -> str:
             f"{'too small' if figures['sigma0_squared'] > 1 else 'too large'}"
         )
     return "\n".join(lines)
+
+
+def _reliability_text(figures: dict[str, Any]) -> list[str]:
+    """Return the undetected error that would move a mark most."""
+    moves = [
+        (float(np.linalg.norm(shift)), mark, b["name"], effect["error_of"])
+        for b in figures["baselines"]
+        for effect in b["effects_of_detectable"]
+        for mark, shift in list(effect["marks_move_enu_m"].items())[:1]
+    ]
+    if not moves:
+        return []
+    size, mark, baseline, component = max(moves)
+    return [
+        f"the worst error that the tests may miss, in {component} of {baseline}, moves {mark} by "
+        f"{1e3 * size:.0f} mm"
+    ]

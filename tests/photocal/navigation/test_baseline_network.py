@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from drivers.errors import IllPosedError
 from photocal.navigation.baseline_network import Baseline, Mark, adjust_baselines
-from photocal.navigation.trajectory import enu_axes, geocentric
+from photocal.navigation.trajectory import enu_axes, geocentric, geodetic
 
 Floats = NDArray[np.float64]
 LAT, LON = -25.45, -49.23
@@ -84,6 +86,40 @@ def test_against_dense_least_squares() -> None:
     assert np.abs(ours - expected).max() < 1e-6
     assert solution.redundancy.sum() == pytest.approx(solution.degrees_of_freedom)
     assert solution.degrees_of_freedom == 21
+
+
+def test_effects_of_detectable_errors_are_those_of_an_adjustment_with_them() -> None:
+    """The measurement changed by the detectable error, adjusted anew: the marks move as foretold."""
+    baselines, control, _ = network(np.random.default_rng(5), None)
+    solution = adjust_baselines(baselines, control)
+    assert not solution.blunders
+    for row, component in ((0, 0), (5, 2), (10, 1)):
+        error = solution.detectable_m[row, component]
+        changed = list(baselines)
+        own = baselines[row]
+        lat, lon, _ = geodetic(solution.xyz_m[[solution.names.index(own.start)]])
+        moved = own.vector_m + error * enu_axes(float(lat[0]), float(lon[0]))[component]
+        changed[row] = replace(own, vector_m=moved)
+        # Sigmas ten times larger let the error pass; the result is the same.
+        loose = [replace(b, covariance_m2=100 * b.covariance_m2) for b in changed]
+        other = adjust_baselines(loose, control)
+        assert not other.blunders
+        shift = np.array(
+            [
+                enu_axes(*(float(v[0]) for v in geodetic(solution.xyz_m[[k]])[:2]))
+                @ (other.xyz_m[other.names.index(name)] - solution.xyz_m[k])
+                for k, name in enumerate(solution.names)
+            ]
+        )
+        assert solution.effects_m[row, component] == pytest.approx(shift, abs=1e-6)
+        # In units of the covariance, by the marks that are not held.
+        free = slice(3, None)
+        flat = (other.xyz_m - solution.xyz_m).ravel()[free]
+        length = np.sqrt(flat @ np.linalg.solve(solution.covariance_m2[free, free], flat))
+        assert solution.distortion[row, component] == pytest.approx(length, rel=1e-3)
+    # What nothing checks may move its mark by anything.
+    alone = adjust_baselines(baselines[:1], control)
+    assert np.isinf(alone.effects_m).all()
 
 
 def test_unconnected_and_unknown() -> None:
