@@ -29,7 +29,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from acquire.importing.importer import import_recordings
 from acquire.simulate.world.configuration import Level, read_configuration
 from acquire.simulate.world.site import simulate_flight
 from photocal.accuracy.georeferencing.differences import differences
@@ -46,13 +45,12 @@ from photocal.project import read_project
 from photocal.run.campaign import quiet
 from photocal.run.georeferencing import calibrated_on_the_job
 from photocal.run.workflow import run_project
+from tests.simulated import FLIGHT, fly
 
 Floats = NDArray[np.float64]
 
 SEEDS = 100
-ROOT = Path(__file__).parents[2]
-FLIGHT = ROOT / "configs" / "demo" / "simulated" / "flight.toml"
-OUTPUT = ROOT / "docs" / "evidence" / "closed-loop.md"
+OUTPUT = Path(__file__).parents[2] / "docs" / "evidence" / "closed-loop.md"
 WITHIN = float(stats.norm.ppf(0.975))
 DAY = dt.date(2025, 6, 16)
 _RIG = ("camera_to_antenna_m", "boresight_deg", "time_offset_s")
@@ -116,19 +114,20 @@ class Flown:
 
 
 def _fly(folder: Path, level: Level, seed: int, instead: dict[str, Any]) -> Flown:
-    given = read_configuration(FLIGHT, {"level": level, "seed": seed, **instead})
-    simulate_flight(given, folder, lambda _: None)
-    truth = json.loads((folder / "truth" / "truth.json").read_text(encoding="utf-8"))
-    site = folder / "site"
     if level is Level.BLOCK:
-        return Flown(read_block(site / "block"), truth, _places(folder / "truth", ("X", "Y", "Z"), ""))
-    links = {"vehicle": "vehicle.tlog", "rover": "rover.ubx", "base": "base.ubx"}
-    streams = [(link, site / name) for link, name in links.items()]
-    import_recordings(streams, [], site / "flight.mcap", lambda _: None)
-    project = read_project(site / "project.toml")
+        given = read_configuration(FLIGHT, {"level": level, "seed": seed, **instead})
+        simulate_flight(given, folder, lambda _: None)
+        block = read_block(folder / "site" / "block")
+        return Flown(block, _truth(folder), _places(folder / "truth", ("X", "Y", "Z"), ""))
+    project = read_project(fly(folder, seed=seed, **instead))
     run_project(project, DAY, quiet, until="block")
     places = _places(folder / "truth", ("E", "N", "h"), "_grid")
-    return Flown(read_block(project.output / "block"), truth, places)
+    return Flown(read_block(project.output / "block"), _truth(folder), places)
+
+
+def _truth(folder: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((folder / "truth" / "truth.json").read_text(encoding="utf-8"))
+    return content
 
 
 def _held(rig: dict[str, Any]) -> dict[str, Any]:

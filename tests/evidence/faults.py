@@ -21,17 +21,15 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from acquire.importing.importer import import_recordings
-from acquire.simulate.world.configuration import Fault, read_configuration
-from acquire.simulate.world.site import simulate_flight
+from acquire.simulate.world.configuration import Fault
 from drivers.errors import PhotocalError
 from photocal.run.campaign import run_one
 from photocal.run.summary import summary_text
+from tests.simulated import fly
 
 SEEDS = 5
-ROOT = Path(__file__).parents[2]
-FLIGHT = ROOT / "configs" / "demo" / "simulated" / "flight.toml"
-OUTPUT = ROOT / "docs" / "evidence" / "faults.md"
+DAY = dt.date(2025, 6, 16)
+OUTPUT = Path(__file__).parents[2] / "docs" / "evidence" / "faults.md"
 NAMES = {
     Fault.ANTENNA_HEIGHT: "antenna-height",
     Fault.BASE_OFF: "base-position",
@@ -71,25 +69,19 @@ def processed(task: tuple[Fault | None, int]) -> Processed:
     """Fly with a fault or without one, and process to the certificate."""
     fault, seed = task
     with tempfile.TemporaryDirectory() as scratch:
-        flight = Path(scratch) / "flight"
-        instead = {"level": "observations", "seed": seed, "faults": frozenset({fault} - {None})}
-        simulate_flight(read_configuration(FLIGHT, instead), flight, lambda _: None)
-        site = flight / "site"
-        links = {"vehicle": "vehicle.tlog", "rover": "rover.ubx", "base": "base.ubx"}
-        streams = [(link, site / name) for link, name in links.items()]
-        import_recordings(streams, [], site / "flight.mcap", lambda _: None)
+        project = fly(Path(scratch) / "flight", seed=seed, faults=frozenset({fault} - {None}))
         said = io.StringIO()
         try:
             with contextlib.redirect_stderr(said):
-                figures = run_one(site / "project.toml", dt.date(2025, 6, 16))
+                figures = run_one(project, DAY)
         except PhotocalError as refusal:
             lines = [line.split(": ", 3) for line in said.getvalue().splitlines()]
             codes = tuple(dict.fromkeys(line[2] for line in lines if line[1:2] == ["warning"]))
-            if (site / "work" / "certificate").exists():
+            if (project.parent / "work" / "certificate").exists():
                 raise AssertionError("a certificate of a run that failed") from refusal
             return Processed(said.getvalue(), codes, None, str(refusal))
         codes = tuple(dict.fromkeys(one["code"] for one in figures["warnings"] if one["kind"] == "warning"))
-        folder = site / "work" / "certificate"
+        folder = project.parent / "work" / "certificate"
         record = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
         page = html.unescape((folder / "certificate.html").read_text(encoding="utf-8"))
         return Processed(summary_text(figures), codes, ("\n".join(record["warnings"]), page), "")
