@@ -164,7 +164,5 @@ def _reliability_text(figures: dict[str, Any]) -> list[str]:
     if not moves:
         return []
     size, mark, baseline, component = max(moves)
-    return [
-        f"the worst error that the tests may miss, in {component} of {baseline}, moves {mark} by "
-        f"{1e3 * size:.0f} mm"
-    ]
+    where = f"{component} of {baseline}"
+    return [f"the worst error that the tests may miss, in {where}, moves {mark} by {1e3 * size:.0f} mm"]
