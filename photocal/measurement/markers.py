@@ -26,6 +26,8 @@ DICTIONARIES = (
 # A marker whose picture differs from the ideal one by more than this part of its contrast is none.
 WORST_MISFIT = 0.2
 LEAST_CONTRAST = 20.0
+# A cell of a code has at least so many pixels.
+_SMALLEST_CELL_PX = 1.25
 
 
 @dataclass(frozen=True)
@@ -96,11 +98,13 @@ def find_markers(grey: Grey, dictionary_name: str) -> tuple[Marker, ...]:
     parameters = cv2.aruco.DetectorParameters()
     parameters.errorCorrectionRate = 0.0
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    cells = int(codes.markerSize) + 2
+    # The library takes the shortest outline as a part of the longer side of the image, however large that is.
+    parameters.minMarkerPerimeterRate = 4 * cells * _SMALLEST_CELL_PX / max(grey.shape)
     detected: Any = cv2.aruco.ArucoDetector(codes, parameters).detectMarkers(as_eight_bit(grey))
     corners, identities, _ = detected
     if identities is None:
         return ()
-    cells = int(codes.markerSize) + 2
     found: dict[int, list[Marker]] = {}
     for identity, quadrilateral in zip(np.ravel(identities), corners, strict=True):
         rough = np.asarray(quadrilateral, dtype=float).reshape(4, 2)

@@ -18,8 +18,10 @@ Place = tuple[float, float]
 WITHIN = float(np.sqrt(-2 * np.log(0.001)))
 # Large targets are sought in a reduced image, where they are as long as this, px.
 _SOUGHT_PX = 24.0
-# Correlation with the ideal picture: of a place that is worth a fit, and of a target after it.
-WORTH, LIKE = 0.62, 0.85
+# Correlation with the ideal picture: of a place that is worth a fit, less for small targets, whose pixels
+# and turn are coarse; and of a target after the fit.
+WORTH, WORTH_SMALL, LIKE = 0.70, 0.62, 0.85
+_SMALL_PX = 18.0
 # More places than this in a window are texture; the likest are tried.
 _MOST = 15
 # The picture must explain the grey values: noise as a part of the contrast; and the contrast itself.
@@ -108,7 +110,8 @@ def _worth_a_fit(grey: Grey, place: Place, covariance: Floats, look: Look) -> It
     likeness[~np.isfinite(likeness)] = 0
     best, which = likeness.max(axis=0), likeness.argmax(axis=0)
     around = np.ones((3, 3), np.uint8)
-    peaks = np.argwhere((best >= WORTH) & (best <= 1.001) & (best == cv2.dilate(best, around)))
+    worth = WORTH if look.size >= _SMALL_PX else WORTH_SMALL
+    peaks = np.argwhere((best >= worth) & (best <= 1.001) & (best == cv2.dilate(best, around)))
     order = np.argsort(-best[peaks[:, 0], peaks[:, 1]], kind="stable")[:_MOST]
     for row, column in peaks[order]:
         middle = (np.array([column, row]) + reach + 0.5) * zoom - 0.5 + [left, top]

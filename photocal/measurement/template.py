@@ -19,7 +19,8 @@ Floats = NDArray[np.float64]
 # Grey values at columns and rows, relative to the middle of the window, for a vector of parameters.
 Template = Callable[[Floats, Floats, Floats], Floats]
 
-_ITERATIONS = 40
+# What is a target settles in about ten.
+_ITERATIONS = 25
 _SETTLED_PX = 1e-4
 
 

@@ -1,4 +1,4 @@
-"""Study of image measurement on recorded pictures: orientation against MicMac, false targets, pair selection.
+"""Study of image measurement on recorded pictures: orientation against MicMac, pair selection.
 
 Writes `docs/evidence/tie-points.md`.
 
@@ -24,8 +24,7 @@ from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.exchange.micmac import read_micmac
 from photocal.geometry.camera import PARAMETERS
-from photocal.measurement.image_file import as_eight_bit, list_images, read_grey
-from photocal.measurement.markers import find_markers
+from photocal.measurement.image_file import list_images
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.measure_ties import sight, stated_footprints
 from photocal.measurement.oriented_ties import orient_ties
@@ -35,8 +34,6 @@ Floats = NDArray[np.float64]
 ROOT = Path(__file__).parents[2]
 OUTPUT = ROOT / "docs" / "evidence" / "tie-points.md"
 CONTROL_M = 0.01
-PATCHES, SIDE = 10_000, 160
-DICTIONARIES = ("apriltag_36h11", "apriltag_25h9", "4x4_50", "6x6_250", "aruco_mip_36h12")
 
 
 @contextmanager
@@ -110,22 +107,6 @@ def _with_ties(start: Block, folder: Path, cache: Path) -> Block:
     return found.adjusted.block
 
 
-def false_targets(shared: Path) -> list[str]:
-    """Coded targets found in pieces of pictures that show none."""
-    folders = ("uav-brighton-beach/images", "micmac-saisies-gcp", "opensfm-berlin-gcp/images")
-    pictures = [read_grey(path) for folder in folders for path in list_images(shared / "data" / folder)]
-    rng = np.random.default_rng(8)
-    found = dict.fromkeys(DICTIONARIES, 0)
-    for _ in range(PATCHES):
-        picture = pictures[rng.integers(len(pictures))]
-        row, column = (int(rng.integers(side - SIDE)) for side in picture.shape)
-        piece = as_eight_bit(picture)[row : row + SIDE, column : column + SIDE].copy()
-        for name in DICTIONARIES:
-            found[name] += len(find_markers(piece, name))
-    lines = [f"| dictionary | false targets in {PATCHES} pieces of {SIDE} x {SIDE} px |", "|---|---|"]
-    return [*lines, *(f"| {name} | {count} |" for name, count in found.items())]
-
-
 def pairs() -> list[str]:
     """Pairs chosen for flights of growing size."""
     lines = ["| images | pairs | pairs an image | selection (s) |", "|---|---|---|---|"]
@@ -163,10 +144,6 @@ def main(shared: Path) -> None:
         "exterior orientation, the largest in units of our a posteriori standard deviations.",
         "",
         *oriented,
-        "",
-        "## Targets where there are none",
-        "",
-        *false_targets(shared),
         "",
         "## Pairs of images",
         "",

@@ -139,3 +139,24 @@ def test_refusals(
 def test_sheets_are_the_same_each_time() -> None:
     sheets = [coded_target("apriltag_36h11", 1, 100), plain_target("cross", 80)]
     assert sheets_pdf(sheets, "a4") == sheets_pdf(sheets, "a4")
+
+
+def test_a_small_code_is_found_in_a_large_image() -> None:
+    """Two pixels and more a cell are enough, whatever the size of the image around it."""
+    codes = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    picture = np.full((3000, 4000), 120, np.uint8)
+    truth = {}
+    for code, side in enumerate((16, 20, 30)):
+        fine = np.full((side + 12, side + 12), 255, np.uint8).repeat(8, axis=0).repeat(8, axis=1)
+        drawn = codes.generateImageMarker(code, 8).repeat(side, axis=0).repeat(side, axis=1)
+        fine[48 : 48 + 8 * side, 48 : 48 + 8 * side] = drawn
+        plate = cv2.resize(
+            cv2.GaussianBlur(fine, (0, 0), 5), None, fx=1 / 8, fy=1 / 8, interpolation=cv2.INTER_AREA
+        )
+        row, column = 700 * code + 333, 1100 * code + 501
+        picture[row : row + side + 12, column : column + side + 12] = plate
+        truth[code] = (column + (side + 11) / 2, row + (side + 11) / 2)
+    found = {m.identity: (m.centre.column, m.centre.row) for m in find_markers(picture, "apriltag_36h11")}
+    assert found.keys() == truth.keys()
+    for code, place in truth.items():
+        assert found[code] == pytest.approx(place, abs=0.05)
