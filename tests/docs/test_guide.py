@@ -54,7 +54,7 @@ class Window:
 
     def interrupt(self) -> None:
         self._process.send_signal(signal.SIGINT)
-        _, said = self._process.communicate(timeout=60)
+        _, said = self._process.communicate(timeout=300)
         assert self._process.returncode == 0, said
 
     def close(self) -> None:
@@ -112,7 +112,7 @@ def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Desk]:
 def recorded(started: Desk) -> Desk:
     """The chapter on the field: the devices fly as soon as the recorder speaks to them."""
     settings = started.folder / "record.toml"
-    limit = time.monotonic() + 60
+    limit = time.monotonic() + 300
     while not settings.exists():
         assert time.monotonic() < limit
         time.sleep(0.05)
