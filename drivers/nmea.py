@@ -57,9 +57,15 @@ def kind_name(kind: int) -> str:
 
 
 def gga(
-    time_utc_ns: int, latitude_deg: float, longitude_deg: float, height_msl_m: float, quality: int
+    time_utc_ns: int,
+    latitude_deg: float,
+    longitude_deg: float,
+    height_msl_m: float,
+    quality: int,
+    satellites: int,
+    dilution: float,
 ) -> bytes:
-    """Return the GGA sentence of a position; number of satellites and dilution are not told.
+    """Return the GGA sentence of a position; the undulation of the geoid is not told.
 
     Parameters
     ----------
@@ -69,6 +75,10 @@ def gga(
         Position; height above mean sea level.
     quality : int
         1 single, 2 differential, 4 fixed, 5 float.
+    satellites : int
+        Number of satellites used.
+    dilution : float
+        Horizontal dilution of precision.
     """
     second, hundredths = divmod(time_utc_ns // 10_000_000 % 8_640_000, 100)
     time = f"{second // 3600:02d}{second // 60 % 60:02d}{second % 60:02d}.{hundredths:02d}"
@@ -78,7 +88,8 @@ def gga(
         return f"{whole:0{degrees}d}{minutes / 10**7:010.7f},{sides[value < 0]}"
 
     place = f"{angle(latitude_deg, 2, 'NS')},{angle(longitude_deg, 3, 'EW')}"
-    return encode(f"GPGGA,{time},{place},{quality},,,{height_msl_m:.3f},M,,M,,")
+    seen = f"{min(satellites, 99):02d},{min(dilution, 99.9):.1f}"
+    return encode(f"GPGGA,{time},{place},{quality},{seen},{height_msl_m:.3f},M,,M,,")
 
 
 def encode(text: str) -> bytes:

@@ -23,15 +23,17 @@ def check(
     Example: `acquire check flight.toml`
     """
     from acquire.recording import preflight
+    from acquire.recording.caster_position import caster_positions
     from acquire.recording.configuration import read_configuration
-    from acquire.recording.recorder import Host
-    from acquire.transports.of_link import source_of_link
+    from acquire.recording.recorder import Host, sources_of
     from drivers.errors import DeviceError
     from drivers.mavlink.dialect import ardupilotmega
 
     chosen = read_configuration(configuration)
-    sources = {link.name: source_of_link(link) for link in chosen.link}
-    findings = preflight.check(chosen, configuration.parent, sources, seconds, Host(), ardupilotmega())
+    host, dialect = Host(), ardupilotmega()
+    positions = caster_positions(chosen, dialect)
+    sources = sources_of(chosen, positions, host.clock_ns)
+    findings = preflight.check(chosen, configuration.parent, sources, positions, seconds, host, dialect)
     answer(
         as_json,
         lambda: preflight.as_json(findings),

@@ -12,6 +12,9 @@ from drivers.errors import ConfigurationError, InputNotFoundError
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
 Positive = Annotated[float, Field(gt=0)]
+Latitude = Annotated[float, Field(ge=-90, le=90)]
+Longitude = Annotated[float, Field(ge=-180, le=180)]
+Height = Annotated[float, Field(ge=-1000, le=20_000)]
 
 
 class Section(BaseModel):
@@ -60,6 +63,7 @@ class Link(Section):
     user: str = ""
     password_env: str = ""
     position_from: Name | None = None
+    position: tuple[Latitude, Longitude, Height] | None = None
     position_every_s: Positive = 10.0
     vehicle: Vehicle | None = None
     ublox: Ublox | None = None
@@ -74,8 +78,9 @@ class Link(Section):
             raise ValueError("corrections come from a receiver or a caster, not from a vehicle")
         if (self.user or self.password_env) and not self.url.startswith(("ntrip:", "ntrips:")):
             raise ValueError("user and password_env belong to an ntrip link")
-        if self.position_from is not None and not self.url.startswith(("ntrip:", "ntrips:")):
-            raise ValueError("position_from belongs to an ntrip link: it tells the caster where the rover is")
+        told = self.position is not None or self.position_from is not None
+        if told and not self.url.startswith(("ntrip:", "ntrips:")):
+            raise ValueError("position and position_from belong to an ntrip link: a caster is told them")
         return self
 
 

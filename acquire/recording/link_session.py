@@ -27,9 +27,13 @@ from drivers.mavlink.dialect import Dialect
 
 
 def link_sessions(
-    configuration: Configuration, writer: MessageWriter, sources: dict[str, Source], dialect: Dialect
+    configuration: Configuration,
+    writer: MessageWriter,
+    sources: dict[str, Source],
+    positions: dict[str, CasterPosition],
+    dialect: Dialect,
 ) -> dict[str, LinkSession]:
-    """Return the sessions of all links, with the ways of the corrections between them.
+    """Return the sessions of all links, with the ways of corrections and positions between them.
 
     Raises
     ------
@@ -41,10 +45,9 @@ def link_sessions(
     }
     for link in configuration.link:
         sessions[link.name].listeners = [sessions[name] for name in link.corrections_to]
+        sessions[link.name].position = positions.get(link.name)
         if link.position_from is not None:
-            position = CasterPosition(dialect, link.position_every_s)
-            sessions[link.name].position = position
-            sessions[link.position_from].asked_for_position.append(position)
+            sessions[link.position_from].asked_for_position.append(positions[link.name])
     return sessions
 
 
@@ -127,9 +130,9 @@ class LinkSession:
         """Go on with the conversation with the device."""
         if batch is not None:
             for position in self.asked_for_position:
-                position.hear(batch, clock_ns)
+                position.hear(batch)
         if self.position is not None:
-            self.send(self.position.due(steady_s), clock_ns, "nmea")
+            self.send(self.position.due(steady_s, clock_ns), clock_ns, "nmea")
         if self._dialogue is None:
             return []
         said = self._dialogue.step(batch, steady_s, clock_ns)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 from dataclasses import dataclass, field
@@ -11,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from acquire.recording.caster_position import CasterPosition
 from acquire.recording.configuration import Configuration, Link
 from acquire.recording.link_session import wires_of
 from acquire.recording.reader import Arrival, read_link
 from acquire.recording.recorder import Host
-from acquire.transports.sources import Source
+from acquire.transports.sources import LinkLostError, Source
 from drivers.frames import Batch, Wire
 from drivers.framing import StreamFramer
 from drivers.gnsstime import utc_date_ns
@@ -60,6 +62,7 @@ def check(
     configuration: Configuration,
     base: Path,
     sources: dict[str, Source],
+    positions: dict[str, CasterPosition],
     seconds: float,
     host: Host,
     dialect: Dialect,
@@ -74,6 +77,8 @@ def check(
         Where relative paths of the configuration begin.
     sources : dict
         Where the links come from.
+    positions : dict
+        What the casters among them are told.
     seconds : float
         How long to listen.
     host : Host
@@ -101,7 +106,11 @@ def check(
             heard[arrival.link].event = arrival.event
         else:
             heard[arrival.link].first_s = min(heard[arrival.link].first_s, host.steady_s())
-            _hear(heard[arrival.link], framers[arrival.link].feed(arrival.data), arrival.time_ns, dialect)
+            batch = framers[arrival.link].feed(arrival.data)
+            _hear(heard[arrival.link], batch, arrival.time_ns, dialect)
+            for link in configuration.link:
+                if link.position_from == arrival.link:
+                    _tell(positions[link.name], sources[link.name], batch, host)
     stop.set()
     for reader in readers:
         reader.join()
@@ -114,6 +123,14 @@ def check(
         )
     ]
     return [*found, *_disk(configuration, base, host)]
+
+
+def _tell(position: CasterPosition, caster: Source, batch: Batch, host: Host) -> None:
+    """Tell a caster where the rover is: one of virtual stations sends nothing before."""
+    position.hear(batch)
+    with contextlib.suppress(LinkLostError):
+        for sentence in position.due(host.steady_s(), host.clock_ns()):
+            caster.write(sentence)
 
 
 def _hear(heard: _Heard, batch: Batch, time_ns: int, dialect: Dialect) -> None:

@@ -16,6 +16,7 @@ from acquire import __version__
 from acquire.channels.link import Tally
 from acquire.log.writer import LogWriter
 from acquire.recording.alarms import LEAST_JUMP_S, Alarm, ClockWatch, SilenceWatch, write_alarms
+from acquire.recording.caster_position import CasterPosition, caster_positions
 from acquire.recording.configuration import Configuration
 from acquire.recording.files import Limits, LogFiles, Told, WholeWrites, new_file, unclosed
 from acquire.recording.link_session import LinkSession, link_sessions
@@ -98,7 +99,9 @@ def record(
         When a file to be attached cannot be read.
     """
     host = host or Host()
-    opened = sources or {link.name: source_of_link(link) for link in configuration.link}
+    dialect = ardupilotmega()
+    positions = caster_positions(configuration, dialect)
+    opened = sources or sources_of(configuration, positions, host.clock_ns)
     attached = _attachments(configuration, base)
     chosen = configuration.recording
 
@@ -119,9 +122,8 @@ def record(
         tell(f"{path} has no end: if it is of this flight, name both in [flight] logs of the project")
     if warning := expiry_warning(host.clock_ns()):
         tell(f"warning: {warning}")
-    flight = _Flight(
-        configuration, files, link_sessions(configuration, files, opened, ardupilotmega()), host, tell
-    )
+    sessions = link_sessions(configuration, files, opened, positions, dialect)
+    flight = _Flight(configuration, files, sessions, host, tell)
     arrivals: SimpleQueue[Arrival] = SimpleQueue()
     readers = [
         threading.Thread(target=read_link, args=(name, source, arrivals, stop, host.clock_ns), daemon=True)
@@ -144,6 +146,20 @@ def record(
             reader.join()
     tallies = {name: session.log.tally for name, session in flight.sessions.items()}
     return Recorded(tuple(files.paths), tallies, tuple(flight.alarms))
+
+
+def sources_of(
+    configuration: Configuration, positions: dict[str, CasterPosition], clock_ns: Callable[[], int]
+) -> dict[str, Source]:
+    """Return the sources of all links; casters are told their positions with the request.
+
+    Raises
+    ------
+    ConfigurationError
+        When an address cannot be meant or a password is missing.
+    """
+    told = {name: position.now(clock_ns) for name, position in positions.items()}
+    return {link.name: source_of_link(link, position=told.get(link.name)) for link in configuration.link}
 
 
 class _Flight:

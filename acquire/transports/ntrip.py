@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import socket
 import ssl
+from collections.abc import Callable
 from dataclasses import dataclass
 from urllib.parse import urlsplit
 
@@ -80,16 +81,25 @@ class NtripSource:
         As the caster knows us; empty for open streams. They appear in no message.
     context : ssl.SSLContext, optional
         Whom to trust; otherwise the authorities that the system trusts.
+    position : callable, optional
+        Gives the GGA sentence that the caster is told when the stream is asked for; empty while none is
+        known. Version 2 takes it in the request (``Ntrip-GGA``), version 1 as the first line after that.
     """
 
     peer = ""
 
     def __init__(
-        self, address: Address, user: str = "", password: str = "", context: ssl.SSLContext | None = None
+        self,
+        address: Address,
+        user: str = "",
+        password: str = "",
+        context: ssl.SSLContext | None = None,
+        position: Callable[[], bytes] | None = None,
     ) -> None:
         self._address = address
         self._login = f"{user}:{password}" if user or password else ""
         self._context = context
+        self._position = position or bytes
         self._port: socket.socket | None = None
         self._body: _Plain | _Chunked = _Plain()
         self._ready = b""
@@ -103,9 +113,12 @@ class NtripSource:
                 if address.encrypted:
                     context = self._context or ssl.create_default_context()
                     line = context.wrap_socket(line, server_hostname=address.host)
-                line.sendall(self._request())
+                sentence = self._position()
+                line.sendall(self._request(sentence))
                 head, rest = _head(line)
                 self._body = _body_of(head)
+                if address.version == 1 and sentence:
+                    line.sendall(sentence)
             except BaseException:
                 line.close()
                 raise
@@ -147,11 +160,13 @@ class NtripSource:
             self._port.close()
             self._port = None
 
-    def _request(self) -> bytes:
+    def _request(self, sentence: bytes) -> bytes:
         address = self._address
         lines = [f"GET /{address.mountpoint} HTTP/1.{address.version - 1}"]
         if address.version == 2:
             lines += [f"Host: {address.host}:{address.port}", "Ntrip-Version: Ntrip/2.0", "Connection: close"]
+            if sentence:
+                lines.append(f"Ntrip-GGA: {sentence.decode('ascii').strip()}")
         lines.append(f"User-Agent: {_AGENT}")
         if self._login:
             lines.append("Authorization: Basic " + base64.b64encode(self._login.encode()).decode())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Protocol
 
 from acquire.transports.ntrip import NtripSource, ntrip_address
@@ -35,8 +35,21 @@ class Addressed(Protocol):
         ...
 
 
-def source_of_link(link: Addressed, environment: Mapping[str, str] = os.environ) -> Source:
+def source_of_link(
+    link: Addressed,
+    environment: Mapping[str, str] = os.environ,
+    position: Callable[[], bytes] | None = None,
+) -> Source:
     """Return the source of a link.
+
+    Parameters
+    ----------
+    link : Addressed
+        The link.
+    environment : mapping
+        Where the password is.
+    position : callable, optional
+        Gives the sentence that a caster is told with the request.
 
     Raises
     ------
@@ -55,4 +68,4 @@ def source_of_link(link: Addressed, environment: Mapping[str, str] = os.environ)
                 remedy="set it before recording",
             )
         password = environment[link.password_env]
-    return NtripSource(address, link.user, password)
+    return NtripSource(address, link.user, password, position=position)

@@ -21,6 +21,7 @@ from acquire.transports.of_link import source_of_link
 from acquire.transports.sources import LinkLostError
 from drivers import rtcm3
 from drivers.errors import ConfigurationError, PhotocalError
+from tests.acquire.live import PATIENCE_S
 
 FRAMES = [rtcm3.encode(b"\x43\x50" + bytes([number]) * 100) for number in range(30)]
 STREAM = b"".join(FRAMES)
@@ -34,12 +35,15 @@ def chunked(data: bytes, size: int) -> bytes:
 
 @contextlib.contextmanager
 def caster(
-    answer: Callable[[str], list[bytes]], context: ssl.SSLContext | None = None
+    answer: Callable[[str], list[bytes]], context: ssl.SSLContext | None = None, lines: int = 0
 ) -> Iterator[tuple[int, list[str]]]:
-    """A caster for one request: `answer` takes the request and gives the pieces to be sent."""
+    """A caster for one request: `answer` takes the request and gives the pieces to be sent.
+
+    A caster of virtual stations waits for lines with the position before the second piece.
+    """
     requests: list[str] = []
     server = socket.create_server(("127.0.0.1", 0))
-    server.settimeout(10)
+    server.settimeout(PATIENCE_S)
 
     def serve() -> None:
         with contextlib.suppress(OSError):
@@ -49,8 +53,13 @@ def caster(
                 while not request.endswith(b"\r\n\r\n"):
                     request += port.recv(4096)
                 requests.append(request.decode())
-                for piece in answer(requests[0]):
+                first, *rest = answer(requests[0])
+                port.sendall(first)
+                with port.makefile("rb") as told:
+                    requests.extend(told.readline().decode() for _ in range(lines))
+                for piece in rest:
                     port.sendall(piece)
+                    # Pieces arrive singly, mostly.
                     time.sleep(0.002)
 
     thread = threading.Thread(target=serve)
@@ -58,7 +67,7 @@ def caster(
     try:
         yield server.getsockname()[1], requests
     finally:
-        thread.join(10)
+        thread.join()
         server.close()
 
 
@@ -67,17 +76,21 @@ def read_all(source: NtripSource) -> bytes:
     data = b""
     with contextlib.suppress(LinkLostError):
         while len(data) < len(STREAM):
-            data += source.read(5)
+            data += source.read(PATIENCE_S)
     source.close()
     return data
 
 
 def source(
-    port: int, version: int = 2, scheme: str = "ntrip", context: ssl.SSLContext | None = None
+    port: int,
+    version: int = 2,
+    scheme: str = "ntrip",
+    context: ssl.SSLContext | None = None,
+    position: bytes = b"",
 ) -> NtripSource:
     address = ntrip_address(f"{scheme}://localhost:{port}/MOUNT?version={version}")
     assert address is not None
-    return NtripSource(address, "me", "hunter2", context)
+    return NtripSource(address, "me", "hunter2", context, lambda: position)
 
 
 ANSWERS = {
@@ -109,6 +122,29 @@ def test_the_request_is_that_of_the_standard(version: int, first: str) -> None:
     assert any(line.startswith("User-Agent: NTRIP ") for line in lines)
     assert f"Authorization: {LOGIN}" in lines
     assert ("Ntrip-Version: Ntrip/2.0" in lines) == (version == 2)
+
+
+# A position as IEC 61162-1 writes it.
+GGA = b"$GPGGA,092750.000,5321.6802,N,00630.3372,W,1,8,1.03,61.7,M,55.2,M,,*76\r\n"
+
+
+def test_version_2_is_told_the_position_with_the_request() -> None:
+    with caster(lambda _: ANSWERS["version 2"]) as (port, requests):
+        assert read_all(source(port, 2, position=GGA)) == STREAM
+    assert f"Ntrip-GGA: {GGA.decode().strip()}" in requests[0].split("\r\n")
+
+
+def test_version_1_is_told_the_position_after_its_answer() -> None:
+    with caster(lambda _: ANSWERS["version 1"], lines=1) as (port, requests):
+        assert read_all(source(port, 1, position=GGA)) == STREAM
+    assert "GGA" not in requests[0]
+    assert requests[1].encode() == GGA
+
+
+def test_without_a_position_nothing_is_told() -> None:
+    with caster(lambda _: ANSWERS["version 2"]) as (port, requests):
+        assert read_all(source(port, 2)) == STREAM
+    assert "GGA" not in requests[0]
 
 
 @pytest.mark.parametrize(
@@ -147,7 +183,10 @@ def test_tls_is_verified(tmp_path: Path) -> None:
     trusting = ssl.create_default_context(cafile=str(certificate))
     with caster(lambda _: ANSWERS["version 2 in chunks"], server) as (port, _):
         assert read_all(source(port, 2, "ntrips", trusting)) == STREAM
-    with caster(lambda _: [], server) as (port, requests), pytest.raises(LinkLostError, match="certificate"):
+    with (
+        caster(lambda _: [b""], server) as (port, requests),
+        pytest.raises(LinkLostError, match="certificate"),
+    ):
         source(port, 2, "ntrips").open()
     assert not requests
 

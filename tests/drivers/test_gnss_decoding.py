@@ -64,9 +64,9 @@ def test_the_age_of_corrections_is_the_class_that_the_receiver_tells() -> None:
     ("lat", "lon"), [(-22.7123456, -43.2000001), (0.0, 179.99999999), (89.5, -0.0000002)]
 )
 def test_a_made_gga_is_what_pynmeagps_reads(lat: float, lon: float) -> None:
-    told = NMEAReader.parse(nmea.gga(1_777_626_059_990_000_000, lat, lon, -12.5, 5))
+    told = NMEAReader.parse(nmea.gga(1_777_626_059_990_000_000, lat, lon, -12.5, 5, 7, 1.24))
     assert (told.lat, told.lon) == pytest.approx((lat, lon), abs=2e-9)
-    assert (told.alt, told.quality) == (-12.5, 5)
+    assert (told.alt, told.quality, told.numSV, told.HDOP) == (-12.5, 5, 7, 1.2)
     moment = dt.datetime.fromtimestamp(1_777_626_059.99, dt.UTC).time()
     assert abs(told.time.microsecond - moment.microsecond) <= 1
     assert told.time.replace(microsecond=0) == moment.replace(microsecond=0)
