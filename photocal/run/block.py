@@ -6,6 +6,7 @@ import csv
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 from drivers.errors import InputNotFoundError
 from photocal.block.setup import MountingKeys
@@ -27,11 +28,24 @@ def block_stage(project: Project, exposures: Path, measurements: Path) -> Stage:
         for name in _FROM_EXPOSURES:
             _copy_rows(exposures / name, folder / name, images)
         setup = folder / "block.toml"
-        text = setup.read_text(encoding="utf-8") + "\n" + mounting_text(project.rig.mounting())
+        keys = project.rig.mounting().model_copy(update=_shared_by_the_flight(exposures))
+        text = setup.read_text(encoding="utf-8") + "\n" + mounting_text(keys)
         setup.write_text(text, encoding="utf-8")
 
     settings = {"rig": project.rig.mounting().model_dump(mode="json")}
     return Stage("block", "the block", make, {}, settings, (exposures, measurements))
+
+
+def _shared_by_the_flight(exposures: Path) -> dict[str, Any]:
+    """What the errors of all positions have in common, as keys of `[mounting]`; none without PPK."""
+    common = json.loads((exposures / "exposures.json").read_text(encoding="utf-8")).get("common")
+    if common is None:
+        return {}
+    return {
+        "flight_shift_sigma_m": tuple(common["shift_sigma_m"]),
+        "height_scale_sigma": common["zenith_scale_sigma"],
+        "height_scale_from_m": common["base_height_m"],
+    }
 
 
 def _copy_rows(source: Path, target: Path, images: set[str]) -> None:
