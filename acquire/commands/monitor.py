@@ -31,7 +31,9 @@ def monitor(
     foxglove: Annotated[
         bool, typer.Option("--foxglove", help="Also serve the channels to Foxglove on this computer.")
     ] = False,
-    foxglove_port: Annotated[int, typer.Option(help="Port for Foxglove.")] = 8765,
+    foxglove_address: Annotated[
+        str, typer.Option(help="HOST:PORT for Foxglove, of this computer alone.")
+    ] = "127.0.0.1:8765",
     mute: Annotated[bool, typer.Option("--mute", help="Do not ring the bell of the terminal.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the state once as JSON.")] = False,
 ) -> None:
@@ -50,8 +52,9 @@ def monitor(
         answer(True, lambda: picture(read_all(tail)).as_json(), str)
     elif foxglove:
         from acquire.monitor.foxglove_server import serving_foxglove
+        from acquire.web import read_address
 
-        with serving_foxglove(foxglove_port) as (listen, url):
+        with serving_foxglove(read_address(foxglove_address)) as (listen, url):
             typer.echo(f"Foxglove: open a connection to {url}", err=True)
             _show(tail, address if page else None, mute, listen)
     else:

@@ -8,20 +8,19 @@ from typing import Any
 
 from acquire.log.reader import Messages
 from acquire.log.records import Channel, Schema
+from acquire.web import Address
 from drivers.errors import ConfigurationError, ProgramMissingError
-
-# The protocol knows no token: what other computers could reach would be open to all of them.
-_HOST = "127.0.0.1"
 
 
 @contextmanager
-def serving_foxglove(port: int) -> Iterator[tuple[Callable[[list[Messages]], None], str]]:
+def serving_foxglove(address: Address) -> Iterator[tuple[Callable[[list[Messages]], None], str]]:
     """Serve channels on this computer until the end of the block.
 
     Parameters
     ----------
-    port : int
-        Where; 0 for any that is free.
+    address : Address
+        Where: one of this computer alone. The protocol and foxglove-sdk know no token, so what other
+        computers could reach would be open to all of them.
 
     Yields
     ------
@@ -35,8 +34,15 @@ def serving_foxglove(port: int) -> Iterator[tuple[Callable[[list[Messages]], Non
     ProgramMissingError
         When the package foxglove-sdk is not installed.
     ConfigurationError
-        When the port is taken.
+        When other computers could reach the address, or the port is taken.
     """
+    if not address.loopback:
+        raise ConfigurationError(
+            "would be open to every computer that reaches it: Foxglove's protocol knows no token",
+            where=str(address),
+            remedy=f"serve it at 127.0.0.1:{address.port} and come by a tunnel: "
+            f"ssh -L {address.port}:127.0.0.1:{address.port} ...",
+        )
     try:
         import foxglove
     except ImportError as missing:
@@ -47,11 +53,15 @@ def serving_foxglove(port: int) -> Iterator[tuple[Callable[[list[Messages]], Non
     context = foxglove.Context()
     try:
         server = foxglove.start_server(
-            name="photocal acquire monitor", host=_HOST, port=port, capabilities=[], context=context
+            name="photocal acquire monitor",
+            host=address.host,
+            port=address.port,
+            capabilities=[],
+            context=context,
         )
     except (RuntimeError, OSError) as refusal:
         raise ConfigurationError(
-            f"cannot be listened on ({refusal})", where=f"{_HOST}:{port}", remedy="choose --foxglove-port"
+            f"cannot be listened on ({refusal})", where=str(address), remedy="choose --foxglove-address"
         ) from refusal
     served: dict[Channel, Any] = {}
 
@@ -64,7 +74,7 @@ def serving_foxglove(port: int) -> Iterator[tuple[Callable[[list[Messages]], Non
                 channel.log(payload, log_time=time_ns)
 
     try:
-        yield listen, f"ws://{_HOST}:{server.port}"
+        yield listen, f"ws://{Address(address.host, server.port)}"
     finally:
         for channel in served.values():
             channel.close()

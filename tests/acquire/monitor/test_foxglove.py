@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import sys
 from pathlib import Path
 
@@ -12,7 +13,12 @@ from playwright.sync_api import Browser
 from acquire.importing.importer import import_recordings
 from acquire.log.reader import LogReader
 from acquire.monitor.foxglove_server import serving_foxglove
+from acquire.web import Address, read_address
 from drivers.errors import ConfigurationError, ProgramMissingError
+from tests.acquire.conftest import Acquire
+from tests.acquire.live import PATIENCE_S
+
+ANY = Address("127.0.0.1", 0)
 
 # Subscribes to three topics and collects messages (github.com/foxglove/ws-protocol: message data are
 # opcode 1, subscription u32, time u64, payload).
@@ -52,7 +58,7 @@ def log(tmp_path_factory: pytest.TempPathFactory, demo_flight: bytes) -> Path:
 def test_a_client_gets_raw_and_decoded_channels_with_their_schemas(browser: Browser, log: Path) -> None:
     (chunk,) = LogReader(log).chunks()
     page = browser.new_page()
-    with serving_foxglove(0) as (listen, url):
+    with serving_foxglove(ANY) as (listen, url):
         assert url.startswith("ws://127.0.0.1:")
         page.evaluate(CLIENT, url)
         # The channels are made known with the first messages; who subscribes then gets what follows.
@@ -81,12 +87,28 @@ def test_a_client_gets_raw_and_decoded_channels_with_their_schemas(browser: Brow
 
 def test_without_the_package_it_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "foxglove", None)
-    with pytest.raises(ProgramMissingError, match=r"photocal\[foxglove\]"), serving_foxglove(0):
+    with pytest.raises(ProgramMissingError, match=r"photocal\[foxglove\]"), serving_foxglove(ANY):
         pass
 
 
 def test_a_port_that_is_taken_is_told() -> None:
-    with serving_foxglove(0) as (_, url):
-        port = int(url.rpartition(":")[2])
-        with pytest.raises(ConfigurationError, match="foxglove-port"), serving_foxglove(port):
+    with serving_foxglove(ANY) as (_, url):
+        taken = read_address(url.removeprefix("ws://"))
+        with pytest.raises(ConfigurationError, match="foxglove-address"), serving_foxglove(taken):
             pass
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "[::]", "192.0.2.1"])  # noqa: S104 - that is what is refused
+def test_what_other_computers_could_reach_is_refused_in_words(host: str, acquire: Acquire, log: Path) -> None:
+    done = acquire("monitor", log, "--foxglove", "--foxglove-address", f"{host}:8765")
+    assert (done.returncode, done.stderr.count("\n")) == (5, 1)
+    assert "knows no token" in done.stderr
+    assert "ssh -L 8765:127.0.0.1:8765" in done.stderr
+
+
+def test_it_is_heard_on_this_computer_alone() -> None:
+    """127.0.0.2 is this computer as well, and not what was bound; so would any outer address be."""
+    with serving_foxglove(ANY) as (_, url):
+        port = read_address(url.removeprefix("ws://")).port
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(("127.0.0.2", port), timeout=PATIENCE_S)

@@ -222,7 +222,8 @@ def test_a_dead_server_is_said_and_its_return_found(
 
 
 def test_nothing_listens_beyond_this_computer(folder: Path, monitor: Monitor, field: Field) -> None:
-    process, line = monitor(folder, "--page", "--address", "127.0.0.1:0", "--foxglove", "--foxglove-port", 0)
+    addresses = ("--address", "127.0.0.1:0", "--foxglove", "--foxglove-address", "127.0.0.1:0")
+    process, line = monitor(folder, "--page", *addresses)
     assert line.startswith("Foxglove: open a connection to ws://127.0.0.1:")
     assert process.stdout is not None
     assert process.stdout.readline().startswith("open http://127.0.0.1:")
