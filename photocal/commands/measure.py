@@ -30,6 +30,12 @@ def measure(
             help="Marked control points: gcp_list.txt, Metashape's markers (.xml), OpenSfM's (.json)."
         ),
     ] = None,
+    marks: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Marks for a project: of Pix4D (.csv, .txt), Metashape (.xml, .csv), OpenSfM, gcp_list.txt."
+        ),
+    ] = None,
     height: Annotated[
         str, typer.Option(help="What the control points' heights are: ellipsoidal or orthometric.")
     ] = "",
@@ -70,6 +76,11 @@ def measure(
         )
     if charuco and not board:
         raise ConfigurationError("--charuco needs a board", remedy="give --board COLUMNSxROWS")
+    if marks and project is None:
+        raise ConfigurationError(
+            "--marks has no coordinates of its points",
+            remedy="give PROJECT.toml, whose control table has them, or --gcp with both",
+        )
     crew = _crew(workers, cluster)
     if cluster:
         # Workers have working folders of their own.
@@ -79,7 +90,7 @@ def measure(
             raise ConfigurationError(
                 "a project names its own control", remedy="give --images with --board or --gcp"
             )
-        record = _project(project or Path(), crew, cache, output)
+        record = _project(project or Path(), marks or [], crew, cache, output)
         answer(as_json, lambda: record, lambda: _project_text(record, output))
     elif board:
         record = _board(images, board, square_m, charuco, output)
@@ -126,7 +137,9 @@ def _board_text(record: dict[str, Any], output: Path) -> str:
     return "\n".join(lines)
 
 
-def _project(path: Path, crew: Workers, cache: Path | None, output: Path) -> dict[str, Any]:
+def _project(
+    path: Path, marks: list[Path], crew: Workers, cache: Path | None, output: Path
+) -> dict[str, Any]:
     from acquire.outputs import output_folder
     from photocal.measurement.block_files import write_block
     from photocal.measurement.orientation import of_exposures
@@ -137,7 +150,8 @@ def _project(path: Path, crew: Workers, cache: Path | None, output: Path) -> dic
     # What `photocal exposures` or `photocal run` left in the work folder: good to start from.
     folder = project.output / "exposures"
     exposures = of_exposures(project, folder) if (folder / "images.csv").exists() else None
-    measured = measure_project(project, exposures, _plan(crew, cache, project.picture_folder), progress)
+    plan = _plan(crew, cache, project.picture_folder)
+    measured = measure_project(project, exposures, plan, progress, marks)
     with output_folder(output) as aside:
         write_block(aside, measured.block, measured.record)
     return measured.record

@@ -132,40 +132,67 @@ def _gcp_list(path: Path, sigma_m: Sigma) -> ControlMarks:
     return ControlMarks(crs, object_points(entries), marks)
 
 
-def _metashape(path: Path, sigma_m: Sigma) -> ControlMarks:
-    """Markers and their pinned projections; the upper-left pixel's centre is (0.5, 0.5) there."""
-    root = read_xml(path)
-    chunks = list(root.iter("chunk"))
+def metashape_marks(path: Path) -> tuple[Mark, ...]:
+    """Read the pinned projections of Metashape's markers, of all of them.
+
+    Parameters
+    ----------
+    path : Path
+        XML of markers, or the document of a project.
+
+    Returns
+    -------
+    tuple of Mark
+        Of images as they are labelled there, often without the file's ending.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+    """
+    return _marks(_chunk(path), path)
+
+
+def _chunk(path: Path) -> Element:
+    chunks = list(read_xml(path).iter("chunk"))
     if len(chunks) != 1:
         raise InputMalformedError(
             f"has {len(chunks)} chunks where one was expected",
             where=path,
             remedy="export the markers of one chunk as XML",
         )
-    chunk = chunks[0]
-    images = {own.get("id", ""): own.get("label", "") for own in chunk.iterfind("cameras/camera")}
-    entries, bare, names = [], [], {}
-    for own in chunk.iterfind("markers/marker"):
-        name = names[own.get("id", "")] = own.get("label", "")
+    return chunks[0]
+
+
+def _marks(chunk: Element, path: Path) -> tuple[Mark, ...]:
+    """Pinned projections; the upper-left pixel's centre is (0.5, 0.5) there."""
+    images = {own.get("id", ""): own.get("label", "") for own in chunk.iterfind("cameras//camera")}
+    names = {own.get("id", ""): own.get("label", "") for own in chunk.iterfind("markers//marker")}
+    return tuple(
+        mark
+        for own in chunk.iterfind("frames/frame/markers/marker")
+        for mark in _locations(own, names, images, path)
+    )
+
+
+def _metashape(path: Path, sigma_m: Sigma) -> ControlMarks:
+    chunk = _chunk(path)
+    entries, bare = [], []
+    for own in chunk.iterfind("markers//marker"):
+        name = own.get("label", "")
         reference = own.find("reference")
         if reference is None or reference.get("x") is None:
             bare.append(name)
         else:
             entries.append(_marker(name, reference, sigma_m, path))
     known = {entry.name for entry in entries}
-    marks = [
-        mark
-        for own in chunk.iterfind("frames/frame/markers/marker")
-        for mark in _locations(own, names, images, path)
-        if mark.point in known
-    ]
+    marks = tuple(mark for mark in _marks(chunk, path) if mark.point in known)
     if not marks:
         raise InputMalformedError(
             "has no placed markers with coordinates", where=path, remedy="export the markers as XML"
         )
     crs = (chunk.findtext("reference") or "").strip()
     local = not crs or crs.startswith("LOCAL_CS")
-    return ControlMarks("local" if local else crs, object_points(entries), tuple(marks), tuple(bare))
+    return ControlMarks("local" if local else crs, object_points(entries), marks, tuple(bare))
 
 
 def _marker(name: str, reference: Element, sigma_m: Sigma, path: Path) -> PointEntry:

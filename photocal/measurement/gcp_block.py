@@ -14,6 +14,7 @@ from photocal.measurement.control_files import ControlMarks, in_map_system, read
 from photocal.measurement.georeferenced import map_places
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.marks import with_marks
+from photocal.measurement.marks_files import named_after
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.measure_ties import TieBlock, sight, stated_footprints, tie_record
 from photocal.measurement.oriented_ties import Progress, orient_ties
@@ -78,7 +79,7 @@ def measure_gcp(
         datum="control",
         points=given.points,
     )
-    start, unknown = with_marks(start, given.marks)
+    start, unknown = with_marks(start, named_after(given.marks, sizes))
     marked = np.unique(start.observations.point[start.points.of_role("control")[start.observations.point]])
     if len(marked) >= FEWEST_CONTROL:
         known = np.isfinite(start.images.sigma[:, 5])

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import ConfigurationError, InputNotFoundError
+from drivers.errors import ConfigurationError, InputNotFoundError, PhotocalError
 from photocal.block.folder import read_points
 from photocal.block.model import Block, Images, ObjectPoints
 from photocal.exchange.parts import Mark
@@ -18,9 +19,10 @@ from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.georeferenced import map_places
-from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import list_images
 from photocal.measurement.marks import read_marks, with_marks
+from photocal.measurement.marks_files import read_any_marks
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.measure_ties import Sighted, TieBlock, sight, stated_footprints, tie_record
 from photocal.measurement.orientation import Orientation
@@ -44,7 +46,11 @@ FEWEST_CONTROL, OTHER_SURFACE_M = 3, 50.0
 
 
 def measure_project(
-    project: Project, exposures: Orientation | None, plan: MatchingPlan, progress: Progress
+    project: Project,
+    exposures: Orientation | None,
+    plan: MatchingPlan,
+    progress: Progress,
+    marks_files: Sequence[Path] = (),
 ) -> TieBlock:
     """Measure the images of a project.
 
@@ -57,6 +63,8 @@ def measure_project(
         from, and with their covariances to predict targets. Without: the positions that the images state.
     plan : MatchingPlan
     progress : callable
+    marks_files : sequence of Path
+        Marks of other programs, beside those of the project, which go before them.
 
     Returns
     -------
@@ -70,7 +78,7 @@ def measure_project(
         When too few images can be read, fit a camera, or are oriented.
     """
     control = read_points(project.control.points)
-    by_hand = _marks_by_hand(project)
+    by_hand = _marks_by_hand(project, marks_files)
     # What was observed of them stands elsewhere: in the block they are start values.
     starts = None
     if exposures is not None:
@@ -180,9 +188,22 @@ def _footprints(
     )
 
 
-def _marks_by_hand(project: Project) -> tuple[Mark, ...]:
+def _marks_by_hand(project: Project, files: Sequence[Path]) -> tuple[Mark, ...]:
     path = project.control.marks
-    return read_marks(path) if path is not None and path.exists() else ()
+    own = read_marks(path) if path is not None and path.exists() else ()
+    sizes = _sizes(project.picture_folder) if files else {}
+    return (*own, *(mark for file in files for mark in read_any_marks(file, sizes)))
+
+
+def _sizes(folder: Path) -> dict[str, tuple[int, int]]:
+    """Width and height of the images that can be read, by name."""
+    sizes = {}
+    for path in list_images(folder):
+        try:
+            sizes[path.name] = read_facts(path).size_px
+        except PhotocalError:
+            continue
+    return sizes
 
 
 def _nowhere(name: str) -> InputNotFoundError:

@@ -56,6 +56,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Site, dict[str
     truth = own.views.project(np.array([1]), np.array([[*lain["P5"], 0.0]]))
     marks = [f"p2.png,P5,{truth[0, 0] + 0.1:.3f},{truth[0, 1]:.3f},0.3,0.3", "none.png,P1,5,5,1,1"]
     (folder / "marks.csv").write_text("image,point,x,y,sx,sy\n" + "\n".join(marks) + "\n")
+    # As another program writes it: no ending, the corner of the upper-left pixel at (0, 0).
+    truth = own.views.project(np.array([2]), np.array([[*lain["P5"], 0.0]])) + 0.5
+    (folder / "pix4d.txt").write_text(f"images/p3,P5,{truth[0, 0]:.3f},{truth[0, 1]:.3f},1.0\n")
     (folder / "project.toml").write_text(
         """
 [project]
@@ -92,6 +95,8 @@ def test_a_project_becomes_a_block(
     said = photocal(
         "measure",
         folder / "project.toml",
+        "--marks",
+        folder / "pix4d.txt",
         "-o",
         tmp_path / "block",
         "--workers",
@@ -118,8 +123,9 @@ def test_a_project_becomes_a_block(
         misses.append(seen.values[k] - own.views.project(np.array([image]), place)[0])
         sigmas.append(seen.sigma[k])
     assert len(misses) >= 15
-    automatic = np.array([s[0] != 0.3 for s in sigmas])
-    assert np.count_nonzero(~automatic) == 1
+    automatic = np.array([s[0] < 0.3 for s in sigmas])
+    assert np.count_nonzero(~automatic) == 2
+    assert np.abs(np.array(misses)[~automatic]).max() == pytest.approx(0.1, abs=0.01)
     assert np.sqrt(np.mean(np.array(misses)[automatic] ** 2)) < 0.05
     # The block orients and calibrates: truth within what the adjustment says of itself.
     assembly = assemble(block)
