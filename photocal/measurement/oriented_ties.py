@@ -27,9 +27,10 @@ Integers = NDArray[np.int64]
 # A title and an amount of work give a context in which the work done is told.
 Progress = Callable[[str, float | None], AbstractContextManager[Callable[[float], None]]]
 
-# Cells along the longer side of an image, tracks in each that are matched precisely, and points that are
-# adjusted: more of them cost time, and what they have in common is no noise that many points take away.
-CELLS, MATCHED_IN_A_CELL, IN_A_CELL = 20, 8, 3
+# Cells along the longer side of an image; points in each that orient it at first, tracks that are matched
+# precisely, and points that are adjusted: more of them cost time, and what they have in common is no noise
+# that many points take away.
+CELLS, FIRST_IN_A_CELL, MATCHED_IN_A_CELL, IN_A_CELL = 20, 1, 20, 3
 # An image with fewer tie points is not oriented by them.
 FEWEST_TIES = 12
 # Images with fewer points of three and more rays also take those of two.
@@ -95,7 +96,7 @@ def orient_ties(
     sizes = np.array([own.size_px for own in start.cameras], dtype=float)[start.images.camera]
     poses, tracks, start, more, sizes, kept = _reached(start, tracks, sizes, kept)
     left_out += more
-    first = adjust_ties(start, poses, _strong(tracks, sizes))
+    first = adjust_ties(start, poses, _strong(tracks, sizes, FIRST_IN_A_CELL))
     views = _views(first)
     tracks, points = _placed(views, thin(tracks, sizes, CELLS, MATCHED_IN_A_CELL))
     partners = _partners(pairs, kept, len(names))
@@ -104,7 +105,7 @@ def orient_ties(
         matched = refine(chosen, views, tracks, points, partners, processes, done)
     matched = without_twins(matched, TWIN_PX)
     camera_kept = replace(start, cameras=first.block.cameras)
-    final = adjust_ties(camera_kept, first.values, _strong(matched, sizes))
+    final = adjust_ties(camera_kept, first.values, _strong(matched, sizes, IN_A_CELL))
     return Oriented(final, _verified(final, matched), tuple(left_out))
 
 
@@ -132,7 +133,7 @@ def _reached(
     start: Block, tracks: Tracks, sizes: Floats, kept: Integers
 ) -> tuple[Floats, Tracks, Block, list[dict[str, str]], Floats, Integers]:
     """Orient the images; those that are not reached are taken out."""
-    poses = orient(start, _strong(tracks, sizes)).images.values
+    poses = orient(start, _strong(tracks, sizes, FIRST_IN_A_CELL)).images.values
     lost: Flags = np.asarray(np.isnan(poses).any(axis=1))
     left_out = [
         {
@@ -156,11 +157,11 @@ def _require_two(keep: Flags, left_out: list[dict[str, str]]) -> None:
         )
 
 
-def _strong(tracks: Tracks, sizes: Floats) -> Tracks:
+def _strong(tracks: Tracks, sizes: Floats, in_a_cell: int) -> Tracks:
     """Points with three and more rays, evenly spread; those with two only where an image lacks others."""
     many = tracks.some((tracks.rays >= 3)[tracks.track])
     seen = np.bincount(many.image, minlength=len(sizes))
-    return thin(many if (seen >= ENOUGH_STRONG).all() else tracks, sizes, CELLS, IN_A_CELL)
+    return thin(many if (seen >= ENOUGH_STRONG).all() else tracks, sizes, CELLS, in_a_cell)
 
 
 def _views(adjusted: Adjusted) -> Views:
