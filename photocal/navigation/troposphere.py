@@ -37,9 +37,9 @@ _COLDEST_DAY = {"north": 28.0, "south": 211.0}
 _GRAVITY, _GAS = 9.80665, 287.054
 # Refractivity of dry air and vapour, K/hPa and K^2/hPa (Rueger 2002, "best average").
 _K1, _K2, _K3 = 77.6890, 71.2952, 375_463.0
-# Day to day: vapour 30 % about its mean, pressure 1 %, temperature 8 K (zenith delays of 5 cm against
-# soundings: Collins and Langley 1997).
-_CLIMATE_VAPOUR, _CLIMATE_DRY = 0.30, 0.03
+# Vapour 30 % about its mean from day to day (zenith delays of 5 cm against soundings: Collins and Langley
+# 1997) and as much from place to place on a latitude; pressure 1 %, temperature 8 K.
+_CLIMATE_VAPOUR, _CLIMATE_DRY = 0.42, 0.03
 # Measured near the ground: the air above it is not the same.
 _MEASURED_VAPOUR, _MEASURED_DRY = 0.12, 0.01
 
