@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from acquire.channels.decoded import Decoded, JsonLayout, Times
 from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, HEALTH
-from acquire.channels.vehicle_messages import SEA_LEVEL
+from acquire.channels.vehicle_messages import FIX_NAMES, SEA_LEVEL
 from acquire.log import foxglove
 from acquire.log.records import Channel
 from drivers.logged import Records
@@ -80,6 +80,11 @@ class Logged:
         channel = Channel(f"/{self.link}/attitude", "protobuf", schema, metadata)
         return Decoded(channel, payloads, self.records.index[there], utc)
 
+    def whole(self, **members: str) -> dict[str, NDArray[np.int64]]:
+        """Return members that count something under names of ours, where every record has a number."""
+        found = {name: self.records.number(member) for name, member in members.items()}
+        return {name: v.astype(np.int64) for name, v in found.items() if np.isfinite(v).all()}
+
     def status(self, receiver: str, fix: list[str], columns: Mapping[str, Any]) -> Decoded:
         """Return the quality of the fixes of a receiver."""
         told = {"time": Times(self.utc_ns), "fix": fix, **columns}
@@ -94,6 +99,17 @@ class Logged:
         columns = {"device": Times(device_utc_ns), "boot_s": boot_ns / 1e9}
         return self.json("/clock", CLOCK, columns)
 
+    def battery(self, voltage: str, current: str) -> Decoded:
+        """Return the state of the battery from members in V and A."""
+        found = self.records.number(voltage), self.records.number(current)
+        return self.health(dict(zip(("voltage_v", "current_a"), found, strict=True)))
+
     def health(self, columns: Mapping[str, Any]) -> Decoded:
         """Return texts and the state of the battery."""
         return self.json("/health", HEALTH, columns)
+
+
+def fix_names(types: Floats) -> list[str]:
+    """Return the names of types of fixes as MAVLink's GPS_RAW_INT and both logs number them; NaN is none."""
+    last = len(FIX_NAMES) - 1
+    return [FIX_NAMES[min(int(v), last)] if v == v else FIX_NAMES[0] for v in types.tolist()]

@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.channels.boot_time import BootTime
-from acquire.channels.decoded import Decoded, Times, in_order
-from acquire.channels.logged import Logged
-from acquire.channels.vehicle_messages import FIX_NAMES
-from drivers.frames import Batch
+from acquire.channels.decoded import Decoded, Times
+from acquire.channels.log_decoder import LogDecoder, Part
+from acquire.channels.logged import Logged, fix_names
 from drivers.ulog import UlogFormats
 
+_YEAR_2000_US, _YEAR_2100_US = 946_684_800e6, 4_102_444_800e6
 _RECEIVERS = {"vehicle_gps_position": "", "sensor_gps": "-sensor", "sensor_gps[1]": "-sensor-2"}
 
 
-class UlogDecoder:
+class UlogDecoder(LogDecoder[UlogFormats]):
     """Decodes the records of a PX4 log; a `Decoder`.
 
     Parameters
@@ -30,67 +30,42 @@ class UlogDecoder:
     """
 
     def __init__(self, link: str, boot: BootTime) -> None:
-        self._link = link
-        self._boot = boot
-        self._formats = UlogFormats()
+        super().__init__(link, boot, UlogFormats())
 
-    def feed(self, batch: Batch, log_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[Decoded]]:
-        """Return the device's time of each frame and the decoded messages."""
-        self._formats.learn(batch)
-        boot = self._formats.boot_ns(batch)
-        utc = np.where(boot >= 0, self._boot.of(boot), log_ns)
-        return utc, in_order(self._decoded(batch, utc, boot))
-
-    def _decoded(self, batch: Batch, utc: NDArray[np.int64], boot: NDArray[np.int64]) -> Iterator[Decoded]:
+    def _decoded(self, part: Part[UlogFormats]) -> Iterator[Decoded]:
         for topic, receiver in _RECEIVERS.items():
-            yield from self._receiver(self._logged(batch, topic, utc), receiver, boot)
-        position = self._logged(batch, "vehicle_global_position", utc)
+            yield from _receiver(part.logged(topic), receiver, part)
+        position = part.logged("vehicle_global_position")
         found = position.records
         place = found.number("lat"), found.number("lon"), found.number("alt")
-        yield position.location(f"/{self._link}/position", place)
-        attitude = self._logged(batch, "vehicle_attitude", utc)
-        wxyz = _quaternion(attitude)
+        yield position.location(f"/{part.link}/position", place)
+        attitude = part.logged("vehicle_attitude")
         # PX4 turns body vectors (forward, right, down) into north, east, down, as the log does.
-        yield attitude.attitude(wxyz[:, [1, 2, 3, 0]])
+        yield attitude.attitude(_quaternion(attitude)[:, [1, 2, 3, 0]])
         for topic, edge in (("camera_capture", "feedback"), ("camera_trigger", "trigger")):
-            yield _exposure(self._logged(batch, topic, utc), edge)
-        yield from self._health(batch, utc)
+            yield _exposure(part.logged(topic), edge)
+        texts = part.formats.texts(part.batch)
+        logged = Logged(part.link, "logging", texts, part.utc_ns[texts.index])
+        yield logged.health({"severity": texts["severity"], "text": texts["text"]})
+        yield part.logged("battery_status").battery("voltage_v", "current_a")
 
-    def _logged(self, batch: Batch, topic: str, utc: NDArray[np.int64]) -> Logged:
-        records = self._formats.decode(batch, topic)
-        return Logged(self._link, topic, records, utc[records.index])
 
-    def _receiver(self, logged: Logged, receiver: str, boot: NDArray[np.int64]) -> Iterator[Decoded]:
-        found = logged.records
-        if not len(found):
-            return
-        fix = found.number("fix_type")
-        kept = logged.rows(fix >= 2)
-        claimed = kept.records.number("eph"), kept.records.number("epv")
-        yield kept.location(f"/gnss/{self._link}{receiver}/fix", _gps_place(kept), claimed)
-        names = [FIX_NAMES[min(int(v), len(FIX_NAMES) - 1)] if v == v else "none" for v in fix.tolist()]
-        satellites = found.number("satellites_used")
-        columns = {"satellites": satellites.astype(np.int64)} if np.isfinite(satellites).all() else {}
-        quality = {
-            "hdop": found.number("hdop"),
-            "horizontal_m": found.number("eph"),
-            "vertical_m": found.number("epv"),
-        }
-        yield logged.status(receiver, names, {**columns, **quality})
-        utc_us = found.number("time_utc_usec")
-        known = (utc_us > 0) & (utc_us < 4_102_444_800e6)
-        device = np.where(known, np.where(known, utc_us, 0).astype(np.int64) * 1000, -1)
-        yield logged.clock(device, boot[found.index])
-
-    def _health(self, batch: Batch, utc: NDArray[np.int64]) -> Iterator[Decoded]:
-        texts = self._formats.texts(batch)
-        logged = Logged(self._link, "logging", texts, utc[texts.index])
-        if len(logged):
-            yield logged.health({"severity": texts["severity"], "text": texts["text"]})
-        battery = self._logged(batch, "battery_status", utc)
-        if len(battery):
-            volt, current = battery.records.number("voltage_v"), battery.records.number("current_a")
-            yield battery.health({"voltage_v": volt, "current_a": current})
+def _receiver(logged: Logged, receiver: str, part: Part[UlogFormats]) -> Iterator[Decoded]:
+    found = logged.records
+    if not len(found):
+        return
+    fix = found.number("fix_type")
+    kept = logged.rows(fix >= 2)
+    claimed = kept.records.number("eph"), kept.records.number("epv")
+    yield kept.location(f"/gnss/{part.link}{receiver}/fix", _gps_place(kept), claimed)
+    quality = {
+        "hdop": found.number("hdop"),
+        "horizontal_m": found.number("eph"),
+        "vertical_m": found.number("epv"),
+    }
+    yield logged.status(receiver, fix_names(fix), {**logged.whole(satellites="satellites_used"), **quality})
+    device = _told_utc(found.number("time_utc_usec"), earliest_us=0.0)
+    yield logged.clock(device, part.boot_ns[found.index])
 
 
 def _gps_place(logged: Logged) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -111,13 +86,14 @@ def _quaternion(logged: Logged) -> NDArray[np.float64]:
 
 def _exposure(logged: Logged, edge: str) -> Decoded:
     found = logged.records
-    utc_us = found.number("timestamp_utc")
-    told = (utc_us > 946_684_800e6) & (utc_us < 4_102_444_800e6)
-    gps = np.where(told, utc_us, 0).astype(np.int64) * 1000
-    columns: dict[str, Any] = {"time": Times(np.where(told, gps, logged.utc_ns))}
-    sequence = found.number("seq")
-    if np.isfinite(sequence).all():
-        columns["sequence"] = sequence.astype(np.int64)
+    gps = _told_utc(found.number("timestamp_utc"), earliest_us=_YEAR_2000_US)
+    columns: dict[str, Any] = {"time": Times(np.where(gps >= 0, gps, logged.utc_ns))}
     names = {"latitude_deg": "lat", "longitude_deg": "lon", "altitude_msl_m": "alt"}
     columns |= {name: found.number(member) for name, member in names.items() if member in found}
-    return logged.exposure(edge, columns)
+    return logged.exposure(edge, {**columns, **logged.whole(sequence="seq")})
+
+
+def _told_utc(microseconds: NDArray[np.float64], earliest_us: float) -> NDArray[np.int64]:
+    """Return UTC that records tell, nanoseconds since 1970; -1 where they tell none."""
+    told = (microseconds > earliest_us) & (microseconds < _YEAR_2100_US)
+    return np.where(told, np.where(told, microseconds, 0).astype(np.int64) * 1000, -1)

@@ -1,0 +1,77 @@
+"""What the decoders of autopilots' own logs share: times of the records, and records by their names."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.channels.boot_time import BootTime
+from acquire.channels.decoded import Decoded, in_order
+from acquire.channels.logged import Logged
+from drivers.frames import Batch
+from drivers.logged import Definitions
+
+Formats = TypeVar("Formats", bound=Definitions)
+
+
+@dataclass(frozen=True)
+class Part(Generic[Formats]):
+    """A batch of a log.
+
+    Parameters
+    ----------
+    link : str
+        Name of the link.
+    formats : Definitions
+        What the log has said of its records so far.
+    batch : Batch
+        The records.
+    utc_ns, boot_ns : int64 (n,)
+        UTC of each, nanoseconds since 1970, and time since the start of the autopilot; -1 where it has none.
+    """
+
+    link: str
+    formats: Formats
+    batch: Batch
+    utc_ns: NDArray[np.int64]
+    boot_ns: NDArray[np.int64]
+
+    def logged(self, name: str) -> Logged:
+        """Return the records of a kind."""
+        records = self.formats.decode(self.batch, name)
+        return Logged(self.link, name, records, self.utc_ns[records.index])
+
+
+class LogDecoder(ABC, Generic[Formats]):
+    """Decodes the records of a log; a `Decoder`.
+
+    Parameters
+    ----------
+    link : str
+        Name of the link.
+    boot : BootTime
+        When the autopilot started.
+    formats : Definitions
+        Reads the definitions of the log, from its beginning.
+    """
+
+    def __init__(self, link: str, boot: BootTime, formats: Formats) -> None:
+        self._link = link
+        self._boot = boot
+        self._formats = formats
+
+    def feed(self, batch: Batch, log_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[Decoded]]:
+        """Return the device's time of each frame and the decoded messages."""
+        self._formats.learn(batch)
+        boot = self._formats.boot_ns(batch)
+        utc = np.where(boot >= 0, self._boot.of(boot), log_ns)
+        return utc, in_order(self._decoded(Part(self._link, self._formats, batch, utc, boot)))
+
+    @abstractmethod
+    def _decoded(self, part: Part[Formats]) -> Iterator[Decoded]:
+        """Decode a batch."""
