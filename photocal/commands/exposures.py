@@ -57,7 +57,7 @@ def exposures(
     ] = None,
     check_images: Annotated[
         bool,
-        typer.Option("--check-images", help="Match neighbouring images and compare their rotations."),
+        typer.Option("--check-images", help="Orient the images by tie points and compare their rotations."),
     ] = False,
     rover: Annotated[Path | None, typer.Option(help="RINEX observations of the rover.")] = None,
     base: Annotated[Path | None, typer.Option(help="RINEX observations of the base.")] = None,
@@ -98,7 +98,7 @@ def exposures(
     from photocal.navigation.exposure_report import exposures_text
     from photocal.navigation.exposure_run import Choices, run_exposures
     from photocal.navigation.exposure_write import write_run
-    from photocal.navigation.image_rotations import Neighbours
+    from photocal.navigation.image_checks import TieMatching
     from photocal.navigation.ppk_inputs import Sources
     from photocal.navigation.rig import Rig
     from photocal.navigation.rig import camera_axes as axes_of
@@ -137,7 +137,7 @@ def exposures(
     choices = replace(choices, oriented=oriented)
     if check_images:
         plan = MatchingPlan(default_cache(), os.cpu_count() or 1)
-        choices = replace(choices, neighbours=Neighbours(plan, progress))
+        choices = replace(choices, ties=TieMatching(plan, progress))
     with tempfile.TemporaryDirectory() as scratch:
         run = run_exposures(choices, Rtklib(), Path(scratch))
     with output_folder(output) as folder:

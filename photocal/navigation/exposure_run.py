@@ -30,18 +30,15 @@ from photocal.navigation.exposure_sources import (
 from photocal.navigation.exposures import CameraMatch, Exposures, at_camera, at_events, match_images
 from photocal.navigation.flight_log import named
 from photocal.navigation.host_time import autopilot_time
+from photocal.navigation.image_checks import TieMatching, check_images, check_oriented
 from photocal.navigation.image_metadata import ImageMetadata, clock_time_s, read_images
-from photocal.navigation.image_rotations import Neighbours, compare_rotations
 from photocal.navigation.mrk import CameraEventList, listed_in, read_mrk
 from photocal.navigation.oriented_images import oriented_images
-from photocal.navigation.oriented_rotations import boresight_check, compare_with_oriented
-from photocal.navigation.position_check import judge_positions
 from photocal.navigation.ppk import options_for, process
 from photocal.navigation.ppk_inputs import Sources, gather_inputs
 from photocal.navigation.ppk_report import ppk_figures
 from photocal.navigation.receiver_recording import ReceiverRecording, read_receivers
 from photocal.navigation.rig import Rig
-from photocal.navigation.rotation_check import rotation_check
 from photocal.navigation.time import HostTime
 from photocal.navigation.trajectory import Trajectory
 from photocal.navigation.vehicle import VehicleTrack, read_vehicle
@@ -69,8 +66,8 @@ class Choices:
         Between the clocks of camera and log.
     oriented : Path or None
         Run folder of an adjustment of the same images, whose positions check the exposures.
-    neighbours : Neighbours or None
-        How to match neighbouring images to check their rotations; None: not at all.
+    ties : TieMatching or None
+        How to find tie points of the images to check their rotations; None: not at all.
     """
 
     sources: Sources
@@ -82,7 +79,7 @@ class Choices:
     rig: Rig = field(default_factory=Rig)
     largest_offset_s: float = 60.0
     oriented: Path | None = None
-    neighbours: Neighbours | None = None
+    ties: TieMatching | None = None
 
 
 @dataclass(frozen=True)
@@ -252,11 +249,14 @@ def _judged(
     evidence = Evidence(choices.rig, events, others, antenna, trajectory, rover, vehicle, listed, images, ppk)
     checks = check_exposures(evidence)
     if choices.oriented is not None:
-        checks = [check for check in checks if check.code != "boresight"]
-        checks += _of_oriented(choices.oriented, exposures, choices.rig)
-    if choices.neighbours is not None:
-        pairs = compare_rotations(exposures, flight.images, choices.rig, choices.neighbours)
-        checks.append(rotation_check(exposures, pairs, "matched points"))
+        oriented = oriented_images(choices.oriented, exposures.image)
+        checks += check_oriented(oriented, exposures, choices.rig, "the adjustment")
+    elif choices.ties is not None:
+        checks += check_images(exposures, images, choices.rig, choices.ties)
+    if choices.oriented is not None or choices.ties is not None:
+        # What was said to be out of sight is in sight now.
+        seen = {check.code for check in checks if check.verdict != "not possible"}
+        checks = [c for c in checks if c.verdict != "not possible" or c.code not in seen]
     figures = exposure_figures(exposures, events, cameras, clocks, checks, ppk)
     return ExposureRun(antenna, exposures, trajectory, cameras, flight.images, checks, figures)
 
@@ -266,19 +266,6 @@ def _receiver_clock(rover: ReceiverRecording | None) -> ComparedClocks | None:
         return None
     epochs, arrivals = rover.epochs_and_arrivals()
     return device_by_arrival("GNSS time by the recording computer's clock (RXM-RAWX)", epochs, arrivals)
-
-
-def _of_oriented(folder: Path, exposures: Exposures, rig: Rig) -> list[Check]:
-    """Hold exposures against images that an adjustment oriented."""
-    oriented = oriented_images(folder, exposures.image)
-    found = [
-        judge_positions("positions of the adjusted images", exposures, oriented.place, rig, "similarity")
-    ]
-    pairs = compare_with_oriented(exposures, oriented, rig)
-    if pairs:
-        found.append(rotation_check(exposures, pairs, "the adjustment"))
-        found.append(boresight_check(exposures, oriented, rig))
-    return found
 
 
 def _above_take_off(images: list[ImageMetadata | None]) -> np.ndarray[Any, np.dtype[np.float64]]:

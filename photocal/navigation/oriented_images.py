@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.geometry.rotation import matrix_from_angles
+from photocal.measurement.match_images import MatchingPlan
+from photocal.measurement.measure_ties import measure_ties
+from photocal.measurement.oriented_ties import Progress
 
 Floats = NDArray[np.float64]
 
@@ -64,6 +67,38 @@ def oriented_images(folder: Path, images: list[str]) -> OrientedImages:
             raise InputMalformedError(
                 "has no position of an image", where=f"{path}, line {number}", remedy="give image,X,Y,Z"
             ) from damage
+    return _in_order(found, images)
+
+
+def oriented_by_ties(
+    paths: list[Path], images: list[str], plan: MatchingPlan, progress: Progress
+) -> OrientedImages:
+    """Orient images by tie points, see `photocal.measurement.measure_ties`.
+
+    Parameters
+    ----------
+    paths : list of Path
+        Files of the images.
+    images : list of str (n,)
+        Names, as `oriented_images` takes them.
+    plan : MatchingPlan
+        How features are found and matched.
+    progress : callable
+        Shows a bar for a title and an amount of work.
+
+    Raises
+    ------
+    PhotocalError
+        When too few images can be read, or their tie points do not orient them.
+    """
+    made = measure_ties(paths, "images", plan, progress).block.images
+    rows = zip(made.names, made.values.tolist(), strict=True)
+    found = {name: [*row[3:6], *np.degrees(row[:3]).tolist()] for name, row in rows}
+    return _in_order(found, images)
+
+
+def _in_order(found: dict[str, list[float]], images: list[str]) -> OrientedImages:
+    """Return images of which X, Y, Z and omega, phi, kappa (deg) are known by name."""
     unknown = [np.nan] * 6
     table = np.array([found.get(name.split(" ")[0], unknown) for name in images]).reshape(-1, 6)
     return OrientedImages(table[:, :3], matrix_from_angles(np.radians(table[:, 3:])))

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from acquire.simulate.gnss.antenna import Antenna
 from acquire.simulate.gnss.session import simulate
-from acquire.simulate.gnss.settings import BASE, ROVER, ReceiverModel
+from acquire.simulate.gnss.settings import BASE, ROVER, ReceiverModel, SkySettings
 from acquire.simulate.gnss.streams import base_ubx, rover_ubx
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.ppk import Inputs, PpkResult, options_for, process
@@ -54,6 +54,8 @@ class Case:
     base: ReceiverModel = BASE
     away_m: float = 0.0
     two_frequencies: bool = True
+    raised_m: float = 0.0
+    sky: SkySettings | None = None
 
 
 _POOR = replace(ROVER, code_multipath_m=2.0, phase_multipath_m=0.012, cn0_dbhz=44.0)
@@ -78,7 +80,7 @@ def flown(case: Case, seed: int, folder: Path) -> tuple[PpkResult, Floats]:
     # Another sky for each seed.
     start = gps_ns(2025, 6, 15, 3 + 4 * (seed % 5), 11, 7)
     way = Loop(start)
-    shift = np.array([case.away_m, 0.0, 0.0]) @ AXES
+    shift = np.array([case.away_m, 0.0, case.raised_m]) @ AXES
     rover = Antenna(lambda t: way.position(t) + shift, way.velocity)
     session = simulate(
         rover,
@@ -88,6 +90,7 @@ def flown(case: Case, seed: int, folder: Path) -> tuple[PpkResult, Floats]:
         rng=np.random.default_rng(seed),
         rover_model=replace(case.rover, interval_s=1.0),
         base_model=case.base,
+        sky=case.sky,
     )
     engine, near = Rtklib(), GpsTime(np.array([start]))
     rover_stream = rover_ubx(session, None, rng=np.random.default_rng(seed + 1))

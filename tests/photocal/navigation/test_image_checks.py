@@ -1,4 +1,4 @@
-"""Rotations between neighbouring images against recorded attitudes; images stored turned."""
+"""Exposures against their images: stored turns, gimbal angles of a recorded flight."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 from photocal.measurement.features import FeatureSettings
 from photocal.measurement.match_images import MatchingPlan
 from photocal.navigation.exposure_run import Choices, place_exposures
-from photocal.navigation.image_rotations import Neighbours
+from photocal.navigation.image_checks import TieMatching
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.rig import Rig
 from photocal.navigation.rotation_check import PairRotation, stored_turns
@@ -66,20 +66,36 @@ def test_exposures_of_images_alone(photocal: Photocal, shared: Path, tmp_path: P
 
 @pytest.mark.shared
 def test_a_strip_stored_upside_down(shared: Path, tmp_path: Path) -> None:
-    plan = MatchingPlan(tmp_path, 1, FeatureSettings(most=4000, longest_px=1400))
+    plan = MatchingPlan(tmp_path, 1, FeatureSettings(most=1500, longest_px=1000))
     choices = Choices(
         Sources(),
         shared / "data/uav-brighton-beach/images",
         rig=Rig(angle_sigma=np.radians([1.0, 1.0, 2.0])),
-        neighbours=Neighbours(plan, silent),
+        ties=TieMatching(plan, silent),
     )
-    check = place_exposures(choices, None, None).checks[-1]
-    assert (check.code, check.verdict) == ("image-rotations", "failed")
+    checks = {own.code: own for own in place_exposures(choices, None, None).checks}
+    check = checks["image-rotations"]
+    assert check.verdict == "failed"
     # README of the data.
     turned = check.figures["stored_turned"]
     assert [entry["image"] for entry in turned] == [f"DJI_{n:04d}.JPG" for n in range(24, 30)]
     assert {entry["degrees"] for entry in turned} == {180}
     assert "DJI_0024.JPG to DJI_0029.JPG" in check.text
-    # Gimbal angles are good to a degree from image to image of a strip.
+    # Gimbal angles are good to a degree from image to image, also where the strip changes.
     assert len(check.figures["pairs"]) == 17
-    assert check.figures["median_same_way_deg"] < 1.0
+    assert check.figures["median_deg"] < 1.0
+    assert checks["boresight"].verdict == "passed"
+
+
+@pytest.mark.shared
+def test_images_that_do_not_overlap_say_so(shared: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for number in (18, 35):
+        source = shared / f"data/uav-brighton-beach/images/DJI_{number:04d}.JPG"
+        (folder / source.name).symlink_to(source)
+    ties = TieMatching(MatchingPlan(tmp_path / "cache", 1, FeatureSettings(500, 600)), silent)
+    run = place_exposures(Choices(Sources(), folder, ties=ties), None, None)
+    check = {own.code: own for own in run.checks}["image-rotations"]
+    assert check.verdict == "not possible"
+    assert check.text
