@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import erf
 
 Floats = NDArray[np.float64]
 
@@ -163,8 +164,6 @@ def _beside(p: Floats, angle: float, x: Floats, y: Floats) -> Floats:
 
 
 def _edge(distance: Floats, blur: float) -> Floats:
-    from scipy.special import erf
-
     return np.asarray(erf(distance / (np.sqrt(2) * max(abs(blur), _FINEST_BLUR_PX))))
 
 

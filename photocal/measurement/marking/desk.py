@@ -9,11 +9,14 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.block.model import ROLES
 from photocal.exchange.parts import Mark
+from photocal.measurement.eccentricity import ground_bend
 from photocal.measurement.image_file import Grey, read_grey
 from photocal.measurement.marking.adjustment import Adjusted, adjust_marks
 from photocal.measurement.marking.scene import Picture, Scene
@@ -21,7 +24,11 @@ from photocal.measurement.marking.snap import KINDS, Kind, snap
 from photocal.measurement.marking.store import MarkStore
 from photocal.measurement.marking.tiles import TILE_PX, TileAddress, Tiles
 from photocal.measurement.marks import BY_HAND_PX
+from photocal.measurement.orientation import Orientation
+from photocal.measurement.patterns import FLAT
 from photocal.measurement.prediction import ellipse, predict
+
+Floats = NDArray[np.float64]
 
 FARTHEST_REACH_PX = 60.0
 # Decimals in marks.csv: what is shown is what is written.
@@ -120,7 +127,7 @@ class Desk:
     def images(self, point: str) -> dict[str, Any]:
         """Images by how likely they show a point, and where."""
         names = [name for name, own in self._scene.pictures.items() if not own.reason]
-        orientation = self._scene.orientation if self._adjusted is None else self._adjusted.orientation
+        orientation = self._orientation
         known = self._scene.points
         seen: dict[str, dict[str, Any]] = {}
         if orientation is not None and point in known.names:
@@ -177,13 +184,31 @@ class Desk:
         if click.kinds:
             facts = path.stat()
             grey = _grey(path, facts.st_mtime_ns, facts.st_size)
-            snapped = snap(grey, place, click.reach, click.kinds, self._scene.dictionaries)
+            bend = self._bend(click.image, place)
+            snapped = snap(grey, place, click.reach, click.kinds, self._scene.dictionaries, bend)
         if snapped is None:
             mark = _rounded(click, place, (BY_HAND_PX, BY_HAND_PX))
         else:
             mark = _rounded(click, (snapped.x, snapped.y), snapped.sigma)
         self._store.put(mark)
         return self.state() | {"snapped": None if snapped is None else snapped.kind}
+
+    @property
+    def _orientation(self) -> Orientation | None:
+        return self._scene.orientation if self._adjusted is None else self._adjusted.orientation
+
+    def _bend(self, image: str, place: tuple[float, float]) -> Floats:
+        """How level ground is bent there; not at all where nothing is known of the image."""
+        orientation = self._orientation
+        if orientation is None or image not in orientation.images.names:
+            return FLAT
+        k = orientation.images.names.index(image)
+        values = orientation.images.values[k : k + 1]
+        if not np.isfinite(values).all():
+            return FLAT
+        rotation = orientation.views(orientation.to_local(values[:, 3:])).rotation[k]
+        camera = orientation.cameras[orientation.images.camera[k]]
+        return ground_bend(camera, rotation, np.array(place))
 
     def remove(self, body: bytes) -> dict[str, Any]:
         """Take a mark away."""

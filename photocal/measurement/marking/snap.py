@@ -8,12 +8,16 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
-from photocal.measurement.centres import Centre, cross_centre, disc_centre, saddle_centre
+from photocal.measurement.centres import Centre, cross_centre, disc_centre, ring_centre, saddle_centre
 from photocal.measurement.image_file import Grey
 from photocal.measurement.markers import find_markers
+from photocal.measurement.patterns import FLAT
 
-Kind = Literal["cross", "hourglass", "circle", "code"]
+Floats = NDArray[np.float64]
+
+Kind = Literal["cross", "hourglass", "circle", "ring", "code"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 # Sizes of targets that are tried, px: each half as large again as the one before.
 SIZES = (8.0, 12.0, 18.0, 27.0, 40.0, 60.0)
@@ -21,6 +25,8 @@ SIZES = (8.0, 12.0, 18.0, 27.0, 40.0, 60.0)
 _IN_VAIN = 2
 # Codes that are tried when the project names none.
 DICTIONARIES = ("apriltag_36h11", "4x4_1000", "5x5_1000", "6x6_1000")
+# Targets look the same when turned by 180 degrees: what is less alike (correlation) is not fitted at all.
+LEAST_ALIKE = 0.75
 # The picture of the target must explain the grey values: noise in parts of the contrast.
 WORST_MISFIT = 0.15
 LEAST_CONTRAST = 12.0
@@ -56,6 +62,7 @@ def snap(
     reach: float,
     kinds: tuple[Kind, ...] = KINDS,
     dictionaries: tuple[str, ...] = DICTIONARIES,
+    bend: Floats = FLAT,
 ) -> Snapped | None:
     """Find the centre of the target at a place.
 
@@ -73,6 +80,9 @@ def snap(
         What may be found.
     dictionaries : tuple of str
         Of coded targets.
+    bend : ndarray, shape (2, 2, 2)
+        Of level ground there, from `eccentricity.ground_bend`: circles, rings and crosses are then measured
+        in their own centre, not in that of their picture.
 
     Returns
     -------
@@ -87,15 +97,15 @@ def snap(
     best: tuple[Kind, float, Centre] | None = None
     in_vain = 0
     for size in SIZES:
-        middle = symmetric_place(grey, place, reach, size / 2)
+        middle, likeness = symmetric_place(grey, place, reach, size / 2)
         # Of small targets there may be several within reach: the one that was clicked counts, too.
         starts = (place, middle) if size <= 2 * reach else (middle,)
         found = [
             (kind, size, centre)
             for kind in kinds
-            if kind != "code"
+            if kind != "code" and likeness >= LEAST_ALIKE
             for start in starts
-            for centre in [_FITS[kind](grey, start, size)]
+            for centre in [_FITS[kind](grey, start, size, bend)]
             if centre is not None and _good(centre, place, reach) and _sharp(centre, size)
         ]
         better = min(found, key=lambda one: _variance(one[2]), default=None)
@@ -109,7 +119,7 @@ def snap(
         return None
     kind, size, centre = best
     # A window around a click leans to one side: it is laid around the centre.
-    again = _FITS[kind](grey, (centre.column, centre.row), size)
+    again = _FITS[kind](grey, (centre.column, centre.row), size, bend)
     return _snapped(kind, again if again is not None and _good(again, place, reach) else centre)
 
 
@@ -129,7 +139,7 @@ def _snapped(kind: Kind, centre: Centre) -> Snapped:
 
 def symmetric_place(
     grey: Grey, place: tuple[float, float], reach: float, radius: float
-) -> tuple[float, float]:
+) -> tuple[tuple[float, float], float]:
     """Find the pixel about which an image is most alike when turned by 180 degrees, as targets are.
 
     Parameters
@@ -144,14 +154,16 @@ def symmetric_place(
 
     Returns
     -------
-    (float, float)
+    place : (float, float)
         Column and row; the place itself where it lies too near to the edge of the image.
+    likeness : float
+        The largest correlation with what is turned within reach; 1 where it is not known.
     """
     far, r = math.ceil(reach), math.ceil(radius)
     column, row = round(place[0]), round(place[1])
     height, width = grey.shape
     if not (far + r <= column < width - far - r and far + r <= row < height - far - r):
-        return place
+        return place, 1.0
     cut = grey[row - far - r : row + far + r + 1, column - far - r : column + far + r + 1].astype(np.float32)
     windows = np.lib.stride_tricks.sliding_window_view(cut, (2 * r + 1, 2 * r + 1))
     centred = windows - windows.mean(axis=(2, 3), keepdims=True)
@@ -165,7 +177,8 @@ def symmetric_place(
     aside = np.hypot(*np.mgrid[-far : far + 1, -far : far + 1])
     score = np.where(aside <= reach, likeness * np.maximum(weaker, 0) ** 0.25, -1)
     down_by, right_by = np.unravel_index(int(score.argmax()), score.shape)
-    return float(column - far + right_by), float(row - far + down_by)
+    middle = (float(column - far + right_by), float(row - far + down_by))
+    return middle, float(likeness[aside <= reach].max())
 
 
 def _good(centre: Centre, place: tuple[float, float], reach: float) -> bool:
@@ -174,18 +187,28 @@ def _good(centre: Centre, place: tuple[float, float], reach: float) -> bool:
     return near and clear
 
 
-def _saddle(grey: Grey, place: tuple[float, float], size: float) -> Centre | None:
+def _cross(grey: Grey, place: tuple[float, float], size: float, bend: Floats) -> Centre | None:
+    return cross_centre(grey, place, size, bend=bend)
+
+
+def _saddle(grey: Grey, place: tuple[float, float], size: float, _: Floats) -> Centre | None:
+    # Straight lines stay straight.
     return saddle_centre(grey, place, size / 2)
 
 
-def _disc(grey: Grey, place: tuple[float, float], size: float) -> Centre | None:
-    return disc_centre(grey, place, (size / 2, size / 2))
+def _disc(grey: Grey, place: tuple[float, float], size: float, bend: Floats) -> Centre | None:
+    return disc_centre(grey, place, (size / 2, size / 2), bend=bend)
 
 
-_FITS: dict[Kind, Callable[[Grey, tuple[float, float], float], Centre | None]] = {
-    "cross": cross_centre,
+def _ring(grey: Grey, place: tuple[float, float], size: float, bend: Floats) -> Centre | None:
+    return ring_centre(grey, place, (size / 2, size / 2), bend=bend)
+
+
+_FITS: dict[Kind, Callable[[Grey, tuple[float, float], float, Floats], Centre | None]] = {
+    "cross": _cross,
     "hourglass": _saddle,
     "circle": _disc,
+    "ring": _ring,
 }
 
 

@@ -26,6 +26,15 @@ def perspective(rng: np.random.Generator, size: int, flattening: float = 0.6) ->
     return matrix
 
 
+def bend(matrix: Floats) -> Floats:
+    """Of the picture's plane at the image of the origin, from its line at infinity."""
+    line = np.linalg.solve(matrix.T, [0.0, 0.0, 1.0])
+    slope = line[:2] / (line @ matrix[:, 2]) * matrix[2, 2]
+    # d / (1 + slope d) = d - d (slope d) + ...
+    one = np.einsum("ij,k->ijk", np.eye(2), slope)
+    return np.asarray(-(one + np.swapaxes(one, 1, 2)) / 2)
+
+
 def render(
     scene: Callable[[Floats, Floats], Floats],
     matrix: Floats,

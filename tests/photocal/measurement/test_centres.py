@@ -23,7 +23,7 @@ from photocal.measurement.eccentricity import ground_bend
 from photocal.measurement.patterns import flattened
 from photocal.measurement.views import Views
 
-from .rendering import DARK, LIGHT, perspective, render
+from .rendering import DARK, LIGHT, bend, perspective, render
 
 Floats = NDArray[np.float64]
 SAMPLES = 40
@@ -69,21 +69,12 @@ def _ring(u: Floats, v: Floats) -> Floats:
     return np.where((np.hypot(u, v) < 10) & (np.hypot(u, v) > 5), DARK, LIGHT)
 
 
-def _bend(matrix: Floats) -> Floats:
-    """Of the picture's plane at the image of the origin, from its line at infinity."""
-    line = np.linalg.solve(matrix.T, [0.0, 0.0, 1.0])
-    slope = line[:2] / (line @ matrix[:, 2]) * matrix[2, 2]
-    # d / (1 + slope d) = d - d (slope d) + ...
-    one = np.einsum("ij,k->ijk", np.eye(2), slope)
-    return np.asarray(-(one + np.swapaxes(one, 1, 2)) / 2)
-
-
 def _measured_disc(grey: NDArray[np.uint8], near: Floats, matrix: Floats) -> Centre | None:
-    return disc_centre(grey, (near[0], near[1]), (9.0, 8.0), bend=_bend(matrix))
+    return disc_centre(grey, (near[0], near[1]), (9.0, 8.0), bend=bend(matrix))
 
 
 def _measured_ring(grey: NDArray[np.uint8], near: Floats, matrix: Floats) -> Centre | None:
-    return ring_centre(grey, (near[0], near[1]), (9.0, 8.0), bend=_bend(matrix))
+    return ring_centre(grey, (near[0], near[1]), (9.0, 8.0), bend=bend(matrix))
 
 
 def _measured_square(grey: NDArray[np.uint8], near: Floats, matrix: Floats) -> Centre | None:
@@ -145,7 +136,7 @@ def test_eccentricity_of_tilted_circles(
     assert np.hypot(*(ellipse - matrix[:2, 2])) > 1
     grey = render(scene, matrix, 80, rng, noise=0.01)
     near = (float(ellipse[0]), float(ellipse[1]))
-    mended, bare = measure(grey, near, (14.0, 13.0), bend=_bend(matrix)), measure(grey, near, (14.0, 13.0))
+    mended, bare = measure(grey, near, (14.0, 13.0), bend=bend(matrix)), measure(grey, near, (14.0, 13.0))
     assert mended is not None
     assert bare is not None
     assert (mended.column, mended.row) == pytest.approx(tuple(matrix[:2, 2]), abs=0.03)

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from photocal.measurement.marking.snap import Kind, snap, symmetric_place
-from tests.photocal.measurement.rendering import DARK, LIGHT, perspective, render, warped
+from tests.photocal.measurement.rendering import DARK, LIGHT, bend, perspective, render, warped
 from tests.photocal.measurement.site import texture
 
 Floats = NDArray[np.float64]
@@ -27,7 +27,13 @@ def circle(u: Floats, v: Floats) -> Floats:
     return np.where(np.hypot(u, v) < 6, LIGHT, DARK)
 
 
-@pytest.mark.parametrize(("kind", "scene"), [("cross", cross), ("hourglass", hourglass), ("circle", circle)])
+def ring(u: Floats, v: Floats) -> Floats:
+    return np.where((np.hypot(u, v) < 10) & (np.hypot(u, v) > 5), LIGHT, DARK)
+
+
+@pytest.mark.parametrize(
+    ("kind", "scene"), [("cross", cross), ("hourglass", hourglass), ("circle", circle), ("ring", ring)]
+)
 @pytest.mark.parametrize("scale", [0.8, 2.0])
 def test_a_click_beside_a_target_finds_its_centre(kind: Kind, scene: object, scale: float) -> None:
     rng = np.random.default_rng(11)
@@ -35,7 +41,7 @@ def test_a_click_beside_a_target_finds_its_centre(kind: Kind, scene: object, sca
         matrix = perspective(rng, SIZE)
         matrix[:2, :2] *= scale
         # In a plane that is tilted strongly, the centre of the ellipse is not that of the circle.
-        matrix[2, :2] = 0 if kind == "circle" else matrix[2, :2] / 3
+        matrix[2, :2] = 0 if kind in ("circle", "ring") else matrix[2, :2] / 3
         grey = render(scene, matrix, SIZE, rng)  # type: ignore[arg-type]
         x, y = matrix[:2, 2]
         found = snap(grey, (x + rng.uniform(-5, 5), y + rng.uniform(-5, 5)), 12)
@@ -44,6 +50,19 @@ def test_a_click_beside_a_target_finds_its_centre(kind: Kind, scene: object, sca
         assert np.hypot(found.x - x, found.y - y) < 0.1
         assert abs(found.x - x) < 4 * found.sigma[0]
         assert abs(found.y - y) < 4 * found.sigma[1]
+
+
+@pytest.mark.parametrize(("kind", "scene"), [("circle", circle), ("ring", ring)])
+def test_with_the_bend_of_the_ground_a_circle_has_its_own_centre(kind: Kind, scene: object) -> None:
+    """In a plane that is tilted strongly the ellipse lies aside: by its pole, half a pixel."""
+    matrix = np.array([[2.4, 0.3, 60.2], [-0.1, 2.3, 59.6], [0.01, 0.006, 1.0]])
+    grey = render(scene, matrix, SIZE, np.random.default_rng(1))  # type: ignore[arg-type]
+    near = (61.5, 58.0)
+    bare, mended = snap(grey, near, 12, (kind,)), snap(grey, near, 12, (kind,), bend=bend(matrix))
+    assert bare is not None
+    assert mended is not None
+    assert np.hypot(bare.x - 60.2, bare.y - 59.6) > 0.4
+    assert np.hypot(mended.x - 60.2, mended.y - 59.6) < 0.1
 
 
 def test_a_coded_target_is_found_by_its_code() -> None:
@@ -82,4 +101,6 @@ def test_a_target_out_of_reach_is_left_alone() -> None:
 def test_symmetry_finds_the_middle_of_a_blot_but_not_of_a_bar() -> None:
     y, x = np.mgrid[:101, :101]
     blot = (200 * np.exp(-((x - 57) ** 2 / 30 + (y - 44) ** 2 / 90))).astype(np.float32)
-    assert symmetric_place(blot, (50, 50), 14, 10) == (57, 44)
+    place, likeness = symmetric_place(blot, (50, 50), 14, 10)
+    assert place == (57, 44)
+    assert likeness > 0.99
