@@ -17,8 +17,8 @@ from drivers.errors import DeviceError
 from photocal.demo.truth import against_truth, table
 
 _ACQUIRE = (sys.executable, "-c", "from acquire.cli import main; main()")
-_START_S = 60.0
-_STOP_S = 30.0
+_START_S = 300.0
+_STOP_S = 300.0
 
 
 def simulated(plan: Path, output: Path, seed: int | None, speed: float) -> None:

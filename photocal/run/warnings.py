@@ -60,6 +60,13 @@ class Warning:  # noqa: A001 - the word of the field; the built-in one is a clas
         return {"kind": "note" if self.note else "warning", **vars(self)}
 
 
+_NOT_CHECKED = Warning(
+    "certificate",
+    "not-checked",
+    "the stage georeferencing was not made: nobody has looked for faults of positions, mounting and control.",
+)
+
+
 def gather(work: Path, stages: Container[str] | None = None) -> tuple[Warning, ...]:
     """Collect the warnings of the stages, in their order.
 
@@ -99,7 +106,11 @@ def told_beside(run: Path) -> Told:
     """
     if not (run / "stage.json").is_file():
         return NOTHING_TOLD
-    return told_by(gather(run.resolve().parent))
+    work = run.resolve().parent
+    found = gather(work)
+    if not (work / "georeferencing").is_dir():
+        found += (_NOT_CHECKED,)
+    return told_by(found)
 
 
 def told_by(warnings: Iterable[Warning]) -> Told:

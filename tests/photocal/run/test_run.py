@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,16 @@ def test_no_certificate_of_a_stage_is_silent(shifted: tuple[Path, Result], tmp_p
     said = CliRunner().invoke(app, ["certificate", str(work / "calibration"), "-o", str(tmp_path / "c")])
     assert said.exit_code == 0, said.output
     assert "base-position" in (tmp_path / "c" / "certificate.html").read_text(encoding="utf-8")
+
+
+def test_a_certificate_before_the_check_says_so(shifted: tuple[Path, Result], tmp_path: Path) -> None:
+    work = shifted[0].parent / "work"
+    for name in ("block", "calibration"):
+        shutil.copytree(work / name, tmp_path / "work" / name)
+    calibration = str(tmp_path / "work" / "calibration")
+    said = CliRunner().invoke(app, ["certificate", calibration, "-o", str(tmp_path / "c")])
+    assert said.exit_code == 0, said.output
+    assert "not-checked" in (tmp_path / "c" / "certificate.html").read_text(encoding="utf-8")
 
 
 def test_nothing_is_made_twice(shifted: tuple[Path, Result]) -> None:

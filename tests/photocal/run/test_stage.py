@@ -117,7 +117,7 @@ from photocal.run.stage import Stage, bring
 def make(out, _):
     (out / "half").write_text("half")
     Path(sys.argv[1], "begun").touch()
-    time.sleep(60)
+    time.sleep(600)
 
 work = Path(sys.argv[1]) / "work"
 bring(Stage("shout", "", make), work, Digests(work / "digests.json"), quiet)
@@ -129,7 +129,7 @@ def test_a_killed_run_leaves_no_half_stage(shouting: Shouting, tmp_path: Path) -
     process = subprocess.Popen(
         [sys.executable, "-c", _SLOW, str(tmp_path)], cwd=root, env={**os.environ, "PYTHONPATH": str(root)}
     )
-    limit = time.monotonic() + 60
+    limit = time.monotonic() + 300
     while not (tmp_path / "begun").exists() and time.monotonic() < limit:
         time.sleep(0.02)
     process.send_signal(signal.SIGKILL)
