@@ -166,6 +166,10 @@ class Desk:
         """A tile of an image of the scene; no other file is ever opened."""
         return self._tiles.tile(self._picture(image).path, address)
 
+    def tidy(self) -> None:
+        """Keep the tiles on disk within their bounds."""
+        self._tiles.tidy()
+
     def mark(self, body: bytes) -> dict[str, Any]:
         """Set a mark, on the centre of the target there if one is wanted and found."""
         click = _checked(_Click, body)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
+from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
@@ -60,7 +61,8 @@ def application(scene: Scene, store: MarkStore, cache: Path) -> Starlette:
         asked = request.path_params
         address = TileAddress(asked["level"], asked["column"], asked["row"])
         made = await run_in_threadpool(desk.tile, asked["image"], address)
-        return Response(made, media_type="image/jpeg")
+        # Nobody waits for the broom.
+        return Response(made, media_type="image/jpeg", background=BackgroundTask(desk.tidy))
 
     return Starlette(
         routes=[

@@ -7,6 +7,7 @@ column j has its centre at the stored column 2^k j + (2^k - 1) / 2, in all forma
 from __future__ import annotations
 
 import threading
+import time
 from collections import OrderedDict
 from dataclasses import dataclass
 from io import BytesIO
@@ -17,6 +18,7 @@ from acquire.outputs import output_file
 from drivers.errors import InputNotFoundError
 from photocal.measurement.cache import content_key
 from photocal.measurement.image_file import as_eight_bit, opened, read_grey
+from photocal.measurement.marking.kept import sweep, touch
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -27,8 +29,13 @@ TILE_PX = 512
 _QUALITY = 88
 # JPEG blocks of 8 by 8 pixels can be decoded as 4, 2 or 1 pixel: levels 1 to 3 cost no full decoding.
 _COARSEST_DECODED = 3
-# Decoded levels are held until they are this many pixels together.
+# Decoded levels are held until they are this many pixels together, 3 bytes each; one may be larger.
 _HELD_PX = 80_000_000
+# Tiles on disk: about 40 pictures of 50 megapixels looked at all over, for a month.
+MOST_BYTES = 2_000_000_000
+UNUSED_S = 30 * 86_400.0
+# The disk is looked through again when so much of its share was written.
+_SWEEP_PART = 20
 _MANY_BITS = ("I;16", "I;16B", "I;16L", "I;16N", "I", "F")
 
 
@@ -62,10 +69,14 @@ class Tiles:
     ----------
     cache : Path
         Folder in which they are kept.
+    most_bytes : int
+        That tiles of all projects may have on disk together.
     """
 
-    def __init__(self, cache: Path) -> None:
-        self._cache = cache
+    def __init__(self, cache: Path, most_bytes: int = MOST_BYTES) -> None:
+        self._folder, self._most_bytes = cache / f"tiles{VERSION}", most_bytes
+        # What others left counts: the first tile that is made gives occasion to look.
+        self._written = most_bytes
         self._keys: dict[Path, tuple[tuple[int, int], str]] = {}
         self._levels: OrderedDict[tuple[str, int], Image] = OrderedDict()
         # One picture is decoded at a time: several of 50 megapixels would fill the memory.
@@ -93,14 +104,23 @@ class Tiles:
         """
         key = self._key(picture)
         name = f"{address.level}-{address.column}-{address.row}.jpg"
-        kept = self._cache / f"tiles{VERSION}" / key[:2] / key / name
+        kept = self._folder / key[:2] / key / name
         try:
-            return kept.read_bytes()
+            found = kept.read_bytes()
         except OSError:
             made = self._make(picture, key, address)
-        with output_file(kept) as aside:
-            aside.write_bytes(made)
-        return made
+            with output_file(kept) as aside:
+                aside.write_bytes(made)
+            self._written += len(made)
+            return made
+        touch(kept, time.time())
+        return found
+
+    def tidy(self) -> None:
+        """Remove from the disk what is too much or too old, where enough was written for it to pay."""
+        if self._written * _SWEEP_PART >= self._most_bytes:
+            self._written = 0
+            sweep(self._folder, self._most_bytes, UNUSED_S, time.time())
 
     def _key(self, picture: Path) -> str:
         if not picture.is_file():

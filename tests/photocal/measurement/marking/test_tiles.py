@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from io import BytesIO
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.measurement.marking.kept import sweep, touch
 from photocal.measurement.marking.tiles import TILE_PX, TileAddress, Tiles, coarsest_level
 
 Floats = NDArray[np.float64]
@@ -111,3 +113,42 @@ def test_bad_pictures_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputNotFoundError, match=r"a\.jpg"):
         tiles.tile(path, TileAddress(0, 0, 0))
     assert not list((tmp_path / "cache").rglob("*.jpg"))
+
+
+def test_the_disk_keeps_what_was_used_last(tmp_path: Path) -> None:
+    for k in range(10):
+        path = tmp_path / f"{k % 3}" / f"{k}.jpg"
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(bytes(100))
+        os.utime(path, (1000.0 + k, 1000.0 + k))
+
+    def left() -> set[int]:
+        return {int(path.stem) for path in tmp_path.rglob("*.jpg")}
+
+    assert sweep(tmp_path, 1000, 100.0, 1010.0) == 1000
+    assert left() == set(range(10))
+    touch(tmp_path / "0" / "0.jpg", 9000.0)
+    assert sweep(tmp_path, 450, 9000.0, 9000.0) == 400
+    assert left() == {0, 9, 8, 7}
+    assert sweep(tmp_path, 450, 100.0, 9000.0) == 100
+    assert left() == {0}
+    assert sweep(tmp_path, 99, 100.0, 9000.0) == 0
+    assert sweep(tmp_path / "nothing", 99, 100.0, 9000.0) == 0
+
+
+def test_tiles_stay_within_their_bounds(tmp_path: Path) -> None:
+    path, cache = tmp_path / "a.png", tmp_path / "cache"
+    save(path, "grey")
+    other = cache / "ab" / "features.npz"
+    other.parent.mkdir(parents=True)
+    other.write_bytes(bytes(100_000))
+    size = len(Tiles(tmp_path / "free").tile(path, TileAddress(0, 0, 0)))
+    tiles = Tiles(cache, most_bytes=3 * size)
+    for _ in range(2):
+        for column, row in ((0, 0), (1, 0), (2, 0), (0, 1), (1, 1), (2, 1)):
+            assert len(pixels(tiles.tile(path, TileAddress(0, column, row))))
+            tiles.tidy()
+            assert sum(one.stat().st_size for one in cache.rglob("*.jpg")) <= 3 * size
+    assert 0 < len(list(cache.rglob("*.jpg"))) < 6
+    # What else is kept there is not the tiles' business.
+    assert other.exists()
