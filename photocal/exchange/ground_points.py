@@ -23,9 +23,12 @@ from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.exchange.parts import require_unique
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import Line, number, numbers, read_lines
+from photocal.geometry.rotation import matrix_from_angles
 
 Floats = NDArray[np.float64]
 _CAMERA_TO_BODY = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+# Some metres to the north, in which meridians are straight.
+_NORTH_DEG = 1e-4
 _NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
@@ -246,17 +249,31 @@ def write_odm(folder: Path, given: Reconstruction) -> None:
     ]
     if marks:
         write_gcp_list(folder / "gcp_list.txt", crs, marks)
-    nan = float("nan")
     sigma = given.pose_sigma[:, 3:] if len(given.pose_sigma) else np.full((len(given.poses), 3), np.nan)
+    to_camera = matrix_from_angles(given.poses[:, :3]) @ _to_map(crs, given.poses[:, 3], given.poses[:, 4])
+    angles = angles_of_geo(to_camera)
     positions = [
-        ImagePosition(name, (x, y, z), (nan, nan, nan), (float(np.hypot(sx, sy)), sz))
-        for name, (x, y, z), (sx, sy, sz) in zip(
-            given.image_names, given.poses[:, 3:].tolist(), sigma.tolist(), strict=True
+        ImagePosition(name, (x, y, z), (yaw, pitch, roll), (float(np.hypot(sx, sy)), sz))
+        for name, (x, y, z), (yaw, pitch, roll), (sx, sy, sz) in zip(
+            given.image_names, given.poses[:, 3:].tolist(), angles.tolist(), sigma.tolist(), strict=True
         )
     ]
     for position in positions:
         _require_no_blanks(position.image)
     write_geo(folder / "geo.txt", crs, positions)
+
+
+def _to_map(crs: str, x: Floats, y: Floats) -> Floats:
+    """Return the rotations from east, north, up to the axes of a map at places on it (n, 3, 3)."""
+    from pyproj import Transformer
+
+    way = Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
+    lon, lat = way.transform(x, y)
+    north_x, north_y = way.transform(lon, lat + _NORTH_DEG, direction="INVERSE")
+    convergence = np.arctan2(north_x - x, north_y - y)
+    s, c, zero, one = np.sin(convergence), np.cos(convergence), np.zeros_like(x), np.ones_like(x)
+    turn = np.array([[c, s, zero], [-s, c, zero], [zero, zero, one]])
+    return np.asarray(np.moveaxis(turn, -1, 0))
 
 
 def _require_no_blanks(name: str) -> None:

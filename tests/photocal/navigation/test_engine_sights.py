@@ -76,6 +76,7 @@ def test_too_little_tells_nothing(tmp_path: Path) -> None:
     empty.write_text("$POS,2300,100.000,1,1,2,3,0,0,0\n$SAT,2300,100.000,G05,1,20.0,45.0,0.1,0.002,0,45\n")
     none = read_sights(empty)
     assert len(none) == 0
+    assert len(read_sights(tmp_path / "missing.pos.stat")) == 0
     assert np.isnan(shift_by_zenith_delay(none)).all()
     assert np.isnan(correlation_time_s(none))
 
