@@ -10,6 +10,7 @@ from urllib.parse import urlsplit
 from drivers.errors import ConfigurationError
 
 PIECE_BYTES = 65536
+_WRITE_LIMIT_S = 0.5
 _SERIAL = ("serial", "socket", "loop", "rfc2217")
 
 
@@ -187,8 +188,12 @@ class SerialSource:
         """Open the port for us alone."""
         import serial
 
+        # pySerial knows no time limit of writing to a port behind RFC 2217.
+        limit_s = None if self._url.startswith("rfc2217:") else _WRITE_LIMIT_S
         try:
-            self._port = serial.serial_for_url(self._url, baudrate=self._baud, timeout=0.1, write_timeout=0.5)
+            self._port = serial.serial_for_url(
+                self._url, baudrate=self._baud, timeout=0.1, write_timeout=limit_s
+            )
         except (OSError, ValueError) as failure:
             raise LinkLostError(str(failure)) from failure
 
@@ -197,7 +202,9 @@ class SerialSource:
         if self._port is None:
             raise LinkLostError("not open")
         try:
-            self._port.timeout = timeout_s
+            # Each change sets up the whole port anew, behind RFC 2217 by a conversation.
+            if self._port.timeout != timeout_s:
+                self._port.timeout = timeout_s
             first = self._port.read(1)
             return bytes(first + self._port.read(self._port.in_waiting)) if first else b""
         except (OSError, TypeError) as failure:

@@ -19,7 +19,7 @@ from pymavlink import mavutil
 from acquire.importing.importer import import_recordings
 from acquire.log.replay import replay
 from acquire.transports.sinks import MemorySink, Sink, open_sink
-from tests.acquire.live import PATIENCE_S, Process, until
+from tests.acquire.live import PATIENCE_S, Process, Recorder, await_frame, frames_in, until
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -91,6 +91,22 @@ def test_a_terminal_reader_gets_the_stream_byte_for_byte(
         received += os.read(port, 65536)
     os.close(port)
     assert received == expected
+
+
+def test_recording_a_replay_gives_the_same_frames_in_the_same_order(
+    start: Callable[..., Process], log: Path, tmp_path: Path
+) -> None:
+    process = start("--to", "tcp://127.0.0.1:0", "--speed", "0")
+    configuration = tmp_path / "flight.toml"
+    configuration.write_text(
+        '[recording]\noutput = "logs"\nflush_s = 0.1\n'
+        f'[[link]]\nname = "again"\nprotocol = "mavlink"\nurl = "{address(process)}"\n'
+    )
+    sent = frames_in(log, "vehicle")
+    with Recorder(configuration) as recorder:
+        await_frame(recorder.path, "again", sent[-1])
+        recorder.figures()
+    assert frames_in(recorder.path, "again") == sent
 
 
 def test_pymavlink_sees_every_message_over_udp(log: Path, demo_flight: bytes) -> None:
