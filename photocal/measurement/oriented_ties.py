@@ -14,7 +14,7 @@ from drivers.errors import IllPosedError
 from photocal.block.model import Block
 from photocal.block.network import block_frame
 from photocal.measurement.refine import Source, refine
-from photocal.measurement.start_block import without_images
+from photocal.measurement.start_block import NO_OBSERVATIONS, NO_POINTS, without_images
 from photocal.measurement.tie_adjustment import GROSS, Adjusted, adjust_ties, pixel_residuals
 from photocal.measurement.tie_block import orient
 from photocal.measurement.tracks import Tracks, of_images, thin, without_twins
@@ -133,8 +133,11 @@ def _reached(
     start: Block, tracks: Tracks, sizes: Floats, kept: Integers
 ) -> tuple[Floats, Tracks, Block, list[dict[str, str]], Floats, Integers]:
     """Orient the images; those that are not reached are taken out."""
-    poses = orient(start, _strong(tracks, sizes, FIRST_IN_A_CELL)).images.values
+    strong = _strong(tracks, sizes, FIRST_IN_A_CELL)
+    poses = orient(start, strong).images.values
     lost: Flags = np.asarray(np.isnan(poses).any(axis=1))
+    if lost.all() and start.datum == "control":
+        _require_unjoined(start, strong)
     left_out = [
         {
             "image": start.images.names[k],
@@ -146,6 +149,26 @@ def _reached(
     if lost.any():
         start, tracks = without_images(start, lost), of_images(tracks, ~lost)
     return poses[~lost], tracks, start, left_out, sizes[~lost], kept[~lost]
+
+
+def _require_unjoined(start: Block, tracks: Tracks) -> None:
+    """Images that tie points join are lost for another reason: nothing tells where the whole lies."""
+    nowhere = np.full_like(start.images.values, np.nan)
+    alone = replace(
+        start,
+        frame="local",
+        height="",
+        datum="free",
+        images=replace(start.images, values=nowhere, sigma=np.full_like(nowhere, np.inf)),
+        points=NO_POINTS,
+        observations=NO_OBSERVATIONS,
+    )
+    if np.isfinite(orient(alone, tracks).images.values).all(axis=1).any():
+        raise IllPosedError(
+            "the tie points join the images, but their positions and control do not say how the whole lies",
+            remedy="positions in a line leave the turn about it open: add images beside it, "
+            "or mark control points",
+        )
 
 
 def _require_two(keep: Flags, left_out: list[dict[str, str]]) -> None:
