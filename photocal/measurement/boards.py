@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
-from photocal.measurement.centres import Centre, saddle_centre
+from photocal.measurement.centres import Centre, measurable, saddle_centre
 from photocal.measurement.image_file import Grey, as_eight_bit
 from photocal.measurement.markers import dictionary
 
@@ -130,7 +130,7 @@ def find_board(grey: Grey, board: Board) -> BoardView | None:
     BoardView or None
         None when the board is not there. A chessboard must be wholly visible, a ChArUco board need not.
     """
-    eight = as_eight_bit(grey)
+    grey, eight = measurable(grey), as_eight_bit(grey)
     rough = _chessboard(eight, board) if board.kind == "chessboard" else _charuco(eight, board)
     if rough is None or len(rough[0]) < FEWEST_CORNERS:
         return None

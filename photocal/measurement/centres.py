@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.measurement import patterns
-from photocal.measurement.image_file import Grey
+from photocal.measurement.image_file import Grey, as_eight_bit
 from photocal.measurement.patterns import FLAT
 from photocal.measurement.template import Fit, Template, Window, cut_window, fit_template
 
@@ -48,6 +48,21 @@ class Centre:
     def sigma(self) -> tuple[float, float]:
         """Standard deviations of column and row, px."""
         return float(np.sqrt(self.covariance[0, 0])), float(np.sqrt(self.covariance[1, 1]))
+
+
+def measurable(grey: Grey) -> Grey:
+    """Grey values in whole steps, as the templates take them for granted.
+
+    Parameters
+    ----------
+    grey : ndarray, shape (height, width)
+
+    Returns
+    -------
+    ndarray
+        Unchanged but for floating point values, which may count in any unit: these get 8 bits.
+    """
+    return as_eight_bit(grey) if grey.dtype == np.float32 else grey
 
 
 def saddle_centre(grey: Grey, approximate: tuple[float, float], radius: float) -> Centre | None:

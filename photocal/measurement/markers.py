@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
-from photocal.measurement.centres import Centre, quadrilateral_centre
+from photocal.measurement.centres import Centre, measurable, quadrilateral_centre
 from photocal.measurement.image_file import Grey, as_eight_bit
 
 Floats = NDArray[np.float64]
@@ -94,7 +94,7 @@ def find_markers(grey: Grey, dictionary_name: str) -> tuple[Marker, ...]:
     """
     import cv2
 
-    codes = dictionary(dictionary_name)
+    codes, grey = dictionary(dictionary_name), measurable(grey)
     parameters = cv2.aruco.DetectorParameters()
     parameters.errorCorrectionRate = 0.0
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX

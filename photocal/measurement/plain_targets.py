@@ -14,6 +14,7 @@ from photocal.exchange.parts import Mark
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.cache import Arrays, array_key, cached, combined_key
+from photocal.measurement.centres import measurable
 from photocal.measurement.coded_targets import COMMON_PX
 from photocal.measurement.eccentricity import ground_bend
 from photocal.measurement.image_file import read_grey
@@ -200,7 +201,7 @@ def _find(task: _Task) -> Floats:
         return np.empty((0, 5))
 
     def make() -> Arrays:
-        grey = read_grey(task.source.path)
+        grey = measurable(read_grey(task.source.path))
         rows = [
             (k, centre.column, centre.row, *centre.sigma)
             for k, own in enumerate(task.sights)

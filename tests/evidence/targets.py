@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from photocal.measurement.boards import Board, find_board
 from photocal.measurement.image_file import as_eight_bit, list_images, read_grey
 from photocal.measurement.markers import find_markers
-from photocal.measurement.target_look import PARTS, Kind, Look
+from photocal.measurement.target_look import PARTS, SMALLEST_PX, Kind, Look
 from photocal.measurement.target_search import WITHIN, find_targets
 from photocal.measurement.workers import run_tasks
 
@@ -82,10 +82,10 @@ def searched(piece: Piece) -> list[tuple[str, str]]:
             found += [("chessboard", where)] * (find_board(patch, CHESSBOARD) is not None)
         size = float(np.exp(rng.uniform(np.log(SMALLEST), np.log(LARGEST))))
         for kind in get_args(Kind):
-            look = Look(kind, size / 2 * np.eye(2), PARTS[kind])
+            look = Look(kind, max(size, SMALLEST_PX[kind]) / 2 * np.eye(2), PARTS[kind])
             middle = (SIDE - 1) / 2
             centres = find_targets(patch, (middle, middle), (middle / WITHIN) ** 2 * np.eye(2), look)
-            found += [(kind, f"{where}, {size:.1f} px")] * len(centres)
+            found += [(kind, f"{where}, {look.size:.1f} px")] * len(centres)
     return found
 
 
@@ -107,7 +107,8 @@ def main(shared: Path) -> None:
         "",
         f"Patches of {SIDE} x {SIDE} px, {total} of {len({task.path for task in tasks})} recorded pictures",
         "(a beach, a facade, a street, a church from the air). An uncoded target of a size that is drawn",
-        f"between {SMALLEST:g} and {LARGEST:g} px is sought in the whole patch, as if the prediction were as",
+        f"between {SMALLEST:g} (hourglass: {SMALLEST_PX['hourglass']:g}) and {LARGEST:g} px is sought in the",
+        "whole patch, as if the prediction were as",
         "unsure as that; in a project it must also be the only one in the window of its point. Boards have",
         "7 x 5 squares.",
         "",

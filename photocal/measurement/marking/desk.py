@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.block.model import ROLES
 from photocal.exchange.parts import Mark
+from photocal.measurement.centres import measurable
 from photocal.measurement.eccentricity import ground_bend
 from photocal.measurement.image_file import Grey, read_grey
 from photocal.measurement.marking.adjustment import Adjusted, adjust_marks
@@ -273,4 +274,4 @@ def _rounded(click: _Click, place: tuple[float, float], sigma: tuple[float, floa
 
 @lru_cache(maxsize=2)
 def _grey(path: Path, _changed: int, _size: int) -> Grey:
-    return read_grey(path)
+    return measurable(read_grey(path))

@@ -1,0 +1,153 @@
+"""Hostile images through the commands that measure: handled or named, never a traceback, never moved."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from photocal.measurement.boards import find_board, parse_board
+from photocal.measurement.image_file import read_grey
+from photocal.measurement.markers import dictionary, find_markers
+from photocal.measurement.marking.desk import Desk
+from photocal.measurement.marking.scene import scene_of_folder
+from photocal.measurement.marking.store import MarkStore
+from photocal.measurement.target_look import Look
+from photocal.measurement.target_search import find_targets
+
+from .rendering import warped
+
+SIZE = (480, 360)
+# Where the picture shows the middles of a coded target and of a disc.
+CODE, DISC = (140.25, 120.75), (340.5, 230.25)
+
+
+class Answer(Protocol):
+    """What a command said."""
+
+    code: int
+    out: str
+    err: str
+
+
+def picture() -> NDArray[np.uint8]:
+    plate = np.full((400, 400), 255, np.uint8)
+    plate[50:350, 50:350] = dictionary("apriltag_36h11").generateImageMarker(3, 300)
+    scene = warped(plate, np.array([[0.2, 0, CODE[0] - 39.9], [0, 0.2, CODE[1] - 39.9], [0, 0, 1]]), SIZE)
+    y, x = np.mgrid[: SIZE[1] * 4, : SIZE[0] * 4] / 4 - 0.375
+    disc = np.hypot(x - DISC[0], y - DISC[1]).reshape(SIZE[1], 4, SIZE[0], 4) < 15
+    covered = disc.mean(axis=(1, 3))
+    return np.asarray(np.round(scene * (1 - covered) + 40 * covered), np.uint8)
+
+
+def save(folder: Path) -> dict[str, Path]:
+    """The same picture in every form that is read, and wrecks of it."""
+    grey = picture()
+    paths = {}
+    for orientation in (1, 3, 6, 8):
+        exif = Image.Exif()
+        exif[0x0112] = orientation
+        paths[f"turned{orientation}.jpg"] = folder / f"turned{orientation}.jpg"
+        Image.fromarray(grey).convert("RGB").save(folder / f"turned{orientation}.jpg", quality=95, exif=exif)
+    Image.fromarray(grey).save(folder / "grey.png")
+    Image.fromarray(grey.astype(np.uint16) * 200 + 900).save(folder / "deep.tif")
+    Image.fromarray(grey.astype(np.float32) / 255).save(folder / "reflectance.tif")
+    Image.fromarray(grey).convert("RGBA").save(folder / "alpha.png")
+    Image.fromarray(grey).convert("CMYK").save(folder / "print.tif")
+    whole = (folder / "turned1.jpg").read_bytes()
+    (folder / "cut.jpg").write_bytes(whole[: len(whole) // 2])
+    (folder / "empty.jpg").touch()
+    (folder / "text.png").write_text("no image")
+    damaged = bytearray(whole)
+    damaged[2:40] = bytes(38)
+    (folder / "damaged.jpg").write_bytes(damaged)
+    Image.new("L", (8, 8)).save(folder / "tiny.png")
+    return {path.name: path for path in folder.iterdir()}
+
+
+GOOD = ["turned1.jpg", "turned3.jpg", "turned6.jpg", "turned8.jpg", "grey.png", "deep.tif", "reflectance.tif"]
+GOOD += ["alpha.png", "print.tif"]
+BAD = ["cut.jpg", "empty.jpg", "text.png", "damaged.jpg", "tiny.png"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("hostile")
+    assert sorted(save(made)) == sorted(GOOD + BAD)
+    return made
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_targets_lie_on_the_stored_grid(folder: Path, name: str) -> None:
+    grey = read_grey(folder / name)
+    (marker,) = find_markers(grey, "apriltag_36h11")
+    assert (marker.centre.column, marker.centre.row) == pytest.approx(CODE, abs=0.05)
+    desk = Desk(scene_of_folder(folder, None, None), MarkStore(folder.parent / "m.csv"), folder.parent)
+    question = {"image": name, "point": "P", "x": DISC[0] + 2, "y": DISC[1] - 3, "kinds": ["circle"]}
+    answer = desk.mark(json.dumps(question).encode())
+    assert answer["snapped"] == "circle"
+    (mark,) = (m for m in answer["marks"] if m["image"] == name)
+    assert (mark["x"], mark["y"]) == pytest.approx(DISC, abs=0.05)
+
+
+def test_sixteen_bits_have_the_same_uncoded_targets(folder: Path) -> None:
+    for name in ("grey.png", "deep.tif"):
+        look = Look("disc", 15 * np.eye(2), 1.0)
+        (centre,) = find_targets(read_grey(folder / name), (342.0, 229.0), 4 * np.eye(2), look)
+        assert (centre.column, centre.row) == pytest.approx(DISC, abs=0.05)
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_wrecks_are_named_on_the_page(folder: Path, tmp_path: Path, name: str) -> None:
+    """A picture whose head is whole is listed; a click in it, or a look at it, says what is wrong."""
+    from drivers.errors import PhotocalError
+    from photocal.measurement.marking.tiles import TileAddress
+
+    scene = scene_of_folder(folder, None, None)
+    desk = Desk(scene, MarkStore(tmp_path / "marks.csv"), tmp_path)
+    question = {"image": name, "point": "P", "x": 5, "y": 5}
+    for act in (
+        lambda: desk.mark(json.dumps(question).encode()),
+        lambda: desk.tile(name, TileAddress(0, 0, 0)),
+    ):
+        with pytest.raises(PhotocalError, match=name.replace(".", r"\.")):
+            act()
+    assert not (tmp_path / "marks.csv").exists()
+    assert scene.pictures[name].reason or name == "cut.jpg"
+
+
+def test_boards_in_all_depths(tmp_path: Path) -> None:
+    cells = np.indices((7, 10)).sum(axis=0) % 2 * 200 + 30
+    grey = warped(
+        np.pad(cells.repeat(20, axis=0).repeat(20, axis=1), 40, constant_values=230).astype(np.uint8),
+        np.eye(3),
+        (280, 220),
+    )
+    board = parse_board("10x7", 0.03)
+    found = [
+        find_board(own, board) for own in (grey, grey.astype(np.uint16) * 200, grey.astype(np.float32) / 255)
+    ]
+    assert all(view is not None for view in found)
+    for view in found[1:]:
+        assert view is not None
+        assert found[0] is not None
+        assert view.pixels == pytest.approx(found[0].pixels, abs=0.02)
+
+
+def test_a_folder_of_wrecks_is_measured_without_a_traceback(
+    folder: Path, tmp_path: Path, photocal: Callable[..., Answer]
+) -> None:
+    said = photocal("measure", "--images", folder, "--board", "10x7", "-o", tmp_path / "board")
+    assert said.code != 0
+    assert "0 of 14 images show a board" in said.err
+    said = photocal("mark", "--images", folder, "-o", tmp_path / "marks.csv", "--json")
+    assert said.code == 0, said.err
+    left = {entry["image"]: entry["reason"] for entry in json.loads(said.out)["left_out"]}
+    assert left.keys() == set(BAD) - {"cut.jpg"}
+    assert "Traceback" not in said.err
