@@ -164,13 +164,53 @@ def _pty() -> Iterator[tuple[Sink, str]]:
     import tty
 
     ours, theirs = os.openpty()
+    path = os.ttyname(theirs)
+    tty.setraw(theirs)
+    # Only when nobody has it open can be seen that somebody opens it.
+    os.close(theirs)
     try:
-        tty.setraw(theirs)
-        yield PtySink(ours), os.ttyname(theirs)
-        _drain(theirs)
+        sink = _WaitingPtySink(ours)
+        yield sink, path
+        if sink.read_by_someone:
+            theirs = os.open(path, os.O_RDWR | os.O_NOCTTY)
+            try:
+                _drain(theirs)
+            finally:
+                os.close(theirs)
     finally:
         os.close(ours)
-        os.close(theirs)
+
+
+class _WaitingPtySink:
+    """Waits for its reader with the first frame."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._sink = PtySink(descriptor)
+        self.read_by_someone = False
+
+    def send(self, frame: bytes) -> None:
+        if not self.read_by_someone:
+            _await_reader(self._descriptor)
+            self.read_by_someone = True
+        self._sink.send(frame)
+
+
+def _await_reader(descriptor: int) -> None:
+    """Wait until a program has opened a terminal, and for a moment: many throw away what is there by then."""
+    import select
+    import time
+
+    watch = select.poll()
+    watch.register(descriptor, 0)
+    end = time.monotonic() + PATIENCE_S
+    while any(event & select.POLLHUP for _, event in watch.poll(0)):
+        if time.monotonic() > end:
+            raise DeviceError(
+                f"no reader has opened the terminal within {PATIENCE_S:.0f} s", remedy="start the reader"
+            )
+        time.sleep(0.01)
+    time.sleep(_QUIET_S)
 
 
 def _drain(theirs: int) -> None:

@@ -93,14 +93,15 @@ def test_a_terminal_reader_gets_the_stream_byte_for_byte(
     assert received == expected
 
 
+@pytest.mark.parametrize("to", ["tcp://127.0.0.1:0", "pty"])
 def test_recording_a_replay_gives_the_same_frames_in_the_same_order(
-    start: Callable[..., Process], log: Path, tmp_path: Path
+    to: str, start: Callable[..., Process], log: Path, tmp_path: Path
 ) -> None:
-    process = start("--to", "tcp://127.0.0.1:0", "--speed", "0")
+    there = address(start("--to", to, "--speed", "0"))
     configuration = tmp_path / "flight.toml"
     configuration.write_text(
-        '[recording]\noutput = "logs"\nflush_s = 0.1\n'
-        f'[[link]]\nname = "again"\nprotocol = "mavlink"\nurl = "{address(process)}"\n'
+        '[recording]\noutput = "logs"\nflush_s = 0.1\n[[link]]\nname = "again"\nprotocol = "mavlink"\n'
+        f'url = "{there if "://" in there else f"serial:{there}"}"\n'
     )
     sent = frames_in(log, "vehicle")
     with Recorder(configuration) as recorder:
