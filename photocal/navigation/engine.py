@@ -86,8 +86,8 @@ class Engine(Protocol):
         """Compute positions from rover, base and navigation files."""
         ...
 
-    def sights(self, rover: Path, folder: Path) -> Sights:
-        """Return the satellites of the forward kinematic run that `solve` has done in the folder."""
+    def sights(self, mode: Mode, rover: Path, folder: Path) -> Sights:
+        """Return the satellites of the forward run with the base that `solve` has done in the folder."""
         ...
 
 
@@ -134,9 +134,9 @@ class Rtklib:
             )
         return read_solution(output)
 
-    def sights(self, rover: Path, folder: Path) -> Sights:
-        """Return the satellites of the forward kinematic run that `solve` has done in the folder."""
-        return read_sights(folder / f"{rover.stem}-kinematic-forward.pos.stat")
+    def sights(self, mode: Mode, rover: Path, folder: Path) -> Sights:
+        """Return the satellites of the forward run with the base that `solve` has done in the folder."""
+        return read_sights(folder / f"{rover.stem}-{mode}-forward.pos.stat")
 
 
 def configuration(mode: Mode, direction: Direction, options: ProcessingOptions) -> str:
@@ -169,7 +169,7 @@ def configuration(mode: Mode, direction: Direction, options: ProcessingOptions) 
         # With the type "*" the engine takes type and height from the header and passes over the height here.
         settings[f"{antenna}-anttype"] = "*" if height_m is None else ""
         settings[f"{antenna}-antdelu"] = f"{height_m or 0.0:.4f}"
-    if (mode, direction) == ("kinematic", "forward"):
+    if mode in ("kinematic", "static") and direction == "forward":
         settings["out-outstat"] = "residual"
     if mode == "ppp-static":
         # Two frequencies remove the ionosphere; the wet troposphere is an unknown, the earth's tides are not.

@@ -14,6 +14,7 @@ from photocal.navigation.combination import between_directions
 from photocal.navigation.common_errors import CommonErrors, common_errors
 from photocal.navigation.engine import Direction, Engine, Mode, ProcessingOptions
 from photocal.navigation.engine_output import EngineSolution
+from photocal.navigation.engine_sights import Sights
 from photocal.navigation.fix_validation import Judgement, judge
 from photocal.navigation.rinex import ObservationFile, count_ephemerides
 from photocal.navigation.static_position import in_order, static_position, trajectory_of
@@ -85,7 +86,7 @@ class PpkResult:
     replaced : int
         Epochs at which the engine's combination lay apart from both directions.
     common : CommonErrors or None
-        Of all positions of a kinematic run.
+        Of all positions.
     """
 
     inputs: Inputs
@@ -176,7 +177,10 @@ def process(
             both, whole = pool.map(run, ("combined", "forward"))
             found = static_position(_differential(whole, inputs), _differential(both, inputs))
             trajectory = trajectory_of(found, 0.0, inputs.base_m)
-            return PpkResult(inputs, options, mode, engine.name, found, None, trajectory, off_m, gaps)
+            common = _common(inputs, trajectory, engine.sights(mode, inputs.rover.path, folder))
+            return PpkResult(
+                inputs, options, mode, engine.name, found, None, trajectory, off_m, gaps, common=common
+            )
         alone = pool.submit(engine.solve, "single", "forward", rover_alone, options, None, folder)
         both, forward, backward = pool.map(run, ("combined", "forward", "backward"))
         code = alone.result()
@@ -187,17 +191,15 @@ def process(
     row = code.at(combined.time)
     velocity = np.where((row >= 0)[:, None], code.velocity_m_s[row], np.nan)
     trajectory = trajectory_of(judgement.solution, judgement.velocity_sigma_m_s, inputs.base_m, velocity)
-    common = common_errors(
-        trajectory,
-        engine.sights(inputs.rover.path, folder),
-        inputs.base_m,
-        inputs.base_sigma_m,
-        inputs.weather,
-    )
+    common = _common(inputs, trajectory, engine.sights(mode, inputs.rover.path, folder))
     count = int(replaced.sum())
     return PpkResult(
         inputs, options, mode, engine.name, combined, judgement, trajectory, off_m, gaps, count, common
     )
+
+
+def _common(inputs: Inputs, trajectory: Trajectory, sights: Sights) -> CommonErrors:
+    return common_errors(trajectory, sights, inputs.base_m, inputs.base_sigma_m, inputs.weather)
 
 
 def refuse_apart(rover: ObservationFile, base: ObservationFile) -> None:

@@ -63,7 +63,7 @@ def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
     }
     if result.judgement is not None:
         figures["validation"] = _validation(result)
-    if result.common is not None:
+    if result.common is not None and result.mode != "static":
         figures["common"] = result.common.as_json()
     if result.mode == "static":
         figures["position"] = {

@@ -7,7 +7,7 @@ import numpy as np
 from photocal.navigation.exposure_run import Choices
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.rig import Rig, rig_of_mounting
-from photocal.navigation.troposphere import Weather
+from photocal.navigation.troposphere import measured_weather
 from photocal.project import Project
 
 
@@ -25,7 +25,7 @@ def choices_of_project(project: Project) -> Choices:
         Without `[flight]`, or when camera axes are impossible.
     """
     flight = project.flight
-    position, air = flight.base_position, flight.weather
+    position = flight.base_position
     sources = Sources(
         flight.logs,
         flight.rover_rinex,
@@ -38,9 +38,7 @@ def choices_of_project(project: Project) -> Choices:
         flight.rover_antenna_height_m,
         flight.base_antenna_height_m,
         None if flight.base_sigma_m is None else np.array(flight.base_sigma_m),
-        None
-        if air is None
-        else Weather(air.temperature_c, air.relative_humidity_percent / 100, air.pressure_hpa),
+        measured_weather(flight.weather),
     )
     images = project.contents.images
     keys = project.contents.rig

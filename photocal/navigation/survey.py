@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.navigation.baseline_network import Baseline, Mark, NetworkSolution, adjust_baselines
 from photocal.navigation.engine import Engine
-from photocal.navigation.ppk import Inputs, options_for, process
+from photocal.navigation.ppk import Inputs, PpkResult, options_for, process
 from photocal.navigation.ppk_inputs import converted
 from photocal.navigation.receiver_recording import pick, read_receivers, refuse_unusable
 from photocal.navigation.rinex import ObservationFile, read_observation_file
 from photocal.navigation.static_position import precise_point
 from photocal.navigation.survey_setup import KnownMark, MeasuredBaseline, PrecisePoint, SurveySetup
 from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric
+from photocal.navigation.troposphere import measured_weather
 
 Floats = NDArray[np.float64]
 _LOG = ".mcap"
@@ -114,27 +115,44 @@ def _session(measured: MeasuredBaseline, survey: Survey, start_m: Floats) -> tup
     rover, of_rover = _observations(measured.rover, measured.rover_link, "rover", survey, own / "rover")
     base, of_base = _observations(measured.base, measured.base_link, "base", survey, own / "base")
     named = [survey.folder / p for p in (*measured.nav, *measured.products)]
-    inputs = Inputs(rover, base, [*of_rover, *of_base, *named], start_m, f"mark {measured.start}")
+    weather = measured_weather(survey.setup.weather)
+    files = [*of_rover, *of_base, *named]
+    inputs = Inputs(rover, base, files, start_m, f"mark {measured.start}", weather=weather)
     options = replace(
         options_for(rover, base),
         rover_antenna_m=measured.rover_antenna_m,
         base_antenna_m=measured.base_antenna_m,
         precise=bool(measured.products),
     )
-    found = process(inputs, options, "static", survey.engine, own).trajectory
-    end, covariance = _earth_centred(found)
+    found = process(inputs, options, "static", survey.engine, own)
+    position, air_m = _through_air(found)
+    end, covariance = _earth_centred(position)
     first, last = max(rover.time.ns[0], base.time.ns[0]), min(rover.time.ns[-1], base.time.ns[-1])
     session = {
         "name": measured.name,
         "start": measured.start,
         "end": measured.end,
-        "status": str(found.status[0]),
+        "status": str(position.status[0]),
         "length_m": float(np.linalg.norm(end - start_m)),
+        "air_correction_m": air_m,
         "base_antenna_m": measured.base_antenna_m,
         "rover_antenna_m": measured.rover_antenna_m,
         **_duration(float(last - first) / 60e9, survey),
     }
     return Baseline(measured.name, measured.start, measured.end, end - start_m, covariance), session
+
+
+def _through_air(found: PpkResult) -> tuple[Trajectory, float]:
+    """Return a static position corrected for the air between both marks, and the correction of its height."""
+    position, common = found.trajectory, found.common
+    if common is None or common.shift_by_zenith_delay is None:
+        return position, 0.0
+    corrected = common.corrected(position)
+    above = float(position.height_m[0]) - common.base_height_m
+    spread = common.shift_by_zenith_delay * common.lapse.sigma * above
+    covariance = corrected.covariance_m2 + np.outer(spread, spread)
+    air_m = float(corrected.height_m[0] - position.height_m[0])
+    return replace(corrected, covariance_m2=covariance), air_m
 
 
 def _precise(point: PrecisePoint, survey: Survey) -> tuple[Mark, dict[str, Any]]:

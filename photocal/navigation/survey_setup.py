@@ -7,6 +7,7 @@ from pathlib import Path
 from pydantic import Field
 
 from photocal.checked_toml import Table, read_toml
+from photocal.project import AirAtBase
 
 
 class KnownMark(Table):
@@ -65,10 +66,11 @@ class PrecisePoint(Table):
 
 
 class SurveySetup(Table):
-    """A survey."""
+    """A survey; the weather is that of its time and place, None: the climate's."""
 
     crs: str | None = None
     required_minutes: float = Field(gt=0)
+    weather: AirAtBase | None = None
     known: tuple[KnownMark, ...] = ()
     ppp: tuple[PrecisePoint, ...] = ()
     baseline: tuple[MeasuredBaseline, ...] = ()

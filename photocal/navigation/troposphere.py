@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
+from photocal.project import AirAtBase
 
 Floats = NDArray[np.float64]
 
@@ -61,6 +62,13 @@ class Weather:
     temperature_c: float
     relative_humidity: float
     pressure_hpa: float | None = None
+
+
+def measured_weather(air: AirAtBase | None) -> Weather | None:
+    """Return the weather of a project or survey file."""
+    if air is None:
+        return None
+    return Weather(air.temperature_c, air.relative_humidity_percent / 100, air.pressure_hpa)
 
 
 def parse_weather(text: str, option: str) -> Weather:

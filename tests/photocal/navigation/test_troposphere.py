@@ -18,7 +18,9 @@ from drivers.errors import ConfigurationError
 from photocal.navigation.common_errors import CommonErrors
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.ppk import Inputs, PpkResult, options_for, process
-from photocal.navigation.rinex import read_observation_file
+from photocal.navigation.rinex import ObservationFile, read_observation_file
+from photocal.navigation.survey import Survey, run_survey
+from photocal.navigation.survey_setup import KnownMark, MeasuredBaseline, SurveySetup
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import geocentric
 from photocal.navigation.troposphere import (
@@ -29,6 +31,7 @@ from photocal.navigation.troposphere import (
     remaining_lapse,
     saturation_hpa,
 )
+from photocal.project import AirAtBase
 from tests.acquire.simulate.gnss.flights import AXES, BASE_DEG, BASE_M, SECOND, Loop, gps_ns
 from tests.photocal.navigation.conftest import needs_engine
 
@@ -86,12 +89,13 @@ def test_weather_of_the_command_line() -> None:
             parse_weather(text, "--weather")
 
 
-def flown(humidity: float, weather: Weather | None, folder: Path) -> tuple[PpkResult, Floats]:
-    """Fly a loop 120 m above the base in this air; errors of the positions, east, north, up."""
+def observed(
+    rover_at: Antenna, humidity: float, folder: Path
+) -> tuple[ObservationFile, ObservationFile, list[Path]]:
+    """Observe for a minute in this air, always with the same noise."""
     folder.mkdir()
-    way, raised = Loop(START), np.array([0.0, 0.0, 70.0]) @ AXES
     session = simulate(
-        Antenna(lambda t: way.position(t) + raised, way.velocity),
+        rover_at,
         Antenna.still(BASE_M),
         START,
         START + 60 * SECOND,
@@ -103,9 +107,16 @@ def flown(humidity: float, weather: Weather | None, folder: Path) -> tuple[PpkRe
     streams = ("rover", rover_ubx(session, None, rng=np.random.default_rng(1))), ("base", base_ubx(session))
     made = [engine.convert(stream.data, "ubx", folder / name, near) for name, stream in streams]
     rover, base = (read_observation_file(files.observations) for files in made)
-    navigation = [files.navigation for files in made]
+    return rover, base, [files.navigation for files in made]
+
+
+def flown(humidity: float, weather: Weather | None, folder: Path) -> tuple[PpkResult, Floats]:
+    """Fly a loop 120 m above the base in this air; errors of the positions, east, north, up."""
+    way, raised = Loop(START), np.array([0.0, 0.0, 70.0]) @ AXES
+    rover_at = Antenna(lambda t: way.position(t) + raised, way.velocity)
+    rover, base, navigation = observed(rover_at, humidity, folder)
     inputs = Inputs(rover, base, navigation, BASE_M, "truth", weather=weather)
-    result = process(inputs, options_for(rover, base), "kinematic", engine, folder)
+    result = process(inputs, options_for(rover, base), "kinematic", Rtklib(), folder)
     t = result.trajectory
     assert (t.status == "fixed").mean() > 0.9
     truth = way.position(t.time.ns) + raised
@@ -159,3 +170,31 @@ def test_common_errors_survive_a_file() -> None:
     again = CommonErrors.from_json(common.as_json())
     assert again.as_json() == common.as_json()
     assert again.shift_sigma_m == pytest.approx([0.0102, 0.0102, 0.0204], abs=1e-4)
+
+
+def test_a_mark_on_a_hill_is_surveyed_through_the_air(tmp_path: Path) -> None:
+    """A static baseline to a mark 100 m higher, in dry and in moist air with the same noise."""
+    needs_engine()
+    hill = Antenna.still(BASE_M + np.array([200.0, 50.0, 100.0]) @ AXES)
+    heights = {}
+    for humidity in (0.0, 0.7):
+        folder = tmp_path / f"air-{humidity}"
+        observed(hill, humidity, folder)
+        lat, lon, height = BASE_DEG
+        air = AirAtBase(temperature_c=15 - 0.0065 * height, relative_humidity_percent=100 * humidity)
+        known = KnownMark(name="B", lat_deg=lat, lon_deg=lon, height_m=height, sigma_m=(0, 0, 0))
+        baseline = MeasuredBaseline(
+            name="s", start="B", end="H", base=Path("base.obs"), rover=Path("rover.obs"),
+            nav=(Path("rover.nav"),), base_antenna_m=0.0, rover_antenna_m=0.0,
+        )  # fmt: skip
+        setup = SurveySetup(required_minutes=1.0, weather=air, known=(known,), baseline=(baseline,))
+        scratch = folder / "scratch"
+        scratch.mkdir()
+        solution, (session,) = run_survey(Survey(setup, folder, Rtklib(), scratch))
+        up = float((solution.xyz_m[1] - BASE_M) @ AXES[2])
+        heights[humidity] = up, session["air_correction_m"]
+    (dry, nothing), (moist, correction) = heights[0.0], heights[0.7]
+    assert abs(nothing) < 0.001
+    assert correction > 0.008
+    # Without the correction the mark would be lower by as much in moist air.
+    assert moist == pytest.approx(dry, abs=0.003)
