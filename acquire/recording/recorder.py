@@ -18,7 +18,8 @@ from acquire.log.writer import LogWriter
 from acquire.recording.alarms import LEAST_JUMP_S, Alarm, ClockWatch, SilenceWatch, write_alarms
 from acquire.recording.caster_position import CasterPosition, caster_positions
 from acquire.recording.configuration import Configuration
-from acquire.recording.files import Limits, LogFiles, Told, WholeWrites, new_file, unclosed
+from acquire.recording.disk import WholeWrites, new_file, unclosed
+from acquire.recording.files import Limits, LogFiles, Told
 from acquire.recording.link_session import LinkSession, link_sessions
 from acquire.recording.reader import Arrival, read_link
 from acquire.transports.of_link import source_of_link

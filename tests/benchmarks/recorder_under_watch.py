@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.log.records import Channel, Payloads
-from acquire.recording import files as log_files
 from acquire.recording.configuration import read_configuration
+from acquire.recording.disk import WholeWrites
+from acquire.recording.files import LogFiles, Told
 from acquire.recording.recorder import Host, record
 
 # Delays are counted by the tenth of a millisecond: so the measuring needs no memory.
@@ -60,7 +61,7 @@ class Watch:
         return float(np.searchsorted(total, share * total[-1]) + 1) * _STEP_NS / 1e6
 
 
-class WatchedFiles(log_files.LogFiles):
+class WatchedFiles(LogFiles):
     """Log files that tell a watch what they take and when it is safe."""
 
     watch: Watch
@@ -78,13 +79,13 @@ class WatchedFiles(log_files.LogFiles):
         if channel.topic.endswith("/raw") and len(log_ns):
             self.watch.written(log_ns)
 
-    def make_safe(self) -> list[log_files.Told]:
+    def make_safe(self) -> list[Told]:
         """Make everything safe."""
         self.watch.in_file()
         return super().make_safe()
 
 
-class WatchedWrites(log_files.WholeWrites):
+class WatchedWrites(WholeWrites):
     """A file that tells a watch when the disk has everything."""
 
     watch: Watch
@@ -95,7 +96,7 @@ class WatchedWrites(log_files.WholeWrites):
         self.watch.safe()
 
 
-def _new_file(path: Path) -> log_files.WholeWrites:
+def _new_file(path: Path) -> WholeWrites:
     return WatchedWrites(io.FileIO(path, "xb"))
 
 
