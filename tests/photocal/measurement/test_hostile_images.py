@@ -130,9 +130,8 @@ def test_boards_in_all_depths(tmp_path: Path) -> None:
         (280, 220),
     )
     board = parse_board("10x7", 0.03)
-    found = [
-        find_board(own, board) for own in (grey, grey.astype(np.uint16) * 200, grey.astype(np.float32) / 255)
-    ]
+    deep, real = np.asarray(grey, np.uint16) * np.uint16(200), np.asarray(grey / 255, np.float32)
+    found = [find_board(grey, board), find_board(deep, board), find_board(real, board)]
     assert all(view is not None for view in found)
     for view in found[1:]:
         assert view is not None
