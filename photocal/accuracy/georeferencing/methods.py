@@ -218,9 +218,9 @@ def _direct(block: Block, note: str, calibration: Calibration | None) -> Georefe
     found = intersect_points(block, orientation, ground_points(block), joint)
     if not len(found.points):
         raise IllPosedError(
-            "no ground point has two rays from exposures with position and attitude",
+            "no ground point has two rays from exposures with position and attitude that meet",
             where=block.name,
-            remedy="measure the ground points in more images",
+            remedy="measure the ground points in more images; do positions and images belong together?",
         )
     label = "direct: space intersection from GNSS and attitude alone"
     if not orientation.known.all():

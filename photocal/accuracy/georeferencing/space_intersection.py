@@ -76,7 +76,7 @@ def intersect_points(
     block : Block
     orientation : DirectOrientation
     wanted : ndarray of int, shape (n,)
-        Points of the block; those with fewer than two such rays are left out.
+        Points of the block; those with fewer than two such rays, or whose rays meet nowhere, are left out.
     joint : ndarray, optional
         Covariance of the common values and the parameters of all cameras together; without it that of
         the sigmas that the block states.
@@ -106,9 +106,9 @@ def intersect_points(
         rays = chosen[observations.point[chosen] == point]
         if len(rays) < 2 or not np.isfinite(start[point]).all():
             continue
-        found.append(
-            (int(point), rays, *_one_point(block, orientation, corrected, rays, start[point], joint))
-        )
+        one = _one_point(block, orientation, corrected, rays, start[point], joint)
+        if one is not None:
+            found.append((int(point), rays, *one))
     rays = np.concatenate([f[1] for f in found]) if found else np.zeros(0, dtype=np.int64)
     scale = pitch[block.images.camera[observations.image[rays]]]
     stack = np.concatenate
@@ -131,7 +131,8 @@ def _one_point(
     rays: Integers,
     start: Floats,
     joint: Floats,
-) -> tuple[Floats, Floats, Floats, Floats, float]:
+) -> tuple[Floats, Floats, Floats, Floats, float] | None:
+    """Coordinates, covariance, residuals, also standardised, and their sum; None where there is no place."""
     image = block.observations.image[rays]
     rotation, centre = orientation.rotation[image], orientation.centre[image]
     c, ideal = corrected.distance[rays], corrected.ideal[rays]
@@ -141,12 +142,17 @@ def _one_point(
         by_q = _by_camera_axes(q, c)
         by_point = (by_q @ rotation).reshape(-1, 3)
         miss = (-c[:, None] * q[:, :2] / q[:, 2:] - ideal).ravel()
-        weight = np.linalg.inv(_misclosure(block, orientation, corrected, rays, q, by_q, joint))
-        covariance = np.linalg.inv(by_point.T @ weight @ by_point)
+        try:
+            weight = np.linalg.inv(_misclosure(block, orientation, corrected, rays, q, by_q, joint))
+            covariance = np.linalg.inv(by_point.T @ weight @ by_point)
+        except np.linalg.LinAlgError:
+            return None
         step = -covariance @ (by_point.T @ (weight @ miss))
         xyz = xyz + step
         if np.abs(step).max() < _ENOUGH_M:
             break
+    else:
+        return None
     q = np.einsum("nij,nj->ni", rotation, xyz - centre)
     miss = (-c[:, None] * q[:, :2] / q[:, 2:] - ideal).ravel()
     variance = np.diag(np.linalg.inv(weight) - by_point @ covariance @ by_point.T)

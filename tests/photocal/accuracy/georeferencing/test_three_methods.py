@@ -8,10 +8,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from acquire.simulate.world.configuration import read_configuration
+from acquire.simulate.world.site import simulate_flight
+from drivers.errors import IllPosedError
 from photocal.accuracy.georeferencing.differences import differences
-from photocal.accuracy.georeferencing.methods import METHODS, Method, of_method
+from photocal.accuracy.georeferencing.local import in_local_frame
+from photocal.accuracy.georeferencing.methods import METHODS, Method, checkable, of_method
+from photocal.accuracy.georeferencing.mounted import with_attitude_angles
 from photocal.block.folder import read_block
 from tests.photocal.accuracy.georeferencing.flights import Plan, fly
+from tests.simulated import PLANS
 
 SEEDS = 6
 SMALL = Plan(tie=50)
@@ -90,3 +96,13 @@ def test_images_without_noise_are_met(tmp_path: Path) -> None:
         found = of_method(block, method)
         assert np.abs(differences(block, found, "check").d).max() < 1e-4, method
         assert found.images.rms.max() < 1e-3, method
+
+
+def test_rays_that_meet_nowhere_are_refused(tmp_path: Path) -> None:
+    """Events 18 s off: each exposure is placed where another one was."""
+    plan = PLANS / "small.toml"
+    wrong = {"level": "block", "faults": ["event_time_base"], "observing": {"ties": 20}}
+    simulate_flight(read_configuration(plan, wrong), tmp_path / "flight", lambda _: None)
+    block = with_attitude_angles(checkable(in_local_frame(read_block(tmp_path / "flight/site/block"))))
+    with pytest.raises(IllPosedError, match=r"rays .* that meet"):
+        of_method(block, "direct")
