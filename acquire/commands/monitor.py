@@ -29,11 +29,9 @@ def monitor(
         typer.Option(help="HOST:PORT of the page. Beyond this computer the page demands a token."),
     ] = "127.0.0.1:8740",
     foxglove: Annotated[
-        bool, typer.Option("--foxglove", help="Also serve the channels to Foxglove on this computer.")
+        bool, typer.Option("--foxglove", help="Also serve the channels to Foxglove, with a token.")
     ] = False,
-    foxglove_address: Annotated[
-        str, typer.Option(help="HOST:PORT for Foxglove, of this computer alone.")
-    ] = "127.0.0.1:8765",
+    foxglove_address: Annotated[str, typer.Option(help="HOST:PORT for Foxglove.")] = "127.0.0.1:8765",
     mute: Annotated[bool, typer.Option("--mute", help="Do not ring the bell of the terminal.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the state once as JSON.")] = False,
 ) -> None:

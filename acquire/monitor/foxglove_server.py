@@ -8,41 +8,37 @@ from typing import Any
 
 from acquire.log.reader import Messages
 from acquire.log.records import Channel, Schema
+from acquire.monitor.gate import gate, hidden_host
 from acquire.web import Address
 from drivers.errors import ConfigurationError, ProgramMissingError
 
 
 @contextmanager
 def serving_foxglove(address: Address) -> Iterator[tuple[Callable[[list[Messages]], None], str]]:
-    """Serve channels on this computer until the end of the block.
+    """Serve channels until the end of the block, to those who have the token.
+
+    The protocol and foxglove-sdk know no token: their server stands at an address that nobody can guess,
+    behind a gate that asks for one.
 
     Parameters
     ----------
     address : Address
-        Where: one of this computer alone. The protocol and foxglove-sdk know no token, so what other
-        computers could reach would be open to all of them.
+        Where Foxglove connects to.
 
     Yields
     ------
     callable
         Takes the messages of a chunk and passes them on, raw and decoded.
     str
-        The address to open in Foxglove.
+        The address to open in Foxglove; the token is part of it.
 
     Raises
     ------
     ProgramMissingError
         When the package foxglove-sdk is not installed.
     ConfigurationError
-        When other computers could reach the address, or the port is taken.
+        When the address is none of this computer, or the port is taken.
     """
-    if not address.loopback:
-        raise ConfigurationError(
-            "would be open to every computer that reaches it: Foxglove's protocol knows no token",
-            where=str(address),
-            remedy=f"serve it at 127.0.0.1:{address.port} and come by a tunnel: "
-            f"ssh -L {address.port}:127.0.0.1:{address.port} ...",
-        )
     try:
         import foxglove
     except ImportError as missing:
@@ -51,17 +47,20 @@ def serving_foxglove(address: Address) -> Iterator[tuple[Callable[[list[Messages
         ) from missing
     # A context of its own: nothing that is logged elsewhere in the process is served.
     context = foxglove.Context()
+    host = hidden_host()
     try:
         server = foxglove.start_server(
             name="photocal acquire monitor",
-            host=address.host,
-            port=address.port,
+            host=host,
+            port=0,
             capabilities=[],
             context=context,
         )
     except (RuntimeError, OSError) as refusal:
         raise ConfigurationError(
-            f"cannot be listened on ({refusal})", where=str(address), remedy="choose --foxglove-address"
+            f"cannot be listened on ({refusal})",
+            where=host,
+            remedy="look at the loopback interface",
         ) from refusal
     served: dict[Channel, Any] = {}
 
@@ -74,7 +73,8 @@ def serving_foxglove(address: Address) -> Iterator[tuple[Callable[[list[Messages
                 channel.log(payload, log_time=time_ns)
 
     try:
-        yield listen, f"ws://{Address(address.host, server.port)}"
+        with gate(address, (host, server.port)) as url:
+            yield listen, url
     finally:
         for channel in served.values():
             channel.close()

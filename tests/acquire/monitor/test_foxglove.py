@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import socket
 import sys
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 from playwright.sync_api import Browser
@@ -13,9 +15,9 @@ from playwright.sync_api import Browser
 from acquire.importing.importer import import_recordings
 from acquire.log.reader import LogReader
 from acquire.monitor.foxglove_server import serving_foxglove
+from acquire.monitor.gate import has_token
 from acquire.web import Address, read_address
 from drivers.errors import ConfigurationError, ProgramMissingError
-from tests.acquire.conftest import Acquire
 from tests.acquire.live import PATIENCE_S
 
 ANY = Address("127.0.0.1", 0)
@@ -93,22 +95,63 @@ def test_without_the_package_it_is_told_what_to_install(monkeypatch: pytest.Monk
 
 def test_a_port_that_is_taken_is_told() -> None:
     with serving_foxglove(ANY) as (_, url):
-        taken = read_address(url.removeprefix("ws://"))
-        with pytest.raises(ConfigurationError, match="foxglove-address"), serving_foxglove(taken):
+        taken = read_address(urlsplit(url).netloc)
+        with pytest.raises(ConfigurationError, match="another port"), serving_foxglove(taken):
             pass
 
 
-@pytest.mark.parametrize("host", ["0.0.0.0", "[::]", "192.0.2.1"])  # noqa: S104 - that is what is refused
-def test_what_other_computers_could_reach_is_refused_in_words(host: str, acquire: Acquire, log: Path) -> None:
-    done = acquire("monitor", log, "--foxglove", "--foxglove-address", f"{host}:8765")
-    assert (done.returncode, done.stderr.count("\n")) == (5, 1)
-    assert "knows no token" in done.stderr
-    assert "ssh -L 8765:127.0.0.1:8765" in done.stderr
+# Opens a socket and gives what it is told first.
+ASK = """(url) => new Promise((resolve) => {
+  const socket = new WebSocket(url, ["foxglove.sdk.v1"]);
+  socket.onerror = () => resolve("nothing");
+  socket.onmessage = ({data}) => resolve(JSON.parse(data).op);
+})"""
+
+
+def test_who_has_no_token_gets_nothing(browser: Browser) -> None:
+    page = browser.new_page()
+    with serving_foxglove(ANY) as (_, url):
+        bare, _, token = url.partition("?token=")
+        assert len(token) >= 24
+        for wrong in (bare, f"{bare}?token=", f"{url[:-1]}", f"{url}&token=x", f"{bare}{token}"):
+            assert page.evaluate(ASK, wrong) == "nothing"
+        assert page.evaluate(ASK, url) == "serverInfo"
+        # Each time another one.
+        with serving_foxglove(ANY) as (_, other):
+            assert page.evaluate(ASK, f"{other.partition('?')[0]}?token={token}") == "nothing"
+    page.close()
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        b"",
+        b"GET / HTTP/1.1\r\n\r\n",
+        b"GET /?token=x HTTP/1.1\r\n\r\n",
+        b"GET /#?token=secret HTTP/1.1\r\n\r\n",
+        b"GET //[?token=secret HTTP/1.1\r\n\r\n",
+        b"GET /?token=\xff HTTP/1.1\r\n\r\n",
+        b"GET /?token=secret&token=secret HTTP/1.1\r\n\r\n",
+        b"GET / HTTP/1.1\r\nX: /?token=secret\r\n\r\n",
+    ],
+)
+def test_heads_without_the_token(head: bytes) -> None:
+    assert not has_token(head, "secret")
+    assert has_token(b"GET /?token=secret HTTP/1.1\r\n\r\n", "secret")
+
+
+def test_noise_is_refused_at_the_gate() -> None:
+    with serving_foxglove(ANY) as (_, url):
+        place = "127.0.0.1", read_address(urlsplit(url).netloc).port
+        for noise in (b"x" * 100_000, b"GET / HTTP/1.1\r\n\r\n"):
+            with socket.create_connection(place, timeout=PATIENCE_S) as line, contextlib.suppress(OSError):
+                line.sendall(noise)
+                assert line.recv(1000).startswith(b"HTTP/1.1 401 ")
 
 
 def test_it_is_heard_on_this_computer_alone() -> None:
     """127.0.0.2 is this computer as well, and not what was bound; so would any outer address be."""
     with serving_foxglove(ANY) as (_, url):
-        port = read_address(url.removeprefix("ws://")).port
+        port = read_address(urlsplit(url).netloc).port
         with pytest.raises(ConnectionRefusedError):
             socket.create_connection(("127.0.0.2", port), timeout=PATIENCE_S)
