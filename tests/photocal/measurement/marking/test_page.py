@@ -112,6 +112,8 @@ def saved(survey: Survey) -> dict[tuple[str, str], tuple[float, float]]:
     return {(m.image, m.point): (m.x, m.y) for m in read_marks(survey.folder / "marks.csv")}
 
 
+# Fifty targets are found one after the other: minutes where many programs want the processor.
+@pytest.mark.timeout(1800)
 def test_ten_points_in_five_images_from_clicks_to_residuals(
     browser: Browser, serve: Serve, mine: Survey, port: int
 ) -> None:
