@@ -19,6 +19,8 @@ Floats = NDArray[np.float64]
 
 Kind = Literal["cross", "hourglass", "circle", "ring", "code"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
+_SIMPLE: tuple[Kind, ...] = ("cross", "hourglass", "circle")
+_HOLLOW: tuple[Kind, ...] = ("ring",)
 # Sizes of targets that are tried, px: each half as large again as the one before.
 SIZES = (8.0, 12.0, 18.0, 27.0, 40.0, 60.0)
 # The search ends when so many larger sizes in a row determine the centre no better.
@@ -100,14 +102,17 @@ def snap(
         middle, likeness = symmetric_place(grey, place, reach, size / 2)
         # Of small targets there may be several within reach: the one that was clicked counts, too.
         starts = (place, middle) if size <= 2 * reach else (middle,)
-        found = [
-            (kind, size, centre)
-            for kind in kinds
-            if kind != "code" and likeness >= LEAST_ALIKE
-            for start in starts
-            for centre in [_FITS[kind](grey, start, size, bend)]
-            if centre is not None and _good(centre, place, reach) and _sharp(centre, size)
-        ]
+        found: list[tuple[Kind, float, Centre]] = []
+        # A ring is none where something simpler fits.
+        for group in (_SIMPLE, _HOLLOW) if likeness >= LEAST_ALIKE else ():
+            found = found or [
+                (kind, size, centre)
+                for kind in kinds
+                if kind in group
+                for start in starts
+                for centre in [_FITS[kind](grey, start, size, bend)]
+                if centre is not None and _good(centre, place, reach) and _sharp(centre, size)
+            ]
         better = min(found, key=lambda one: _variance(one[2]), default=None)
         if better is not None and (best is None or _variance(better[2]) < _variance(best[2])):
             best, in_vain = better, 0
