@@ -111,9 +111,11 @@ def at_events(
     """
     w = attitude.rate
     s2 = (time_sigma_s**2)[:, None, None]
-    covariance = attitude.covariance + s2 * w[:, :, None] * w[:, None, :]
     velocity = np.where(np.isfinite(placed.velocity_m_s), placed.velocity_m_s, 0.0)
-    cross = s2 * velocity[:, :, None] * w[:, None, :] + 0.0 * attitude.covariance
+    # An instant or an attitude of infinite sigma leaves what depends on it unknown: not a number.
+    with np.errstate(invalid="ignore"):
+        covariance = attitude.covariance + s2 * w[:, :, None] * w[:, None, :]
+        cross = s2 * velocity[:, :, None] * w[:, None, :] + 0.0 * attitude.covariance
     timed = replace(attitude, covariance=covariance)
     return Exposures(events.time, events.number, placed, timed, cross, image, height_kind)
 
