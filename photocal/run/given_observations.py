@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from photocal.geometry.rotation import matrix_from_angles
 from photocal.project import Project
 
 
-def given_block(project: Project, images: Images) -> Block:
+def given_block(project: Project, images: Images, without_exposure: Collection[str] = ()) -> Block:
     """Make the block of given observations: points that the control table does not have are tie points.
 
     Parameters
@@ -27,6 +28,8 @@ def given_block(project: Project, images: Images) -> Block:
         With `observations` in `[measurements]`.
     images : Images
         With start values.
+    without_exposure : collection of str
+        Images that were taken while nothing was recorded: their observations are left out.
 
     Returns
     -------
@@ -43,7 +46,8 @@ def given_block(project: Project, images: Images) -> Block:
     table = read_table(path, ("image", "point", "x", "y"), ("sx", "sy"))
     named = table.names("point")[1]
     ties = tuple(sorted(set(named) - set(control.names)))
-    unknown = sorted(set(table.names("image")[1]) - set(images.names))
+    left_out = tuple(sorted(set(without_exposure) - set(images.names)))
+    unknown = sorted(set(table.names("image")[1]) - set(images.names) - set(left_out))
     if unknown:
         raise InputMalformedError(
             f"image {unknown[0]} has no exposure" + (f", as {len(unknown) - 1} more" if unknown[1:] else ""),
@@ -60,6 +64,14 @@ def given_block(project: Project, images: Images) -> Block:
     )
     sigma = None if given is None else given.sigma_px
     keys = ObservationKeys(unit="px", axes="pixel", sigma=sigma)
+    seen = read_observations(path, keys, images.names + left_out, points.names)
+    kept = seen.image < len(images.names)
+    # Points that the images left out alone made determined go with them.
+    before, after = (
+        np.bincount(seen.point[some], minlength=count + len(control.names)) for some in (..., kept)
+    )
+    starved = (before >= 2) & (after < 2) & (points.role != ROLES.index("control"))
+    kept &= ~starved[seen.point]
     block = Block(
         project.name,
         project.crs,
@@ -69,7 +81,13 @@ def given_block(project: Project, images: Images) -> Block:
         project.cameras,
         images,
         points,
-        read_observations(path, keys, images.names, points.names),
+        replace(
+            seen,
+            image=seen.image[kept],
+            point=seen.point[kept],
+            values=seen.values[kept],
+            sigma=seen.sigma[kept],
+        ),
         (fingerprint(path.parent, path.name),),
     )
     return with_points_on_the_ground(block)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from photocal.project import Project
 from photocal.run.stage import Progress, Stage
 
 RECORD = "measurement.json"
+_UNMATCHED = ("unmatched_images", "ambiguous_images")
 
 
 def measurements_stage(project: Project, exposures: Path) -> Stage:
@@ -42,6 +44,12 @@ def measurements_stage(project: Project, exposures: Path) -> Stage:
     )
 
 
+def _without_exposure(exposures: Path) -> list[str]:
+    """Images of the project that belong to no event; the exposures' summary warns of them."""
+    cameras = json.loads((exposures / "exposures.json").read_text(encoding="utf-8"))["cameras"]
+    return [name for own in cameras for kind in _UNMATCHED for name in own[kind]]
+
+
 def _make(project: Project, exposures: Path, folder: Path, show: Progress) -> None:
     from photocal.measurement.block_files import write_block
     from photocal.run.given_observations import given_block
@@ -50,7 +58,7 @@ def _make(project: Project, exposures: Path, folder: Path, show: Progress) -> No
         starts = read_images(exposures / "images.csv", project.cameras)
         # The orientations are start values: what was observed stands in positions.csv and attitudes.csv.
         starts = replace(starts, sigma=np.full_like(starts.sigma, np.inf))
-        block = given_block(project, starts)
+        block = given_block(project, starts, _without_exposure(exposures))
         write_block(folder, block, {"schema": "photocal.measurement/1", "kind": "given observations"})
         return
     from photocal.measurement.cache import default_cache
