@@ -23,10 +23,11 @@ from photocal.adjustment.state import State, moved_exposures
 
 Floats = NDArray[np.float64]
 
-# Squared distance to the minimum, in units of the standard deviations, that is left after the last step.
+# Squared distance to the minimum, in units of the standard deviations, that is left of a solution.
 CONVERGED = 1e-12
-# Only between steps this short is that rate known: the first steps shrink much faster than the last.
-SHORT = 1e-8
+# Only between steps this short, in units of what may be left, is that rate known: the first steps shrink much
+# faster than the last.
+SHORT = 1e4
 # A step this short that no longer lowers the sum of squares shows that rounding is reached.
 ROUNDING = 1e-6
 ITERATIONS = 50
@@ -72,7 +73,12 @@ class Minimum:
     iterations: tuple[Iteration, ...]
 
 
-def minimise(problem: Problem, state: State, report: Callable[[Iteration], None] | None = None) -> Minimum:
+def minimise(
+    problem: Problem,
+    state: State,
+    report: Callable[[Iteration], None] | None = None,
+    near: float = CONVERGED,
+) -> Minimum:
     """Find the state of least v'Pv.
 
     Parameters
@@ -82,6 +88,8 @@ def minimise(problem: Problem, state: State, report: Callable[[Iteration], None]
         Start values of all unknowns.
     report : callable, optional
         Called after each iteration.
+    near : float
+        Squared distance to the minimum, in units of the standard deviations, that may be left.
 
     Returns
     -------
@@ -114,7 +122,7 @@ def minimise(problem: Problem, state: State, report: Callable[[Iteration], None]
                 steps.append(Iteration(len(steps) + 1, normal.chi_squared, decrement, damping))
                 if report:
                     report(steps[-1])
-                if damping == 0.0 and ((decrement < SHORT and left < CONVERGED) or not lower):
+                if damping == 0.0 and ((decrement < SHORT * near and left < near) or not lower):
                     return _released(problem, Minimum(state, normal, tuple(steps)), start)
                 damping = calmer
                 continue

@@ -10,8 +10,7 @@ import numpy as np
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.state import State
 from photocal.analysis.estimates import Array
-from photocal.analysis.hidden.refit import Fit, lowest, with_measurements
-from photocal.analysis.hidden.refit import fit as fit_again
+from photocal.analysis.hidden.refit import Fit, lowest, residuals_of, with_measurements
 from photocal.geometry.rotation import turned
 
 # Less of a column than this, beside the exterior orientation, is not determined.
@@ -20,6 +19,8 @@ INDEPENDENT = 1e-2
 MOST_JOINT = 12
 # A displacement of this many standard deviations, over all rays of an image, is a step small enough.
 STEP = 2.0
+# Above the minimum, see `minimise`: so much is a sum of squares too large.
+NEAR = 1e-7
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ def joint_shift(fit: Fit, image: str) -> ImageShift | None:
     def chi_squared(amount: Array) -> float:
         moved = network.rays.plane.copy()
         moved[mine] += columns @ (step * amount)
-        return lowest(with_measurements(network, moved), fit.state).chi_squared
+        return lowest(with_measurements(network, moved), fit.state, NEAR).chi_squared
 
     try:
         slope, curvature = _paraboloid(chi_squared, fit.solution.chi_squared)
@@ -138,8 +139,9 @@ def joint_shift(fit: Fit, image: str) -> ImageShift | None:
     spread = np.where(hidden, np.nan, np.sqrt(2.0 * np.diag(inverse))) * unit
     corrected = network.rays.plane.copy()
     corrected[mine] += columns @ (step * amount)
-    after = fit_again(with_measurements(network, corrected), fit.state)
-    seen_px = (after.solution.residuals - fit.solution.residuals)[mine] / pitch
+    changed = with_measurements(network, corrected)
+    after = residuals_of(changed, lowest(changed, fit.state).state)
+    seen_px = (after - fit.solution.residuals)[mine] / pitch
     return ImageShift(
         image,
         float(amount[0] * unit[0]),

@@ -13,6 +13,8 @@ from photocal.analysis.hidden.refit import Fit, lowest, without_images
 
 # Beyond this many images, neighbours are left out together.
 MOST_REMOVALS = 30
+# Left of each adjustment, see `minimise`: some 1e-5 standard deviations.
+NEAR = 1e-9
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ def jackknife(fit: Fit, done: Callable[[], None] = lambda: None) -> Jackknife:
         out = np.isin(np.arange(len(names)), group)
         try:
             network, state = without_images(fit.network, fit.state, out)
-            cameras.append(lowest(network, state).state.cameras)
+            cameras.append(lowest(network, state, NEAR).state.cameras)
             left_out.append(tuple(names[i] for i in group))
         except (IllPosedError, NotConvergedError):
             not_possible += [names[i] for i in group]

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
+from photocal.adjustment.kernels.residuals import evaluate
 from photocal.adjustment.mounting import Attitudes, Positions
 from photocal.adjustment.network import Network
-from photocal.adjustment.normal import prepare
+from photocal.adjustment.normal import prepare, values_of
 from photocal.adjustment.solution import Solution
-from photocal.adjustment.solver import minimise
+from photocal.adjustment.solver import CONVERGED, minimise
 from photocal.adjustment.state import State, start_state
 from photocal.analysis.estimates import Array
 
@@ -82,7 +83,7 @@ def fit(network: Network, state: State | None = None) -> Fit:
     return Fit(network, minimum.state, complete(problem, minimum))
 
 
-def lowest(network: Network, state: State) -> Lowest:
+def lowest(network: Network, state: State, near: float = CONVERGED) -> Lowest:
     """Adjust a network without statistics.
 
     Parameters
@@ -91,6 +92,8 @@ def lowest(network: Network, state: State) -> Lowest:
         What to adjust.
     state : State
         Where to start.
+    near : float
+        Squared distance to the minimum, in units of the standard deviations, that may be left.
 
     Returns
     -------
@@ -102,8 +105,27 @@ def lowest(network: Network, state: State) -> Lowest:
     IllPosedError, NotConvergedError
         As the adjustment does.
     """
-    minimum = minimise(with_datum(prepare(network), state), state)
+    minimum = minimise(with_datum(prepare(network), state), state, near=near)
     return Lowest(minimum.state, minimum.iterations[-1].chi_squared)
+
+
+def residuals_of(network: Network, state: State) -> Array:
+    """Give the residuals of the rays at a state.
+
+    Parameters
+    ----------
+    network : Network
+    state : State
+
+    Returns
+    -------
+    (n, 2) array
+        Computed less measured, in the unit of each camera.
+    """
+    residuals, depth = np.empty_like(network.rays.plane), np.empty(len(network.rays.plane))
+    problem = prepare(network)
+    evaluate(problem.design, values_of(problem, state), residuals, depth)
+    return residuals
 
 
 def with_measurements(network: Network, plane: Array) -> Network:
