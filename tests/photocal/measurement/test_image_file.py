@@ -93,7 +93,7 @@ def test_folders_without_images(tmp_path: Path) -> None:
 
 
 @given(st.integers(0, 600), st.binary(min_size=1, max_size=30))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_overwritten_files_never_give_a_traceback(
     tmp_path_factory: pytest.TempPathFactory, offset: int, junk: bytes
 ) -> None:
