@@ -271,8 +271,9 @@ def _camera_lines(own: dict[str, Any]) -> list[str]:
     lines = [f"camera {own['camera']}: {', '.join(own['held'])} held; to calibrate, name them under estimate"]
     if released is None:
         return lines
+    unit, digits = own["unit"], 1 if own["unit"] == "px" else 4
     says = (
-        f"released, c becomes {released['c']:.1f} +- {released['sigma']:.1f} px "
+        f"released, c becomes {released['c']:.{digits}f} +- {released['sigma']:.{digits}f} {unit} "
         f"({100 * released['change']:+.1f} %); the relief is {100 * released['relief']:.0f} % of the distance"
     )
     if not released["credible"]:

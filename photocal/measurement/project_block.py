@@ -29,6 +29,7 @@ from photocal.measurement.orientation import Orientation
 from photocal.measurement.oriented_ties import Progress, figures, orient_ties
 from photocal.measurement.pair_selection import Footprints, footprints
 from photocal.measurement.project_targets import targets_of_project
+from photocal.measurement.released import camera_figures
 from photocal.measurement.start_block import NO_OBSERVATIONS, POSITION_SIGMA_M, without_images
 from photocal.measurement.tie_adjustment import GROSS, Adjusted, adjust_ties, pixel_residuals
 from photocal.measurement.tie_block import place, with_ties
@@ -111,6 +112,7 @@ def measure_project(
         **tie_record(sighted, oriented),
         "kind": "project",
         **figures(replace(oriented, adjusted=released)),
+        "cameras": camera_figures(released),
         "marks": {
             "by_hand": len(by_hand),
             "targets": len(found.marks),

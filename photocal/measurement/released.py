@@ -41,6 +41,7 @@ def camera_figures(adjusted: Adjusted) -> list[dict[str, Any]]:
         found.append(
             {
                 "camera": own.id,
+                "unit": own.unit,
                 "parameters": {
                     n: float(v) for n, v in zip(PARAMETERS, solution.cameras[k], strict=True) if v
                 },
