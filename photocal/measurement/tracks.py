@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
 
 from photocal.measurement.features import Features
 
@@ -160,18 +162,58 @@ def thin(tracks: Tracks, sizes: Floats, cells: int, in_a_cell: int) -> Tracks:
     Tracks
     """
     side = sizes.max(axis=1)[tracks.image] / cells
+    order, starts = _strongest_first(tracks)
     column, row = (np.maximum(tracks.pixels.T, 0.0) / side).astype(np.int64)
     cell = (tracks.image * (cells + 1) + column) * (cells + 1) + row
-    starts = np.r_[np.flatnonzero(np.r_[True, np.diff(tracks.track) > 0]), len(tracks.track)]
-    finest = np.minimum.reduceat(tracks.scale, starts[:-1]) if tracks.count else np.zeros(0)
     filled = np.zeros(int(cell.max(initial=-1)) + 1, dtype=np.int64)
     keep = np.zeros(tracks.count, dtype=np.bool_)
-    for j in np.lexsort((finest, -tracks.rays)):
+    for j in order:
         mine = cell[starts[j] : starts[j + 1]]
         if (filled[mine] < in_a_cell).any():
             keep[j] = True
             filled[mine] += 1
     return tracks.some(keep[tracks.track])
+
+
+def spaced(tracks: Tracks, least_px: float) -> Tracks:
+    """Keep strong points of which no two are neighbours in an image.
+
+    Patches that overlap share pixels, and with them the errors of their places: neighbours say less than
+    their number.
+
+    Parameters
+    ----------
+    tracks : Tracks
+    least_px : float
+        Distance from which two points are no neighbours.
+
+    Returns
+    -------
+    Tracks
+        Tracks with many rays come first; of equals those with the smallest scale.
+    """
+    pairs = [np.zeros((0, 2), dtype=np.int64)]
+    for image in np.unique(tracks.image):
+        mine = np.flatnonzero(tracks.image == image)
+        near = cKDTree(tracks.pixels[mine]).query_pairs(least_px, output_type="ndarray")
+        pairs.append(tracks.track[mine][near])
+    both = np.concatenate(pairs)
+    links = np.ones(2 * len(both), dtype=np.bool_)
+    shape = (tracks.count, tracks.count)
+    ends = (np.r_[both[:, 0], both[:, 1]], np.r_[both[:, 1], both[:, 0]])
+    neighbours = csr_array((links, ends), shape=shape)
+    keep = np.zeros(tracks.count, dtype=np.bool_)
+    for j in _strongest_first(tracks)[0]:
+        beside = neighbours.indices[neighbours.indptr[j] : neighbours.indptr[j + 1]]
+        keep[j] = not keep[beside].any()
+    return tracks.some(keep[tracks.track])
+
+
+def _strongest_first(tracks: Tracks) -> tuple[Integers, Integers]:
+    """Order of the tracks, many rays and small scale first; where the rays of each begin."""
+    starts = np.r_[np.flatnonzero(np.r_[True, np.diff(tracks.track) > 0]), len(tracks.track)]
+    finest = np.minimum.reduceat(tracks.scale, starts[:-1]) if tracks.count else np.zeros(0)
+    return np.lexsort((finest, -tracks.rays)), starts
 
 
 def _places(features: Features) -> Integers:

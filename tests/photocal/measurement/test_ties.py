@@ -21,7 +21,7 @@ from photocal.measurement.image_facts import read_facts
 from photocal.measurement.match_images import MatchingPlan, detect_all, match_all
 from photocal.measurement.matching import MatchSettings, match, mutual_matches
 from photocal.measurement.pair_selection import Footprints, footprints, select_pairs
-from photocal.measurement.tracks import Tracks, join_tracks, thin
+from photocal.measurement.tracks import Tracks, join_tracks, spaced, thin
 from photocal.measurement.workers import run_tasks
 
 
@@ -293,3 +293,46 @@ def test_small_drone_images_in_one_block(
     apart = written.values[1, 3:5] - written.values[0, 3:5]
     assert np.hypot(*apart) == pytest.approx(geodesic[2], abs=0.01)
     assert photocal("adjust", tmp_path / "block", "-o", tmp_path / "run").code == 0
+
+
+def test_no_two_points_of_an_image_are_neighbours() -> None:
+    rng = np.random.default_rng(5)
+    count = 400
+    rays = rng.integers(2, 6, count)
+    track = np.repeat(np.arange(count), rays)
+    image = np.concatenate([np.sort(rng.choice(6, n, replace=False)) for n in rays])
+    # Each image shows the points of a field of 300 px moved.
+    place = rng.uniform(0, 300, (count, 2))
+    pixels = place[track] + 7.0 * image[:, None] + rng.normal(0, 0.1, (len(track), 2))
+    tracks = Tracks(track, image, pixels, rng.uniform(0.02, 0.1, len(track)))
+    kept = spaced(tracks, 20.0)
+    assert 60 < kept.count < 200
+    for k in range(6):
+        mine = kept.pixels[kept.image == k]
+        apart = np.linalg.norm(mine[:, None] - mine, axis=2) + 1e9 * np.eye(len(mine))
+        assert apart.min() >= 20.0
+    # Each point that went has a neighbour that stayed and is at least as strong.
+    stayed = {tuple(row): n for row, n in zip(kept.pixels.tolist(), kept.rays[kept.track], strict=True)}
+    for j in range(count):
+        mine = track == j
+        if tuple(pixels[mine][0].tolist()) in stayed:
+            continue
+        beside = [
+            n
+            for k, at in zip(image[mine], pixels[mine], strict=True)
+            for other, n in zip(
+                kept.pixels[kept.image == k], kept.rays[kept.track[kept.image == k]], strict=True
+            )
+            if np.linalg.norm(other - at) < 20.0
+        ]
+        assert max(beside) >= rays[j]
+
+
+def test_the_strongest_points_stay() -> None:
+    tracks = Tracks(
+        np.array([0, 0, 1, 1, 1, 2, 2]),
+        np.array([0, 1, 0, 1, 2, 0, 1]),
+        np.array([[10.0, 10], [10, 10], [15, 10], [15, 10], [15, 10], [60, 10], [60, 10]]),
+        np.full(7, 0.05),
+    )
+    assert spaced(tracks, 20.0).rays.tolist() == [3, 2]
