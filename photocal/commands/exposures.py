@@ -103,7 +103,6 @@ def exposures(
     from photocal.navigation.rig import Rig
     from photocal.navigation.rig import camera_axes as axes_of
     from photocal.navigation.triple import parse_triple
-    from photocal.navigation.troposphere import parse_weather
 
     logs = tuple(flight or ())
     project = [path for path in logs if path.suffix == ".toml"]
@@ -123,16 +122,8 @@ def exposures(
             axes_of(tuple(camera_axes.split(","))),
         )
         sources = Sources(
-            logs,
-            rover,
-            base,
-            tuple(nav or ()),
-            base_position,
-            rover_link,
-            base_link,
-            base_sigma_m=None if base_sigma is None else parse_triple(base_sigma, "--base-sigma"),
-            weather=None if weather is None else parse_weather(weather, "--weather"),
-        )
+            logs, rover, base, tuple(nav or ()), base_position, rover_link, base_link
+        ).with_base(base_sigma, weather)
         choices = Choices(sources, images, mrk, edge, delay, delay_sigma, rig, clock_offset)
     choices = replace(choices, oriented=oriented)
     if check_images:

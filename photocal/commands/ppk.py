@@ -66,21 +66,11 @@ def ppk(
     from photocal.navigation.ppk_inputs import Sources, gather_inputs
     from photocal.navigation.ppk_report import plot_ppk, ppk_figures, ppk_text
     from photocal.navigation.trajectory import write_trajectory
-    from photocal.navigation.triple import parse_triple
-    from photocal.navigation.troposphere import parse_weather
 
     engine = Rtklib()
     logs = tuple(flight or ())
-    sources = Sources(
-        logs,
-        rover,
-        base,
-        tuple(nav or ()),
-        base_position,
-        rover_link,
-        base_link,
-        base_sigma_m=None if base_sigma is None else parse_triple(base_sigma, "--base-sigma"),
-        weather=None if weather is None else parse_weather(weather, "--weather"),
+    sources = Sources(logs, rover, base, tuple(nav or ()), base_position, rover_link, base_link).with_base(
+        base_sigma, weather
     )
     with tempfile.TemporaryDirectory() as scratch:
         inputs, remarks = gather_inputs(sources, engine, Path(scratch))

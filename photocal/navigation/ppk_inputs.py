@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,8 @@ from photocal.navigation.receiver_recording import (
 )
 from photocal.navigation.rinex import count_ephemerides, read_observation_file
 from photocal.navigation.time import GpsTime
-from photocal.navigation.troposphere import Weather
+from photocal.navigation.triple import parse_triple
+from photocal.navigation.troposphere import Weather, parse_weather
 
 NAV_OF_BASE = "base"
 
@@ -62,6 +63,27 @@ class Sources:
     base_antenna_m: float | None = None
     base_sigma_m: NDArray[np.float64] | None = None
     weather: Weather | None = None
+
+    def with_base(self, sigma: str | None, weather: str | None) -> Sources:
+        """Return the sources with what a person states of the base.
+
+        Parameters
+        ----------
+        sigma : str or None
+            ``E,N,U``: standard deviations of its position, m.
+        weather : str or None
+            ``TEMPERATURE,HUMIDITY[,PRESSURE]``.
+
+        Raises
+        ------
+        ConfigurationError
+            When a text is none of these; named by its option.
+        """
+        return replace(
+            self,
+            base_sigma_m=None if sigma is None else parse_triple(sigma, "--base-sigma"),
+            weather=None if weather is None else parse_weather(weather, "--weather"),
+        )
 
 
 def gather_inputs(sources: Sources, engine: Engine, folder: Path) -> tuple[Inputs, list[str]]:

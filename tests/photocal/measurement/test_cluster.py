@@ -6,7 +6,7 @@ import importlib
 import os
 import signal
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -33,19 +33,6 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ...]:
     site = flight()
     site.render(texture(1, SIDE), folder)
     return tuple(folder / name for name in site.names)
-
-
-@pytest.fixture(scope="module")
-def two_workers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=2,
-        threads_per_worker=1,
-        dashboard_address=None,
-        local_directory=str(tmp_path_factory.mktemp("dask")),
-        silence_logs=50,
-    ) as running:
-        yield running
 
 
 def tracks(

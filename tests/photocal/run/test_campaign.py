@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime as dt
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -38,19 +37,6 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=2,
-        threads_per_worker=1,
-        dashboard_address=None,
-        local_directory=str(tmp_path_factory.mktemp("dask")),
-        silence_logs=50,
-    ) as running:
-        yield running.scheduler_address
-
-
 def campaign(flown: Path, folder: Path, **where: Any) -> list[dict[str, Any]]:
     """Run copies of the flights; their figures without times and places."""
     paths = []
@@ -62,13 +48,16 @@ def campaign(flown: Path, folder: Path, **where: Any) -> list[dict[str, Any]]:
 
 
 def test_everywhere_the_same(
-    flown: Path, cluster: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    flown: Path, two_workers: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     alone = campaign(flown, tmp_path / "alone")
     said = capsys.readouterr().err
     assert [one["project"] for one in alone] == ["may", "june"]
     assert alone[0]["calibration"]["cameras"] != alone[1]["calibration"]["cameras"]
-    for name, where in (("processes", {"workers": 2}), ("cluster", {"cluster": cluster})):
+    for name, where in (
+        ("processes", {"workers": 2}),
+        ("cluster", {"cluster": two_workers.scheduler_address}),
+    ):
         assert campaign(flown, tmp_path / name, **where) == alone
         # What the stages say comes back from there.
         told = capsys.readouterr().err
@@ -78,11 +67,14 @@ def test_everywhere_the_same(
 
 
 @pytest.mark.parametrize("elsewhere", [False, True], ids=["here", "cluster"])
-def test_one_that_fails_stops_no_other(flown: Path, cluster: str, tmp_path: Path, elsewhere: bool) -> None:
+def test_one_that_fails_stops_no_other(
+    flown: Path, two_workers: Any, tmp_path: Path, elsewhere: bool
+) -> None:
+    address = two_workers.scheduler_address
     for name in ("may", "june"):
         shutil.copytree(flown / name, tmp_path / name)
     (tmp_path / "may" / "block" / "block.toml").unlink()
     paths = [tmp_path / name / "project.toml" for name in ("may", "june")]
     with pytest.raises(InputNotFoundError, match=r"block\.toml"):
-        run_projects(paths, DAY, quiet, until="calibration", cluster=cluster if elsewhere else None)
+        run_projects(paths, DAY, quiet, until="calibration", cluster=address if elsewhere else None)
     assert (tmp_path / "june" / "work" / "calibration" / "result.json").exists()
