@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from photocal.accuracy.georeferencing.differences import differences
-from photocal.accuracy.georeferencing.hypotheses import systematic_errors
 from photocal.accuracy.georeferencing.methods import METHODS, of_method
 from photocal.accuracy.georeferencing.mounted import with_attitude_angles
+from photocal.accuracy.georeferencing.systematic import systematic_errors
 from photocal.block.folder import read_block
 from tests.photocal.accuracy.georeferencing.flights import Errors, Plan, fly
 

@@ -12,8 +12,9 @@ from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.georeferencing.comparison import BlockCheck, Judged
 from photocal.accuracy.georeferencing.differences import CRITICAL_W, ELLIPSE_PROBABILITY, Differences
 from photocal.accuracy.georeferencing.freed_groups import Estimate
-from photocal.accuracy.georeferencing.hypotheses import Hypothesis, SystematicErrors
+from photocal.accuracy.georeferencing.hypotheses import Hypothesis
 from photocal.accuracy.georeferencing.separation import Separation
+from photocal.accuracy.georeferencing.systematic import SystematicErrors
 from photocal.accuracy.georeferencing.wording import block_findings
 
 SCHEMA = "photocal.block-check/1"

@@ -30,7 +30,7 @@ class Change:
     image : int
         Its first image.
     values : ndarray, shape (13,)
-        Its parameters; all but c are held.
+        Its parameters: start values of those that are free.
     """
 
     image: int
@@ -77,24 +77,28 @@ def split_at(block: Block, change: Change, loose: float) -> Block:
     Returns
     -------
     Block
-        The second camera has only its principal distance free.
+        The second camera has the same parameters free as the first: held at what both together gave, they
+        would keep part of the misfit, and other groups would seem to explain it.
     """
     (own,) = block.cameras
     c = PARAMETERS.index("c")
     estimated, sigma = own.estimated.copy(), own.prior_sigma.copy()
     estimated[c], sigma[c] = True, loose * own.value("c")
-    only, alone = np.zeros_like(estimated), np.full_like(sigma, np.inf)
-    only[c], alone[c] = True, sigma[c]
+    first = replace(own, estimated=estimated, prior_sigma=sigma)
     later = block.images.names[change.image]
-    second = replace(
-        own.with_values(change.values), id=f"{own.id} from {later}", estimated=only, prior_sigma=alone
-    )
+    second = replace(first.with_values(change.values), id=f"{own.id} from {later}")
     camera = np.where(np.arange(len(block.images.names)) >= change.image, 1, 0)
-    return replace(
-        block,
-        cameras=(replace(own, estimated=estimated, prior_sigma=sigma), second),
-        images=replace(block.images, camera=camera),
-    )
+    return replace(block, cameras=(first, second), images=replace(block.images, camera=camera))
+
+
+def unknowns_of_change(block: Block) -> int:
+    """Count what `split_at` frees in a block with one camera: the second camera, and c of the first."""
+    (own,) = block.cameras
+    free = own.estimated.copy()
+    c = PARAMETERS.index("c")
+    held = not free[c]
+    free[c] = True
+    return int(free.sum()) + int(held)
 
 
 def best_change(block: Block, values: Floats, loose: float) -> Change | None:

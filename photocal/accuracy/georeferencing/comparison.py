@@ -13,7 +13,6 @@ from photocal.accuracy.assessment import Assessment, Question, assess
 from photocal.accuracy.findings import Finding
 from photocal.accuracy.georeferencing.calibrated import Calibration
 from photocal.accuracy.georeferencing.differences import Differences, differences
-from photocal.accuracy.georeferencing.hypotheses import SystematicErrors, systematic_errors
 from photocal.accuracy.georeferencing.local import in_local_frame
 from photocal.accuracy.georeferencing.methods import (
     METHODS,
@@ -28,6 +27,7 @@ from photocal.accuracy.georeferencing.mounted import as_mounted, with_attitude_a
 from photocal.accuracy.georeferencing.plausible import ground_findings
 from photocal.accuracy.georeferencing.separation import Separation, separation
 from photocal.accuracy.georeferencing.simulated import Degradation, degraded
+from photocal.accuracy.georeferencing.systematic import SystematicErrors, systematic_errors
 from photocal.accuracy.standard import Standard
 from photocal.block.model import Block, Role
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from photocal.accuracy.findings import Finding
 from photocal.accuracy.georeferencing.freed_groups import Estimate
-from photocal.accuracy.georeferencing.hypotheses import SystematicErrors
+from photocal.accuracy.georeferencing.systematic import SystematicError
 
 Floats = NDArray[np.float64]
 
@@ -20,70 +20,62 @@ _NOTEWORTHY_M = 0.03
 _AXES = ("forward", "right", "down")
 
 
-def fault_findings(errors: SystematicErrors) -> tuple[Finding, ...]:
-    """Name the mistakes that the systematic errors look like.
+def fault_of(error: SystematicError) -> Finding | None:
+    """Name the mistake that a systematic error looks like.
 
     Parameters
     ----------
-    errors : SystematicErrors
+    error : SystematicError
 
     Returns
     -------
-    tuple of Finding
-        Codes "antenna-height", "base-position", "lever-arm-axes".
+    Finding or None
+        Code "antenna-height", "base-position" or "lever-arm-axes"; None when it looks like none of these.
     """
-    groups = {error.found.name: error.found.estimates for error in errors.errors}
-    same = {name for error in errors.errors for name in error.same}
-    said = []
-    if "lever arm" in groups:
-        said += _swapped_axes(groups["lever arm"])
-    if "datum shift" in groups:
-        said += _shift(groups["datum shift"])
-    elif "datum shift" in same:
-        tested = next((one for one in errors.tested if one.name == "datum shift"), None)
-        said += [] if tested is None else _shift(tested.estimates)
-    return tuple(said)
+    same = (error.found, *error.alternatives)
+    shift = next((one for one in same if one.name == "datum shift"), None)
+    if shift is None:
+        return _swapped_axes(error.found.estimates) if error.found.name == "lever arm" else None
+    # A lever arm that explains as much as a shift in plane is no mistake of the base alone.
+    alone = error.found.name == "datum shift" and not error.alternatives
+    return _shift(shift.estimates, in_plane=alone)
 
 
-def _shift(estimates: tuple[Estimate, ...]) -> list[Finding]:
+def _shift(estimates: tuple[Estimate, ...], in_plane: bool) -> Finding | None:
     """A shift common to all positions: of the height alone, or of the base."""
     axes = {one.name.removeprefix("shift_"): one for one in estimates}
     noteworthy = {
-        axis: one for axis, one in axes.items() if one.significant and abs(one.correction) > _NOTEWORTHY_M
+        axis for axis, one in axes.items() if one.significant and abs(one.correction) > _NOTEWORTHY_M
     }
-    if not noteworthy:
-        return []
-    if set(noteworthy) == {"z"}:
+    if noteworthy == {"z"}:
         z = axes["z"]
         side = "above" if z.correction > 0 else "below"
-        return [
-            Finding(
-                "antenna-height",
-                f"all GNSS positions lie {abs(z.correction):.3f} +- {z.sigma:.3f} m {side} what the control "
-                "says, and in plane they agree: an antenna height (of the base or on the vehicle), "
-                "ellipsoidal against geoid heights, or the vertical lever arm.",
-            )
-        ]
+        return Finding(
+            "antenna-height",
+            f"all GNSS positions lie {abs(z.correction):.3f} +- {z.sigma:.3f} m {side} what the control "
+            "says, and in plane they agree: an antenna height (of the base or on the vehicle), "
+            "ellipsoidal against geoid heights, or the vertical lever arm.",
+        )
+    if not noteworthy or not in_plane:
+        return None
     shift = ", ".join(
         f"{axis.upper()} {one.correction:+.3f} +- {one.sigma:.3f}" for axis, one in axes.items()
     )
-    return [
-        Finding(
-            "base-position",
-            f"all GNSS positions are shifted against the control by {shift} m: the coordinates of the base "
-            "station, or its datum or epoch, are not those of the control.",
-        )
-    ]
+    return Finding(
+        "base-position",
+        f"all GNSS positions are shifted against the control by {shift} m: the coordinates of the base "
+        "station, or its datum or epoch, are not those of the control.",
+    )
 
 
-def _swapped_axes(estimates: tuple[Estimate, ...]) -> list[Finding]:
+def _swapped_axes(estimates: tuple[Estimate, ...]) -> Finding | None:
     """A lever arm that was given with its axes in another order or with another sign."""
     value = np.array([one.value for one in estimates])
     given = value - np.array([one.correction for one in estimates])
     tolerance = np.maximum(_NEAR * np.array([one.sigma for one in estimates]), _NEAR_M)
     best: tuple[int, str] | None = None
     if np.all(np.abs(given - value) <= tolerance):
-        return []
+        return None
     for order in permutations(range(3)):
         for sign in product((1.0, -1.0), repeat=3):
             meant = given[list(order)] * np.array(sign)
@@ -93,16 +85,14 @@ def _swapped_axes(estimates: tuple[Estimate, ...]) -> list[Finding]:
             if fits and (best is None or len(changed) < best[0]):
                 best = len(changed), _words(order, sign)
     if best is None:
-        return []
+        return None
     estimate = ", ".join(f"{v:+.3f}" for v in value)
     stated = ", ".join(f"{v:+.3f}" for v in given)
-    return [
-        Finding(
-            "lever-arm-axes",
-            f"the lever arm was given as ({stated}) m where the flight finds ({estimate}) m in forward, "
-            f"right, down: {best[1]}.",
-        )
-    ]
+    return Finding(
+        "lever-arm-axes",
+        f"the lever arm was given as ({stated}) m where the flight finds ({estimate}) m in forward, "
+        f"right, down: {best[1]}.",
+    )
 
 
 def _words(order: tuple[int, ...], sign: tuple[float, ...]) -> str:

@@ -8,11 +8,11 @@ from scipy import stats
 
 from photocal.accuracy.findings import Finding
 from photocal.accuracy.georeferencing.comparison import BlockCheck, Judged
-from photocal.accuracy.georeferencing.faults import fault_findings
+from photocal.accuracy.georeferencing.faults import fault_of
 from photocal.accuracy.georeferencing.freed_groups import MEANING, Estimate
-from photocal.accuracy.georeferencing.hypotheses import SystematicErrors
 from photocal.accuracy.georeferencing.mistyped import Mistyped
 from photocal.accuracy.georeferencing.separation import separation_findings
+from photocal.accuracy.georeferencing.systematic import SystematicError
 from photocal.accuracy.ground_points import name_list
 
 # Errors this many times as large as predicted, or as small, are worth a word.
@@ -23,7 +23,7 @@ _RATIO_DIRECT = math.sqrt(float(stats.chi2(3).ppf(0.999)) / 3.0)
 
 
 def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
-    """Say what was found, the worst first.
+    """Say what was found: mistakes and errors first, each under one name, then what follows of them.
 
     Parameters
     ----------
@@ -35,8 +35,7 @@ def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
     """
     said = [*check.plausibility, *(_mistyped(one) for one in check.mistyped)]
     if check.systematic is not None:
-        said += _systematic(check.systematic)
-        said += fault_findings(check.systematic)
+        said += [fault_of(error) or _systematic(error) for error in check.systematic.errors]
     for judged in check.judged:
         said += _judged(judged)
     if check.separation is not None:
@@ -71,19 +70,17 @@ def _mistyped(one: Mistyped) -> Finding:
     return Finding("control-mistyped", text)
 
 
-def _systematic(errors: SystematicErrors) -> list[Finding]:
-    said = []
-    for error in errors.errors:
-        figures = ", ".join(estimate_text(e) for e in error.found.estimates if e.significant)
-        figures = figures or ", ".join(estimate_text(e) for e in error.found.estimates)
-        text = f"{error.found.name}: {MEANING[error.found.name]}; correction {figures}."
-        if error.same:
-            text += (
-                f" This flight cannot tell it from an error of {' or '.join(error.same)}: "
-                "both explain the observations as well."
-            )
-        said.append(Finding(error.found.name.replace(" ", "-"), text))
-    return said
+def _systematic(error: SystematicError) -> Finding:
+    found = error.found
+    figures = ", ".join(estimate_text(e) for e in found.estimates if e.significant)
+    figures = figures or ", ".join(estimate_text(e) for e in found.estimates)
+    text = f"{found.name}: {MEANING[found.name]}; correction {figures}."
+    if error.same:
+        text += (
+            f" This flight cannot tell it from an error of {' or '.join(error.same)}: "
+            "both explain the observations as well."
+        )
+    return Finding(found.name.replace(" ", "-"), text)
 
 
 def _judged(judged: Judged) -> list[Finding]:

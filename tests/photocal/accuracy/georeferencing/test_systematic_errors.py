@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from photocal.accuracy.georeferencing.hypotheses import SystematicErrors, systematic_errors
 from photocal.accuracy.georeferencing.mounted import with_attitude_angles
 from photocal.accuracy.georeferencing.separation import separation, separation_findings
+from photocal.accuracy.georeferencing.systematic import SystematicErrors, systematic_errors
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from tests.photocal.accuracy.georeferencing.flights import Errors, Plan, fly

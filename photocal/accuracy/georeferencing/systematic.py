@@ -1,0 +1,199 @@
+"""The search for systematic errors: as few groups of freed values as explain the contradictions of a block.
+
+Stepwise: the most probable group is accepted, then the others are tested beside it; after each step a group
+that the others make needless is given up again. So what imitates a cause gives way to the cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from drivers.errors import IllPosedError, NotConvergedError
+from photocal.accuracy.georeferencing.camera_change import Change, best_change, unknowns_of_change
+from photocal.accuracy.georeferencing.freed_groups import (
+    CHANGE,
+    LOOSE_CAMERA,
+    MOUNTED,
+    Estimate,
+    estimates_of,
+    groups_of,
+    left_free,
+    with_freed,
+)
+from photocal.accuracy.georeferencing.hypotheses import Hypothesis, as_good, compare, most_probable
+from photocal.adjustment.adjust import adjust
+from photocal.adjustment.solution import Solution
+from photocal.block.model import Block
+from photocal.block.network import assemble
+
+_ROUNDS = 4
+# Of these, one leaves nothing of the other.
+_DISTANCES = ("principal distance", CHANGE)
+
+
+@dataclass(frozen=True)
+class SystematicError:
+    """An error that was found, and what else might have caused it.
+
+    Attributes
+    ----------
+    found : Hypothesis
+        Tested beside all others that were found.
+    alternatives : tuple of Hypothesis
+        Groups that explain it as well.
+    """
+
+    found: Hypothesis
+    alternatives: tuple[Hypothesis, ...]
+
+    @property
+    def same(self) -> tuple[str, ...]:
+        """Names of the alternatives."""
+        return tuple(one.name for one in self.alternatives)
+
+
+@dataclass(frozen=True)
+class SystematicErrors:
+    """The outcome of all tests.
+
+    Attributes
+    ----------
+    tested : tuple of Hypothesis
+        Each group alone, in the first round.
+    errors : tuple of SystematicError
+        Those that are needed, the gravest first.
+    estimates : tuple of Estimate
+        Of everything found, estimated together.
+    untested : tuple of str
+        Groups that could not be freed, with the reason.
+    own : tuple of Estimate
+        Values that the block itself leaves free, from its integrated adjustment.
+    """
+
+    tested: tuple[Hypothesis, ...]
+    errors: tuple[SystematicError, ...]
+    estimates: tuple[Estimate, ...]
+    untested: tuple[str, ...]
+    own: tuple[Estimate, ...]
+
+
+def systematic_errors(block: Block, done: Callable[[], None] = lambda: None) -> SystematicErrors:
+    """Look for systematic errors of the georeference.
+
+    Parameters
+    ----------
+    block : Block
+        With positions (see `as_mounted`) and control.
+    done : callable
+        Called after each adjustment.
+
+    Returns
+    -------
+    SystematicErrors
+
+    Raises
+    ------
+    PhotocalError
+        When the block cannot be adjusted as it is.
+    """
+    search = _Search(block, done)
+    accepted: tuple[str, ...] = ()
+    tested: tuple[Hypothesis, ...] = ()
+    for turn in range(_ROUNDS):
+        tries = search.beside(accepted)
+        if turn == 0:
+            tested = tries
+        best = most_probable(tries, search.first.observations)
+        if best is None:
+            break
+        kept = search.needed((*accepted, best.name))
+        if set(kept) == set(accepted):
+            break
+        accepted = kept
+    errors = search.errors(accepted)
+    own = tuple(
+        e
+        for name in MOUNTED
+        if left_free(block, name)
+        for e in estimates_of(block, block, search.first, name)
+    )
+    return SystematicErrors(
+        tested,
+        errors,
+        tuple(e for one in errors for e in one.found.estimates),
+        tuple(f"{name}: {reason}" for name, reason in search.refused.items()),
+        own,
+    )
+
+
+class _Search:
+    """Adjustments of one block with groups freed, each set of groups once."""
+
+    def __init__(self, block: Block, done: Callable[[], None]) -> None:
+        self._block, self._done = block, done
+        self._adjusted: dict[frozenset[str], tuple[Block, Solution]] = {}
+        self._change: Change | None = None
+        self.first = self._solve(frozenset())[1]
+        self._change = best_change(block, self.first.cameras[0], LOOSE_CAMERA)
+        # A second camera is made of the first one, so it comes before what is freed in both.
+        self._names = (() if self._change is None else (CHANGE,)) + groups_of(block)
+        self.refused: dict[str, str] = {}
+
+    def beside(self, accepted: tuple[str, ...]) -> tuple[Hypothesis, ...]:
+        """Test all other groups beside those that were accepted."""
+        tries = []
+        for name in self._names:
+            if name in accepted or (name in _DISTANCES and any(one in accepted for one in _DISTANCES)):
+                continue
+            one = self._tested(name, accepted)
+            if one is not None:
+                tries.append(one)
+        return tuple(tries)
+
+    def needed(self, accepted: tuple[str, ...]) -> tuple[str, ...]:
+        """Give up groups, the least significant one first, until each is needed beside the others."""
+        while len(accepted) > 1:
+            tries = (self._tested(name, _less(accepted, name)) for name in accepted)
+            weakest = min((one for one in tries if one), key=lambda one: one.f / one.critical, default=None)
+            if weakest is None or weakest.significant:
+                break
+            accepted = _less(accepted, weakest.name)
+        return accepted
+
+    def errors(self, accepted: tuple[str, ...]) -> tuple[SystematicError, ...]:
+        """Give the accepted groups beside each other, and what could stand in the place of each."""
+        found = []
+        for name in accepted:
+            others = _less(accepted, name)
+            one = self._tested(name, others)
+            if one is not None:
+                found.append(SystematicError(one, as_good(one, self.beside(others))))
+        return tuple(sorted(found, key=lambda one: -one.found.gain))
+
+    def _tested(self, name: str, others: tuple[str, ...]) -> Hypothesis | None:
+        """Test a group beside others; None when it cannot be freed."""
+        try:
+            _, before = self._solve(frozenset(others))
+            freed, after = self._solve(frozenset((*others, name)))
+        except (IllPosedError, NotConvergedError) as refusal:
+            if not others:
+                self.refused[name] = refusal.what
+            return None
+        estimates = estimates_of(self._block, freed, after, name)
+        unknowns = unknowns_of_change(self._block) if name == CHANGE else len(estimates)
+        return compare(name, before, after, unknowns, estimates, len(self._names))
+
+    def _solve(self, groups: frozenset[str]) -> tuple[Block, Solution]:
+        if groups not in self._adjusted:
+            freed = self._block
+            for name in self._names if groups else ():
+                if name in groups:
+                    freed = with_freed(freed, name, self._change)
+            self._adjusted[groups] = freed, adjust(assemble(freed).network)
+            self._done()
+        return self._adjusted[groups]
+
+
+def _less(names: tuple[str, ...], one: str) -> tuple[str, ...]:
+    return tuple(name for name in names if name != one)
