@@ -34,8 +34,9 @@ class Limits(NamedTuple):
     null: float
 
 
-# What rounding alone holds; and what to suspect first when an adjustment fails or means nothing.
-SINGULAR = Limits(1e-10, 1e-10)
+# What rounding alone holds: null eigenvalues of whole blocks come out below 1e-14. And what to suspect first
+# when an adjustment fails or means nothing.
+SINGULAR = Limits(1e-10, 1e-12)
 SUSPECT = Limits(1e-4, 1e-7)
 # Share of a null vector that similarity transformations must explain to be called the datum.
 MOSTLY = 0.5

@@ -19,7 +19,7 @@ from photocal.adjustment.normal import (
     normal_equations,
 )
 from photocal.adjustment.rank import SUSPECT, explain_singular, weakest_pivot
-from photocal.adjustment.state import State, moved_exposures
+from photocal.adjustment.state import State, moved_exposures, round_the_middle
 
 Floats = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ SHORT = 1e4
 ROUNDING = 1e-6
 ITERATIONS = 50
 # Below this share of a diagonal element that remains after elimination, rounding decides.
-SINGULAR_PIVOT = 1e-11
+SINGULAR_PIVOT = 1e-13
 
 
 @dataclass(frozen=True)
@@ -170,4 +170,5 @@ def moved_by(problem: Problem, state: State, normal: Normal, step: Floats) -> tu
     decreases = np.zeros(len(problem.design.pieces) - 1)
     back_substitute(problem.design, problem.structure, step, normal.kept, points, decreases)
     points[problem.layout.kept_points] += step[problem.layout.point_columns]
-    return replace(moved, points=points), float(decreases.sum() - normal.gradient @ step)
+    moved = round_the_middle(problem.network, state, replace(moved, points=points))
+    return moved, float(decreases.sum() - normal.gradient @ step)

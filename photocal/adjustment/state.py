@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from photocal.adjustment.layout import Layout
 from photocal.adjustment.network import Network
@@ -124,3 +125,35 @@ def moved_exposures(network: Network, layout: Layout, state: State, step: Floats
     own = layout.own_columns
     deviations = state.deviations + np.where(own >= 0, step[own], 0.0)
     return State(cameras, rotation, state.centre + pose[:, 3:], state.points, common, deviations)
+
+
+def round_the_middle(network: Network, before: State, after: State) -> State:
+    """Bend a step that turns the whole block from the tangent onto the circle.
+
+    No ray resists a turn of everything. But a step moves the places along the tangent, which stretches the
+    block by half the square of the angle, and the rays resist that: where only weak observations hold the
+    orientation, steps would stay as short as their sharpness allows.
+
+    Parameters
+    ----------
+    network : Network
+        Where anything is held the block cannot turn, and the step stays as it is.
+    before, after : State
+        What the step led from and to.
+
+    Returns
+    -------
+    State
+        That after the step, but for terms of second order in it.
+    """
+    if (network.exposures.sigma == 0).any() or network.points.held.any():
+        return after
+    # The camera axes turn against the object space; single images may turn otherwise.
+    turns = Rotation.from_matrix(np.swapaxes(after.rotation, 1, 2) @ before.rotation).as_rotvec()
+    turn, middle = np.median(turns, axis=0), before.centre.mean(axis=0)
+    matrix = Rotation.from_rotvec(turn).as_matrix()
+
+    def bent(old: Floats, new: Floats) -> Floats:
+        return np.asarray((new - np.cross(turn, old - middle) - middle) @ matrix.T + middle)
+
+    return replace(after, centre=bent(before.centre, after.centre), points=bent(before.points, after.points))

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.network import Network
@@ -112,3 +113,20 @@ def test_a_station_near_the_lock_adjusts_like_any_other(phi: float) -> None:
     assert position == pytest.approx(
         np.sqrt(np.trace(upright.exposure_covariance[:, 3:, 3:], axis1=1, axis2=2)), rel=0.02
     )
+
+
+@pytest.mark.parametrize("turn_deg", [5.0, 20.0, 60.0, 90.0])
+def test_a_block_turned_against_its_antenna_positions_turns_as_a_whole(turn_deg: float) -> None:
+    """No ray resists a turn, however far it goes; steps along its tangent would stretch the block."""
+    scene = networks.convergent((networks.lens(estimate=()),))
+    turn = Rotation.from_rotvec(np.radians(turn_deg) * np.array([0.6, -0.64, 0.48])).as_matrix()
+    there = scene.turned(turn, np.array([2.0, -1.0, 0.5]))
+    found = []
+    for start in (scene, there):
+        given = networks.observe(start, None, sigma=1e-4, point_sigma=np.inf, disturb=1e-4)
+        held = np.zeros(17)
+        given = networks.navigated(given, there, np.random.default_rng(5), held, held, attitudes=False)
+        found.append(adjust(given))
+    assert len(found[0].iterations) <= 12
+    assert found[0].chi_squared == pytest.approx(found[1].chi_squared, rel=1e-6)
+    assert found[0].state.points == pytest.approx(found[1].state.points, abs=1e-6)
