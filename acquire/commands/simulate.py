@@ -11,8 +11,8 @@ from acquire.console import answer, application, progress
 from drivers.errors import ConfigurationError, OutputError
 
 FAULTS = (
-    "Switch on a fault; may be repeated: wrong_antenna_height, base_off, event_time_base, lever_arm_axis, "
-    "zoom, control_digits, missing_images, telemetry_gap, cycle_slips."
+    "Switch on a fault; may be repeated: wrong_antenna_height, base_off, event_time_base, late_shutter, "
+    "lever_arm_axis, zoom, control_digits, missing_images, telemetry_gap, cycle_slips."
 )
 app = application("Simulate flights: a minute of telemetry, a whole survey with its truth, devices on ports.")
 

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.simulate.world.configuration import LEAP_S, Configuration, Fault
+from acquire.simulate.world.configuration import LEAP_S, Configuration
 from acquire.simulate.world.exposures import antenna_at, antenna_velocity
+from acquire.simulate.world.faults import Fault
 from acquire.simulate.world.observations import Observations, kept_images
-from acquire.simulate.world.survey import ANTENNA_HEIGHT_ERROR_M, BASE_ERROR_M, take_notes
+from acquire.simulate.world.survey import take_notes
 from acquire.simulate.world.tables import toml_text, write_table
 from acquire.simulate.world.world import World
 from drivers.errors import ConfigurationError
@@ -88,10 +89,8 @@ def _navigation(
     event = world.exposures.event_s[kept] - late
     position = antenna_at(world.motion, world.rig, event)
     position = position + random.standard_normal(position.shape) * rig.position_sigma_m
-    if world.has(Fault.BASE_OFF):
-        position = position + BASE_ERROR_M
-    if world.has(Fault.ANTENNA_HEIGHT):
-        position[:, 2] -= ANTENNA_HEIGHT_ERROR_M
+    position = position + world.base_error_m
+    position[:, 2] -= world.antenna_height_error_m
     velocity = antenna_velocity(world.motion, world.rig, event)
     angles = np.degrees(world.motion.angles(event))
     angles = angles + random.standard_normal(angles.shape) * rig.attitude_sigma_deg
@@ -117,11 +116,12 @@ def _heard(world: World, kept: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def telemetry_gap(world: World) -> tuple[float, float]:
-    """Give when telemetry is lost: half a minute in the middle of the survey, or never."""
+    """Give when telemetry is lost: in the middle of the survey, or never."""
     if not world.has(Fault.TELEMETRY_GAP):
         return np.inf, np.inf
     middle = float(np.median(world.exposures.event_s))
-    return middle - 15.0, middle + 15.0
+    half = world.configuration.fault_sizes.gap_s / 2.0
+    return middle - half, middle + half
 
 
 def _write_points(world: World, observed: Observations, path: Path) -> None:

@@ -8,24 +8,19 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    FiniteFloat,
-    PositiveFloat,
-    ValidationError,
-    model_validator,
+from pydantic import Field, FiniteFloat, PositiveFloat, ValidationError, model_validator
+
+from acquire.simulate.world.faults import Fault, FaultSizes
+from acquire.simulate.world.sections import (
+    NonNegative,
+    Pair,
+    PositiveSigmas,
+    Section,
+    Share,
+    Sigmas,
+    Triple,
 )
-
 from drivers.errors import ConfigurationError, InputNotFoundError
-
-Pair = tuple[FiniteFloat, FiniteFloat]
-Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-NonNegative = Annotated[FiniteFloat, Field(ge=0)]
-Sigmas = tuple[NonNegative, NonNegative, NonNegative]
-Share = Annotated[float, Field(ge=0, lt=1)]
-
 
 # GPS time less UTC, and how long that is known to hold (IERS Bulletin C).
 LEAP_S = 18
@@ -42,12 +37,6 @@ class Level(StrEnum):
     PICTURES = "pictures"
     OBSERVATIONS = "observations"
     BLOCK = "block"
-
-
-class Section(BaseModel):
-    """A table of the file: unknown keys are errors."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Place(Section):
@@ -154,8 +143,8 @@ class Rig(Section):
     boresight_sigma_deg: Sigmas = (1.0, 1.0, 1.0)
     time_offset_s: FiniteFloat = 0.0
     time_offset_sigma_s: NonNegative = 0.005
-    position_sigma_m: tuple[PositiveFloat, PositiveFloat, PositiveFloat] = (0.012, 0.012, 0.025)
-    attitude_sigma_deg: tuple[PositiveFloat, PositiveFloat, PositiveFloat] = (0.3, 0.3, 0.6)
+    position_sigma_m: PositiveSigmas = (0.012, 0.012, 0.025)
+    attitude_sigma_deg: PositiveSigmas = (0.3, 0.3, 0.6)
 
 
 class Targets(Section):
@@ -165,7 +154,7 @@ class Targets(Section):
     check: Annotated[int, Field(ge=0)] = 12
     dictionary: str = "apriltag_36h11"
     side_m: PositiveFloat = 1.0
-    sigma_m: tuple[PositiveFloat, PositiveFloat, PositiveFloat] = (0.008, 0.008, 0.012)
+    sigma_m: PositiveSigmas = (0.008, 0.008, 0.012)
 
 
 class Pictures(Section):
@@ -221,20 +210,6 @@ class Wires(Section):
     rover_damage: Share = 0.0
 
 
-class Fault(StrEnum):
-    """What can be made wrong; each is one mistake that people or devices make."""
-
-    ANTENNA_HEIGHT = "wrong_antenna_height"
-    BASE_OFF = "base_off"
-    EVENT_TIME_BASE = "event_time_base"
-    LEVER_ARM_AXIS = "lever_arm_axis"
-    ZOOM = "zoom"
-    CONTROL_DIGITS = "control_digits"
-    MISSING_IMAGES = "missing_images"
-    TELEMETRY_GAP = "telemetry_gap"
-    CYCLE_SLIPS = "cycle_slips"
-
-
 class Judgement(Section):
     """What the project file asks the check points to be judged against."""
 
@@ -266,6 +241,7 @@ class Configuration(Section):
     telemetry: Telemetry = Telemetry()
     wires: Wires = Wires()
     faults: frozenset[Fault] = frozenset()
+    fault_sizes: FaultSizes = FaultSizes()
     judgement: Judgement = Judgement()
 
 

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.simulate.world.configuration import Fault
+from acquire.simulate.world.faults import Fault
 from acquire.simulate.world.observe import sight
 from acquire.simulate.world.world import World
 
 Floats = NDArray[np.float64]
 MARGIN_PX = 8.0
-# One picture of so many is lost, all in a row.
-MISSING_SHARE = 10
 
 
 @dataclass(frozen=True)
@@ -45,7 +43,7 @@ def kept_images(world: World) -> NDArray[np.bool_]:
     """Tell which pictures reach the office: some are lost from within a strip when that fault is on."""
     kept = np.ones(len(world.exposures), bool)
     if world.has(Fault.MISSING_IMAGES):
-        lost = max(len(kept) // MISSING_SHARE, 2)
+        lost = max(int(len(kept) * world.configuration.fault_sizes.missing_share), 2)
         first = int(world.random("faults").integers(2, len(kept) - lost - 1))
         kept[first : first + lost] = False
     return kept

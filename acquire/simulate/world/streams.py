@@ -15,16 +15,13 @@ from acquire.simulate.gnss.streams import Stream, base_rtcm, base_ubx, rover_ubx
 from acquire.simulate.gnss.time_marks import Events
 from acquire.simulate.world import telemetry
 from acquire.simulate.world.block_folder import telemetry_gap
-from acquire.simulate.world.configuration import Fault
 from acquire.simulate.world.exposures import antenna_at, antenna_velocity
-from acquire.simulate.world.survey import BASE_ERROR_M
+from acquire.simulate.world.faults import Fault
 from acquire.simulate.world.wires import Wire, carry
 from acquire.simulate.world.world import World
 
 Floats = NDArray[np.float64]
 
-# Of every signal: after a slip a new ambiguity has hardly been fixed when the next one comes.
-_SLIPS_PER_HOUR = 360.0
 PULSE_S = 0.02
 
 
@@ -81,9 +78,9 @@ def _carried(world: World, stream: Stream, random: np.random.Generator, loss: fl
 
 def _session(world: World) -> tuple[Session, np.random.Generator]:
     given, chance = world.configuration.gnss, world.random("sky")
-    slips = _SLIPS_PER_HOUR if world.has(Fault.CYCLE_SLIPS) else None
-    shift = BASE_ERROR_M if world.has(Fault.BASE_OFF) else np.zeros(3)
-    east, north, up = shift.tolist()
+    sizes = world.configuration.fault_sizes
+    slips = sizes.slips_per_hour if world.has(Fault.CYCLE_SLIPS) else None
+    east, north, up = world.base_error_m.tolist()
     session = simulate(
         _rover(world),
         Antenna.still(world.place.to_geocentric(world.base_antenna_m[None])[0]),

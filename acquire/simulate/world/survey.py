@@ -7,14 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.simulate.world.configuration import Fault
+from acquire.simulate.world.faults import Fault
 from acquire.simulate.world.world import World
 
 Floats = NDArray[np.float64]
 
-# Noted too low by this: a slant height taken for a vertical one, or a mark confused with its tripod's plate.
-ANTENNA_HEIGHT_ERROR_M = 0.2
-BASE_ERROR_M = np.array([0.7, -0.5, 0.5])
 _LEAST_SLIP_M = 0.5
 
 
@@ -60,16 +57,24 @@ def take_notes(world: World, coordinates: Floats) -> FieldBook:
     if world.has(Fault.CONTROL_DIGITS):
         control = [k for k, role in enumerate(world.targets.roles) if role == "control"]
         row = control[int(world.random("faults").integers(len(control)))]
-        texts[row] = _swapped(texts[row])
+        added = given.fault_sizes.control_m
+        texts[row] = _added(texts[row], added) if any(added) else _swapped(texts[row])
         mistyped = world.targets.names[row]
-    base = world.base_m + (BASE_ERROR_M if world.has(Fault.BASE_OFF) else 0.0)
-    lower = ANTENNA_HEIGHT_ERROR_M if world.has(Fault.ANTENNA_HEIGHT) else 0.0
+    base = world.base_m + world.base_error_m
     arm = np.array(given.rig.camera_to_antenna_m)
     if world.has(Fault.LEVER_ARM_AXIS):
         arm = arm[[2, 1, 0]]
     return FieldBook(
-        tuple((x, y, z) for x, y, z in texts), base, given.gnss.base_antenna_height_m - lower, arm, mistyped
+        tuple((x, y, z) for x, y, z in texts),
+        base,
+        given.gnss.base_antenna_height_m - world.antenna_height_error_m,
+        arm,
+        mistyped,
     )
+
+
+def _added(texts: tuple[str, ...], added: tuple[float, float, float]) -> tuple[str, ...]:
+    return tuple(f"{float(text) + more:.4f}" for text, more in zip(texts, added, strict=True))
 
 
 def _swapped(texts: tuple[str, ...]) -> tuple[str, ...]:

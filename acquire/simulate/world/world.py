@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquire.simulate.world.camera import Camera
-from acquire.simulate.world.configuration import LEAP_S, Configuration, Fault
+from acquire.simulate.world.configuration import LEAP_S, Configuration
 from acquire.simulate.world.exposures import Exposures, Rig, make_exposures, make_rig
+from acquire.simulate.world.faults import Fault
 from acquire.simulate.world.motion import Motion, make_motion
 from acquire.simulate.world.place import Place
 from acquire.simulate.world.plan import legs, strips
@@ -20,7 +21,6 @@ from drivers.errors import ConfigurationError
 Floats = NDArray[np.float64]
 
 GPS_EPOCH_UNIX_S = 315_964_800
-ZOOM_FACTOR = 1.004
 LEAST_ABOVE_GROUND_M = 5.0
 # Parts of the truth that are drawn one by one, so that a change of one leaves the others as they are.
 STREAMS = (
@@ -77,6 +77,17 @@ class World:
         height = self.configuration.gnss.base_antenna_height_m
         return np.asarray(self.base_m + np.array([0.0, 0.0, height]))
 
+    @property
+    def base_error_m(self) -> Floats:
+        """Announced place of the base less the true one, shape (3,)."""
+        wrong = self.has(Fault.BASE_OFF)
+        return np.array(self.configuration.fault_sizes.base_m) if wrong else np.zeros(3)
+
+    @property
+    def antenna_height_error_m(self) -> float:
+        """By which the height of the base's antenna is noted too low."""
+        return self.configuration.fault_sizes.antenna_height_m if self.has(Fault.ANTENNA_HEIGHT) else 0.0
+
     def gps_ns(self, time_s: Floats) -> NDArray[np.int64]:
         """Give GPS nanoseconds of seconds since the start."""
         return np.asarray(self.start_gps_ns + np.rint(np.asarray(time_s) * 1e9).astype(np.int64))
@@ -121,9 +132,11 @@ def make_world(configuration: Configuration) -> World:
     ground = float(terrain.height(home[:1], home[1:])[0]) + 0.3
     start, way = legs(configuration.plan, lines, ground)
     motion = make_motion(start, way, configuration.vehicle, generator(configuration, "motion"))
-    zoomed = Fault.ZOOM in configuration.faults
+    if Fault.LATE_SHUTTER in configuration.faults:
+        rig = replace(rig, time_offset_s=rig.time_offset_s + configuration.fault_sizes.late_s)
     passes = configuration.plan.passes
-    cameras = tuple(camera.zoomed(ZOOM_FACTOR) if zoomed and k > 0 else camera for k in range(len(passes)))
+    zoomed = camera.zoomed(configuration.fault_sizes.zoom) if Fault.ZOOM in configuration.faults else camera
+    cameras = (camera, *[zoomed] * (len(passes) - 1))
     spreads = tuple(one.spacing_spread for one in passes)
     exposures = make_exposures(motion, rig, lines, spreads, cameras, generator(configuration, "exposures"))
     base = np.array([*configuration.gnss.base_m, 0.0])

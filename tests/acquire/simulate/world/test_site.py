@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from acquire.simulate.world.configuration import Fault
-from acquire.simulate.world.world import ZOOM_FACTOR
+from acquire.simulate.world.faults import Fault
 from drivers.errors import ConfigurationError
 from tests.acquire.simulate.world.conftest import DEMO, Flight, configured, flown
 
@@ -171,6 +170,7 @@ def test_grid_coordinates_of_the_truth(small: Flight) -> None:
         (Fault.ANTENNA_HEIGHT, {"project.toml"}),
         (Fault.BASE_OFF, {"project.toml", "base.ubx"}),
         (Fault.EVENT_TIME_BASE, {"rover.ubx"}),
+        (Fault.LATE_SHUTTER, {"observations.csv"}),
         (Fault.LEVER_ARM_AXIS, {"project.toml"}),
         (Fault.CONTROL_DIGITS, {"control.csv"}),
         (Fault.MISSING_IMAGES, {"observations.csv", "times.csv"}),
@@ -213,9 +213,34 @@ def test_a_zoom_changes_the_camera_of_later_passes() -> None:
 
     exposures = make_world(configured("flight", faults=["zoom"])).exposures
     first, last = exposures.cameras[0], exposures.cameras[-1]
-    assert last.fx == pytest.approx(ZOOM_FACTOR * first.fx)
+    assert last.fx == pytest.approx(1.004 * first.fx)
     assert exposures.covers[0] == 0
     assert exposures.covers[-1] == 1
+
+
+def test_faults_have_sizes() -> None:
+    """Each figure is found again in what the surveyor noted, or in the truth."""
+    from acquire.simulate.world.block_folder import telemetry_gap
+    from acquire.simulate.world.survey import take_notes
+    from acquire.simulate.world.world import make_world
+
+    sizes = {
+        "antenna_height_m": 0.3, "base_m": [1.0, 2.0, 3.0], "late_s": 0.017, "zoom": 1.01,
+        "control_m": [0.0, 10.0, 0.0], "gap_s": 10.0,
+    }  # fmt: skip
+    every = [fault.value for fault in Fault]
+    right, wrong = (
+        make_world(configured("flight", faults=faults, fault_sizes=sizes)) for faults in ([], every)
+    )
+    coordinates = right.targets.surveyed_m
+    noted, mistaken = take_notes(right, coordinates), take_notes(wrong, coordinates)
+    assert noted.base_antenna_height_m - mistaken.base_antenna_height_m == pytest.approx(0.3)
+    assert mistaken.base_m - noted.base_m == pytest.approx(np.array([1.0, 2.0, 3.0]))
+    assert wrong.rig.time_offset_s - right.rig.time_offset_s == pytest.approx(0.017)
+    assert wrong.exposures.cameras[-1].fx == pytest.approx(1.01 * right.exposures.cameras[-1].fx)
+    apart = np.array(mistaken.control, dtype=float) - np.array(noted.control, dtype=float)
+    assert apart[np.any(apart != 0, axis=1)] == pytest.approx(np.array([[0.0, 10.0, 0.0]]))
+    assert np.subtract(*reversed(telemetry_gap(wrong))) == pytest.approx(10.0)
 
 
 def test_faults_that_do_not_show_are_refused(tmp_path: Path) -> None:
