@@ -1,4 +1,4 @@
-"""The live view as a local web page: the state as server-sent events, three files and nothing else."""
+"""The live view as a local web page: the state as server-sent events, its files and nothing else."""
 
 from __future__ import annotations
 
@@ -17,7 +17,12 @@ from acquire.monitor.picture import picture
 from acquire.monitor.state import State
 from acquire.web import packaged
 
-_FILES = {"/": "monitor.html", "/monitor.css": "monitor.css", "/monitor.js": "monitor.js"}
+_SCRIPTS = ("figures", "alarms", "map", "monitor")
+_FILES = {
+    "/": "monitor.html",
+    "/monitor.css": "monitor.css",
+    **{f"/{name}.js": f"{name}.js" for name in _SCRIPTS},
+}
 _POLL_S = 0.1
 # Seven decimals of a degree are a centimetre.
 _DECIMALS = 7

@@ -1,0 +1,144 @@
+"use strict";
+
+// The figures of a picture as elements of the page.
+
+const $ = (id) => document.getElementById(id);
+
+function make(tag, className, text) {
+  const element = document.createElement(tag);
+  if (className) element.className = className;
+  if (text !== undefined) element.textContent = text;
+  return element;
+}
+
+function word(state) {
+  const element = make("span", "word", state.text);
+  element.dataset.level = state.level;
+  return element;
+}
+
+function facts(pairs) {
+  const line = make("div", "facts");
+  for (const [label, value] of pairs) {
+    if (value === null || value === undefined) continue;
+    const item = make("span");
+    item.append(make("b", "", value), ` ${label}`);
+    line.append(item);
+  }
+  return line;
+}
+
+// ---- figures in words -------------------------------------------------------------------------------------
+
+function clock(nanoseconds) {
+  return new Date(nanoseconds / 1e6).toISOString().slice(11, 19);
+}
+
+function duration(seconds) {
+  const s = Math.max(0, Math.floor(seconds));
+  const two = (n) => String(n).padStart(2, "0");
+  return `${Math.floor(s / 3600)}:${two(Math.floor(s / 60) % 60)}:${two(s % 60)}`;
+}
+
+function bytes(count) {
+  if (count < 1e3) return `${Math.round(count)} B`;
+  if (count < 1e6) return `${(count / 1e3).toFixed(1)} kB`;
+  if (count < 1e9) return `${(count / 1e6).toFixed(1)} MB`;
+  return `${(count / 1e9).toFixed(1)} GB`;
+}
+
+function metres(value) {
+  if (value === null) return null;
+  return value < 1 ? `${(value * 100).toFixed(1)} cm` : `${value.toFixed(1)} m`;
+}
+
+// ---- the figures ------------------------------------------------------------------------------------------
+
+function card(name, state, lines) {
+  const element = make("div", "card");
+  const top = make("div", "top");
+  top.append(make("span", "name", name), word(state));
+  element.append(top, ...lines);
+  return element;
+}
+
+function receiver(row) {
+  const line = facts([["satellites", row.satellites], ["accuracy", metres(row.horizontal_m)]]);
+  if (row.correction_age_s !== null) {
+    const corrections = make("span", "", "corrections ");
+    corrections.append(word(row.correction));
+    line.append(corrections);
+  }
+  const shown = card(row.name, row.fix, [line]);
+  shown.querySelector(".name").append(make("span", "since", ` for ${duration(row.for_s)}`));
+  return shown;
+}
+
+function camera(row) {
+  const counts = [["triggered", row.triggered], ["feedback", row.reported], ["missed", row.missed]];
+  const told = row.triggered || row.reported ? counts : [];
+  if (row.time_marks) told.push(["time marks", row.time_marks]);
+  return card(row.link, row.state, [facts(told)]);
+}
+
+function link(row) {
+  const element = make("div", "link");
+  element.dataset.link = row.name;
+  element.append(
+    make("span", "name", row.name),
+    make("span", "rate", `${row.frames_per_s.toFixed(1)} /s`),
+    make("span", "rate", `${bytes(row.bytes_per_s)}/s`),
+  );
+  const line = facts([
+    [row.gaps === 1 ? "gap" : "gaps", row.gaps],
+    ["longest", `${row.longest_gap_s.toFixed(1)} s`],
+    ["damaged", row.damage_bytes ? bytes(row.damage_bytes) : null],
+  ]);
+  line.prepend(word(row.state));
+  element.append(line);
+  return element;
+}
+
+function rest(picture) {
+  const rows = [["disk", word(picture.disk.state)]];
+  rows.push(["log", make("span", "", bytes(picture.bytes))]);
+  for (const row of picture.clocks) rows.push([`clock, ${row.link}`, word(row.state)]);
+  for (const row of picture.batteries) {
+    const parts = [row.voltage_v === null ? null : `${row.voltage_v.toFixed(1)} V`];
+    if (row.percent !== null) parts.push(`${row.percent} %`);
+    rows.push([`battery, ${row.link}`, make("b", "", parts.filter(Boolean).join(", "))]);
+  }
+  return rows.flatMap(([label, value]) => {
+    const shown = make("dd");
+    shown.append(value);
+    return [make("dt", "", label), shown];
+  });
+}
+
+function alarmLine(alarm) {
+  const item = make("li");
+  item.append(make("time", "", clock(alarm.time_ns)), word({ text: sentence(alarm), level: alarm.level }));
+  return item;
+}
+
+function sentence(alarm) {
+  return alarm.link ? `${alarm.link}: ${alarm.text}` : alarm.text;
+}
+
+function fill(id, elements, otherwise) {
+  $(id).replaceChildren(...(elements.length ? elements : [make("p", "empty", otherwise)]));
+}
+
+function show(picture) {
+  const recording = $("recording");
+  recording.textContent = picture.recording.text;
+  recording.dataset.level = picture.recording.level;
+  $("file").textContent = picture.file;
+  $("duration").textContent = duration(picture.duration_s);
+  fill("receivers", picture.receivers.map(receiver), "no receiver has spoken yet");
+  fill("cameras", picture.cameras.map(camera), "no picture yet");
+  fill("links", picture.links.map(link), "no link has spoken yet");
+  $("rest").replaceChildren(...rest(picture));
+  $("alarms").replaceChildren(...picture.alarms.slice().reverse().map(alarmLine));
+  if (!picture.alarms.length) $("alarms").append(make("li", "empty", "none"));
+}
