@@ -86,11 +86,7 @@ def explain_singular(problem: Problem, state: State, limits: Limits = SINGULAR) 
             f"the rays of {len(alone)} object point(s) do not intersect ({some})",
             remedy="give these points rays from different places, or take them out",
         )
-    matrix = dense(problem.layout.envelope, normal.matrix)
-    scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
-    scaled = matrix / np.outer(scale, scale)
-    eigenvalues, vectors = np.linalg.eigh(scaled)
-    null = vectors[:, eigenvalues < limits.null]
+    scale, scaled, null = _null_space(problem, normal, limits.null)
     if not null.shape[1]:
         return
     datum, other = _datum_part(problem, state, scale, scaled, null)
@@ -100,8 +96,9 @@ def explain_singular(problem: Problem, state: State, limits: Limits = SINGULAR) 
         parts.append(f"nothing fixes the datum ({', '.join(datum)})")
     if other.shape[1]:
         parts.append("the observations do not separate " + _loaded(problem, named, other))
+    how = "singular" if limits == SINGULAR else "nearly singular"
     raise IllPosedError(
-        f"the network is singular (rank defect {null.shape[1]}): " + "; ".join(parts),
+        f"the network is {how} (rank defect {null.shape[1]}): " + "; ".join(parts),
         remedy="add control points, weighted positions or prior sigmas, or hold what cannot be determined",
         details=_null_vectors(named, null, scale),
     )
@@ -129,7 +126,7 @@ def require_determined(
     distance = np.linalg.norm(state.points - first, axis=1)
     spread = np.sqrt(np.trace(point_covariance, axis1=1, axis2=2))
     lost = np.flatnonzero(~(spread < LOST_POINT * distance))
-    if len(lost):
+    if len(lost) and not _only_the_datum_is_weak(problem, state):
         explain_singular(problem, state, SUSPECT)
         some = ", ".join(problem.network.point_names[j] for j in lost[:5])
         raise IllPosedError(
@@ -146,6 +143,25 @@ def require_determined(
                 f"c of camera {camera.id} is not determined: its standard deviation is {share:.0%} of it",
                 remedy="hold c, or add heights, positions, relief or convergent images",
             )
+
+
+def _only_the_datum_is_weak(problem: Problem, state: State) -> bool:
+    """Whether all that is uncertain is where the whole lies: rays do not mind, and the shape is known."""
+    normal = normal_equations(problem, state)
+    if len(_parallel(problem, normal, SUSPECT.parallel)):
+        return False
+    scale, scaled, null = _null_space(problem, normal, SUSPECT.null)
+    datum, other = _datum_part(problem, state, scale, scaled, null)
+    return bool(datum) and not other.shape[1]
+
+
+def _null_space(problem: Problem, normal: Normal, limit: float) -> tuple[Floats, Floats, Floats]:
+    """Scale of the unknowns, the scaled matrix, and its eigenvectors with eigenvalues below a limit."""
+    matrix = dense(problem.layout.envelope, normal.matrix)
+    scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    scaled = matrix / np.outer(scale, scale)
+    eigenvalues, vectors = np.linalg.eigh(scaled)
+    return scale, scaled, vectors[:, eigenvalues < limit]
 
 
 def _parallel(problem: Problem, normal: Normal, limit: float) -> NDArray[np.int64]:

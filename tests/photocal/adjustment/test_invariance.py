@@ -130,3 +130,15 @@ def test_a_block_turned_against_its_antenna_positions_turns_as_a_whole(turn_deg:
     assert len(found[0].iterations) <= 12
     assert found[0].chi_squared == pytest.approx(found[1].chi_squared, rel=1e-6)
     assert found[0].state.points == pytest.approx(found[1].state.points, abs=1e-6)
+
+
+def test_positions_far_poorer_than_the_block_is_large_say_where_it_lies_and_no_more() -> None:
+    """The shape is that of a free network, though everything as a whole is uncertain by three of its sizes."""
+    given = networks.observe(networks.convergent(), np.random.default_rng(7), point_sigma=np.inf)
+    sigma = np.full((6, 6), np.inf)
+    sigma[:, 3:] = 30.0
+    weak = adjust(replace(given, exposures=replace(given.exposures, sigma=sigma)))
+    free = adjust(replace(given, datum_points=np.arange(20)))
+    assert weak.chi_squared == pytest.approx(free.chi_squared, rel=1e-5)
+    assert weak.cameras == pytest.approx(free.cameras, rel=1e-5, abs=1e-9)
+    assert np.sqrt(np.trace(weak.point_covariance, axis1=1, axis2=2)).min() > 10.0
