@@ -133,7 +133,7 @@ def test_a_block_turned_against_its_antenna_positions_turns_as_a_whole(turn_deg:
 
 
 def test_positions_far_poorer_than_the_block_is_large_say_where_it_lies_and_no_more() -> None:
-    """The shape is that of a free network, though everything as a whole is uncertain by three of its sizes."""
+    """The shape is that of a free network, though the whole is uncertain by three of its sizes."""
     given = networks.observe(networks.convergent(), np.random.default_rng(7), point_sigma=np.inf)
     sigma = np.full((6, 6), np.inf)
     sigma[:, 3:] = 30.0
