@@ -165,7 +165,6 @@ def run_one(
     except PhotocalError:
         # What other stages found doubtful is often why one cannot go on.
         for warning in gather(project.output, {one.name for one in made}):
-            kind = "note" if warning.note else "warning"
-            say(f"{project.name}: {kind}: {warning.code}: {warning.text}")
+            say(f"{project.name}: {warning.kind}: {warning.code}: {warning.text}")
         raise
     return summary(project.name, project.output, made)

@@ -228,7 +228,7 @@ def _class_texts(standards: list[dict[str, Any]]) -> Iterator[str]:
 
 
 def _warning_lines(warnings: list[dict[str, str]]) -> Iterator[str]:
-    for kind in ("warning", "note"):
+    for kind in ("warning", "consequence", "note"):
         texts = [f"{one['code']}: {one['text']}" for one in warnings if one["kind"] == kind]
         if not texts and kind == "warning":
             texts = ["none"]

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Container, Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from photocal.report.warning_sections import NOTHING_TOLD, Told
+from photocal.run.causes import causes_first
+from photocal.run.doubt import Doubt
 
 LEAST_FIXED_PERCENT = 95.0
 # Findings of the exposures that are told image by image.
 _SAID_ABOVE = ("unmatched-images", "exposures-without-position")
 _NAMED = 5
-_NOTES = ("not-separated", "not-determined")
 _UNMATCHED = (
     (
         "unmatched_images",
@@ -32,43 +32,15 @@ _UNMATCHED = (
 )
 
 
-@dataclass(frozen=True)
-class Warning:  # noqa: A001 - the word of the field; the built-in one is a class of exceptions
-    """One thing that a person must look at.
-
-    Attributes
-    ----------
-    stage : str
-        Which found it.
-    code : str
-        Its name, for programs.
-    text : str
-        What was found, with its figures.
-    """
-
-    stage: str
-    code: str
-    text: str
-
-    @property
-    def note(self) -> bool:
-        """Whether it tells a limit of the flight, not a fault."""
-        return self.code in _NOTES
-
-    def as_json(self) -> dict[str, str]:
-        """Give it as a JSON value."""
-        return {"kind": "note" if self.note else "warning", **vars(self)}
-
-
-_NOT_CHECKED = Warning(
+_NOT_CHECKED = Doubt(
     "certificate",
     "not-checked",
     "the stage georeferencing was not made: nobody has looked for faults of positions, mounting and control.",
 )
 
 
-def gather(work: Path, stages: Container[str] | None = None) -> tuple[Warning, ...]:
-    """Collect the warnings of the stages, in their order.
+def gather(work: Path, stages: Container[str] | None = None) -> tuple[Doubt, ...]:
+    """Collect the warnings of the stages: causes, consequences, notes, each in the order of the stages.
 
     Parameters
     ----------
@@ -79,16 +51,17 @@ def gather(work: Path, stages: Container[str] | None = None) -> tuple[Warning, .
 
     Returns
     -------
-    tuple of Warning
+    tuple of Doubt
         Each code and text once.
     """
-    found: dict[tuple[str, str], Warning] = {}
+    found: dict[tuple[str, str], Doubt] = {}
     for stage, name, read in _SOURCES:
         counts = stages is None or stage in stages
         figures = read_json(work / stage / name) if counts else None
         for code, text in read(figures) if figures is not None else ():
-            found.setdefault((code, text), Warning(stage, code, text))
-    return tuple(found.values())
+            found.setdefault((code, text), Doubt(stage, code, text))
+    ppk = read_json(work / "ppk" / "ppk.json")
+    return causes_first(found.values(), 100.0 if ppk is None else float(ppk["fixed_percent"]))
 
 
 def told_beside(run: Path) -> Told:
@@ -113,11 +86,11 @@ def told_beside(run: Path) -> Told:
     return told_by(found)
 
 
-def told_by(warnings: Iterable[Warning]) -> Told:
+def told_by(doubts: Iterable[Doubt]) -> Told:
     """Sort warnings and notes for a certificate."""
     kinds: tuple[list[str], list[str]] = ([], [])
-    for one in warnings:
-        kinds[one.note].append(f"{one.code}: {one.text}")
+    for one in doubts:
+        kinds[one.kind == "note"].append(f"{one.code}: {one.text}")
     return Told(tuple(kinds[0]), tuple(kinds[1]))
 
 

@@ -131,6 +131,7 @@ def _hypothesis(one: Hypothesis) -> dict[str, Any]:
     return {
         "name": one.name,
         "gain": one.gain,
+        "factor": one.factor,
         "unknowns": one.unknowns,
         "f": one.f,
         "critical": one.critical,

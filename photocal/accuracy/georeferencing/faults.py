@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.accuracy.findings import Finding
-from photocal.accuracy.georeferencing.freed_groups import Estimate
+from photocal.accuracy.georeferencing.freed_groups import CHANGE, Estimate
+from photocal.accuracy.georeferencing.hypotheses import Hypothesis
 from photocal.accuracy.georeferencing.systematic import SystematicError
 
 Floats = NDArray[np.float64]
@@ -36,12 +37,23 @@ def fault_of(error: SystematicError) -> Finding | None:
     shift = next((one for one in same if one.name == "datum shift"), None)
     if shift is None:
         return _swapped_axes(error.found.estimates) if error.found.name == "lever arm" else None
-    # A lever arm that explains as much as a shift in plane is no mistake of the base alone.
+    # What explains as much as a shift in plane leaves no mistake of the base alone.
     alone = error.found.name == "datum shift" and not error.alternatives
-    return _shift(shift.estimates, in_plane=alone)
+    change = next((one for one in same if one.name == CHANGE), None)
+    return _shift(shift.estimates, alone, "" if change is None else _or_change(change))
 
 
-def _shift(estimates: tuple[Estimate, ...], in_plane: bool) -> Finding | None:
+def _or_change(change: Hypothesis) -> str:
+    """Add what looks the same where the camera is calibrated over two heights."""
+    before, after = change.estimates
+    percent = 100.0 * (after.value / before.value - 1.0)
+    return (
+        f" A principal distance that changed by {percent:+.2f} % ({after.name}) would explain it as well "
+        "(camera-change)."
+    )
+
+
+def _shift(estimates: tuple[Estimate, ...], in_plane: bool, besides: str) -> Finding | None:
     """A shift common to all positions: of the height alone, or of the base."""
     axes = {one.name.removeprefix("shift_"): one for one in estimates}
     noteworthy = {
@@ -54,7 +66,7 @@ def _shift(estimates: tuple[Estimate, ...], in_plane: bool) -> Finding | None:
             "antenna-height",
             f"all GNSS positions lie {abs(z.correction):.3f} +- {z.sigma:.3f} m {side} what the control "
             "says, and in plane they agree: an antenna height (of the base or on the vehicle), "
-            "ellipsoidal against geoid heights, or the vertical lever arm.",
+            f"ellipsoidal against geoid heights, or the vertical lever arm.{besides}",
         )
     if not noteworthy or not in_plane:
         return None

@@ -15,8 +15,8 @@ from photocal.block.model import Block
 from photocal.geometry.camera import PARAMETERS
 
 SIGNIFICANCE = 0.001
-CHANGE = "camera change"
-MOUNTED = ("lever arm", "boresight", "time offset", "strip shifts")
+CHANGE, PRINCIPAL_DISTANCE, STRIP_SHIFTS = "camera change", "principal distance", "strip shifts"
+MOUNTED = ("lever arm", "boresight", "time offset", STRIP_SHIFTS)
 # What a freed value may be at most, as a weak observation that keeps the network regular: m, rad, s, m.
 _LOOSE = {"lever arm": 100.0, "boresight": 1.0, "time offset": 10.0, "datum shift": 1000.0}
 LOOSE_CAMERA = 0.1

@@ -12,7 +12,13 @@ from dataclasses import dataclass
 
 from scipy import stats
 
-from photocal.accuracy.georeferencing.freed_groups import CHANGE, SIGNIFICANCE, Estimate
+from photocal.accuracy.georeferencing.freed_groups import (
+    CHANGE,
+    PRINCIPAL_DISTANCE,
+    SIGNIFICANCE,
+    STRIP_SHIFTS,
+    Estimate,
+)
 from photocal.adjustment.solution import Solution
 
 # Akaike (1974): models this close are not told apart; in units of v'Pv.
@@ -23,8 +29,9 @@ _SAME_GAIN = 0.95
 # points do that too.
 _NOTEWORTHY = 1e-3
 # A shift of its own for each strip can imitate every other error, a second camera those of c and of the
-# height where there are two heights: that they explain as much says nothing, they must explain more.
-_IMITATORS = ("strip shifts", CHANGE)
+# height where there are two heights. They are tried when nothing else is left; what they make needless is
+# given up then.
+_IMITATORS = (STRIP_SHIFTS, CHANGE)
 
 
 @dataclass(frozen=True)
@@ -36,6 +43,8 @@ class Hypothesis:
     name : str
     gain : float
         By which v'Pv falls.
+    factor : float
+        Variance factor that is left.
     unknowns : int
         Freed values.
     f, critical : float
@@ -46,6 +55,7 @@ class Hypothesis:
 
     name: str
     gain: float
+    factor: float
     unknowns: int
     f: float
     critical: float
@@ -81,7 +91,7 @@ def compare(
     factor = max(after.chi_squared / freedom, 1e-300)
     f = gain / unknowns / factor
     critical = float(stats.f(unknowns, freedom).ppf(1.0 - SIGNIFICANCE / tests))
-    return Hypothesis(name, gain / factor, unknowns, f, critical, f > critical, estimates)
+    return Hypothesis(name, gain, factor, unknowns, f, critical, f > critical, estimates)
 
 
 def most_probable(tries: tuple[Hypothesis, ...], observations: int) -> Hypothesis | None:
@@ -96,17 +106,16 @@ def most_probable(tries: tuple[Hypothesis, ...], observations: int) -> Hypothesi
     Returns
     -------
     Hypothesis or None
-        None when no one is significant.
+        None when no one is significant; an imitator only when no other is.
     """
+    penalty = _scale(tries) * math.log(observations)
+    significant = tuple(one for one in tries if one.significant and _noteworthy(one))
+    return max(causes_first(significant), key=lambda one: one.gain - one.unknowns * penalty, default=None)
 
-    def probability(one: Hypothesis) -> float:
-        return one.gain - one.unknowns * math.log(observations)
 
-    significant = [one for one in tries if one.significant]
-    best = max((one for one in significant if one.name not in _IMITATORS), key=probability, default=None)
-    more = [one for one in significant if one.name in _IMITATORS and _noteworthy(one)]
-    more = [one for one in more if best is None or best.gain < _as_good(one)]
-    return max((*more, *([] if best is None else [best])), key=probability, default=None)
+def causes_first(tries: tuple[Hypothesis, ...]) -> tuple[Hypothesis, ...]:
+    """Leave imitators out where there are others."""
+    return tuple(one for one in tries if one.name not in _IMITATORS) or tries
 
 
 def _noteworthy(one: Hypothesis) -> bool:
@@ -117,13 +126,18 @@ def _noteworthy(one: Hypothesis) -> bool:
     return abs(after - before) / before > _NOTEWORTHY
 
 
-def _as_good(one: Hypothesis) -> float:
+def _scale(tries: tuple[Hypothesis, ...]) -> float:
+    """Variance factor of the observations: what the hypothesis that explains most leaves of it."""
+    return max(1.0, min((one.factor for one in tries), default=1.0))
+
+
+def _as_good(one: Hypothesis, scale: float) -> float:
     """Gain from which another hypothesis explains as much."""
-    return min(one.gain - _AS_GOOD, _SAME_GAIN * one.gain)
+    return min(one.gain - _AS_GOOD * scale, _SAME_GAIN * one.gain)
 
 
 def as_good(best: Hypothesis, tries: tuple[Hypothesis, ...]) -> tuple[Hypothesis, ...]:
-    """Give the other hypotheses that explain nearly all of what the best one explains.
+    """Give the other hypotheses that explain nearly all of what the best one explains, but for strip shifts.
 
     Parameters
     ----------
@@ -135,9 +149,8 @@ def as_good(best: Hypothesis, tries: tuple[Hypothesis, ...]) -> tuple[Hypothesis
     -------
     tuple of Hypothesis
     """
-    limit = _as_good(best)
-    return tuple(
-        one
-        for one in tries
-        if one.name != best.name and one.name not in _IMITATORS and one.significant and one.gain >= limit
-    )
+    limit, silent = _as_good(best, _scale(tries)), [best.name, STRIP_SHIFTS]
+    if best.name == PRINCIPAL_DISTANCE:
+        # Two of them contain the common one.
+        silent.append(CHANGE)
+    return tuple(one for one in tries if one.name not in silent and one.significant and one.gain >= limit)

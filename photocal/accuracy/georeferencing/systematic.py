@@ -15,21 +15,26 @@ from photocal.accuracy.georeferencing.freed_groups import (
     CHANGE,
     LOOSE_CAMERA,
     MOUNTED,
+    PRINCIPAL_DISTANCE,
     Estimate,
     estimates_of,
     groups_of,
     left_free,
     with_freed,
 )
-from photocal.accuracy.georeferencing.hypotheses import Hypothesis, as_good, compare, most_probable
+from photocal.accuracy.georeferencing.hypotheses import (
+    Hypothesis,
+    as_good,
+    causes_first,
+    compare,
+    most_probable,
+)
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.solution import Solution
 from photocal.block.model import Block
 from photocal.block.network import assemble
 
 _ROUNDS = 4
-# Of these, one leaves nothing of the other.
-_DISTANCES = ("principal distance", CHANGE)
 
 
 @dataclass(frozen=True)
@@ -39,7 +44,7 @@ class SystematicError:
     Attributes
     ----------
     found : Hypothesis
-        Tested beside all others that were found.
+        Tested beside those before it.
     alternatives : tuple of Hypothesis
         Groups that explain it as well.
     """
@@ -62,7 +67,7 @@ class SystematicErrors:
     tested : tuple of Hypothesis
         Each group alone, in the first round.
     errors : tuple of SystematicError
-        Those that are needed, the gravest first.
+        Those that are needed, the gravest first; what imitates others comes after them.
     estimates : tuple of Estimate
         Of everything found, estimated together.
     untested : tuple of str
@@ -121,7 +126,7 @@ def systematic_errors(block: Block, done: Callable[[], None] = lambda: None) -> 
     return SystematicErrors(
         tested,
         errors,
-        tuple(e for one in errors for e in one.found.estimates),
+        search.together(accepted),
         tuple(f"{name}: {reason}" for name, reason in search.refused.items()),
         own,
     )
@@ -144,7 +149,8 @@ class _Search:
         """Test all other groups beside those that were accepted."""
         tries = []
         for name in self._names:
-            if name in accepted or (name in _DISTANCES and any(one in accepted for one in _DISTANCES)):
+            # Two principal distances leave nothing of a common one.
+            if name in accepted or (name == PRINCIPAL_DISTANCE and CHANGE in accepted):
                 continue
             one = self._tested(name, accepted)
             if one is not None:
@@ -162,14 +168,23 @@ class _Search:
         return accepted
 
     def errors(self, accepted: tuple[str, ...]) -> tuple[SystematicError, ...]:
-        """Give the accepted groups beside each other, and what could stand in the place of each."""
-        found = []
-        for name in accepted:
-            others = _less(accepted, name)
-            one = self._tested(name, others)
-            if one is not None:
-                found.append(SystematicError(one, as_good(one, self.beside(others))))
-        return tuple(sorted(found, key=lambda one: -one.found.gain))
+        """Give the accepted groups, each beside those before it, and what could stand in their places."""
+        found: list[SystematicError] = []
+        left = accepted
+        while left:
+            tries = self.beside(tuple(one.found.name for one in found))
+            mine = tuple(one for one in tries if one.name in left)
+            if not mine:
+                break
+            gravest = max(causes_first(mine), key=lambda one: one.gain)
+            found.append(SystematicError(gravest, as_good(gravest, tries)))
+            left = _less(left, gravest.name)
+        return tuple(found)
+
+    def together(self, accepted: tuple[str, ...]) -> tuple[Estimate, ...]:
+        """Give the values of all accepted groups from one adjustment."""
+        freed, solution = self._solve(frozenset(accepted))
+        return tuple(e for name in accepted for e in estimates_of(self._block, freed, solution, name))
 
     def _tested(self, name: str, others: tuple[str, ...]) -> Hypothesis | None:
         """Test a group beside others; None when it cannot be freed."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from scipy import stats
 
@@ -21,6 +22,9 @@ _RATIO = 1.5
 # err as one point, and their root of the mean d' C^-1 d / 3 as that of one (0.1 %).
 _RATIO_DIRECT = math.sqrt(float(stats.chi2(3).ppf(0.999)) / 3.0)
 
+# An error whose share of the gravest one's gain is less may be what the linear model leaves of that one.
+_MINOR = 0.1
+
 
 def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
     """Say what was found: mistakes and errors first, each under one name, then what follows of them.
@@ -35,7 +39,7 @@ def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
     """
     said = [*check.plausibility, *(_mistyped(one) for one in check.mistyped)]
     if check.systematic is not None:
-        said += [fault_of(error) or _systematic(error) for error in check.systematic.errors]
+        said += _causes(check.systematic.errors)
     for judged in check.judged:
         said += _judged(judged)
     if check.separation is not None:
@@ -68,6 +72,25 @@ def _mistyped(one: Mistyped) -> Finding:
         f"computed): {cause}. Systematic errors were looked for without it."
     )
     return Finding("control-mistyped", text)
+
+
+def _causes(errors: tuple[SystematicError, ...]) -> list[Finding]:
+    """Name the grave errors; beside them small ones are no causes yet, for the model is linear."""
+    if not errors:
+        return []
+    gravest = max(errors, key=lambda error: error.found.gain)
+    limit = _MINOR * gravest.found.gain
+    minor = " and ".join(error.found.name for error in errors if error.found.gain < limit)
+    said = []
+    for error in errors:
+        if error.found.gain < limit:
+            continue
+        finding = fault_of(error) or _systematic(error)
+        if minor and error is gravest:
+            hint = f" What is left looks like {minor}: look again when this is corrected."
+            finding = replace(finding, text=finding.text + hint)
+        said.append(finding)
+    return said
 
 
 def _systematic(error: SystematicError) -> Finding:

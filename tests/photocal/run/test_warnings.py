@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from photocal.accuracy.georeferencing.freed_groups import MEANING
 from photocal.run.warnings import gather
 
 PPK = {"fixed_percent": 100.0, "float": 0, "single": 0}
@@ -67,7 +68,51 @@ def test_a_fault_is_said_once(tmp_path: Path) -> None:
 def test_limits_of_the_flight_are_notes(tmp_path: Path) -> None:
     findings = [{"code": "not-separated", "text": "x"}, {"code": "base-position", "text": "y"}]
     codes(tmp_path, georeferencing={"findings": findings})
-    assert [one.as_json()["kind"] for one in gather(tmp_path)] == ["note", "warning"]
+    assert [one.as_json()["kind"] for one in gather(tmp_path)] == ["warning", "note"]
+
+
+def told(*codes: str) -> dict[str, Any]:
+    return {"findings": [{"code": code, "text": f"{code} it is."} for code in codes]}
+
+
+def kinds(work: Path, **stages: dict[str, Any]) -> dict[str, str]:
+    codes(work, **stages)
+    return {one.code: one.kind for one in gather(work)}
+
+
+def test_symptoms_follow_their_cause(tmp_path: Path) -> None:
+    found = kinds(tmp_path, georeferencing=told("global-test", "not-separated", "camera-change"))
+    assert list(found.items()) == [
+        ("camera-change", "warning"),
+        ("global-test", "consequence"),
+        ("not-separated", "note"),
+    ]
+
+
+def test_symptoms_without_a_cause_are_warnings(tmp_path: Path) -> None:
+    """Lost telemetry makes no point wrong."""
+    exposures = {**EXPOSURES, "with_attitude": 7}
+    found = kinds(tmp_path, exposures=exposures, georeferencing=told("check-outside-prediction"))
+    assert set(found.values()) == {"warning"}
+
+
+def test_every_error_that_is_searched_for_is_a_cause(tmp_path: Path) -> None:
+    for name in MEANING:
+        found = kinds(tmp_path, georeferencing=told("global-test", name.replace(" ", "-")))
+        assert found["global-test"] == "consequence", name
+
+
+def test_unfixed_positions_prove_nothing_against_the_base(tmp_path: Path) -> None:
+    ppk = {**PPK, "fixed_percent": 30.0, "findings": [{"code": "ppk-not-fixed", "text": "only 30 %"}]}
+    found = kinds(tmp_path, ppk=ppk, georeferencing=told("base-position", "control-mistyped"))
+    assert found == {
+        "ppk-not-fixed": "warning",
+        "control-mistyped": "warning",
+        "positions-not-judged": "consequence",
+    }
+    assert "as if base-position: base-position it is." in gather(tmp_path)[-1].text
+    most = kinds(tmp_path, ppk={**ppk, "fixed_percent": 80.0})
+    assert most["base-position"] == "warning"
 
 
 def test_images_and_marks_of_the_measurement(tmp_path: Path) -> None:
