@@ -62,4 +62,4 @@ lock:
 	rm -rf .lock-venv
 
 clean:
-	rm -rf $(VENV) .lock-venv build dist *.egg-info demo-output
+	rm -rf $(VENV) .lock-venv .mavproxy build dist *.egg-info demo-output
