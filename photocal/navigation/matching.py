@@ -18,7 +18,7 @@ _SIGMAS = 4.0
 # What nobody else can be meant by may scatter so much more.
 _LATE = 12.0
 # So many such pairs have to be less probable than this where the strays fall at random.
-_CHANCE = 1e-3
+_CHANCE = 1e-2
 
 
 @dataclass(frozen=True)

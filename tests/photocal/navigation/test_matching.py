@@ -82,6 +82,20 @@ def test_a_late_stamp_is_no_lost_event() -> None:
         assert len(found.image) == 40
 
 
+def test_a_late_stamp_is_none_where_marks_were_lost() -> None:
+    """Six images of marks that nobody recorded do not make the late one's partner a chance."""
+    rng = np.random.default_rng(8)
+    missed = 0
+    for _ in range(200):
+        event = np.cumsum(rng.uniform(1.5, 2.5, 42))
+        camera = event + 7.3 + np.abs(rng.normal(0, 0.003, 42))
+        recorded = np.setdiff1d(np.arange(42), rng.integers(1, 35) + np.arange(6))
+        found = match(np.floor(camera * 1e3) / 1e3, event[recorded], resolution_s=0.001)
+        assert (recorded[found.event] == found.image).all()
+        missed += len(found.image) < len(recorded)
+    assert missed <= 1
+
+
 def test_clock_is_told_with_its_sigma() -> None:
     rng = np.random.default_rng(6)
     event = np.cumsum(rng.uniform(1.6, 3.2, 120))
