@@ -20,7 +20,7 @@ from photocal.analysis.estimates import Array
 from photocal.analysis.hidden.findings import findings
 from photocal.analysis.hidden.refit import fit
 from photocal.analysis.hidden.search import search
-from tests.photocal.analysis.test_hidden_simulated import (
+from tests.photocal.analysis.simulated import (
     CONTROL_M,
     Simulated,
     convergent,

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from photocal.adjustment.network import Exposures, Network, Points, Rays, Relations, point_weights
+from photocal.adjustment.network import Relations
 from photocal.analysis.estimates import Array
 from photocal.analysis.finding import Finding
 from photocal.analysis.hidden.candidates import candidates
@@ -17,117 +17,22 @@ from photocal.analysis.hidden.findings import findings
 from photocal.analysis.hidden.image_shift import joint_shift
 from photocal.analysis.hidden.jackknife import jackknife
 from photocal.analysis.hidden.refit import fit, with_sigmas, without_images
-from photocal.analysis.hidden.residual_map import grid_shape, residual_map
 from photocal.analysis.hidden.search import search
-from photocal.analysis.hidden.variance_components import assumed_sigma, variance_components
-from photocal.geometry.camera import Camera, camera
-from photocal.geometry.distortion import projected
-from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from tests.photocal.analysis.findings import said, sized
-
-SIGMA = 0.3
-
-
-@dataclass(frozen=True)
-class Simulated:
-    """A network with the image coordinates that its truth gives, without noise."""
-
-    network: Network
-    exact: Array
-
-
-def a_camera(estimate: tuple[str, ...], **changed: float) -> Camera:
-    values = {"c": 3500.0, "x0": 12.0, "y0": -8.0, "K1": -7e-9, "K2": 4e-16, "P1": 3e-8, **changed}
-    return camera("sim", "brown-observed", "px", (4000, 3000), (1.0, 1.0), values, estimate=estimate)
-
-
-def convergent(estimate: tuple[str, ...] = ("c", "x0", "y0", "K1", "K2", "P1", "P2")) -> Simulated:
-    """Eight convergent photos, rolled by quarters, of 36 control points with relief."""
-    own = a_camera(estimate)
-    generator = np.random.default_rng(1)
-    points = np.column_stack(
-        [
-            np.tile(np.linspace(-4, 4, 6), 6),
-            np.repeat(np.linspace(-3, 3, 6), 6),
-            generator.uniform(-0.8, 0.8, 36),
-        ]
-    )
-    centres, rotations = [], []
-    for k in range(8):
-        azimuth = k * np.pi / 4
-        centre = np.array([6.0 * np.cos(azimuth), 6.0 * np.sin(azimuth), 8.0])
-        back = centre / np.linalg.norm(centre)
-        right = np.cross([0.0, 0.0, 1.0], back)
-        right /= np.linalg.norm(right)
-        level = np.array([right, np.cross(back, right), back])
-        roll = (k % 4) * np.pi / 2
-        turn = np.array([[np.cos(roll), np.sin(roll), 0], [-np.sin(roll), np.cos(roll), 0], [0, 0, 1]])
-        centres.append(centre)
-        rotations.append(turn @ level)
-    return _imaged(own, np.array(centres), np.array(rotations), points, 0.002)
-
-
-def flight(turned: bool = True, flat: bool = False) -> Simulated:
-    """Two lines of seven nearly vertical photos flown there and back over 84 control points."""
-    estimate = ("K1", "K2") if flat else ("c", "x0", "y0", "K1", "K2")
-    own = a_camera(estimate)
-    generator = np.random.default_rng(2)
-    grid = np.meshgrid(np.linspace(-60, 220, 12), np.linspace(-50, 100, 7))
-    points = np.column_stack(
-        [grid[0].ravel(), grid[1].ravel(), (0.0 if flat else 25.0) * generator.random(84)]
-    )
-    centres, angles = [], []
-    for line, heading in ((0, 0.0), (1, np.pi if turned else 0.0)):
-        for k in range(7):
-            along = 25.0 * k if line == 0 else 25.0 * (6 - k)
-            centres.append([along, 50.0 * line, 100.0 + (0.0 if flat else 20.0) * line])
-            angles.append([*generator.uniform(-0.03, 0.03, 2), heading])
-    return _imaged(own, np.array(centres), matrix_from_angles(np.array(angles)), points, 0.02)
-
-
-def _imaged(own: Camera, centres: Array, rotations: Array, points: Array, sigma_m: float) -> Simulated:
-    rows = []
-    for j, point in enumerate(points):
-        for i, (centre, rotation) in enumerate(zip(centres, rotations, strict=True)):
-            seen = projected(own, (rotation @ (point - centre))[None, :])[0]
-            if np.all(np.abs(seen) < [1990.0, 1490.0]):
-                rows.append((i, j, *seen))
-    table = np.array(rows)
-    image, point_of, exact = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2:]
-    pose = np.hstack([angles_from_matrix(rotations), centres])
-    held, weight = point_weights(np.full(points.shape, sigma_m))
-    network = Network(
-        (own,),
-        Exposures(np.zeros(len(centres), dtype=np.int64), pose, np.full(pose.shape, np.inf)),
-        Points(points, held, weight),
-        Rays(image, point_of, exact, np.full(exact.shape, SIGMA)),
-        tuple(f"i{i}" for i in range(len(centres))),
-        tuple(f"p{j}" for j in range(len(points))),
-    )
-    return Simulated(network, exact)
-
-
-def noisy(simulated: Simulated, seed: int, plane: Array | None = None, control_m: float = 0.002) -> Network:
-    """Draw image coordinates and surveyed coordinates."""
-    generator = np.random.default_rng(seed)
-    network = simulated.network
-    measured = (simulated.exact if plane is None else plane) + SIGMA * generator.standard_normal(
-        simulated.exact.shape
-    )
-    surveyed = network.points.values + control_m * generator.standard_normal(network.points.values.shape)
-    return replace(
-        network,
-        rays=replace(network.rays, plane=measured),
-        points=replace(network.points, values=surveyed),
-    )
+from tests.photocal.analysis.simulated import (
+    CONTROL_M,
+    SIGMA,
+    Simulated,
+    convergent,
+    flight,
+    noisy,
+    read_in_flight,
+)
 
 
 @pytest.fixture(scope="module")
 def networks() -> dict[str, Simulated]:
     return {"convergent": convergent(), "flight": flight()}
-
-
-CONTROL_M = {"convergent": 0.002, "flight": 0.02}
 
 
 def found(simulated: Simulated, seed: int, plane: Array, control_m: float = 0.002) -> tuple[Finding, ...]:
@@ -166,19 +71,6 @@ def test_a_missing_radial_term_is_found(networks: dict[str, Simulated]) -> None:
     first = found(networks["convergent"], 5, plane)[0]
     assert (first.code, "K3 is missing from the model" in said(first)) == ("radial", True)
     assert abs(sized(first).figure - 1.5e-22) < 4 * (sized(first).sigma or 0.0)
-
-
-def read_in_flight(made: Simulated) -> Array:
-    """Image coordinates when the rows are read during a twentieth of the exposure interval, in flight."""
-    network = made.network
-    own, image = network.cameras[0], network.rays.image
-    centres = network.exposures.values[:, 3:]
-    velocity = np.vstack([np.gradient(centres[:7], axis=0), np.gradient(centres[7:], axis=0)])
-    late = 0.05 * -made.exact[:, 1] / own.size_px[1]
-    rotation = matrix_from_angles(network.exposures.values[:, :3])[image]
-    moved = centres[image] + late[:, None] * velocity[image]
-    q = np.einsum("nij,nj->ni", rotation, network.points.values[network.rays.point] - moved)
-    return projected(own, q)
 
 
 @pytest.mark.parametrize("turned", [True, False])
@@ -297,63 +189,6 @@ def test_leaving_out_images_keeps_relations_and_datum_of_the_points_that_stay(
     assert [smaller.point_names[j] for j in smaller.relations.first] == [network.point_names[others[0]]]
     assert [smaller.point_names[j] for j in smaller.relations.second] == [network.point_names[others[1]]]
     assert len(state.points) == len(smaller.point_names)
-
-
-def test_the_residual_map_finds_a_patch_and_nothing_else() -> None:
-    generator = np.random.default_rng(12)
-    pixel = generator.uniform(0, [4000, 3000], (4000, 2))
-    w = generator.standard_normal((4000, 2))
-    patch = (pixel[:, 0] > 3000) & (pixel[:, 1] < 750)
-    clean = residual_map((4000, 3000), pixel, 0.3 * w, w, 1.0)
-    dirty = residual_map((4000, 3000), pixel, 0.3 * (w + 1.2 * patch[:, None]), w + 1.2 * patch[:, None], 1.0)
-    assert not clean.significant.any()
-    assert clean.global_p_value > 0.01
-    assert dirty.significant.any()
-    assert dirty.global_p_value < 1e-10
-    rows, columns = np.nonzero(dirty.significant)
-    assert np.all(dirty.columns_px[columns + 1] > 3000)
-    assert np.all(dirty.rows_px[rows] < 750)
-    inside = dirty.mean_px[0, -1]
-    np.testing.assert_allclose(inside, 0.36, atol=0.15)
-
-
-def test_the_residual_map_keeps_its_level() -> None:
-    generator = np.random.default_rng(13)
-    alarms = 0.0
-    for _ in range(400):
-        pixel, w = generator.uniform(0, [400, 300], (300, 2)), generator.standard_normal((300, 2))
-        alarms += float(residual_map((400, 300), pixel, w, w, 1.0, level=0.05).significant.any())
-    # 20 expected, with a standard deviation of 4.4.
-    assert abs(alarms - 20) < 4 * 4.4
-
-
-@pytest.mark.parametrize(("rays", "shape"), [(1, (1, 1)), (240, (4, 3)), (10**6, (12, 9))])
-def test_cells_are_as_many_as_the_rays_can_fill(rays: int, shape: tuple[int, int]) -> None:
-    assert grid_shape((4000, 3000), rays) == shape
-
-
-def test_variance_components_of_known_scatter() -> None:
-    generator = np.random.default_rng(14)
-    group = np.repeat(np.arange(5), 200)
-    truth = np.array([1.0, 1.0, 1.0, 1.6, 1.0])
-    v = generator.standard_normal(1000) * truth[group]
-    parts = variance_components(tuple("abcde"), group, v**2, np.full(1000, 1.0))
-    for part, sigma in zip(parts, truth, strict=True):
-        assert part.ratio == pytest.approx(sigma, abs=4 * sigma / np.sqrt(400))
-    assert min(parts, key=lambda part: part.p_value).name == "d"
-    equal = variance_components(tuple("abcde"), group, (v / truth[group]) ** 2, np.full(1000, 1.0))
-    assert all(part.p_value > 0.005 for part in equal)
-
-
-def test_the_sigma_that_is_found_has_an_honest_interval() -> None:
-    generator = np.random.default_rng(15)
-    inside = 0
-    for _ in range(300):
-        v = 2.0 * np.sqrt(0.8) * generator.standard_normal((40, 2))
-        one = assumed_sigma(np.full((40, 2), 1.0), v, np.full((40, 2), 0.8))
-        # 80 residuals with redundancy 0.8 carry 64 degrees of freedom: the interval is a little wide.
-        inside += one.lower < 2.0 < one.upper
-    assert 285 - 4 * 3.8 <= inside <= 300
 
 
 def test_an_image_gets_its_own_geometry_as_the_adjustment_would_give_it() -> None:

@@ -1,0 +1,137 @@
+"""`photocal compare` and the files of cameras that it takes."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from drivers.errors import (
+    ConfigurationError,
+    InputMalformedError,
+    InputNotFoundError,
+    PhotocalError,
+)
+from photocal.analysis.stability.calibration import sensor_grid
+from photocal.analysis.stability.camera_file import read_camera_file
+from photocal.analysis.stability.comparison import compare
+from photocal.analysis.stability.methods import Terrain, methods
+from photocal.cli import app
+
+STUDY = Path(__file__).parents[3] / "configs/studies/canon-elph.toml"
+GRID = sensor_grid((4000, 3000), 250.0)
+CHOSEN = methods(len(GRID), (Terrain(250.0, 100.0),), 2, 5)
+ENTRY = '[[camera]]\nid = "{}"\nmodel = "brown-observed"\nunit = "px"\nsize_px = [400, 300]\n'
+GOOD = ENTRY.format("a") + "parameters = { c = 350.0 }\n" + ENTRY.format("b") + "parameters = { c = 351.0 }\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "message"),
+    [
+        ("", InputNotFoundError, "the file is empty"),
+        ("[[camera", InputMalformedError, "is not TOML"),
+        (GOOD.replace("unit", "units", 1), ConfigurationError, "camera.0.unit: field required"),
+        (GOOD.replace('unit = "px"', 'unit = "mm"', 1), ConfigurationError, "has no pitch_mm"),
+        (GOOD.replace("c = 350", "cc = 350"), ConfigurationError, "parameter cc is unknown"),
+        (GOOD.replace("c = 350", "c = -350"), ConfigurationError, "no positive principal distance"),
+        (GOOD.replace("c = 350.0", "c = nan"), ConfigurationError, "finite number"),
+        (GOOD + "sigma = { c = -1.0 }\n", ConfigurationError, "greater than 0"),
+        (GOOD + "sigma = { z = 1.0 }\n", ConfigurationError, "do not name the same parameters"),
+        (
+            GOOD + 'correlation = { names = ["c"], matrix = [[1.0]] }\n',
+            ConfigurationError,
+            "has correlations but no sigma",
+        ),
+        (
+            GOOD + 'sigma = { c = 1.0 }\ncorrelation = { names = ["c"], matrix = [[1.0, 0.0]] }\n',
+            ConfigurationError,
+            "not square",
+        ),
+        (
+            GOOD.replace("c = 351.0", "c = 351.0, x0 = 1.0, y0 = 1.0")
+            + "sigma = { c = 1.0, x0 = 1.0, y0 = 1.0 }\n"
+            + 'correlation = { names = ["c", "x0", "y0"], '
+            + "matrix = [[1.0, 0.9, -0.9], [0.9, 1.0, 0.9], [-0.9, 0.9, 1.0]] }\n",
+            ConfigurationError,
+            "not positive definite",
+        ),
+        (
+            "[comparison]\nterrain = [{ height_m = 50.0, relief_m = 60.0 }]\n" + GOOD,
+            ConfigurationError,
+            "reaches the exposure",
+        ),
+    ],
+)
+def test_wrong_files_are_refused_in_one_line(
+    tmp_path: Path, text: str, kind: type[PhotocalError], message: str
+) -> None:
+    path = tmp_path / "cameras.toml"
+    path.write_text(text)
+    with pytest.raises(kind, match=message) as caught:
+        read_camera_file(path)
+    assert "cameras.toml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@settings(max_examples=60)
+@given(st.integers(0, len(GOOD) - 1), st.binary(max_size=6))
+def test_damaged_files_are_refused_or_read(
+    tmp_path_factory: pytest.TempPathFactory, at: int, put: bytes
+) -> None:
+    path = tmp_path_factory.mktemp("damaged") / "cameras.toml"
+    path.write_bytes(GOOD.encode()[:at] + put + GOOD.encode()[at + 1 :])
+    with contextlib.suppress(PhotocalError):
+        read_camera_file(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (GOOD[: GOOD.index("[[camera]]", 5)], "1 calibration cannot be compared"),
+        (GOOD.replace('"b"', '"a"'), "camera a occurs twice"),
+        (GOOD.replace("400", "401", 1), "has 400 x 300 px, camera a has 401 x 300 px"),
+    ],
+)
+def test_cameras_that_cannot_be_compared(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "cameras.toml").write_text(text)
+    asked = read_camera_file(tmp_path / "cameras.toml")
+    with pytest.raises(ConfigurationError, match=message):
+        compare(asked.calibrations, GRID, CHOSEN, np.random.default_rng(1))
+
+
+def test_the_command_answers_in_json_and_draws(tmp_path: Path) -> None:
+    path, picture = tmp_path / "cameras.toml", tmp_path / "pairs.png"
+    path.write_text(GOOD + "sigma = { c = 0.5 }\n")
+    done = CliRunner().invoke(app, ["compare", str(path), "--json", "--picture", str(picture)])
+    assert done.exit_code == 0, done.output
+    figures = json.loads(done.stdout)
+    assert figures["schema"] == "photocal.comparison/1"
+    (pair,) = figures["pairs"]
+    assert (pair["first"], pair["second"]) == ("a", "b")
+    assert pair["figures"][0]["sigma_px"] is None  # camera a has no sigmas
+    assert {f["method"] for f in pair["figures"]} == {"MIS", "ZROT", "ROT", "SPR"}
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_command_answers_in_words(tmp_path: Path) -> None:
+    path = tmp_path / "cameras.toml"
+    one = GOOD[: GOOD.index("[[camera]]", 5)] + "sigma = { c = 0.5 }\n"
+    path.write_text(one + one.replace('"a"', '"b"').replace("350.0", "355.0"))
+    done = CliRunner().invoke(app, ["compare", str(path)])
+    assert done.exit_code == 0, done.output
+    assert "ZROT, mean distance, px" in done.stdout
+    assert "differ beyond their noise" in done.stdout
+
+
+def test_a_picture_of_unknown_kind_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "cameras.toml"
+    path.write_text(GOOD)
+    done = CliRunner().invoke(app, ["compare", str(path), "--picture", str(tmp_path / "pairs.doc")])
+    assert isinstance(done.exception, ConfigurationError)
+    assert list(tmp_path.iterdir()) == [path]
