@@ -18,7 +18,7 @@ _SIGMAS = 4.0
 # What nobody else can be meant by may scatter so much more.
 _LATE = 12.0
 # So many such pairs have to be less probable than this where the strays fall at random.
-_CHANCE = 1e-2
+_CHANCE = 5e-4
 
 
 @dataclass(frozen=True)
@@ -126,19 +126,27 @@ def _add_late(
 ) -> None:
     """Pair, in place, images and events that are left over and have nobody else within a wider reach.
 
-    Cameras stamp a picture late now and then, by far more than they usually scatter.
+    Cameras stamp a picture late now and then, by far more than they usually scatter; never early.
     """
+    half = reach / 2
     free = np.setdiff1d(np.arange(len(y)), of_image[of_image >= 0])
     lone = np.flatnonzero(of_image < 0)
-    to_event, event_rivals = _partners(predicted[lone], y, reach)
-    to_image, image_rivals = _partners(y[free], predicted, reach)
+    to_event, event_rivals = _partners(predicted[lone] - half, y, half)
+    to_image, image_rivals = _partners(y[free] + half, predicted, half)
     of_event = np.full(len(y), -1)
     of_event[free[~image_rivals]] = to_image[~image_rivals]
     paired = (to_event >= 0) & ~event_rivals
     paired &= of_event[to_event] == lone
-    by_chance = 2 * reach * len(free) * len(lone) / float(np.ptp(y))
+    # A row of them is one loss: no strays of their own.
+    strays = _rows(free) * _rows(lone)
+    by_chance = reach * strays / float(np.ptp(y))
     if poisson.sf(int(paired.sum()) - 1, by_chance) < _CHANCE:
         of_image[lone[paired]], mutual[lone[paired]] = to_event[paired], True
+
+
+def _rows(numbers: Integers) -> int:
+    """Count the rows of successive numbers."""
+    return 0 if not len(numbers) else 1 + int((np.diff(numbers) > 1).sum())
 
 
 def _best_offset(x: Floats, y: Floats, resolution: float, largest: float, drift: float) -> float:
