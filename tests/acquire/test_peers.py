@@ -16,6 +16,7 @@ from acquire.importing.importer import import_recordings
 from drivers import nmea
 from drivers.ubx import wire as ubx
 from tests.acquire.live import Process, free_port, is_bound, until
+from tests.simulated import PLANS, fly
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -93,8 +94,22 @@ def _records(log: bytes) -> list[bytes]:
     return found
 
 
+@pytest.fixture(params=["demonstration", "simulated survey"])
+def telemetry(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, bytes]:
+    """A flight log and the telemetry log that went into it."""
+    if request.param == "demonstration":
+        flight: Path = request.getfixturevalue("flight")
+        return flight, (tmp_path / "flight.tlog").read_bytes()
+    fly(tmp_path / "survey", PLANS / "small.toml", observing={"ties": 0})
+    site = tmp_path / "survey" / "site"
+    return site / "flight.mcap", (site / "vehicle.tlog").read_bytes()
+
+
 @pytest.mark.skipif(_mavproxy() is None, reason="MAVProxy is not installed (mavproxy.py or $MAVPROXY)")
-def test_mavproxy_sees_every_message_in_order(flight: Path, acquire: Acquire, tmp_path: Path) -> None:
+def test_mavproxy_sees_every_message_in_order(
+    telemetry: tuple[Path, bytes], acquire: Acquire, tmp_path: Path
+) -> None:
+    log, telemetry_log = telemetry
     port = free_port()
     seen = tmp_path / "seen.tlog"
     peer = subprocess.Popen(
@@ -109,10 +124,10 @@ def test_mavproxy_sees_every_message_in_order(flight: Path, acquire: Acquire, tm
         # Its log is written in blocks: the second time pushes out the first.
         for _ in range(2):
             done = acquire(
-                "replay", flight, "--link", "vehicle", "--to", f"udp://127.0.0.1:{port}", "--speed", 20
+                "replay", log, "--link", "vehicle", "--to", f"udp://127.0.0.1:{port}", "--speed", 20
             )
             assert done.returncode == 0, done.stderr
-        sent = _records((tmp_path / "flight.tlog").read_bytes())
+        sent = _records(telemetry_log)
         ours = {frame[5] for frame in sent}
 
         def got() -> list[bytes]:
