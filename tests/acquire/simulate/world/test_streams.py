@@ -10,7 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pyrtcm
 import pytest
+import pyubx2
 from pymavlink import mavutil
 
 from acquire.simulate.world import telemetry
@@ -36,6 +38,18 @@ def test_pymavlink_reads_every_frame(small: Flight) -> None:
     for numbers in sequences.values():
         assert set(np.diff(numbers) % 256) == {1}
     reader.close()
+
+
+def test_pyubx2_and_pyrtcm_read_every_frame_of_a_survey(small: Flight) -> None:
+    own = small.world.configuration.gnss.model_dump(exclude_none=True)
+    streams = make_streams(make_world(configured("small", gnss={**own, "base_protocol": "rtcm3"})))
+    for wire, peer in (
+        (streams.rover, pyubx2.UBXReader),
+        (streams.base, pyrtcm.RTCMReader),
+        (make_streams(small.world).base, pyubx2.UBXReader),
+    ):
+        read = [raw for raw, _ in peer(io.BytesIO(b"".join(wire.frames)), validate=1, quitonerror=2)]
+        assert read == list(wire.frames)
 
 
 def test_the_autopilot_tells_the_truth_with_its_errors(small: Flight) -> None:
