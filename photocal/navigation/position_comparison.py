@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ _SIGNIFICANCE = 0.001
 # very strong evidence).
 _AS_GOOD = 10.0
 _GROSS = 5.0
+# Of neighbours that are more alike than this it cannot be told how much.
+_MOST_ALIKE = 0.9
 _MOST = 0.8
 TIME, LEVER, AXES = "time-offset", "lever-arm", "lever-arm-axes"
 AXIS_NAMES = ("forward", "right", "down")
@@ -123,11 +125,13 @@ def compare_positions(pairs: PositionPairs) -> PositionComparison:
     theirs - ours = what is unknown between the systems + v dt + R' dl. First dt and dl are held to what is
     known of them beforehand; then each is freed in turn, and every exchange and change of sign of the lever
     arm's axes tried, judged by an F test (0.1 % over all) and the criterion of Schwarz (1978). Gross
-    differences are left out.
+    differences are left out. Neighbours share the errors of a receiver's own solution, which wander for
+    minutes: differences count as so many independent ones as their autocorrelation leaves.
 
     Parameters
     ----------
     pairs : PositionPairs
+        In the order of time.
 
     Returns
     -------
@@ -154,7 +158,7 @@ def compare_positions(pairs: PositionPairs) -> PositionComparison:
     free = np.full(design.shape[2], np.inf)
     difference = pairs.theirs - pairs.ours
     rows = _without_gross(design, difference, rows)
-    model = _Model(design[rows], difference[rows], _noise(design[rows], difference[rows]))
+    model = _Model(design[rows], difference[rows], *_noise(design[rows], difference[rows]))
     sigma = free.copy()
     sigma[unknown] = pairs.time_sigma_s
     sigma[unknown + 1 :] = 0.0 if pairs.lever_sigma_m is None else pairs.lever_sigma_m
@@ -179,11 +183,17 @@ def compare_positions(pairs: PositionPairs) -> PositionComparison:
 
 @dataclass(frozen=True)
 class _Model:
-    """Differences, their design, and the standard deviation of one of them."""
+    """Differences, their design, the standard deviation of one, and which share of them is independent."""
 
     design: Floats
     difference: Floats
     noise_m: float
+    share: float
+
+    @property
+    def size(self) -> float:
+        """Number of independent differences, each of three coordinates."""
+        return self.share * self.difference.size
 
     def solved(self, sigma: Floats) -> tuple[float, Floats, Floats, Floats]:
         """Solve with unknowns that are free (infinite), weighted (positive) or held at zero (0).
@@ -195,7 +205,7 @@ class _Model:
         """
         used = np.flatnonzero(sigma > 0)
         a = self.design.reshape(-1, self.design.shape[2])[:, used]
-        weight = np.where(np.isfinite(sigma[used]), self.noise_m / sigma[used], 0.0)
+        weight = np.where(np.isfinite(sigma[used]), self.noise_m / np.sqrt(self.share) / sigma[used], 0.0)
         scale = np.maximum(np.sqrt(np.sum(a**2, axis=0) + weight**2), 1e-12)
         normal = (a / scale).T @ (a / scale) + np.diag((weight / scale) ** 2)
         inverse = np.linalg.pinv(normal, rcond=1e-10)
@@ -211,14 +221,14 @@ class _Model:
 
     def moved(self, by_m: Floats) -> _Model:
         """Return the model of other differences."""
-        return _Model(self.design, self.difference - by_m, self.noise_m)
+        return replace(self, difference=self.difference - by_m)
 
 
 def _without_gross(design: Floats, difference: Floats, rows: NDArray[np.int64]) -> NDArray[np.int64]:
     free = np.full(design.shape[2], np.inf)
     for _ in range(5):
         # Gross errors are told by what is left when all errors looked for are allowed.
-        residual = _Model(design[rows], difference[rows], 1.0).solved(free)[2]
+        residual = _Model(design[rows], difference[rows], 1.0, 1.0).solved(free)[2]
         size = np.linalg.norm(residual, axis=1)
         kept = rows[size <= _GROSS * max(float(np.median(size)), 1e-6)]
         if len(kept) == len(rows) or len(kept) < _LEAST:
@@ -227,9 +237,13 @@ def _without_gross(design: Floats, difference: Floats, rows: NDArray[np.int64]) 
     return rows
 
 
-def _noise(design: Floats, difference: Floats) -> float:
-    squares = _Model(design, difference, 1.0).solved(np.full(design.shape[2], np.inf))[0]
-    return float(np.sqrt(squares / max(difference.size - design.shape[2], 1)))
+def _noise(design: Floats, difference: Floats) -> tuple[float, float]:
+    """Give the standard deviation of a difference, and which share of the differences is independent."""
+    free = np.full(design.shape[2], np.inf)
+    squares, _, residual, _ = _Model(design, difference, 1.0, 1.0).solved(free)
+    together = float(np.sum(residual[1:] * residual[:-1]))
+    r = float(np.clip(together / max(float(np.sum(residual**2)), 1e-300), 0.0, _MOST_ALIKE))
+    return float(np.sqrt(squares / max(difference.size - design.shape[2], 1))), (1 - r) / (1 + r)
 
 
 def _as_good(best: Explanation, judged: list[Explanation]) -> tuple[str, ...]:
@@ -255,8 +269,8 @@ def _freed(name: str, model: _Model, sigma: Floats, place: slice) -> Explanation
     free[place] = np.inf
     rss, x, _, cofactor = model.solved(free)
     k = place.stop - place.start
-    size = model.difference.size
-    dof = max(size - int(np.isinf(free).sum()), 1)
+    size = model.size
+    dof = max(size - float(np.isinf(free).sum()), 1.0)
     f = max((rss0 - rss) / k / (rss / dof), 0.0)
     spread = np.sqrt(np.maximum(np.diag(cofactor)[place] * rss / dof, 0.0))
     gain = size * np.log(rss0 / rss) - k * np.log(size)
@@ -266,8 +280,8 @@ def _freed(name: str, model: _Model, sigma: Floats, place: slice) -> Explanation
 def _exchanged(model: _Model, sigma: Floats, to_object: Floats, lever_m: Floats) -> list[Explanation]:
     """Try every exchange and change of sign of the lever arm's axes; return the best one."""
     rss0 = model.solved(sigma)[0]
-    size = model.difference.size
-    dof = max(size - int(np.isinf(sigma).sum()), 1)
+    size = model.size
+    dof = max(size - float(np.isinf(sigma).sum()), 1.0)
     found = []
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
@@ -288,9 +302,9 @@ def _exchanged(model: _Model, sigma: Floats, to_object: Floats, lever_m: Floats)
 def _detectable(model: _Model, sigma: Floats, place: int) -> float:
     others = sigma.copy()
     others[place] = 0.0
-    velocity = _Model(model.design, model.design[:, :, place], model.noise_m)
+    velocity = replace(model, difference=model.design[:, :, place])
     length = float(np.sqrt(velocity.solved(others)[0]))
     if length < 1e-3 * float(np.linalg.norm(velocity.difference)) or length == 0:
         return float("inf")
     # Two-sided 0.1 % with a power of 80 % (Baarda 1968).
-    return float(4.13 * model.noise_m / length)
+    return float(4.13 * model.noise_m / np.sqrt(model.share) / length)

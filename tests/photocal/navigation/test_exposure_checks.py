@@ -146,6 +146,27 @@ def test_false_alarms_are_rare() -> None:
     assert failed <= 1
 
 
+def test_positions_that_wander_are_no_lever_arm() -> None:
+    """A receiver's own solution is off by a metre that comes and goes in half a minute."""
+    rig = Rig(LEVER, np.full(3, 0.01), SIGMAS)
+    ours = at_camera(shots(trajectory())[0], rig)
+    p = ours.placed
+    there = np.column_stack([p.lat_deg, p.lon_deg, p.height_m])
+    seconds = np.diff(ours.time.ns.astype(float), prepend=0.0) / 1e9
+    keep = np.exp(-seconds / 30.0)[:, None]
+    metre_in_deg = np.array([1 / 110_900.0, 1 / 100_600.0, 1.0])
+    rng = np.random.default_rng(8)
+    failed = 0
+    for _ in range(100):
+        kicks = rng.normal(0.0, [1.0, 1.0, 2.0], there.shape) * np.sqrt(1 - keep**2)
+        wander = np.zeros_like(there)
+        for k in range(len(there)):
+            wander[k] = keep[k] * wander[k - 1] + kicks[k]
+        check = judge_positions("x", ours, there + wander * metre_in_deg, rig, "shift")
+        failed += check.verdict == "failed"
+    assert failed <= 2
+
+
 def evidence(path: Trajectory, late_s: float = 0.0, **changed: object) -> Evidence:
     """A flight with an autopilot that knows its height above sea level to a metre or two."""
     exposures, events = shots(path)
