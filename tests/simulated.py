@@ -14,7 +14,7 @@ FLIGHT = PLANS / "flight.toml"
 _STREAMS = {"vehicle": "vehicle.tlog", "rover": "rover.ubx", "base": "base.ubx"}
 
 
-def fly(folder: Path, plan: Path = FLIGHT, **instead: Any) -> Path:
+def fly(folder: Path, plan: Path = FLIGHT, /, **instead: Any) -> Path:
     """Fly with streams and image observations, and import the streams.
 
     Parameters

@@ -105,7 +105,7 @@ class Atmosphere:
 
         Zenith delays by Saastamoinen (1972) in the standard atmosphere; mapped by Chao (1974), dry and wet.
         """
-        kelvin = 288.15 - 6.5e-3 * sight.height_m
+        kelvin = 273.15 + self.settings.temperature_c - 6.5e-3 * sight.height_m
         pressure = 1013.25 * (1 - 2.2557e-5 * sight.height_m) ** 5.2568
         humidity = self.settings.relative_humidity
         vapour = 6.108 * humidity * np.exp((17.15 * kelvin - 4684) / (kelvin - 38.45))

@@ -19,8 +19,10 @@ class SkySettings:
         What the true ionosphere has of the delay that the broadcast model says.
     wave_m : float
         Amplitude of the travelling waves in the ionosphere (vertical delay on L1), 150 to 400 km long.
+    temperature_c : float
+        At sea level; 6.5 K less for each kilometre.
     relative_humidity : float
-        At all heights of the standard atmosphere. At 0.5 the wet delay 100 m above the base differs by some
+        At all heights. At 0.5 the wet delay 100 m above the base differs by some
         4 mm in the zenith, which no receiver knows.
     wet_sigma_m : float
         Scatter of the zenith wet delay around that of the standard atmosphere.
@@ -32,6 +34,7 @@ class SkySettings:
     klobuchar: tuple[int, ...] = (12, 2, -1, -1, 44, 1, -2, -3)
     ionosphere_scale: float = 1.15
     wave_m: float = 0.05
+    temperature_c: float = 15.0
     relative_humidity: float = 0.5
     wet_sigma_m: float = 0.02
     leap_s: int = 18

@@ -190,6 +190,13 @@ class Gnss(Section):
     base_protocol: Literal["ubx", "rtcm3"] = "ubx"
 
 
+class Air(Section):
+    """Temperature at sea level, and humidity at all heights."""
+
+    temperature_c: Annotated[float, Field(ge=-40, le=50)] = 15.0
+    relative_humidity: Annotated[float, Field(ge=0, le=1)] = 0.5
+
+
 class Telemetry(Section):
     """The autopilot's stream: rates, and how its filter differs from the truth."""
 
@@ -238,6 +245,7 @@ class Configuration(Section):
     pictures: Pictures = Pictures()
     observing: Observing = Observing()
     gnss: Gnss = Gnss()
+    air: Air = Air()
     telemetry: Telemetry = Telemetry()
     wires: Wires = Wires()
     faults: frozenset[Fault] = frozenset()

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from acquire.simulate.gnss.settings import SkySettings
 from acquire.simulate.world.block_folder import camera_keys
-from acquire.simulate.world.configuration import Level
+from acquire.simulate.world.configuration import Air, Level
 from acquire.simulate.world.survey import FieldBook, take_notes
 from acquire.simulate.world.tables import toml_text
 from acquire.simulate.world.world import World
@@ -73,7 +72,7 @@ def _flight(world: World, notes: FieldBook) -> list[tuple[str, dict[str, Any]]]:
                 "base_position": place,
                 "base_antenna_height_m": round(notes.base_antenna_height_m, 4),
                 "rover_antenna_height_m": 0.0,
-                "weather": _weather(float(base[2])),
+                "weather": _weather(given.air, float(base[2])),
                 "edge": "rising",
                 "clock_offset_s": 30.0,
             },
@@ -101,12 +100,11 @@ def _flight(world: World, notes: FieldBook) -> list[tuple[str, dict[str, Any]]]:
     return sections
 
 
-def _weather(height_m: float) -> dict[str, float]:
-    """Give what thermometer and hygrometer show at the base: the standard atmosphere's air."""
-    humidity = SkySettings().relative_humidity
+def _weather(air: Air, height_m: float) -> dict[str, float]:
+    """Give what thermometer and hygrometer show at the base."""
     return {
-        "temperature_c": round(15.0 - 6.5e-3 * height_m, 1),
-        "relative_humidity_percent": round(100 * humidity, 1),
+        "temperature_c": round(air.temperature_c - 6.5e-3 * height_m, 1),
+        "relative_humidity_percent": round(100 * air.relative_humidity, 1),
     }
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from acquire.simulate.gnss.antenna import Antenna
 from acquire.simulate.gnss.navigation_solution import OwnPosition
 from acquire.simulate.gnss.session import Session, simulate
-from acquire.simulate.gnss.settings import BASE, ROVER, Faults
+from acquire.simulate.gnss.settings import BASE, ROVER, Faults, SkySettings
 from acquire.simulate.gnss.streams import Stream, base_rtcm, base_ubx, rover_ubx
 from acquire.simulate.gnss.time_marks import Events
 from acquire.simulate.world import telemetry
@@ -78,7 +78,7 @@ def _carried(world: World, stream: Stream, random: np.random.Generator, loss: fl
 
 def _session(world: World) -> tuple[Session, np.random.Generator]:
     given, chance = world.configuration.gnss, world.random("sky")
-    sizes = world.configuration.fault_sizes
+    sizes, air = world.configuration.fault_sizes, world.configuration.air
     slips = sizes.slips_per_hour if world.has(Fault.CYCLE_SLIPS) else None
     east, north, up = world.base_error_m.tolist()
     session = simulate(
@@ -87,6 +87,7 @@ def _session(world: World) -> tuple[Session, np.random.Generator]:
         world.start_gps_ns,
         int(world.gps_ns(np.array(world.motion.duration_s))),
         rng=chance,
+        sky=SkySettings(temperature_c=air.temperature_c, relative_humidity=air.relative_humidity),
         rover_model=replace(ROVER, interval_s=given.rover_interval_s),
         base_model=replace(BASE, interval_s=given.base_interval_s),
         faults=Faults(base_shift_m=(east, north, up), rover_slips_per_hour=slips, base_slips_per_hour=slips),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -73,6 +75,10 @@ def test_troposphere_has_published_sizes() -> None:
     # Saastamoinen's wet part with 8.5 hPa at 15 deg C: 0.002277 (1255 / 288.15 + 0.05) 8.5 m.
     assert ground - zenith == pytest.approx(0.085, abs=0.003)
     assert ground - above == pytest.approx(0.032, abs=0.004)
+    # The same with 90 % of the 56.2 hPa that saturate air of 35 deg C.
+    sultry = replace(QUIET, temperature_c=35.0, relative_humidity=0.9)
+    hot = Atmosphere.by_chance(sultry, np.random.default_rng(0)).troposphere_m(sight(np.array([90.0])))[0]
+    assert hot - zenith == pytest.approx(0.002277 * (1255 / 308.15 + 0.05) * 0.9 * 56.2, abs=0.006)
 
 
 def test_noise_grows_as_the_signal_weakens() -> None:

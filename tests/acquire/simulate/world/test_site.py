@@ -249,6 +249,15 @@ def test_faults_that_do_not_show_are_refused(tmp_path: Path) -> None:
         flown(tmp_path, level="block", faults=["cycle_slips"])
 
 
+def test_the_surveyor_notes_the_weather_at_the_base(tmp_path: Path) -> None:
+    """6.5 K less for each of the 0.913 km above the sea."""
+    air = {"temperature_c": 35.0, "relative_humidity": 0.9}
+    site = flown(tmp_path, level="observations", observing={"ties": 0}, air=air).folder / "site"
+    noted = tomllib.loads((site / "project.toml").read_text())["flight"]["weather"]
+    assert noted["temperature_c"] == pytest.approx(35.0 - 6.5 * 0.913, abs=0.1)
+    assert noted["relative_humidity_percent"] == 90.0
+
+
 def test_one_field_for_several_flights() -> None:
     from acquire.simulate.world.world import make_world
 
