@@ -181,7 +181,7 @@ def _autopilot_clock(e: Evidence) -> Check:
     # A position that is ahead of ours was measured later than its stamp says.
     late = 0.0 if best is None else float(best.value[0])
     figures = {"late_s": late, "detectable_s": found.detectable_s, "rms_m": found.rms_m.tolist()}
-    if abs(late) <= _LATE_ATTITUDE_S:
+    if abs(late) <= max(_LATE_ATTITUDE_S, found.detectable_s):
         limit = f"errors over {found.detectable_s * 1e3:.0f} ms would show"
         return Check(
             code, "passed", compared, f"the autopilot's clock agrees with GNSS time; {limit}", figures
