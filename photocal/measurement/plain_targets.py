@@ -25,7 +25,7 @@ from photocal.measurement.target_look import PARTS, Look
 from photocal.measurement.target_search import find_targets
 from photocal.measurement.views import local_poses
 from photocal.measurement.workers import Workers, run_tasks
-from photocal.project import PlainTargets
+from photocal.project_tables import PlainTargets
 
 Floats = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from pydantic import Field
 
 from photocal.checked_toml import Table, read_toml
-from photocal.project import AirAtBase
+from photocal.project_tables import AirAtBase
 
 
 class KnownMark(Table):

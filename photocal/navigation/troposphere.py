@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
-from photocal.project import AirAtBase
+from photocal.project_tables import AirAtBase
 
 Floats = NDArray[np.float64]
 

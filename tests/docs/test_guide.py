@@ -20,7 +20,7 @@ import pytest
 
 from photocal.accuracy.georeferencing.freed_groups import MEANING
 from photocal.block.mounting import BODY_AXES
-from photocal.project import Rig
+from photocal.project_tables import Rig
 from photocal.run.warnings import _UNMATCHED as UNMATCHED
 
 ROOT = Path(__file__).parents[2]

@@ -1,0 +1,292 @@
+"""The tables of `PROJECT.toml`, section by section; docs/project-file.md is their reference."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    FiniteFloat,
+    PositiveFloat,
+    Tag,
+    ValidationInfo,
+    model_validator,
+)
+
+from photocal.block.camera_setup import CameraKeys, NonNegative
+from photocal.block.setup import BodyAxis, MountingKeys, Sigma
+from photocal.checked_toml import Table
+
+Degrees = Annotated[FiniteFloat, Field(ge=-360, le=360)]
+Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Sigmas = tuple[PositiveFloat, PositiveFloat, PositiveFloat]
+
+
+def _beside(path: Path, info: ValidationInfo) -> Path:
+    """Take a path from the folder of the project file."""
+    return path if info.context is None else Path(info.context["folder"]) / path
+
+
+Beside = Annotated[Path, AfterValidator(_beside)]
+
+
+class ProjectKeys(Table):
+    """`[project]`: name, the coordinates of results and of the control table, the work folder."""
+
+    name: Annotated[str, Field(min_length=1)]
+    crs: str
+    height: Literal["ellipsoidal", "orthometric", "local"]
+    output: Beside
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if (self.crs == "local") != (self.height == "local"):
+            raise ValueError('crs = "local" and height = "local" go together')
+        return self
+
+
+class AirAtBase(Table):
+    """`[flight] weather`: temperature in the shade, humidity, pressure at the place (not of sea level)."""
+
+    temperature_c: Annotated[float, Field(ge=-60, le=60)]
+    relative_humidity_percent: Annotated[float, Field(ge=0, le=100)]
+    pressure_hpa: Annotated[float, Field(ge=400, le=1100)] | None = None
+
+
+class Flight(Table):
+    """`[flight]`: recordings and what is known of the receivers and the camera's events.
+
+    Parameters
+    ----------
+    logs : tuple of Path
+        Flight logs in the order of time.
+    vehicle, rover, base : str
+        Names of links in the logs.
+    rover_rinex, base_rinex : Path or None
+        RINEX observations, which go before the links.
+    navigation : tuple of Path
+        RINEX navigation files.
+    base_position : (float, float, float) or None
+        Latitude, longitude in degrees, ellipsoidal height in m; goes before what the log says.
+    base_antenna_height_m, rover_antenna_height_m : float or None
+        Antenna reference point above the mark; None: as the RINEX headers have it.
+    base_sigma_m : (float, float, float) or None
+        Standard deviations of the base's position, east, north, up.
+    weather : AirAtBase or None
+        Measured at the base during the flight.
+    edge : str
+        Of the time marks.
+    delay_s : float
+        From the event to the exposure.
+    clock_offset_s : float
+        Largest difference between the clocks of camera and log.
+    """
+
+    logs: tuple[Beside, ...] = Field(min_length=1)
+    vehicle: str = "vehicle"
+    rover: str = "rover"
+    base: str = "base"
+    rover_rinex: Beside | None = None
+    base_rinex: Beside | None = None
+    navigation: tuple[Beside, ...] = ()
+    base_position: tuple[Annotated[float, Field(ge=-90, le=90)], Degrees, FiniteFloat] | None = None
+    base_antenna_height_m: FiniteFloat | None = None
+    rover_antenna_height_m: FiniteFloat | None = None
+    base_sigma_m: Sigmas | None = None
+    weather: AirAtBase | None = None
+    edge: Literal["rising", "falling"] = "rising"
+    delay_s: FiniteFloat = 0.0
+    clock_offset_s: PositiveFloat = 60.0
+
+
+class Images(Table):
+    """`[images]`: a folder of pictures, or without pictures a table of their names and times."""
+
+    folder: Beside | None = None
+    times: Beside | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if (self.folder is None) == (self.times is None):
+            raise ValueError("give either folder (pictures) or times (a table of names and times)")
+        return self
+
+
+class Rig(Table):
+    """`[rig]`: camera, antenna and inertial unit beside each other, in body axes forward, right, down.
+
+    Parameters
+    ----------
+    camera_to_antenna_m : (float, float, float)
+        Vector from the projection centre to the antenna.
+    camera_to_antenna_sigma_m : float, 3 of them, or "free"
+        One rule holds for all of these: 0 holds the value, a number makes it an observation.
+    boresight_deg, boresight_sigma_deg
+        Small turns about the body axes between body and camera.
+    attitude_sigma_deg : (float, float, float)
+        Of roll, pitch, yaw.
+    time_offset_s, time_offset_sigma_s
+        Of the exposure against its event, beyond `delay_s`.
+    camera_axes : (str, str, str)
+        Body directions of the camera's x (right), y (up in the image), z (backwards).
+    """
+
+    camera_to_antenna_m: Triple
+    camera_to_antenna_sigma_m: Sigma
+    boresight_deg: Triple = (0.0, 0.0, 0.0)
+    boresight_sigma_deg: Sigma
+    attitude_sigma_deg: Sigmas
+    time_offset_s: FiniteFloat = 0.0
+    time_offset_sigma_s: NonNegative | Literal["free"]
+    camera_axes: tuple[BodyAxis, BodyAxis, BodyAxis] = ("right", "forward", "up")
+
+    def mounting(self) -> MountingKeys:
+        """Give the section `[mounting]` of a block."""
+        return MountingKeys(
+            lever_arm_m=self.camera_to_antenna_m,
+            lever_arm_sigma_m=self.camera_to_antenna_sigma_m,
+            boresight_deg=self.boresight_deg,
+            boresight_sigma_deg=self.boresight_sigma_deg,
+            time_offset_s=self.time_offset_s,
+            time_offset_sigma_s=self.time_offset_sigma_s,
+            camera_axes=self.camera_axes,
+        )
+
+
+class CodedTargets(Table):
+    """`targets` of `[control]` with a code: found in whole images, named by it."""
+
+    dictionary: str
+    side_m: PositiveFloat
+    names: dict[str, str]
+
+
+class PlainTargets(Table):
+    """`targets` of `[control]` without a code: found and named where the exposures predict them.
+
+    Parameters
+    ----------
+    kind : str
+        As `photocal targets` prints them.
+    side_m : float
+        Diameter, or side of the square around the target.
+    part : float or None
+        Width of a cross's bars, or diameter of a ring's hole, as a part of `side_m`; None: as printed.
+    points : tuple of str
+        Control and check points that have such a target; empty for all.
+    """
+
+    kind: Literal["disc", "ring", "cross", "hourglass"]
+    side_m: PositiveFloat
+    part: Annotated[float, Field(ge=0.05, le=0.9)] | None = None
+    points: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.part is not None and self.kind not in ("ring", "cross"):
+            raise ValueError(f"a {self.kind} has no part: remove it")
+        return self
+
+
+def _variant(given: Any) -> str:
+    plain = isinstance(given, PlainTargets) or (isinstance(given, dict) and "kind" in given)
+    return "<plain>" if plain else "<coded>"
+
+
+def _several(given: Any) -> Any:
+    """Take one table as a list of one."""
+    return (given,) if isinstance(given, dict) else given
+
+
+Targets = Annotated[
+    Annotated[CodedTargets, Tag("<coded>")] | Annotated[PlainTargets, Tag("<plain>")], Discriminator(_variant)
+]
+
+
+class Control(Table):
+    """`[control]`: surveyed points, marks made by hand, targets that are found by themselves."""
+
+    points: Beside
+    marks: Beside | None = None
+    targets: Annotated[tuple[Targets, ...], BeforeValidator(_several)] = ()
+
+    @property
+    def coded_targets(self) -> tuple[CodedTargets, ...]:
+        """Targets with a code."""
+        return tuple(own for own in self.targets if isinstance(own, CodedTargets))
+
+    @property
+    def plain_targets(self) -> tuple[PlainTargets, ...]:
+        """Targets without a code."""
+        return tuple(own for own in self.targets if isinstance(own, PlainTargets))
+
+
+class Measurements(Table):
+    """`[measurements]`: what was measured elsewhere.
+
+    Parameters
+    ----------
+    observations : Path or None
+        Instead of measuring in pictures: `observations.csv` as in a block folder, in pixels.
+    sigma_px : float or None
+        Of observations without sigmas of their own.
+    block : Path or None
+        Instead of flight, images, rig, cameras and control: a block folder that has all of them.
+    """
+
+    observations: Beside | None = None
+    sigma_px: PositiveFloat | None = None
+    block: Beside | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if (self.observations is None) == (self.block is None):
+            raise ValueError("give either observations (a table) or block (a folder)")
+        return self
+
+
+class Judgement(Table):
+    """`[judgement]`: what the check points are judged against."""
+
+    scale: str | None = None
+    contour_interval_m: PositiveFloat | None = None
+    standards: tuple[str, ...] = ()
+    survey_horizontal_m: PositiveFloat | None = None
+    survey_vertical_m: PositiveFloat | None = None
+
+
+class CertificateKeys(Table):
+    """`[certificate]`: what only people know, and the language."""
+
+    particulars: Beside | None = None
+    client: str = ""
+    operator: str = ""
+    language: Literal["en", "pt-BR"] = "en"
+
+
+class Contents(Table):
+    """The whole file."""
+
+    project: ProjectKeys
+    flight: Flight | None = None
+    images: Images | None = None
+    rig: Rig | None = None
+    camera: tuple[CameraKeys, ...] = ()
+    control: Control | None = None
+    measurements: Measurements | None = None
+    judgement: Judgement = Judgement()
+    certificate: CertificateKeys = CertificateKeys()
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        sections = ("flight", "images", "rig", "camera", "control")
+        given = [name for name in sections if getattr(self, name)]
+        if self.measurements is not None and self.measurements.block is not None and given:
+            raise ValueError(f"[{given[0]}] stands beside a ready block, which has all of this: remove one")
+        if len({one.id for one in self.camera}) < len(self.camera):
+            raise ValueError("two cameras have the same id: rename one")
+        return self
