@@ -81,7 +81,7 @@ BOXES = (
     Box("planning", "next flight", ("photocal.planning",), 1062, 98, 2),
     Box("measurement", "targets, ties, marks", ("photocal.measurement",), 560, 150, 3, "5"),
     Box("accuracy", "check points, classes", ("photocal.accuracy",), 950, 210, 3, "8"),
-    Box("project", "the project file", ("photocal.project",), 560, 150, 4),
+    Box("project", "the project file", ("photocal.project", "photocal.project_tables"), 560, 150, 4),
     Box("analysis", "hidden errors", ("photocal.analysis",), 780, 150, 4, "8"),
     Box("block · exchange", "folders, formats", ("photocal.block", "photocal.exchange"), 560, 206, 5, "6"),
     Box("adjustment", "network, solver, covariance, reliability", ("photocal.adjustment",), 560, 600, 6, "7"),
