@@ -11,7 +11,7 @@ from acquire.simulate.world.site import simulate_flight
 
 PLANS = Path(__file__).parents[1] / "configs" / "demo" / "simulated"
 FLIGHT = PLANS / "flight.toml"
-_STREAMS = {"vehicle": "vehicle.tlog", "rover": "rover.ubx", "base": "base.ubx"}
+_LINKS = ("vehicle", "rover", "base")
 
 
 def fly(folder: Path, plan: Path = FLIGHT, /, **instead: Any) -> Path:
@@ -33,6 +33,6 @@ def fly(folder: Path, plan: Path = FLIGHT, /, **instead: Any) -> Path:
     """
     simulate_flight(read_configuration(plan, {"level": "observations", **instead}), folder, lambda _: None)
     site = folder / "site"
-    streams = [(link, site / name) for link, name in _STREAMS.items()]
+    streams = [(link, path) for link in _LINKS for path in site.glob(f"{link}.*")]
     import_recordings(streams, [], site / "flight.mcap", lambda _: None)
     return site / "project.toml"

@@ -214,7 +214,10 @@ def wrong_utm_zone(
         When the points lie far from the flight, and near to it in another zone or hemisphere.
     """
     centre = np.nanmean(points.xyz_m[:, :2], axis=0)
-    latitude, longitude = (float(value) for value in np.mean(exposures_deg, axis=0))
+    first = float(exposures_deg[0, 1])
+    latitude = float(np.mean(exposures_deg[:, 0]))
+    # About the first one: a flight over the date line has longitudes near 180 and near -180.
+    longitude = first + float(np.mean((exposures_deg[:, 1] - first + 180.0) % 360.0 - 180.0))
     stated = _utm_distance(centre, zone, southern, latitude, longitude)
     if stated <= _NEAR_M:
         return ()

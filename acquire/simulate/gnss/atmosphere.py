@@ -52,21 +52,24 @@ class Atmosphere:
         Of the ionosphere: wave numbers to the north and the east (rad/m), angular frequency (rad/s), phase.
     wet_m : float
         Zenith wet delay beyond the standard one.
+    longitude : float
+        Of the receivers, rad: half a turn from there the waves may break, where nobody looks.
     """
 
     settings: SkySettings
     waves: Floats
     wet_m: float
+    longitude: float = 0.0
 
     @classmethod
-    def by_chance(cls, settings: SkySettings, rng: np.random.Generator) -> Atmosphere:
-        """Draw the waves and the wet delay."""
+    def by_chance(cls, settings: SkySettings, rng: np.random.Generator, longitude: float = 0.0) -> Atmosphere:
+        """Draw the waves and the wet delay around a longitude (rad)."""
         length = rng.uniform(150e3, 400e3, 3)
         course = rng.uniform(0, 2 * np.pi, 3)
         period = rng.uniform(900, 2400, 3)
         k = 2 * np.pi / length
         waves = [k * np.cos(course), k * np.sin(course), 2 * np.pi / period, rng.uniform(0, 2 * np.pi, 3)]
-        return cls(settings, np.stack(waves, axis=1), float(rng.normal(0, settings.wet_sigma_m)))
+        return cls(settings, np.stack(waves, axis=1), float(rng.normal(0, settings.wet_sigma_m)), longitude)
 
     def ionosphere_m(self, sight: Sight) -> Floats:
         """Return the delay of codes on L1, float64 (n,); it grows with the inverse square of the frequency.
@@ -80,7 +83,8 @@ class Atmosphere:
             np.sin(sight.lat) * np.cos(angle) + np.cos(sight.lat) * np.sin(angle) * np.cos(sight.azimuth)
         )
         lon = sight.lon + np.arcsin(np.sin(angle) * np.sin(sight.azimuth) / np.cos(lat))
-        north, east = lat * _EARTH_M, lon * _EARTH_M * np.cos(sight.lat)
+        beyond = np.round((lon - self.longitude) / (2 * np.pi)) * 2 * np.pi
+        north, east = lat * _EARTH_M, (lon - beyond) * _EARTH_M * np.cos(sight.lat)
         time = (sight.gps_ns % DAY_NS) / 1e9
         vertical = self.settings.ionosphere_scale * self._broadcast_m(lat, lon, time)
         for to_north, to_east, frequency, phase in self.waves:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from re import compile as pattern
 
@@ -91,7 +92,8 @@ def simulate(
     # Each part has its own chance: a fault at the rover changes nothing at the base.
     for_sky, for_air, for_rover, for_base = rng.spawn(4)
     satellites = constellation(start_gps_ns, stop_gps_ns, for_sky, sky.unhealthy)
-    atmosphere = Atmosphere.by_chance(sky, for_air)
+    x, y, _ = base.position(np.array([start_gps_ns]))[0].tolist()
+    atmosphere = Atmosphere.by_chance(sky, for_air, math.atan2(y, x))
     span = start_gps_ns, stop_gps_ns
     moving = observe(
         rover,

@@ -123,6 +123,13 @@ def test_wrong_utm_zone(zone: int, southern: bool, expected: list[str]) -> None:
     assert all("zone 22 south" in finding.text for finding in found)
 
 
+def test_a_flight_over_the_date_line_is_in_its_zone() -> None:
+    """Zone 1 begins at 180 degrees: 10 km east of it, at 17.8 degrees south."""
+    place = GroundPoints(("A",), np.array([[182_100.0, 8_029_700.0, 5.0]]))
+    exposures = np.array([[-17.8, 179.999], [-17.8, -179.999]])
+    assert wrong_utm_zone(place, 1, southern=True, exposures_deg=exposures) == ()
+
+
 def test_points_of_another_country_are_no_wrong_zone() -> None:
     elsewhere = GroundPoints(NAMES, points().xyz_m - np.array([0.0, 2_000_000.0, 0.0]))
     found = wrong_utm_zone(elsewhere, 22, southern=True, exposures_deg=exposures_deg())

@@ -62,6 +62,13 @@ def test_short_baselines_share_the_ionosphere() -> None:
     assert np.abs(far - here).max() > 0.05
 
 
+def test_waves_do_not_break_at_the_date_line() -> None:
+    air = Atmosphere.by_chance(SkySettings(), np.random.default_rng(1), np.pi)
+    west, east = (sight(np.array([60.0])) for _ in range(2))
+    west, east = (replace(west, lon=np.array([side * (np.pi - 1e-7)])) for side in (1.0, -1.0))
+    assert abs(air.ionosphere_m(west)[0] - air.ionosphere_m(east)[0]) < 1e-4
+
+
 def test_troposphere_has_published_sizes() -> None:
     """Dry zenith delay 2.31 m at sea level; mapped to 10 deg as by Niell (1996) at 45 deg latitude."""
     dry = Atmosphere.by_chance(SkySettings(relative_humidity=0.0, wet_sigma_m=0.0), np.random.default_rng(0))
