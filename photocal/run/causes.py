@@ -1,8 +1,8 @@
 """Which doubts say what is wrong, and which only that something is: the former stand first.
 
-A surveyor who reads two causes does not know which to believe. The search for systematic errors names no more
-than the observations need; here the other stages come in: what positions without fixed ambiguities contradict
-is no proof against base, antenna or lever arm.
+A surveyor who reads two causes does not know which to believe. The search for systematic errors names no
+more than the observations need; here the other stages come in: what positions without fixed ambiguities
+contradict, or images whose rows are not of one moment, is no proof against base, antenna, lever arm or zoom.
 """
 
 from __future__ import annotations
@@ -45,10 +45,15 @@ _CAUSES = _OF_POSITIONS | {
     "ppk-not-fixed",
     "principal-distance",
     "principal-point",
+    "rolling-shutter",
 }
+# What a camera may be thought to have, when its rows are not of one moment.
+_OF_CAMERA = frozenset({"boresight", "camera-change", "principal-distance", "principal-point"})
 
 # With two thirds of the positions fixed, it is they that carry what is found.
 _JUDGED_FROM_PERCENT = 200.0 / 3.0
+_UNFIXED = "Positions without fixed ambiguities can do that: judge it again when they are fixed."
+_ROLLING = "A rolling shutter can do that: judge it again when the flight is free of it."
 
 
 def causes_first(doubts: Iterable[Doubt], fixed_percent: float) -> tuple[Doubt, ...]:
@@ -66,23 +71,28 @@ def causes_first(doubts: Iterable[Doubt], fixed_percent: float) -> tuple[Doubt, 
         Causes, consequences, notes; each kind in the order given.
     """
     given = tuple(doubts)
-    unfixed = fixed_percent < _JUDGED_FROM_PERCENT
-    judged = [_not_judged(one) if unfixed and _contradicts(one) else one for one in given]
+    blamed, why = _excused(given, fixed_percent)
+    judged = [_not_judged(one, why) if _blames(one, blamed) else one for one in given]
     if any(one.code in _CAUSES for one in judged):
         judged = [replace(one, consequence=True) if one.code in _SYMPTOMS else one for one in judged]
     order = ("warning", "consequence", "note")
     return tuple(sorted(judged, key=lambda one: order.index(one.kind)))
 
 
-def _contradicts(one: Doubt) -> bool:
-    """Whether positions are told to contradict the control."""
-    return one.stage == "georeferencing" and one.code in _OF_POSITIONS
+def _excused(given: tuple[Doubt, ...], fixed_percent: float) -> tuple[frozenset[str], str]:
+    """Give the codes that something else looks like, and what that is; nothing where all is judged."""
+    if any(one.code == "rolling-shutter" for one in given):
+        return _OF_POSITIONS | _OF_CAMERA, _ROLLING
+    if fixed_percent < _JUDGED_FROM_PERCENT:
+        return _OF_POSITIONS, _UNFIXED
+    return frozenset(), ""
 
 
-def _not_judged(one: Doubt) -> Doubt:
-    """The same, when PPK has said that the positions are not what they should be."""
-    text = (
-        f"as if {one.code}: {one.text} Positions without fixed ambiguities can do that: judge it again when "
-        "they are fixed."
-    )
-    return replace(one, code="positions-not-judged", text=text, consequence=True)
+def _blames(one: Doubt, codes: frozenset[str]) -> bool:
+    """Whether the search for systematic errors blames something of these."""
+    return one.stage == "georeferencing" and one.code in codes
+
+
+def _not_judged(one: Doubt, why: str) -> Doubt:
+    """The same, where something else is known to be wrong that looks like it."""
+    return replace(one, code="not-judged", text=f"as if {one.code}: {one.text} {why}", consequence=True)

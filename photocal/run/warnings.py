@@ -139,6 +139,13 @@ def _of_measurements(record: dict[str, Any]) -> Iterator[tuple[str, str]]:
         yield "measurement", str(text)
 
 
+def _of_analysis(figures: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """What the other stages cannot see; the rest of the analysis has its own part of the certificate."""
+    for finding in figures["findings"]:
+        if finding["kind"] == "rolling-shutter" and not finding["small"]:
+            yield "rolling-shutter", finding["sentence"]
+
+
 def _told(figures: dict[str, Any]) -> Iterator[tuple[str, str]]:
     for finding in figures.get("findings", ()):
         yield finding["code"], finding["text"]
@@ -155,4 +162,5 @@ _SOURCES: tuple[tuple[str, str, Callable[[dict[str, Any]], Iterator[tuple[str, s
     ("exposures", "exposures.json", _of_exposures),
     ("measurements", "measurement.json", _of_measurements),
     ("georeferencing", "check.json", _told),
+    ("analysis", "analysis.json", _of_analysis),
 )

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from photocal.accuracy.georeferencing.freed_groups import MEANING
+from photocal.run.doubt import Doubt
 from photocal.run.warnings import gather
 
 PPK = {"fixed_percent": 100.0, "float": 0, "single": 0}
@@ -22,7 +23,7 @@ EXPOSURES: dict[str, Any] = {
 
 def codes(work: Path, **stages: dict[str, Any]) -> list[str]:
     files = {"ppk": "ppk.json", "exposures": "exposures.json", "measurements": "measurement.json"}
-    files["georeferencing"] = "check.json"
+    files |= {"georeferencing": "check.json", "analysis": "analysis.json"}
     for stage, content in stages.items():
         (work / stage).mkdir(exist_ok=True)
         (work / stage / files[stage]).write_text(json.dumps(content), encoding="utf-8")
@@ -75,9 +76,13 @@ def told(*codes: str) -> dict[str, Any]:
     return {"findings": [{"code": code, "text": f"{code} it is."} for code in codes]}
 
 
-def kinds(work: Path, **stages: dict[str, Any]) -> dict[str, str]:
+def gather_all(work: Path, **stages: dict[str, Any]) -> tuple[Doubt, ...]:
     codes(work, **stages)
-    return {one.code: one.kind for one in gather(work)}
+    return gather(work)
+
+
+def kinds(work: Path, **stages: dict[str, Any]) -> dict[str, str]:
+    return {one.code: one.kind for one in gather_all(work, **stages)}
 
 
 def test_symptoms_follow_their_cause(tmp_path: Path) -> None:
@@ -108,7 +113,7 @@ def test_unfixed_positions_prove_nothing_against_the_base(tmp_path: Path) -> Non
     assert found == {
         "ppk-not-fixed": "warning",
         "control-mistyped": "warning",
-        "positions-not-judged": "consequence",
+        "not-judged": "consequence",
     }
     assert "as if base-position: base-position it is." in gather(tmp_path)[-1].text
     most = kinds(tmp_path, ppk={**ppk, "fixed_percent": 80.0})
@@ -122,3 +127,17 @@ def test_images_and_marks_of_the_measurement(tmp_path: Path) -> None:
         "image a.jpg takes no part: is empty.",
         "a mark is 5 px off",
     ]
+
+
+def test_a_rolling_shutter_looks_like_a_zoom(tmp_path: Path) -> None:
+    finding = {"kind": "rolling-shutter", "sentence": "rows are read slowly.", "small": False}
+    blamed = told("camera-change", "strip-shifts", "control-mistyped")
+    found = gather_all(tmp_path, georeferencing=blamed, analysis={"findings": [finding]})
+    assert [(one.code, one.kind) for one in found] == [
+        ("control-mistyped", "warning"),
+        ("rolling-shutter", "warning"),
+        ("not-judged", "consequence"),
+        ("not-judged", "consequence"),
+    ]
+    small = {"findings": [{**finding, "small": True}]}
+    assert kinds(tmp_path, analysis=small)["camera-change"] == "warning"
