@@ -1,16 +1,8 @@
-"""Check points and their residual vectors as a GeoPackage (OGC 12-128r15) for QGIS.
-
-A GeoPackage is an SQLite database with a few prescribed tables and geometries as WKB behind a short
-header. Points and two-point lines need so little of it that the sqlite3 of Python suffices and the
-whole of GDAL does not have to come along.
-"""
+"""Check points and their residual vectors as a GeoPackage for QGIS."""
 
 from __future__ import annotations
 
 import math
-import sqlite3
-import struct
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,57 +12,28 @@ from acquire.outputs import output_file
 from drivers.errors import ConfigurationError
 from photocal.accuracy.discrepancies import Discrepancies
 from photocal.accuracy.statistics import FloatArray
+from photocal.geopackage import LOCAL, Layer, ReferenceSystem, add_layer, geopackage
 
-# "GPKG" and version 1.2, as the standard wants them in the header of the database.
-_APPLICATION_ID = 0x47504B47
-_VERSION = 10200
-
-_UNDEFINED_CARTESIAN = -1
 # First number that no authority uses, for a coordinate system without one.
 _OWN_SYSTEM = 100_000
 
 # Longest drawn vector as a share of the extent of the points.
 _LONGEST = 0.12
 
-_TABLES = """
-CREATE TABLE gpkg_spatial_ref_sys (
-  srs_name TEXT NOT NULL, srs_id INTEGER NOT NULL PRIMARY KEY, organization TEXT NOT NULL,
-  organization_coordsys_id INTEGER NOT NULL, definition TEXT NOT NULL, description TEXT);
-CREATE TABLE gpkg_contents (
-  table_name TEXT NOT NULL PRIMARY KEY, data_type TEXT NOT NULL, identifier TEXT UNIQUE,
-  description TEXT DEFAULT '', last_change DATETIME NOT NULL, min_x DOUBLE, min_y DOUBLE, max_x DOUBLE,
-  max_y DOUBLE, srs_id INTEGER,
-  CONSTRAINT fk_gc_r_srs_id FOREIGN KEY (srs_id) REFERENCES gpkg_spatial_ref_sys(srs_id));
-CREATE TABLE gpkg_geometry_columns (
-  table_name TEXT NOT NULL, column_name TEXT NOT NULL, geometry_type_name TEXT NOT NULL,
-  srs_id INTEGER NOT NULL, z TINYINT NOT NULL, m TINYINT NOT NULL,
-  CONSTRAINT pk_geom_cols PRIMARY KEY (table_name, column_name),
-  CONSTRAINT uk_gc_table_name UNIQUE (table_name),
-  CONSTRAINT fk_gc_tn FOREIGN KEY (table_name) REFERENCES gpkg_contents(table_name),
-  CONSTRAINT fk_gc_srs FOREIGN KEY (srs_id) REFERENCES gpkg_spatial_ref_sys(srs_id));
-CREATE TABLE ground_points (
-  fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, geom POINT, point TEXT, role TEXT,
-  h_m DOUBLE, dE_m DOUBLE, dN_m DOUBLE, dh_m DOUBLE, plane_m DOUBLE);
-CREATE TABLE residual_vectors (
-  fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, geom LINESTRING, point TEXT, role TEXT,
-  dE_m DOUBLE, dN_m DOUBLE, plane_m DOUBLE, enlarged DOUBLE);
-"""
-_ADD_POINT = """
-INSERT INTO ground_points (geom, point, role, h_m, dE_m, dN_m, dh_m, plane_m) VALUES (?, ?, ?, ?, ?, ?, ?, ?)
-"""
-_ADD_VECTOR = """
-INSERT INTO residual_vectors (geom, point, role, dE_m, dN_m, plane_m, enlarged) VALUES (?, ?, ?, ?, ?, ?, ?)
-"""
-
-
-@dataclass(frozen=True)
-class ReferenceSystem:
-    """A projected coordinate system as the GeoPackage stores it."""
-
-    number: int
-    name: str
-    organization: str
-    definition: str
+_NAMES = {"point": "TEXT", "role": "TEXT"}
+_PLANE = {"dE_m": "DOUBLE", "dN_m": "DOUBLE"}
+_POINTS = Layer(
+    "ground_points",
+    "POINT",
+    has_heights=False,
+    columns={**_NAMES, "h_m": "DOUBLE", **_PLANE, "dh_m": "DOUBLE", "plane_m": "DOUBLE"},
+)
+_VECTORS = Layer(
+    "residual_vectors",
+    "LINESTRING",
+    has_heights=False,
+    columns={**_NAMES, **_PLANE, "plane_m": "DOUBLE", "enlarged": "DOUBLE"},
+)
 
 
 def reference_system(crs: str | None) -> ReferenceSystem:
@@ -92,7 +55,7 @@ def reference_system(crs: str | None) -> ReferenceSystem:
         When it is unknown, or not a projected system in metres.
     """
     if crs is None:
-        return ReferenceSystem(_UNDEFINED_CARTESIAN, "Undefined Cartesian SRS", "NONE", "undefined")
+        return LOCAL
     from pyproj import CRS
     from pyproj.exceptions import CRSError
 
@@ -149,97 +112,67 @@ def write_geopackage(
             where=path,
             remedy="add the columns E and N to the table",
         )
-    enlarged = _enlargement(np.array([row[2:] for row in rows]))
-    with output_file(path) as aside, closing(sqlite3.connect(aside)) as database:
-        database.executescript(_TABLES)
-        database.executescript(
-            f"PRAGMA application_id = {_APPLICATION_ID}; PRAGMA user_version = {_VERSION};"
-        )
-        _systems(database, system)
-        for name, kind in (("ground_points", "POINT"), ("residual_vectors", "LINESTRING")):
-            _register(database, name, kind, system.number, changed_utc)
-        for row in rows:
-            _add(database, row, system.number, enlarged)
-        _extents(database, np.array([row[2:7] for row in rows]), enlarged)
-        database.commit()
+    enlarged = _enlargement(rows)
+    with output_file(path) as aside, geopackage(aside, system) as database:
+        points = ((row.place, row.point_columns()) for row in rows)
+        add_layer(database, _POINTS, system, points, changed_utc)
+        vectors = ((row.vector(enlarged), row.vector_columns(enlarged)) for row in rows if row.has_vector)
+        add_layer(database, _VECTORS, system, vectors, changed_utc)
     return len(rows)
 
 
-_Row = tuple[str, str, float, float, float, float, float, float]
+@dataclass(frozen=True)
+class _Row:
+    """A point with its place (east, north, height) and its discrepancies, m."""
+
+    role: str
+    name: str
+    e_n_h: FloatArray
+    d: FloatArray
+
+    @property
+    def place(self) -> FloatArray:
+        """Where it lies, shape (1, 2)."""
+        return self.e_n_h[None, :2]
+
+    @property
+    def plane_m(self) -> float:
+        """Length of the discrepancy in the plane."""
+        return math.hypot(self.d[0], self.d[1])
+
+    @property
+    def has_vector(self) -> bool:
+        """Whether its discrepancy in the plane is known."""
+        return math.isfinite(self.plane_m)
+
+    def vector(self, enlarged: float) -> FloatArray:
+        """Give the drawn vector, shape (2, 2)."""
+        return np.vstack([self.e_n_h[:2], self.e_n_h[:2] + enlarged * self.d[:2]])
+
+    def point_columns(self) -> tuple[str | float, ...]:
+        """Give what stands beside the point."""
+        east, north, up = self.d.tolist()
+        return self.name, self.role, float(self.e_n_h[2]), east, north, up, self.plane_m
+
+    def vector_columns(self, enlarged: float) -> tuple[str | float, ...]:
+        """Give what stands beside the vector."""
+        return self.name, self.role, *self.d[:2].tolist(), self.plane_m, enlarged
 
 
 def _rows(role: str, discrepancies: Discrepancies) -> list[_Row]:
     if discrepancies.positions_m is None:
         return []
     return [
-        (role, name, *place, *d)
+        _Row(role, name, place, d)
         for name, place, d in zip(
-            discrepancies.points, discrepancies.positions_m.tolist(), discrepancies.d_m.tolist(), strict=True
+            discrepancies.points, discrepancies.positions_m, discrepancies.d_m, strict=True
         )
-        if math.isfinite(place[0]) and math.isfinite(place[1])
+        if np.isfinite(place[:2]).all()
     ]
 
 
-def _enlargement(table: FloatArray) -> float:
+def _enlargement(rows: list[_Row]) -> float:
     """Factor that makes the longest vector a fair share of the map."""
-    known = np.isfinite(table[:, 3:5]).all(axis=1)
-    longest = float(np.max(np.hypot(table[known, 3], table[known, 4]), initial=0.0))
-    extent = float(np.max(np.ptp(table[:, :2], axis=0)))
+    longest = max((row.plane_m for row in rows if row.has_vector), default=0.0)
+    extent = float(np.max(np.ptp(np.array([row.e_n_h[:2] for row in rows]), axis=0)))
     return _LONGEST * max(extent, 1.0) / longest if longest > 0.0 else 1.0
-
-
-def _systems(database: sqlite3.Connection, system: ReferenceSystem) -> None:
-    from pyproj import CRS
-
-    needed = (
-        (ReferenceSystem(_UNDEFINED_CARTESIAN, "Undefined Cartesian SRS", "NONE", "undefined"), -1),
-        (ReferenceSystem(0, "Undefined geographic SRS", "NONE", "undefined"), 0),
-        (ReferenceSystem(4326, "WGS 84", "EPSG", CRS.from_epsg(4326).to_wkt("WKT1_GDAL")), 4326),
-        (system, system.number),
-    )
-    database.executemany(
-        "INSERT OR IGNORE INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, NULL)",
-        [
-            (entry.name, entry.number, entry.organization, number, entry.definition)
-            for entry, number in needed
-        ],
-    )
-
-
-def _register(database: sqlite3.Connection, name: str, kind: str, number: int, changed: str) -> None:
-    database.execute(
-        "INSERT INTO gpkg_contents VALUES (?, 'features', ?, '', ?, NULL, NULL, NULL, NULL, ?)",
-        (name, name, changed, number),
-    )
-    database.execute("INSERT INTO gpkg_geometry_columns VALUES (?, 'geom', ?, ?, 0, 0)", (name, kind, number))
-
-
-def _add(database: sqlite3.Connection, row: _Row, number: int, enlarged: float) -> None:
-    role, name, east, north, height, d_east, d_north, d_height = row
-    plane = math.hypot(d_east, d_north)
-    point = _geometry(number, struct.pack("<BIdd", 1, 1, east, north))
-    figures = [_null(value) for value in (height, d_east, d_north, d_height, plane)]
-    database.execute(_ADD_POINT, (point, name, role, *figures))
-    if math.isfinite(plane):
-        end = east + enlarged * d_east, north + enlarged * d_north
-        line = _geometry(number, struct.pack("<BIIdddd", 1, 2, 2, east, north, *end))
-        database.execute(_ADD_VECTOR, (line, name, role, d_east, d_north, plane, enlarged))
-
-
-def _geometry(number: int, wkb: bytes) -> bytes:
-    # Magic, version 0, flags: little-endian and no envelope; then the coordinate system.
-    return struct.pack("<2sBBi", b"GP", 0, 1, number) + wkb
-
-
-def _extents(database: sqlite3.Connection, table: FloatArray, enlarged: float) -> None:
-    starts = table[:, :2]
-    ends = starts + enlarged * np.nan_to_num(table[:, 3:5])
-    for name, places in (("ground_points", starts), ("residual_vectors", np.vstack((starts, ends)))):
-        database.execute(
-            "UPDATE gpkg_contents SET min_x = ?, min_y = ?, max_x = ?, max_y = ? WHERE table_name = ?",
-            (*places.min(axis=0).tolist(), *places.max(axis=0).tolist(), name),
-        )
-
-
-def _null(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -15,7 +15,14 @@ from tests.docs.rooms import Edges, between_rooms
 FIGURE = Path(__file__).parents[2] / "docs" / "architecture.svg"
 
 # Small rooms that everybody may use, and the demonstration above all: arrows to and from them are not drawn.
-SHARED = ("acquire.console", "acquire.outputs", "acquire.web", "photocal.checked_toml", "photocal.compiled")
+SHARED = (
+    "acquire.console",
+    "acquire.outputs",
+    "acquire.web",
+    "photocal.checked_toml",
+    "photocal.compiled",
+    "photocal.geopackage",
+)
 ABOVE_ALL = "photocal.demo"
 
 _ROW, _TALL, _GAP = 84, 56, 13

@@ -12,12 +12,13 @@ import numpy as np
 
 from acquire.outputs import output_folder
 from photocal.accuracy.figures import histograms, residual_map
-from photocal.accuracy.geopackage import ReferenceSystem, write_geopackage
+from photocal.accuracy.geopackage import write_geopackage
 from photocal.accuracy.georeferencing.as_json import finite
 from photocal.accuracy.georeferencing.comparison import BlockCheck
 from photocal.accuracy.georeferencing.differences import Differences
 from photocal.accuracy.georeferencing.standards_table import standards_rows
 from photocal.accuracy.georeferencing.wording import block_findings
+from photocal.geopackage import ReferenceSystem
 
 
 def write_check(
