@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
-from photocal.measurement.centres import Centre, measurable, saddle_centre
+from photocal.measurement.centre import Centre, measurable
 from photocal.measurement.image_file import Grey, as_eight_bit
+from photocal.measurement.line_targets import saddle_centre
 from photocal.measurement.markers import dictionary
 
 Floats = NDArray[np.float64]

@@ -16,7 +16,7 @@ from photocal.measurement.refine import Source
 from photocal.measurement.workers import Workers, run_tasks
 
 # Raised whenever the meaning of cached results changes.
-VERSION = 2
+VERSION = 3
 # Plates are not flat and lenses not modelled to the last: what the grey values cannot know, px.
 COMMON_PX = 0.02
 

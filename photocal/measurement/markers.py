@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
-from photocal.measurement.centres import Centre, measurable, quadrilateral_centre
+from photocal.measurement.centre import Centre, measurable
 from photocal.measurement.image_file import Grey, as_eight_bit
+from photocal.measurement.square_targets import quadrilateral_centre
 
 Floats = NDArray[np.float64]
 
@@ -98,6 +99,8 @@ def find_markers(grey: Grey, dictionary_name: str) -> tuple[Marker, ...]:
     parameters = cv2.aruco.DetectorParameters()
     parameters.errorCorrectionRate = 0.0
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    # Small cells are read from more samples than they have pixels: their edges lie between pixels.
+    parameters.perspectiveRemovePixelPerCell = 8
     cells = int(codes.markerSize) + 2
     # The library takes the shortest outline as a part of the longer side of the image, however large that is.
     parameters.minMarkerPerimeterRate = 4 * cells * _SMALLEST_CELL_PX / max(grey.shape)

@@ -59,8 +59,8 @@ def disc(p: Floats, x: Floats, y: Floats, bend: Floats = FLAT) -> Floats:
     Parameters
     ----------
     p : ndarray
-        Column, row of the circle's centre, the two semi-axes, direction of the first, blur, grey value
-        outside, contrast inside.
+        Column, row of the circle's centre, the ellipse's extent (xx, xy, yy; see `inside_circle`), blur,
+        grey value outside, contrast inside.
     x, y : ndarray, shape (n,)
     bend : ndarray, shape (2, 2, 2)
         As in `cross`.
@@ -78,8 +78,8 @@ def ring(p: Floats, x: Floats, y: Floats, bend: Floats = FLAT) -> Floats:
     Parameters
     ----------
     p : ndarray
-        Column, row of the centre, the two semi-axes of the outer circle, direction of the first, the inner
-        radius over the outer one, blur, grey value beside, contrast of the ring.
+        Column, row of the centre, the outer ellipse's extent (xx, xy, yy), the inner radius over the outer
+        one, blur, grey value beside, contrast of the ring.
     x, y : ndarray, shape (n,)
     bend : ndarray, shape (2, 2, 2)
         As in `cross`.
@@ -88,7 +88,7 @@ def ring(p: Floats, x: Floats, y: Floats, bend: Floats = FLAT) -> Floats:
     -------
     ndarray, shape (n,)
     """
-    hole = np.r_[p[:2], p[2:4] * p[5], p[4]]
+    hole = np.r_[p[:2], p[2:5] * p[5]]
     outer, inner = (_edge(inside_circle(own, x, y, bend), p[6]) for own in (p[:5], hole))
     return np.asarray(p[7] + p[8] * 0.5 * (outer - inner))
 
@@ -99,7 +99,8 @@ def inside_circle(p: Floats, x: Floats, y: Floats, bend: Floats = FLAT) -> Float
     Parameters
     ----------
     p : ndarray
-        Column, row of the centre, the two semi-axes, direction of the first.
+        Column, row of the centre, and xx, xy, yy of the symmetric matrix that takes the unit circle to the
+        ellipse: its eigenvalues are the semi-axes. Unlike these it is determined where they are equal, too.
     x, y : ndarray, shape (n,)
     bend : ndarray, shape (2, 2, 2)
         As in `cross`.
@@ -109,11 +110,11 @@ def inside_circle(p: Floats, x: Floats, y: Floats, bend: Floats = FLAT) -> Float
     ndarray, shape (n,)
         px.
     """
-    cos, sin = np.cos(p[4]), np.sin(p[4])
+    xx, xy, yy = np.array([p[4], -p[3], p[2]]) / (p[2] * p[4] - p[3] ** 2)
     dx, dy = flattened(x - p[0], y - p[1], bend)
-    u, v = (dx * cos + dy * sin) / p[2], (dy * cos - dx * sin) / p[3]
+    u, v = xx * dx + xy * dy, xy * dx + yy * dy
     radius = np.maximum(np.hypot(u, v), 1e-9)
-    gradient = np.hypot(u / p[2], v / p[3]) / radius
+    gradient = np.hypot(xx * u + xy * v, xy * u + yy * v) / radius
     return np.asarray((1 - radius) / np.maximum(gradient, 1e-9))
 
 

@@ -14,7 +14,7 @@ from photocal.exchange.parts import Mark
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.cache import Arrays, array_key, cached, combined_key
-from photocal.measurement.centres import measurable
+from photocal.measurement.centre import measurable
 from photocal.measurement.coded_targets import COMMON_PX
 from photocal.measurement.eccentricity import ground_bend
 from photocal.measurement.image_file import read_grey
@@ -30,7 +30,7 @@ from photocal.project_tables import PlainTargets
 Floats = NDArray[np.float64]
 
 # Raised whenever the meaning of cached results changes.
-VERSION = 1
+VERSION = 2
 # Images that show a point with less than this probability are not searched.
 LEAST_PROBABILITY = 0.05
 # How wrong a camera may be that is to be estimated and says no more: displacement at the corner of an image,

@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 Kind = Literal["disc", "ring", "cross", "hourglass"]
 
 # Targets that are smaller are not told from specks: side in px where it is seen shortest.
-SMALLEST_PX = {"disc": 5.0, "ring": 8.0, "cross": 12.0, "hourglass": 12.0}
+SMALLEST_PX = {"disc": 8.0, "ring": 8.0, "cross": 12.0, "hourglass": 12.0}
 # Width of a cross's bars, diameter of a ring's hole, as parts of the side.
 PARTS = {"disc": 1.0, "ring": HOLE, "cross": BAR, "hourglass": 1.0}
 _BLUR_PX = 0.7

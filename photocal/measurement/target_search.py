@@ -7,8 +7,10 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.measurement.centres import Centre, cross_centre, disc_centre, ring_centre, saddle_centre
+from photocal.measurement.centre import Centre
 from photocal.measurement.image_file import Grey
+from photocal.measurement.line_targets import cross_centre, saddle_centre
+from photocal.measurement.round_targets import disc_centre, ring_centre
 from photocal.measurement.target_look import Look
 
 Floats = NDArray[np.float64]
@@ -19,17 +21,21 @@ WITHIN = float(np.sqrt(-2 * np.log(0.001)))
 # Large targets are sought in a reduced image, where they are as long as this, px.
 _SOUGHT_PX = 24.0
 # Correlation with the ideal picture: of a place that is worth a fit, less for small targets, whose pixels
-# and turn are coarse; and of a target after the fit.
-WORTH, WORTH_SMALL, LIKE = 0.70, 0.62, 0.85
+# and turn are coarse; and of a target after the fit. A disc has the least form of all: it must fit best.
+WORTH, WORTH_SMALL = 0.70, 0.62
+LIKE = {"disc": 0.92, "ring": 0.85, "cross": 0.85, "hourglass": 0.85}
 _SMALL_PX = 18.0
 # More places than this in a window are texture; the likest are tried.
 _MOST = 15
 # The picture must explain the grey values: noise as a part of the contrast; and the contrast itself.
-WORST_MISFIT, LEAST_CONTRAST = 0.12, 20.0
-# Edges of a target are sharp, px or parts of its size.
-_BLUNTEST_PX, _BLUNTEST_PART = 1.3, 0.06
+WORST_MISFIT = {"disc": 0.10, "ring": 0.12, "cross": 0.12, "hourglass": 0.12}
+LEAST_CONTRAST = 20.0
+# Edges of a target are sharp, px or parts of its size; a small dark spot whose edges fill it is a blot.
+_BLUNTEST_PX, _BLUNTEST_PART, _BLOT_PART = 1.8, 0.06, 0.14
 # Sizes agree to this part, and this many pixels of blur.
 _SIZE, _SIZE_PX = 0.15, 0.5
+# So do both axes of a circle with each other, whatever the scale; ground slopes, and pixels are coarse.
+_OUT_OF_ROUND, _OUT_OF_ROUND_PX = 0.10, 0.5
 # Angles on the target, radians, and the part of a cross or ring.
 _ANGLE, _PART = 0.22, 0.3
 # Windows of fits, as parts of the shortest half side: nothing beside the target gets in.
@@ -64,7 +70,7 @@ def find_targets(grey: Grey, place: Place, covariance: Floats, look: Look) -> tu
             continue
         away = np.array([centre.column - place[0], centre.row - place[1]])
         likeness = _likeness(grey, centre, look, turn)
-        if away @ inverse @ away <= WITHIN**2 and likeness >= LIKE:
+        if away @ inverse @ away <= WITHIN**2 and likeness >= LIKE[look.kind]:
             found.append((likeness, centre))
     kept: list[Centre] = []
     for _, centre in sorted(found, key=lambda one: -one[0]):
@@ -119,8 +125,9 @@ def _worth_a_fit(grey: Grey, place: Place, covariance: Floats, look: Look) -> It
 
 
 def _clear(centre: Centre, look: Look) -> bool:
-    sharp = abs(float(centre.shape[-1])) <= max(_BLUNTEST_PX, _BLUNTEST_PART * look.size)
-    plain = centre.noise <= WORST_MISFIT * centre.contrast
+    blur = abs(float(centre.shape[-1]))
+    sharp = blur <= min(max(_BLUNTEST_PX, _BLUNTEST_PART * look.size), _BLOT_PART * look.size)
+    plain = centre.noise <= WORST_MISFIT[look.kind] * centre.contrast
     return sharp and plain and centre.contrast >= LEAST_CONTRAST
 
 
@@ -165,7 +172,8 @@ def _round(centre: Centre, look: Look) -> bool:
     a, b, direction = centre.shape[:3]
     turn = np.array([[np.cos(direction), -np.sin(direction)], [np.sin(direction), np.cos(direction)]])
     radii = np.linalg.svd(np.linalg.solve(look.affine, turn @ np.diag([a, b])), compute_uv=False)
-    return bool((np.abs(radii - 1) <= _SIZE + _SIZE_PX / look.semi_axes[1]).all())
+    even = radii.max() <= radii.min() * (1 + _OUT_OF_ROUND + _OUT_OF_ROUND_PX / look.size)
+    return bool(even and (np.abs(radii - 1) <= _SIZE + _SIZE_PX / look.semi_axes[1]).all())
 
 
 def _ring_agrees(centre: Centre, look: Look) -> bool:

@@ -1,8 +1,8 @@
 """Least squares template matching: a parametric picture of a target is fitted to the grey values.
 
-The picture is an ideal edge pattern blurred by a Gaussian, so its parameters, the centre among them, come
-with their covariance from the noise that remains. After Foerstner and Wrobel 2016, section 13.5 (LS
-matching with a model in place of the second image).
+The picture is an ideal edge pattern blurred by a Gaussian, in light that may change evenly across it, so its
+parameters, the centre among them, come with their covariance from the noise that remains. After Foerstner and
+Wrobel 2016, section 13.5 (LS matching with a model in place of the second image).
 """
 
 from __future__ import annotations
@@ -21,7 +21,13 @@ Template = Callable[[Floats, Floats, Floats], Floats]
 
 # What is a target settles in about ten.
 _ITERATIONS = 25
-_SETTLED_PX = 1e-4
+# Settled: the next step would change the squares of the residuals by this part of their variance, so that it
+# is a tenth of the standard deviation of any parameter.
+_SETTLED = 1e-2
+# Light changes by parts of itself per px: typical size. Without it a shadow would push the centre aside.
+_UNEVEN = 0.005
+# A variance of fewer differences than this says nothing.
+_FEWEST_FREE = 5
 
 
 @dataclass(frozen=True)
@@ -55,15 +61,21 @@ class Fit:
     ----------
     parameters : ndarray, shape (k,)
         Place relative to the middle of the window.
-    covariance : ndarray, shape (k, k)
-        From the noise that was found.
+    cofactor : ndarray, shape (k, k)
+        Their covariance for grey values of variance 1.
     noise : float
         Standard deviation of a grey value about the template.
+    residual : ndarray, shape (n,)
+        Grey values less the template.
+    basis : ndarray, shape (n, m)
+        Orthonormal columns that span what the parameters can explain.
     """
 
     parameters: Floats
-    covariance: Floats
+    cofactor: Floats
     noise: float
+    residual: Floats
+    basis: Floats
 
 
 def cut_window(grey: Grey, centre: tuple[float, float], radius: float) -> Window | None:
@@ -95,7 +107,7 @@ def cut_window(grey: Grey, centre: tuple[float, float], radius: float) -> Window
 
 
 def fit_template(window: Window, template: Template, start: Floats, sizes: Floats) -> Fit | None:
-    """Fit a template (Levenberg-Marquardt).
+    """Fit a template in light that changes evenly (Levenberg-Marquardt).
 
     Parameters
     ----------
@@ -108,14 +120,25 @@ def fit_template(window: Window, template: Template, start: Floats, sizes: Float
     Returns
     -------
     Fit or None
-        None when it does not settle, or the pixels do not determine the parameters.
+        Of the template's k parameters; None when it does not settle, or the pixels do not determine them.
     """
-    parameters, lowest, damping = start.astype(float), np.inf, 1e-3
-    residual = window.grey - template(parameters, window.x, window.y)
-    lowest = float(residual @ residual)
-    if len(window.grey) <= len(start) + 4 or not np.isfinite(lowest):
+    across = np.column_stack([window.x, window.y])
+
+    def lit(p: Floats) -> Floats:
+        return np.asarray(template(p[:-2], window.x, window.y) * (1 + across @ p[-2:]))
+
+    def slopes(p: Floats) -> Floats:
+        own, light = _jacobian(window, template, p[:-2], sizes[:-2]), 1 + across @ p[-2:]
+        even = template(p[:-2], window.x, window.y)
+        return np.column_stack([own * light[:, None], even[:, None] * across * _UNEVEN])
+
+    count = len(start)
+    parameters, sizes = np.r_[start.astype(float), 0, 0], np.r_[sizes, _UNEVEN, _UNEVEN]
+    residual = window.grey - lit(parameters)
+    lowest, damping = float(residual @ residual), 1e-3
+    if len(window.grey) <= count + 6 or not np.isfinite(lowest):
         return None
-    jacobian = _jacobian(window, template, parameters, sizes)
+    jacobian = slopes(parameters)
     settled = False
     for _ in range(_ITERATIONS):
         normal, right = jacobian.T @ jacobian, jacobian.T @ residual
@@ -125,14 +148,14 @@ def fit_template(window: Window, template: Template, start: Floats, sizes: Float
         except np.linalg.LinAlgError:
             return None
         trial = parameters + step * sizes
-        left = window.grey - template(trial, window.x, window.y)
+        left = window.grey - lit(trial)
         squares = float(left @ left)
-        settled = bool(np.abs(step).max() < _SETTLED_PX)
+        settled = float(step @ right) < _SETTLED * lowest / len(residual)
         if squares <= lowest:
             parameters, residual, lowest = trial, left, squares
             if settled:
                 break
-            jacobian = _jacobian(window, template, parameters, sizes)
+            jacobian = slopes(parameters)
             damping = max(damping / 8, 1e-9)
         elif settled or damping > 1e6:
             break
@@ -140,23 +163,58 @@ def fit_template(window: Window, template: Template, start: Floats, sizes: Float
             damping *= 8
     if not settled:
         return None
-    return _with_covariance(window, parameters, jacobian, lowest, sizes)
+    return _judged(parameters[:count], jacobian, residual, sizes)
 
 
-def _with_covariance(
-    window: Window, parameters: Floats, jacobian: Floats, squares: float, sizes: Floats
-) -> Fit | None:
-    variance = squares / (len(window.grey) - len(parameters))
+def odd_variance(window: Window, fit: Fit, middle: Floats) -> float:
+    """Variance of the grey values that can move the centre of a target.
+
+    Targets look the same when turned by half a turn, so what is left of the grey values and looks the same,
+    too, such as a plate's edge all around or corners that are rounder than drawn, does not move their centre:
+    only the odd part does, grey values less those across the centre.
+
+    Parameters
+    ----------
+    window : Window
+    fit : Fit
+    middle : ndarray, shape (2,)
+        The centre, relative to the middle of the window, px.
+
+    Returns
+    -------
+    float
+        Infinite when too few pixels lie across from each other.
+    """
+    x, y = window.x.astype(np.int64), window.y.astype(np.int64)
+    # To half a pixel: noise does not mind, and other remains are smooth.
+    u, v = np.round(2 * middle).astype(np.int64)
+    low = min(x.min(), y.min())
+    side = max(x.max(), y.max()) - low + 1
+    number = np.full((side, side), -1)
+    number[y - low, x - low] = np.arange(len(x))
+    across_x, across_y = u - x - low, v - y - low
+    inside = (across_x >= 0) & (across_x < side) & (across_y >= 0) & (across_y < side)
+    one = np.flatnonzero(inside)
+    other = number[across_y[one], across_x[one]]
+    one, other = one[other >= 0], other[other >= 0]
+    squares = float(np.sum((fit.residual[one] - fit.residual[other]) ** 2)) / 4
+    taken = np.einsum("ik,ik->i", fit.basis[one], fit.basis[one] - fit.basis[other])
+    free = float(np.sum((one != other) - taken)) / 2
     # Grey values are whole numbers: rounding alone leaves 1/12.
-    variance = max(variance, 1 / 12)
+    return max(squares / free, 1 / 12) if free >= _FEWEST_FREE else np.inf
+
+
+def _judged(parameters: Floats, jacobian: Floats, residual: Floats, sizes: Floats) -> Fit | None:
+    variance = max(float(residual @ residual) / (len(residual) - len(sizes)), 1 / 12)
     try:
         inverse = np.linalg.inv(jacobian.T @ jacobian)
+        root = np.linalg.cholesky(inverse)
     except np.linalg.LinAlgError:
         return None
-    covariance = variance * inverse * np.outer(sizes, sizes)
-    if not np.isfinite(covariance).all() or (np.diag(covariance) < 0).any():
+    cofactor = (inverse * np.outer(sizes, sizes))[: len(parameters), : len(parameters)]
+    if not np.isfinite(cofactor).all() or (np.diag(cofactor) < 0).any():
         return None
-    return Fit(parameters, covariance, float(np.sqrt(variance)))
+    return Fit(parameters, cofactor, float(np.sqrt(variance)), residual, jacobian @ root)
 
 
 def _jacobian(window: Window, template: Template, parameters: Floats, sizes: Floats) -> Floats:

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.block.model import ROLES
 from photocal.exchange.parts import Mark
-from photocal.measurement.centres import measurable
+from photocal.measurement.centre import measurable
 from photocal.measurement.eccentricity import ground_bend
 from photocal.measurement.image_file import Grey, read_grey
 from photocal.measurement.marking.adjustment import Adjusted, adjust_marks

@@ -10,10 +10,12 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.measurement.centres import Centre, cross_centre, disc_centre, ring_centre, saddle_centre
+from photocal.measurement.centre import Centre
 from photocal.measurement.image_file import Grey
+from photocal.measurement.line_targets import cross_centre, saddle_centre
 from photocal.measurement.markers import find_markers
 from photocal.measurement.patterns import FLAT
+from photocal.measurement.round_targets import disc_centre, ring_centre
 
 Floats = NDArray[np.float64]
 
@@ -21,8 +23,10 @@ Kind = Literal["cross", "hourglass", "circle", "ring", "code"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 _SIMPLE: tuple[Kind, ...] = ("cross", "hourglass", "circle")
 _HOLLOW: tuple[Kind, ...] = ("ring",)
-# Sizes of targets that are tried, px: each half as large again as the one before.
+# Sizes of targets that are tried, px: each half as large again as the one before; from the smallest at which
+# the picture of a kind still has its form.
 SIZES = (8.0, 12.0, 18.0, 27.0, 40.0, 60.0)
+SMALLEST_PX: dict[Kind, float] = {"circle": 8.0, "cross": 8.0, "ring": 12.0, "hourglass": 8.0}
 # The search ends when so many larger sizes in a row determine the centre no better.
 _IN_VAIN = 2
 # Codes that are tried when the project names none.
@@ -32,8 +36,14 @@ LEAST_ALIKE = 0.75
 # The picture of the target must explain the grey values: noise in parts of the contrast.
 WORST_MISFIT = 0.15
 LEAST_CONTRAST = 12.0
+# Even ground around circles and rings that is used once their size is known: px, and as a part of it.
+_BESIDE_PX, _BESIDE = 1.5, 0.13
+# Who clicks knows better than this, px.
+COARSEST_PX = 0.1
 # Edges of a target are sharp, px or parts of its size; blots of soil and leaves are not.
-BLUNTEST_PX, BLUNTEST_PART = 1.4, 0.06
+BLUNTEST_PX, BLUNTEST_PART = 1.6, 0.06
+# A circle or hourglass whose edges fill it is a blot itself: as a part of its size.
+BLOT_PART = 0.13
 # Targets are not flat and lenses not modelled to the last: what grey values cannot know, px.
 COMMON_PX = 0.02
 
@@ -96,41 +106,54 @@ def snap(
         codes = [c for c in _codes(grey, place, reach, dictionaries) if _good(c, place, reach)]
         if codes:
             return _snapped("code", min(codes, key=_variance))
-    best: tuple[Kind, float, Centre] | None = None
+    best: tuple[Kind, Centre] | None = None
     in_vain = 0
     for size in SIZES:
         middle, likeness = symmetric_place(grey, place, reach, size / 2)
         # Of small targets there may be several within reach: the one that was clicked counts, too.
         starts = (place, middle) if size <= 2 * reach else (middle,)
-        found: list[tuple[Kind, float, Centre]] = []
+        found: list[tuple[Kind, Centre]] = []
         # A ring is none where something simpler fits.
         for group in (_SIMPLE, _HOLLOW) if likeness >= LEAST_ALIKE else ():
             found = found or [
-                (kind, size, centre)
+                (kind, centre)
                 for kind in kinds
-                if kind in group
+                if kind in group and size >= SMALLEST_PX[kind]
                 for start in starts
-                for centre in [_FITS[kind](grey, start, size, bend)]
-                if centre is not None and _good(centre, place, reach) and _sharp(centre, size)
+                for centre in [_fitted(kind, grey, start, size, bend)]
+                if centre is not None and _good(centre, place, reach) and _sharp(kind, centre, size)
             ]
-        better = min(found, key=lambda one: _variance(one[2]), default=None)
-        if better is not None and (best is None or _variance(better[2]) < _variance(best[2])):
+        better = min(found, key=lambda one: _variance(one[1]), default=None)
+        if better is not None and (best is None or _variance(better[1]) < _variance(best[1])):
             best, in_vain = better, 0
         elif best is not None:
             in_vain += 1
         if in_vain == _IN_VAIN:
             break
-    if best is None:
+    return None if best is None else _snapped(*best)
+
+
+def _fitted(kind: Kind, grey: Grey, start: tuple[float, float], size: float, bend: Floats) -> Centre | None:
+    """Fit a kind of target, and again in a window that is laid around it, as large as it is."""
+    rough = _FITS[kind](grey, start, size, bend)
+    if rough is None:
         return None
-    kind, size, centre = best
-    # A window around a click leans to one side: it is laid around the centre.
-    again = _FITS[kind](grey, (centre.column, centre.row), size, bend)
-    return _snapped(kind, again if again is not None and _good(again, place, reach) else centre)
+    place = (rough.column, rough.row)
+    if kind not in ("circle", "ring"):
+        return _FITS[kind](grey, place, size, bend)
+    a, b, direction = (float(value) for value in rough.shape[:3])
+    margin = max(_BESIDE_PX, _BESIDE * (a + b))
+    if kind == "circle":
+        return disc_centre(grey, place, (a, b), direction, bend, margin)
+    return ring_centre(grey, place, (a, b), direction, float(rough.shape[3]), bend, margin)
 
 
-def _sharp(centre: Centre, size: float) -> bool:
+def _sharp(kind: Kind, centre: Centre, size: float) -> bool:
     # The blur stands last among the parameters of all pictures.
-    return abs(float(centre.shape[-1])) <= max(BLUNTEST_PX, BLUNTEST_PART * size)
+    blur = abs(float(centre.shape[-1]))
+    across = float(centre.shape[:2].sum()) if kind == "circle" else size
+    blot = kind in ("circle", "hourglass") and blur > BLOT_PART * across
+    return not blot and blur <= max(BLUNTEST_PX, BLUNTEST_PART * size)
 
 
 def _variance(centre: Centre) -> float:
@@ -189,7 +212,7 @@ def symmetric_place(
 def _good(centre: Centre, place: tuple[float, float], reach: float) -> bool:
     near = math.hypot(centre.column - place[0], centre.row - place[1]) <= reach
     clear = centre.contrast >= LEAST_CONTRAST and centre.noise <= WORST_MISFIT * centre.contrast
-    return near and clear
+    return near and clear and max(centre.sigma) <= COARSEST_PX
 
 
 def _cross(grey: Grey, place: tuple[float, float], size: float, bend: Floats) -> Centre | None:

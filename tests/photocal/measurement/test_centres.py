@@ -11,16 +11,12 @@ from scipy import stats
 
 from photocal.geometry.camera import camera
 from photocal.geometry.rotation import matrix_from_angles
-from photocal.measurement.centres import (
-    Centre,
-    cross_centre,
-    disc_centre,
-    quadrilateral_centre,
-    ring_centre,
-    saddle_centre,
-)
+from photocal.measurement.centre import Centre
 from photocal.measurement.eccentricity import ground_bend
+from photocal.measurement.line_targets import cross_centre, saddle_centre
 from photocal.measurement.patterns import flattened
+from photocal.measurement.round_targets import disc_centre, ring_centre
+from photocal.measurement.square_targets import quadrilateral_centre
 from photocal.measurement.views import Views
 
 from .rendering import DARK, LIGHT, bend, perspective, render
@@ -103,6 +99,46 @@ def test_twenty_pixels_and_two_percent_noise(kind: str) -> None:
     # up to a quarter too large, since a weak blur is poorly separated from the noise.
     low, high = (float(stats.chi2.ppf(p, 2 * SAMPLES)) for p in (0.0005, 0.9995))
     assert low / 1.6 < squares.sum() < high
+
+
+@pytest.mark.parametrize("kind", CASES)
+def test_a_shadow_across_the_target_moves_no_centre(kind: str) -> None:
+    """Brightness changes by 0.2 % a pixel: taken for even it would move edges by several sigma."""
+    measure, scene = CASES[kind]
+    y, x = np.mgrid[:56, :56]
+    shadow = 1 + 0.002 * (x - 28) - 0.0015 * (y - 28)
+    rng = np.random.default_rng(12)
+    squares = []
+    for _ in range(12):
+        matrix = perspective(rng, 56)
+        true = matrix[:2, 2] / matrix[2, 2]
+        bright = render(scene, matrix, 56, rng, noise=0) * shadow + rng.normal(0, 2.5, (56, 56))
+        centre = measure(np.asarray(np.clip(np.round(bright), 0, 255), np.uint8), true + 0.3, matrix)
+        assert centre is not None
+        error: Floats = np.array([centre.column, centre.row]) - true
+        squares.append(error @ np.linalg.solve(centre.covariance, error))
+    low, high = (float(stats.chi2.ppf(p, 2 * 12)) for p in (0.0005, 0.9995))
+    assert low / 1.6 < sum(squares) < high
+
+
+def test_what_is_alike_on_both_sides_does_not_coarsen_sigma() -> None:
+    """Soil around a plate is no noise of the disc's centre: it lies on all sides of it."""
+    rng = np.random.default_rng(3)
+    sigma, noise = {}, {}
+    for beside in (LIGHT, 110.0):
+        matrix = np.array([[1, 0, 20.3], [0, 1, 19.6], [0, 0, 1.0]])
+
+        def plate(u: Floats, v: Floats, beside: float = beside) -> Floats:
+            on_plate = np.maximum(np.abs(u), np.abs(v)) < 6
+            return np.where(np.hypot(u, v) < 4, DARK, np.where(on_plate, LIGHT, beside))
+
+        found = [disc_centre(render(plate, matrix, 40, rng), (20.3, 19.6), (4.0, 4.0)) for _ in range(8)]
+        sigma[beside] = np.mean([one.sigma for one in found if one is not None])
+        noise[beside] = np.mean([one.noise for one in found if one is not None])
+    # The edges of the plate are within the window.
+    coarser = noise[110.0] / noise[LIGHT]
+    assert coarser > 2
+    assert sigma[110.0] / sigma[LIGHT] < 0.6 * coarser
 
 
 @pytest.mark.parametrize("diameter", [6.0, 10.0, 60.0])

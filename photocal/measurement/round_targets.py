@@ -1,0 +1,162 @@
+"""Centres of circles and rings in perspective."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.measurement import patterns
+from photocal.measurement.centre import Centre, accepted, half_contrast
+from photocal.measurement.image_file import Grey
+from photocal.measurement.patterns import FLAT
+from photocal.measurement.template import Window, cut_window, fit_template
+
+Floats = NDArray[np.float64]
+
+
+def disc_centre(
+    grey: Grey,
+    approximate: tuple[float, float],
+    semi_axes: tuple[float, float],
+    direction: float = 0.0,
+    bend: Floats = FLAT,
+    margin: float | None = None,
+) -> Centre | None:
+    """Centre of a filled circle in perspective.
+
+    Parameters
+    ----------
+    grey : ndarray, shape (height, width)
+    approximate : tuple of float
+        Column and row, px.
+    semi_axes : tuple of float
+        px.
+    direction : float
+        Of the first axis, from the columns towards the rows, radians.
+    bend : ndarray, shape (2, 2, 2)
+        Of the ground, from `eccentricity.ground_bend`. Without it the centre is that of the ellipse,
+        which is not where the circle's centre is seen.
+    margin : float, optional
+        Even ground around it that is used, px; without it all within a third more than the longer axis.
+
+    Returns
+    -------
+    Centre or None
+        None when there is no such target; `shape` holds semi-axes, direction and blur.
+    """
+    window = _round_window(grey, approximate, semi_axes, direction, margin)
+    if window is None:
+        return None
+    start, sizes = _round_start(window, approximate, semi_axes, direction, (0.0, 0.6))
+    if not np.isfinite(start).all():
+        return None
+    fit = fit_template(window, partial(patterns.disc, bend=bend), start, sizes)
+    if fit is None:
+        return None
+    outline = _axes(fit.parameters[2:5])
+    if not _alike(outline, semi_axes):
+        return None
+    farthest = max(semi_axes) / 2 + 1
+    shape = np.r_[outline, fit.parameters[5]]
+    return accepted(window, fit, abs(fit.parameters[7]), approximate, farthest, shape)
+
+
+def ring_centre(
+    grey: Grey,
+    approximate: tuple[float, float],
+    semi_axes: tuple[float, float],
+    direction: float = 0.0,
+    hole: float = 0.5,
+    bend: Floats = FLAT,
+    margin: float | None = None,
+) -> Centre | None:
+    """Centre of a ring between two concentric circles, in perspective.
+
+    Parameters
+    ----------
+    grey, approximate, direction, bend, margin
+        As in `disc_centre`.
+    semi_axes : tuple of float
+        Of the outer circle, px.
+    hole : float
+        Inner over outer diameter.
+
+    Returns
+    -------
+    Centre or None
+        None when there is no such target; `shape` holds semi-axes, direction, hole and blur.
+    """
+    window = _round_window(grey, approximate, semi_axes, direction, margin)
+    if window is None:
+        return None
+    start, sizes = _round_start(window, approximate, semi_axes, direction, (hole, 1.0))
+    if not np.isfinite(start).all():
+        return None
+    start, sizes = np.insert(start, 5, hole), np.insert(sizes, 5, 0.1)
+    fit = fit_template(window, partial(patterns.ring, bend=bend), start, sizes)
+    if fit is None:
+        return None
+    outline = _axes(fit.parameters[2:5])
+    if not (_alike(outline, semi_axes) and 0.05 < fit.parameters[5] < 0.95):
+        return None
+    farthest = max(semi_axes) * (1 - hole) / 2 + 1
+    shape = np.r_[outline, fit.parameters[5:7]]
+    return accepted(window, fit, abs(fit.parameters[8]), approximate, farthest, shape)
+
+
+def _round_window(
+    grey: Grey,
+    approximate: tuple[float, float],
+    semi_axes: tuple[float, float],
+    direction: float,
+    margin: float | None,
+) -> Window | None:
+    longest = max(semi_axes)
+    beside = max(3.0, 0.35 * longest) if margin is None else margin
+    window = cut_window(grey, approximate, longest + beside)
+    if window is None or margin is None:
+        return window
+    x, y = approximate[0] - window.middle[0], approximate[1] - window.middle[1]
+    outline = np.array([x, y, *_extent(semi_axes, direction)])
+    return window.where(patterns.inside_circle(outline, window.x, window.y) >= -margin)
+
+
+def _round_start(
+    window: Window,
+    approximate: tuple[float, float],
+    semi_axes: tuple[float, float],
+    direction: float,
+    filled: tuple[float, float],
+) -> tuple[Floats, Floats]:
+    """Parameters of a disc to start from, and their sizes; NaN where a part of the picture has no pixel.
+
+    `filled` tells between which parts of the radius the picture is inside.
+    """
+    x, y = approximate[0] - window.middle[0], approximate[1] - window.middle[1]
+    outline = np.array([x, y, *_extent(semi_axes, direction)])
+    depth = patterns.inside_circle(outline, window.x, window.y)
+    shortest = min(semi_axes)
+    inside = (depth >= (1 - filled[1]) * shortest) & (depth <= (1 - filled[0]) * shortest)
+    outside = depth < -min(1.5, -depth.min() / 2)
+    within, beside = (float(np.median(window.grey[m])) if m.any() else np.nan for m in (inside, outside))
+    half = half_contrast(window)
+    return np.r_[outline, 0.7, beside, within - beside], np.array([1, 1, 1, 1, 1, 0.5, half, half])
+
+
+def _extent(semi_axes: tuple[float, float], direction: float) -> tuple[float, float, float]:
+    """The symmetric matrix (xx, xy, yy) that takes the unit circle to an ellipse."""
+    (a, b), cos, sin = semi_axes, np.cos(direction), np.sin(direction)
+    return float(a * cos**2 + b * sin**2), float((a - b) * cos * sin), float(a * sin**2 + b * cos**2)
+
+
+def _axes(extent: Floats) -> Floats:
+    """The longer and the shorter semi-axis of an ellipse, and the direction of the longer one."""
+    values, vectors = np.linalg.eigh(np.array([[extent[0], extent[1]], [extent[1], extent[2]]]))
+    return np.array([values[1], values[0], np.arctan2(vectors[1, 1], vectors[0, 1])])
+
+
+def _alike(outline: Floats, semi_axes: tuple[float, float]) -> bool:
+    expected = sorted(semi_axes, reverse=True)
+    return all(0.5 < a / b < 2 for a, b in zip(outline[:2], expected, strict=True))
