@@ -44,11 +44,24 @@ def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
         said += _judged(judged)
     if check.separation is not None:
         said += separation_findings(check.separation)
-    said += [
-        Finding("method-refused", f"{method} georeferencing is not possible: {reason}")
-        for method, reason in check.refused
-    ]
-    return tuple(said)
+    if check.judged and not any(judged.check.names for judged in check.judged):
+        said.append(Finding("no-check-points", "there is no check point, so nothing judges the accuracy."))
+    return (*said, *_refused(check))
+
+
+def _refused(check: BlockCheck) -> list[Finding]:
+    """Say which methods the block does not allow; what it was never meant for is no fault."""
+    without = not check.block.points.of_role("control").any()
+    said = []
+    for method, reason in check.refused:
+        if method == "indirect" and without:
+            text = (
+                "there is no control point: nothing but the positions fixes the datum, and nothing checks it"
+            )
+            said.append(Finding("no-control", f"{text}; no indirect georeferencing."))
+        else:
+            said.append(Finding("method-refused", f"{method} georeferencing is not possible: {reason}"))
+    return said
 
 
 def estimate_text(estimate: Estimate) -> str:
@@ -142,9 +155,5 @@ def _judged(judged: Judged) -> list[Finding]:
                 f"{method}: v'Pv {judged.found.chi_squared:.0f} is above {test.upper:.0f} (95 %): the "
                 "observations disagree by more than their sigmas.",
             )
-        )
-    if not judged.check.names:
-        said.append(
-            Finding("no-check-points", f"{method}: there is no check point, so nothing judges the accuracy.")
         )
     return said

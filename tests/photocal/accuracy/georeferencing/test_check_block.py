@@ -222,6 +222,19 @@ def test_no_control_leaves_the_others(photocal: Photocal, folder: Path) -> None:
     content = checked(photocal, folder)
     assert list(content["methods"]) == ["direct", "integrated"]
     assert "nothing fixes the datum" in content["refused"][0]["reason"]
+    codes = [finding["code"] for finding in content["findings"]]
+    assert "no-control" in codes
+    assert "method-refused" not in codes
+
+
+def test_no_check_points_are_missed_once(photocal: Photocal, folder: Path) -> None:
+    def held(row: dict[str, str]) -> None:
+        if row["role"] == "check":
+            row.update(role="control", sX="0.01", sY="0.01", sZ="0.01")
+
+    changed(folder, "points.csv", held)
+    codes = [finding["code"] for finding in checked(photocal, folder)["findings"]]
+    assert codes.count("no-check-points") == 1
 
 
 def test_simulated_direct_is_labelled(photocal: Photocal, folder: Path) -> None:
