@@ -3,23 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from acquire.console import answer, progress
 from drivers.errors import ConfigurationError
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from photocal.accuracy.assessment import Question
-    from photocal.accuracy.discrepancies import Discrepancies
-    from photocal.accuracy.georeferencing.experiment import InteriorSet
-    from photocal.accuracy.georeferencing.simulated import Degradation
-    from photocal.accuracy.standard import Standard
-    from photocal.products.product_check import ProductCheck
-    from photocal.project import Project
+from photocal.commands.check_of_block import judge_block, judge_experiment, noise_of, with_project
+from photocal.commands.check_of_product import judge_discrepancies, judge_product
 
 
 def check(
@@ -118,7 +108,7 @@ def check(
             remedy="name a block or project, or --discrepancies, or --experiment, or --points",
         )
     if experiment is not None:
-        _experiment(experiment, output, as_json=as_json)
+        judge_experiment(experiment, output, as_json=as_json)
         return
     question = Question(
         None if scale is None else parse_scale(scale),
@@ -127,20 +117,20 @@ def check(
         survey_horizontal,
         survey_vertical,
     )
-    noise = None if simulate_direct is None else _noise(simulate_direct, seed)
+    noise = None if simulate_direct is None else noise_of(simulate_direct, seed)
     if block is not None and block.suffix == ".toml":
-        project, question = _project(block, question)
+        project, question = with_project(block, question)
         names = standard or project.contents.judgement.standards or SHIPPED
         standards = tuple(load_standard(name) for name in names)
         source = project.output / "block"
-        _block(source, output, standards, question, noise, crs, on_the_job=True, as_json=as_json)
+        judge_block(source, output, standards, question, noise, crs, on_the_job=True, as_json=as_json)
         return
     standards = tuple(load_standard(name) for name in standard or SHIPPED)
     folder = figures or output
     if block is not None:
-        _block(block, output, standards, question, noise, crs, on_the_job=False, as_json=as_json)
+        judge_block(block, output, standards, question, noise, crs, on_the_job=False, as_json=as_json)
     elif discrepancies is not None:
-        _discrepancies(discrepancies, standards, question, folder, geopackage, crs, as_json=as_json)
+        judge_discrepancies(discrepancies, standards, question, folder, geopackage, crs, as_json=as_json)
     elif points is not None:
         from photocal.products.product_check import check_products, read_check_points
 
@@ -153,185 +143,4 @@ def check(
             height_kind=height_kind,
             dtm_height_kind=dtm_height_kind,
         )
-        _product(found, points, standards, question, folder, geopackage, crs, as_json=as_json)
-
-
-def _block(
-    source: Path,
-    output: Path | None,
-    standards: tuple[Standard, ...],
-    question: Question,
-    noise: tuple[Degradation, np.random.Generator] | None,
-    crs: str | None,
-    *,
-    on_the_job: bool,
-    as_json: bool,
-) -> None:
-    from photocal.accuracy.geopackage import reference_system
-    from photocal.accuracy.georeferencing.as_json import to_json
-    from photocal.accuracy.georeferencing.as_text import to_text
-    from photocal.accuracy.georeferencing.comparison import check_block
-    from photocal.accuracy.georeferencing.methods import METHODS
-    from photocal.exchange.any_block import read_any_block
-    from photocal.run.georeferencing import own_calibration
-
-    read = read_any_block(source)
-    # Known beforehand only where it is needed: a wrong frame is better explained by the check itself.
-    system = reference_system(crs) if crs else None
-    with progress("checking", len(METHODS) + 2) as advance:
-        # A flight is its own calibration; a block folder states what it wants to be judged with.
-        calibration = own_calibration(read) if on_the_job else None
-        result = check_block(read, standards, question, noise, lambda _: advance(1), calibration)
-    content = to_json(result)
-    if output is not None:
-        from photocal.accuracy.georeferencing.output import write_check
-
-        system = system or reference_system(None if read.frame == "local" else read.frame)
-        write_check(result, content, output, system, _stamp(source))
-    said = "" if output is None else f"\nwritten to {output}"
-    answer(as_json, lambda: content, lambda: to_text(result) + said)
-
-
-def _project(path: Path, question: Question) -> tuple[Project, Question]:
-    """Bring the block of a project up to date; what the command line does not ask, the project does."""
-    import datetime as dt
-    from dataclasses import replace
-
-    from photocal.accuracy.map_scale import parse_scale
-    from photocal.project import read_project
-    from photocal.run.workflow import run_project
-
-    project = read_project(path)
-    asked = project.contents.judgement
-    run_project(project, dt.datetime.now().astimezone().date(), progress, until="block")
-    own_scale = None if asked.scale is None else parse_scale(asked.scale)
-    return project, replace(
-        question,
-        scale_denominator=question.scale_denominator or own_scale,
-        interval_m=question.interval_m or asked.contour_interval_m,
-        survey_horizontal_m=question.survey_horizontal_m or asked.survey_horizontal_m,
-        survey_vertical_m=question.survey_vertical_m or asked.survey_vertical_m,
-    )
-
-
-def _experiment(path: Path, output: Path | None, *, as_json: bool) -> None:
-    from photocal.accuracy.georeferencing.experiment import run_experiment
-    from photocal.accuracy.georeferencing.experiment_file import read_experiment
-    from photocal.accuracy.georeferencing.experiment_output import to_json, to_text, write_experiment
-    from photocal.exchange.any_block import read_any_block
-
-    asked = read_experiment(path, read_any_block, _interiors)
-    with progress("running", None) as advance:
-        outcome = run_experiment(asked, lambda: advance(1))
-    if output is not None:
-        write_experiment(outcome, output)
-    said = "" if output is None else f"\nwritten to {output}"
-    answer(as_json, lambda: to_json(outcome), lambda: to_text(outcome) + said)
-
-
-def _interiors(path: Path) -> tuple[InteriorSet, ...]:
-    """Calibrations of a file as `photocal compare` reads it."""
-    import numpy as np
-
-    from photocal.accuracy.georeferencing.experiment import InteriorSet
-    from photocal.analysis.stability.camera_file import read_camera_file
-    from photocal.geometry.camera import PARAMETERS
-
-    sets = []
-    for one in read_camera_file(path).calibrations:
-        sigma, correlation = np.full(len(PARAMETERS), np.nan), np.eye(len(PARAMETERS))
-        if one.uncertainty is not None:
-            at = [PARAMETERS.index(name) for name in one.uncertainty.names]
-            sigma[at] = one.uncertainty.sigmas
-            correlation[np.ix_(at, at)] = one.uncertainty.correlation
-        sets.append(InteriorSet(one.id, one.camera, sigma, correlation))
-    return tuple(sets)
-
-
-def _product(
-    found: ProductCheck,
-    path: Path,
-    standards: tuple[Standard, ...],
-    question: Question,
-    figures: Path | None,
-    geopackage: Path | None,
-    crs: str | None,
-    *,
-    as_json: bool,
-) -> None:
-    """Judge what an orthomosaic and a terrain model say at the check points."""
-    from photocal.accuracy.as_json import to_json
-    from photocal.accuracy.as_text import to_text
-    from photocal.accuracy.assessment import assess
-    from photocal.accuracy.georeferencing.as_json import finite
-
-    result = assess(found.discrepancies, standards, question)
-    _files(result.discrepancies, path, figures, geopackage, crs)
-    answer(
-        as_json,
-        lambda: {
-            **to_json(result),
-            "likeness": [finite(v) for v in found.likeness.tolist()],
-            "remarks": list(found.remarks),
-        },
-        lambda: "\n".join([to_text(result), *found.remarks]),
-    )
-
-
-def _discrepancies(
-    path: Path,
-    standards: tuple[Standard, ...],
-    question: Question,
-    figures: Path | None,
-    geopackage: Path | None,
-    crs: str | None,
-    *,
-    as_json: bool,
-) -> None:
-    from photocal.accuracy.as_json import to_json
-    from photocal.accuracy.as_text import to_text
-    from photocal.accuracy.assessment import assess
-    from photocal.accuracy.discrepancies import read_discrepancies
-
-    result = assess(read_discrepancies(path), standards, question)
-    _files(result.discrepancies, path, figures, geopackage, crs)
-    answer(as_json, lambda: to_json(result), lambda: to_text(result))
-
-
-def _files(
-    found: Discrepancies, path: Path, figures: Path | None, geopackage: Path | None, crs: str | None
-) -> None:
-    """Residual map, histograms and GeoPackage of a product, where they are asked for."""
-    if figures is not None:
-        from photocal.accuracy.figures import write_figures
-
-        write_figures(found, figures)
-    if geopackage is not None:
-        from photocal.accuracy.geopackage import reference_system, write_geopackage
-
-        write_geopackage(geopackage, (("check", found),), reference_system(crs), _stamp(path))
-
-
-def _stamp(source: Path) -> str:
-    """Time of the input, not of the clock: the same input gives the same file."""
-    from datetime import UTC, datetime
-
-    table = source / "points.csv" if source.is_dir() else source
-    changed = datetime.fromtimestamp(table.stat().st_mtime, UTC)
-    return f"{changed:%Y-%m-%dT%H:%M:%S}.000Z"
-
-
-def _noise(text: str, seed: int) -> tuple[Degradation, np.random.Generator]:
-    import math
-
-    import numpy as np
-
-    from photocal.accuracy.georeferencing.simulated import Degradation
-
-    try:
-        position, attitude = (float(part) for part in text.split(","))
-    except ValueError as refusal:
-        raise ConfigurationError(
-            f"{text!r} is not a noise of position and attitude", remedy="write metres,degrees: 0.08,0.02"
-        ) from refusal
-    return Degradation(position, math.radians(attitude)), np.random.default_rng(seed)
+        judge_product(found, points, standards, question, folder, geopackage, crs, as_json=as_json)

@@ -1,0 +1,130 @@
+"""`photocal check` of blocks, projects and experiments."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from acquire.console import answer, progress
+from drivers.errors import ConfigurationError
+from photocal.commands.check_of_product import changed_utc
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from photocal.accuracy.assessment import Question
+    from photocal.accuracy.georeferencing.experiment import InteriorSet
+    from photocal.accuracy.georeferencing.simulated import Degradation
+    from photocal.accuracy.standard import Standard
+    from photocal.project import Project
+
+
+def judge_block(
+    source: Path,
+    output: Path | None,
+    standards: tuple[Standard, ...],
+    question: Question,
+    noise: tuple[Degradation, np.random.Generator] | None,
+    crs: str | None,
+    *,
+    on_the_job: bool,
+    as_json: bool,
+) -> None:
+    """Georeference a block three ways, judge it and answer."""
+    from photocal.accuracy.geopackage import reference_system
+    from photocal.accuracy.georeferencing.as_json import to_json
+    from photocal.accuracy.georeferencing.as_text import to_text
+    from photocal.accuracy.georeferencing.comparison import check_block
+    from photocal.accuracy.georeferencing.methods import METHODS
+    from photocal.exchange.any_block import read_any_block
+    from photocal.run.georeferencing import own_calibration
+
+    read = read_any_block(source)
+    # Known beforehand only where it is needed: a wrong frame is better explained by the check itself.
+    system = reference_system(crs) if crs else None
+    with progress("checking", len(METHODS) + 2) as advance:
+        # A flight is its own calibration; a block folder states what it wants to be judged with.
+        calibration = own_calibration(read) if on_the_job else None
+        result = check_block(read, standards, question, noise, lambda _: advance(1), calibration)
+    content = to_json(result)
+    if output is not None:
+        from photocal.accuracy.georeferencing.output import write_check
+
+        system = system or reference_system(None if read.frame == "local" else read.frame)
+        write_check(result, content, output, system, changed_utc(source))
+    said = "" if output is None else f"\nwritten to {output}"
+    answer(as_json, lambda: content, lambda: to_text(result) + said)
+
+
+def with_project(path: Path, question: Question) -> tuple[Project, Question]:
+    """Bring the block of a project up to date; what the command line does not ask, the project does."""
+    import datetime as dt
+    from dataclasses import replace
+
+    from photocal.accuracy.map_scale import parse_scale
+    from photocal.project import read_project
+    from photocal.run.workflow import run_project
+
+    project = read_project(path)
+    asked = project.contents.judgement
+    run_project(project, dt.datetime.now().astimezone().date(), progress, until="block")
+    own_scale = None if asked.scale is None else parse_scale(asked.scale)
+    return project, replace(
+        question,
+        scale_denominator=question.scale_denominator or own_scale,
+        interval_m=question.interval_m or asked.contour_interval_m,
+        survey_horizontal_m=question.survey_horizontal_m or asked.survey_horizontal_m,
+        survey_vertical_m=question.survey_vertical_m or asked.survey_vertical_m,
+    )
+
+
+def judge_experiment(path: Path, output: Path | None, *, as_json: bool) -> None:
+    """Run an experiment with interior orientations and control patterns, and answer."""
+    from photocal.accuracy.georeferencing.experiment import run_experiment
+    from photocal.accuracy.georeferencing.experiment_file import read_experiment
+    from photocal.accuracy.georeferencing.experiment_output import to_json, to_text, write_experiment
+    from photocal.exchange.any_block import read_any_block
+
+    asked = read_experiment(path, read_any_block, _interiors)
+    with progress("running", None) as advance:
+        outcome = run_experiment(asked, lambda: advance(1))
+    if output is not None:
+        write_experiment(outcome, output)
+    said = "" if output is None else f"\nwritten to {output}"
+    answer(as_json, lambda: to_json(outcome), lambda: to_text(outcome) + said)
+
+
+def _interiors(path: Path) -> tuple[InteriorSet, ...]:
+    """Calibrations of a file as `photocal compare` reads it."""
+    import numpy as np
+
+    from photocal.accuracy.georeferencing.experiment import InteriorSet
+    from photocal.analysis.stability.camera_file import read_camera_file
+    from photocal.geometry.camera import PARAMETERS
+
+    sets = []
+    for one in read_camera_file(path).calibrations:
+        sigma, correlation = np.full(len(PARAMETERS), np.nan), np.eye(len(PARAMETERS))
+        if one.uncertainty is not None:
+            at = [PARAMETERS.index(name) for name in one.uncertainty.names]
+            sigma[at] = one.uncertainty.sigmas
+            correlation[np.ix_(at, at)] = one.uncertainty.correlation
+        sets.append(InteriorSet(one.id, one.camera, sigma, correlation))
+    return tuple(sets)
+
+
+def noise_of(text: str, seed: int) -> tuple[Degradation, np.random.Generator]:
+    """Read the noise of simulated exposures: metres, degrees."""
+    import math
+
+    import numpy as np
+
+    from photocal.accuracy.georeferencing.simulated import Degradation
+
+    try:
+        position, attitude = (float(part) for part in text.split(","))
+    except ValueError as refusal:
+        raise ConfigurationError(
+            f"{text!r} is not a noise of position and attitude", remedy="write metres,degrees: 0.08,0.02"
+        ) from refusal
+    return Degradation(position, math.radians(attitude)), np.random.default_rng(seed)
