@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from photocal.measurement.image_file import opened
+from photocal.measurement.image_file import opened, stored_size
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -100,7 +100,7 @@ def read_facts(path: Path) -> ImageFacts:
     with opened(path) as image:
         main, exif, gps = _tags(image)
         xmp = _xmp(image)
-        size = image.size
+        size = stored_size(image)
     orientation = _number(main.get(0x0112))
     return ImageFacts(
         path.name,

@@ -24,9 +24,13 @@ if TYPE_CHECKING:
 Grey = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".jp2", ".pgm")
+# Pictures that are not read: of telephones, and raw ones, which each maker writes in his own way.
+UNREAD = (".heic", ".heif", ".avif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".gif")
 # The largest aerial cameras have 500 million pixels; more is not an image but an attack on the memory.
 LARGEST_PX = 1_000_000_000
 SMALLEST_SIDE_PX = 16
+# EXIF orientations that exchange width and height.
+_ON_END = (5, 6, 7, 8)
 
 
 def list_images(folder: Path) -> tuple[Path, ...]:
@@ -48,11 +52,15 @@ def list_images(folder: Path) -> tuple[Path, ...]:
     """
     if not folder.is_dir():
         raise InputNotFoundError("is not a folder", where=folder, remedy="name the folder with the images")
-    found = sorted(
-        path
-        for path in folder.iterdir()
-        if path.suffix.lower() in SUFFIXES and path.is_file() and not path.name.startswith(".")
-    )
+    files = [path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")]
+    found = sorted(path for path in files if path.suffix.lower() in SUFFIXES)
+    unread = sorted({path.suffix for path in files if path.suffix.lower() in UNREAD})
+    if not found and unread:
+        raise InputNotFoundError(
+            f"has only pictures that are not read ({', '.join(unread)})",
+            where=folder,
+            remedy="save them as JPEG or TIFF in full size, neither turned nor corrected for distortion",
+        )
     if not found:
         raise InputNotFoundError("has no image", where=folder, remedy=f"it takes {', '.join(SUFFIXES)}")
     return tuple(found)
@@ -90,17 +98,71 @@ def opened(path: Path) -> Iterator[Image]:
         Image.MAX_IMAGE_PIXELS = None
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with Image.open(path) as image:
+            # By its name, the library would map a TIFF that viewers turn to memory with its sides exchanged.
+            with path.open("rb") as file, Image.open(file) as image:
                 _require_sensible(path, image.size)
                 yield image
     except (OSError, SyntaxError, ValueError, EOFError, IndexError, MemoryError, OverflowError) as failure:
-        reason = "is not an image" if type(failure).__name__ == "UnidentifiedImageError" else "cannot be read"
-        detail = "" if reason == "is not an image" else f" ({failure})"
+        if type(failure).__name__ == "UnidentifiedImageError":
+            raise _unknown(path) from failure
         raise InputMalformedError(
-            f"{reason}{detail}", where=path, remedy="copy the image again or take it out"
+            f"cannot be read ({failure})", where=path, remedy="copy the image again or take it out"
         ) from failure
     finally:
         Image.MAX_IMAGE_PIXELS = limit
+
+
+def stored_size(image: Image) -> tuple[int, int]:
+    """Width and height of the stored grid of an image whose pixels are not read yet.
+
+    Parameters
+    ----------
+    image : PIL.Image.Image
+
+    Returns
+    -------
+    tuple of int
+    """
+    width, height = image.size
+    return (height, width) if _turned_by_library(image) in _ON_END else (width, height)
+
+
+def as_stored(image: Image) -> Image:
+    """Decode an image on its stored grid.
+
+    Parameters
+    ----------
+    image : PIL.Image.Image
+        As `opened` gives it, its pixels not read yet.
+
+    Returns
+    -------
+    PIL.Image.Image
+    """
+    from PIL.Image import Transpose
+
+    orientation = _turned_by_library(image)
+    image.load()
+    if orientation == 1:
+        return image
+    back = {
+        2: Transpose.FLIP_LEFT_RIGHT,
+        3: Transpose.ROTATE_180,
+        4: Transpose.FLIP_TOP_BOTTOM,
+        5: Transpose.TRANSPOSE,
+        6: Transpose.ROTATE_90,
+        7: Transpose.TRANSVERSE,
+        8: Transpose.ROTATE_270,
+    }
+    return image.transpose(back[orientation])
+
+
+def _turned_by_library(image: Image) -> int:
+    """By which EXIF orientation the library turns an image when it reads the pixels: it does so with TIFF."""
+    if image.format != "TIFF":
+        return 1
+    orientation = image.getexif().get(0x0112, 1)
+    return orientation if orientation in range(1, 9) else 1
 
 
 def read_grey(path: Path) -> Grey:
@@ -125,6 +187,7 @@ def read_grey(path: Path) -> Grey:
         # JPEG holds the luminance; decoding it alone saves the colours' time and memory.
         if image.format == "JPEG" and image.mode in ("RGB", "YCbCr"):
             image.draft("L", None)
+        image = as_stored(image)
         if image.mode in ("I;16", "I;16B", "I;16L", "I;16N"):
             return np.asarray(image).astype(np.uint16)
         if image.mode == "I":
@@ -152,6 +215,25 @@ def as_eight_bit(grey: Grey) -> NDArray[np.uint8]:
     span = max(float(high - low), 1e-12)
     scaled = (np.nan_to_num(grey.astype(np.float32), nan=float(low)) - low) * (255.0 / span)
     return np.asarray(np.clip(scaled, 0, 255), dtype=np.uint8)
+
+
+def _unknown(path: Path) -> InputMalformedError:
+    """Say what a file is that the library does not take for an image."""
+    with path.open("rb") as file:
+        head = file.read(12)
+    if head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+        return InputMalformedError(
+            "is a TIFF of a kind that is not read",
+            where=path,
+            remedy="save it with 8 or 16 bits a band, grey or RGB",
+        )
+    if head[4:8] == b"ftyp":
+        return InputMalformedError(
+            "is a HEIC or AVIF picture, which is not read, whatever its name",
+            where=path,
+            remedy="save it as JPEG in full size",
+        )
+    return InputMalformedError("is not an image", where=path, remedy="copy the image again or take it out")
 
 
 def _sixteen_bits(values: NDArray[Any]) -> Grey:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from acquire.outputs import output_file
 from drivers.errors import InputNotFoundError
 from photocal.measurement.cache import content_key
-from photocal.measurement.image_file import as_eight_bit, opened, read_grey
+from photocal.measurement.image_file import as_eight_bit, as_stored, opened, read_grey
 from photocal.measurement.marking.kept import sweep, touch
 
 if TYPE_CHECKING:
@@ -171,8 +171,8 @@ def _decoded(picture: Path, level: int) -> Image:
             raise InputNotFoundError("has no such tile", where=picture, remedy="look at another place")
         if image.mode not in _MANY_BITS:
             done = _scaled(image, level)
-            shown = image if image.mode in ("L", "RGB") else image.convert("RGB")
-            shown.load()
+            stored = as_stored(image)
+            shown = stored if stored.mode in ("L", "RGB") else stored.convert("RGB")
             return shown.reduce(1 << (level - done)) if level > done else shown.copy()
     return Image.fromarray(as_eight_bit(read_grey(picture))).reduce(1 << level)
 
