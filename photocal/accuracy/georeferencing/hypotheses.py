@@ -19,7 +19,6 @@ from photocal.accuracy.georeferencing.freed_groups import (
     STRIP_SHIFTS,
     Estimate,
 )
-from photocal.adjustment.solution import Solution
 
 # Akaike (1974): models this close are not told apart; in units of v'Pv.
 _AS_GOOD = 10.0
@@ -63,21 +62,34 @@ class Hypothesis:
     estimates: tuple[Estimate, ...]
 
 
-def compare(
-    name: str, before: Solution, after: Solution, unknowns: int, estimates: tuple[Estimate, ...], tests: int
-) -> Hypothesis:
+@dataclass(frozen=True)
+class Fit:
+    """What the tests need of an adjustment; its covariances would fill the memory.
+
+    Attributes
+    ----------
+    chi_squared : float
+    degrees_of_freedom : int
+    estimates : dict of str to tuple of Estimate
+        Of each group that was freed.
+    """
+
+    chi_squared: float
+    degrees_of_freedom: int
+    estimates: dict[str, tuple[Estimate, ...]]
+
+
+def compare(name: str, before: Fit, after: Fit, unknowns: int, tests: int) -> Hypothesis:
     """Test a group of values.
 
     Parameters
     ----------
     name : str
         Of the group.
-    before, after : Solution
+    before, after : Fit
         With the group held, and freed under weak observations of its values.
     unknowns : int
         Values that were freed.
-    estimates : tuple of Estimate
-        What tells of them, from `after`.
     tests : int
         Groups that are tested: the significance of the whole is shared by them.
 
@@ -91,7 +103,7 @@ def compare(
     factor = max(after.chi_squared / freedom, 1e-300)
     f = gain / unknowns / factor
     critical = float(stats.f(unknowns, freedom).ppf(1.0 - SIGNIFICANCE / tests))
-    return Hypothesis(name, gain, factor, unknowns, f, critical, f > critical, estimates)
+    return Hypothesis(name, gain, factor, unknowns, f, critical, f > critical, after.estimates[name])
 
 
 def most_probable(tries: tuple[Hypothesis, ...], observations: int) -> Hypothesis | None:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.errors import IllPosedError, NotConvergedError
-from photocal.accuracy.georeferencing.camera_change import Change, best_change, unknowns_of_change
+from photocal.accuracy.georeferencing.camera_change import best_change, unknowns_of_change
 from photocal.accuracy.georeferencing.freed_groups import (
     CHANGE,
     LOOSE_CAMERA,
@@ -23,6 +23,7 @@ from photocal.accuracy.georeferencing.freed_groups import (
     with_freed,
 )
 from photocal.accuracy.georeferencing.hypotheses import (
+    Fit,
     Hypothesis,
     as_good,
     causes_first,
@@ -102,14 +103,16 @@ def systematic_errors(block: Block, done: Callable[[], None] = lambda: None) -> 
     PhotocalError
         When the block cannot be adjusted as it is.
     """
-    search = _Search(block, done)
+    first = adjust(assemble(block).network)
+    done()
+    search = _Search(block, first, done)
     accepted: tuple[str, ...] = ()
     tested: tuple[Hypothesis, ...] = ()
     for turn in range(_ROUNDS):
         tries = search.beside(accepted)
         if turn == 0:
             tested = tries
-        best = most_probable(tries, search.first.observations)
+        best = most_probable(tries, first.observations)
         if best is None:
             break
         kept = search.needed((*accepted, best.name))
@@ -118,10 +121,7 @@ def systematic_errors(block: Block, done: Callable[[], None] = lambda: None) -> 
         accepted = kept
     errors = search.errors(accepted)
     own = tuple(
-        e
-        for name in MOUNTED
-        if left_free(block, name)
-        for e in estimates_of(block, block, search.first, name)
+        e for name in MOUNTED if left_free(block, name) for e in estimates_of(block, block, first, name)
     )
     return SystematicErrors(
         tested,
@@ -135,12 +135,10 @@ def systematic_errors(block: Block, done: Callable[[], None] = lambda: None) -> 
 class _Search:
     """Adjustments of one block with groups freed, each set of groups once."""
 
-    def __init__(self, block: Block, done: Callable[[], None]) -> None:
+    def __init__(self, block: Block, first: Solution, done: Callable[[], None]) -> None:
         self._block, self._done = block, done
-        self._adjusted: dict[frozenset[str], tuple[Block, Solution]] = {}
-        self._change: Change | None = None
-        self.first = self._solve(frozenset())[1]
-        self._change = best_change(block, self.first.cameras[0], LOOSE_CAMERA)
+        self._fits = {frozenset[str](): Fit(first.chi_squared, first.degrees_of_freedom, {})}
+        self._change = best_change(block, first.cameras[0], LOOSE_CAMERA)
         # A second camera is made of the first one, so it comes before what is freed in both.
         self._names = (() if self._change is None else (CHANGE,)) + groups_of(block)
         self.refused: dict[str, str] = {}
@@ -183,31 +181,31 @@ class _Search:
 
     def together(self, accepted: tuple[str, ...]) -> tuple[Estimate, ...]:
         """Give the values of all accepted groups from one adjustment."""
-        freed, solution = self._solve(frozenset(accepted))
-        return tuple(e for name in accepted for e in estimates_of(self._block, freed, solution, name))
+        fit = self._fit(frozenset(accepted))
+        return tuple(e for name in accepted for e in fit.estimates[name])
 
     def _tested(self, name: str, others: tuple[str, ...]) -> Hypothesis | None:
         """Test a group beside others; None when it cannot be freed."""
         try:
-            _, before = self._solve(frozenset(others))
-            freed, after = self._solve(frozenset((*others, name)))
+            before, after = self._fit(frozenset(others)), self._fit(frozenset((*others, name)))
         except (IllPosedError, NotConvergedError) as refusal:
             if not others:
                 self.refused[name] = refusal.what
             return None
-        estimates = estimates_of(self._block, freed, after, name)
-        unknowns = unknowns_of_change(self._block) if name == CHANGE else len(estimates)
-        return compare(name, before, after, unknowns, estimates, len(self._names))
+        unknowns = unknowns_of_change(self._block) if name == CHANGE else len(after.estimates[name])
+        return compare(name, before, after, unknowns, len(self._names))
 
-    def _solve(self, groups: frozenset[str]) -> tuple[Block, Solution]:
-        if groups not in self._adjusted:
+    def _fit(self, groups: frozenset[str]) -> Fit:
+        if groups not in self._fits:
             freed = self._block
-            for name in self._names if groups else ():
+            for name in self._names:
                 if name in groups:
                     freed = with_freed(freed, name, self._change)
-            self._adjusted[groups] = freed, adjust(assemble(freed).network)
+            solution = adjust(assemble(freed).network)
+            estimates = {name: estimates_of(self._block, freed, solution, name) for name in groups}
+            self._fits[groups] = Fit(solution.chi_squared, solution.degrees_of_freedom, estimates)
             self._done()
-        return self._adjusted[groups]
+        return self._fits[groups]
 
 
 def _less(names: tuple[str, ...], one: str) -> tuple[str, ...]:
