@@ -154,6 +154,12 @@ def metashape_marks(path: Path) -> tuple[Mark, ...]:
 
 def _chunk(path: Path) -> Element:
     chunks = list(read_xml(path).iter("chunk"))
+    if not chunks:
+        raise InputMalformedError(
+            "is no XML of Metashape's markers, the only one that is read",
+            where=path,
+            remedy="from Pix4D export the marks as text (*.txt or *.csv: image, point, x, y)",
+        )
     if len(chunks) != 1:
         raise InputMalformedError(
             f"has {len(chunks)} chunks where one was expected",

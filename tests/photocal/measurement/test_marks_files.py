@@ -23,6 +23,8 @@ SAME = {
     "metashape.csv": "image_label,gcp_name,image_u,image_v\na,G1,0.5,0.5\nB,G2,10.5,20.5\n",
     "metashape_quoted.csv": 'Marker label;Camera label;X;Y\n"G1";"a";0.5;0.5\n"G2";"B";10.5;20.5\n',
     "own.csv": "image,point,x,y\na.jpg,G1,0,0\nB.JPG,G2,10,20\n",
+    "proj.txt": "+proj=utm +zone=33 +datum=WGS84 +units=m +no_defs\n"
+    "1 2 3 0 0 a.jpg G1 0.01 bolt\n4 5 6 10 20 B.JPG G2 0.01 nail in a kerb\n",
     "gcp_list.txt": "EPSG:32633\n1 2 3 0 0 a.jpg G1\n4 5 6 10 20 B.JPG G2\n",
 }
 
@@ -48,6 +50,16 @@ def test_all_markers_of_metashape_with_their_files(tmp_path: Path) -> None:
     ]
 
 
+def test_cameras_of_several_sensors_are_one_list(tmp_path: Path) -> None:
+    """Cameras name their sensor; marks name the camera alone."""
+    text = MARKERS.replace('label="a.jpg"', 'label="a.jpg" sensor_id="0"')
+    text = text.replace('label="b.jpg"', 'label="B.JPG" sensor_id="1"')
+    sensors = '<sensors><sensor id="0" label="wide"/><sensor id="1" label="tele"/></sensors>'
+    (tmp_path / "markers.xml").write_text(text.replace("<cameras>", sensors + "<cameras>"))
+    marks = read_any_marks(tmp_path / "markers.xml", SIZES)
+    assert [(m.image, m.point) for m in marks] == [("a.jpg", "G1"), ("B.JPG", "G2"), ("B.JPG", "T1")]
+
+
 def test_names_in_doubt_stay_as_they_are() -> None:
     marks = [Mark(name, "P", 1, 2, (1, 1), "") for name in ("a", "b", "c", "c.png", "x/c.png")]
     found = named_after(marks, ["a.jpg", "a.tif", "b.jpg", "c.png"])
@@ -67,6 +79,12 @@ def test_names_in_doubt_stay_as_they_are() -> None:
         ("m.txt", "nothing at all\n", "coordinate system"),
         ("m.xml", "<document><chunk><cameras/></chunk></document>", "has no marks"),
         ("m.xml", "<document>", "m.xml"),
+        ("m.xml", "<document><chunk/><chunk/></document>", "has 2 chunks where one was expected"),
+        (
+            "m.xml",
+            "<gcps><GCP label='1'/></gcps>",
+            "is no XML of Metashape.*from Pix4D export the marks as text",
+        ),
         ("m.json", "[]", "is no ground_control_points"),
     ],
 )
