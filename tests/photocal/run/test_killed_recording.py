@@ -19,7 +19,7 @@ from acquire.simulate.played_flight import Line, PlayedFlight, read_flight
 from acquire.simulate.world.configuration import read_configuration
 from acquire.simulate.world.site import simulate_flight
 from photocal.cli import app
-from tests.acquire.live import Recorder, await_frame, free_port
+from tests.acquire.live import Recorder, await_frame, frames_in, free_port, until
 from tests.simulated import PLANS
 
 SPEED = 20.0
@@ -60,8 +60,14 @@ def without(flight: PlayedFlight, begin_s: float, end_s: float) -> PlayedFlight:
     return replace(flight, lines=lines)
 
 
-def last_before(line: Line, time_s: float) -> bytes:
-    return line.frames[int(np.searchsorted(line.time_s, time_s, side="right")) - 1]
+def last_before(line: Line, time_s: float, count: int) -> tuple[bytes, ...]:
+    end = int(np.searchsorted(line.time_s, time_s, side="right"))
+    return line.frames[end - count : end]
+
+
+def unnumbered(frame: bytes) -> bytes:
+    """A MAVLink frame without its number and what depends on it."""
+    return frame[:4] + frame[5:-2]
 
 
 def table(path: Path) -> list[dict[str, str]]:
@@ -81,7 +87,9 @@ class Outcome:
 @pytest.fixture(scope="module")
 def outcome(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
     folder = tmp_path_factory.mktemp("killed") / "flight"
-    given = read_configuration(PLANS / "small.toml", {"level": "observations", "plan": PLAN})
+    given = read_configuration(
+        PLANS / "small.toml", {"level": "observations", "plan": PLAN, "observing": {"ties": 70}}
+    )
     simulate_flight(given, folder, lambda _: None)
     truth = json.loads((folder / "truth" / "truth.json").read_text())
     exposures = table(folder / "truth" / "exposures.csv")
@@ -98,7 +106,12 @@ def outcome(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
         settings.write_text(record_settings(flight, urls, Path("site/log")), encoding="utf-8")
         with Recorder(settings) as first:
             for link in ("rover", "base"):
-                await_frame(first.path, link, last_before(flight.lines[link], begin_s))
+                await_frame(first.path, link, last_before(flight.lines[link], begin_s, 1)[0])
+            latest = {unnumbered(frame) for frame in last_before(flight.lines["vehicle"], begin_s, 10)}
+            until(
+                lambda: latest & set(map(unnumbered, frames_in(first.path, "vehicle"))),
+                "the vehicle's last words",
+            )
             first.end(signal.SIGKILL)
             logs.append(first.path)
         with Recorder(settings) as second:
