@@ -45,6 +45,9 @@ def serve(mine: Survey, port: int) -> Iterator[Serve]:
     running: list[subprocess.Popen[str]] = []
 
     def start() -> subprocess.Popen[str]:
+        for process in running:
+            process.kill()
+            process.wait()
         arguments = ["mark", mine.file, "--address", f"127.0.0.1:{port}", "--cache", mine.folder / "cache"]
         command = [sys.executable, "-c", COMMAND, *map(str, arguments)]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -259,10 +262,51 @@ def test_a_long_press_marks_and_two_fingers_zoom(browser: Browser, mine: Survey,
     fingers("touchEnd")
     until(page, f"Math.abs(views[0].scale / {scale} - 3) < 0.05")
     assert count(page) == 1
-    # A short tap neither marks nor moves.
-    fingers("touchStart", (200, 500))
-    fingers("touchEnd")
-    page.wait_for_timeout(700)
-    assert count(page) == 1
+    # A short tap neither marks nor moves. On a busy machine a tap may last as long as a press: then again.
+    page.evaluate(
+        """() => {
+          window.taps = [];
+          for (const kind of ["pointerdown", "pointerup"]) {
+            views[0].canvas.addEventListener(kind, (event) => window.taps.push(event.timeStamp));
+          }
+        }"""
+    )
+    for _ in range(30):
+        before = saved(mine)
+        page.evaluate("window.taps.length = 0")
+        fingers("touchStart", (200, 500))
+        fingers("touchEnd")
+        until(page, "window.taps.length === 2")
+        page.wait_for_timeout(700)
+        if page.evaluate("window.taps[1] - window.taps[0] < LONG_PRESS_MS / 2"):
+            break
+    else:
+        pytest.skip("the machine is too busy for a short tap")
+    assert saved(mine) == before
+    assert problems == []
+    context.close()
+
+
+@pytest.mark.usefixtures("empty")
+@pytest.mark.parametrize(("width", "height"), [(800, 1280), (390, 844)])
+def test_all_controls_are_large_enough_for_a_finger(
+    browser: Browser, port: int, width: int, height: int
+) -> None:
+    """44 px each way (WCAG 2.1, 2.5.5), and none beyond the edge."""
+    context = browser.new_context(
+        viewport={"width": width, "height": height}, has_touch=True, is_mobile=True, color_scheme="dark"
+    )
+    page = context.new_page()
+    problems = opened(page, port)
+    page.locator("#panel-button").click()
+    expect(page.locator("#panel")).to_be_visible()
+    controls = page.evaluate(
+        """() => [...document.querySelectorAll("button, select, input")]
+          .filter((own) => own.checkVisibility())
+          .map((own) => [own.id || own.textContent, own.getBoundingClientRect()])
+          .map(([name, box]) => [name, box.width, box.height, box.right])"""
+    )
+    assert len(controls) > 20
+    assert [one for one in controls if one[1] < 44 or one[2] < 44 or one[3] > width] == []
     assert problems == []
     context.close()
