@@ -147,13 +147,13 @@ def main(chosen: list[int]) -> None:
         "The flight of `configs/demo/simulated/flight.toml` (some forty pictures of 2 megapixels, eight",
         "control and twelve check points), and others that differ from it as said. Deviations are in",
         "standard deviations of the estimate: those of c, x0, y0; the largest of the distortion and of the",
-        "mounting; and d' C^-1 d of the whole interior orientation, which is expected to be as large as its",
+        "mounting; and together, d' C^-1 d of the interior orientation, which is expected to be as large as its",
         "degrees of freedom. Antenna positions: rms of the errors by PPK in mm, east / north / height. Check",
         "points: errors over their prediction, direct / integrated / indirect.",
         "",
         *(f"{number}. {name}" for number, (name, _) in enumerate(FLIGHTS, start=1)),
         "",
-        "| flight | c | x0 | y0 | distortion | mounting | d' C^-1 d | antenna, mm | check points | warnings |",
+        "| flight | c | x0 | y0 | distortion | mounting | together | antenna, mm | check points | warnings |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for number, (name, changes) in enumerate(FLIGHTS, start=1):
