@@ -21,7 +21,7 @@ from photocal.measurement.image_file import read_grey
 from photocal.measurement.orientation import Orientation
 from photocal.measurement.prediction import predict
 from photocal.measurement.refine import Source
-from photocal.measurement.target_look import PARTS, Look
+from photocal.measurement.target_look import PARTS, SMALLEST_PX, Look
 from photocal.measurement.target_search import find_targets
 from photocal.measurement.views import local_poses
 from photocal.measurement.workers import Workers, run_tasks
@@ -69,11 +69,14 @@ class PlainMarks:
         Points that were given up, because two targets fit them, or their target fits two points.
     sought : int
         How many were predicted.
+    too_small : tuple of str
+        Points that no image shows large enough to be told from a speck, and how large they are seen.
     """
 
     marks: tuple[Mark, ...]
     ambiguous: tuple[str, ...]
     sought: int
+    too_small: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -108,7 +111,8 @@ def find_plain_targets(
     -------
     PlainMarks
     """
-    sights = predicted_sights(orientation, points, wanted)
+    predicted = predicted_sights(orientation, points, wanted)
+    sights = {name: tuple(s for s in own if s.look.large_enough) for name, own in predicted.items()}
     tasks = [_Task(source, sights.get(source.path.name, ())) for source in sources]
     marks: list[Mark] = []
     doubts: dict[str, list[str]] = {}
@@ -122,7 +126,22 @@ def find_plain_targets(
     # What stands beside a target stands there in all images, though some may not show both.
     sure = tuple(mark for mark in marks if mark.point not in doubts)
     sought = sum(len(task.sights) for task in tasks)
-    return PlainMarks(sure, tuple(f"point {name}: {own[0]}" for name, own in doubts.items()), sought)
+    ambiguous = tuple(f"point {name}: {own[0]}" for name, own in doubts.items())
+    return PlainMarks(sure, ambiguous, sought, _too_small(predicted.values()))
+
+
+def _too_small(predicted: Iterable[Sequence[Sight]]) -> tuple[str, ...]:
+    largest: dict[str, Sight] = {}
+    for sight in (one for own in predicted for one in own):
+        known = largest.get(sight.point)
+        if known is None or sight.look.semi_axes[1] > known.look.semi_axes[1]:
+            largest[sight.point] = sight
+    return tuple(
+        f"point {name}: its {look.kind} is seen {2 * look.semi_axes[1]:.1f} px wide at most, "
+        f"{SMALLEST_PX[look.kind]:g} px are needed"
+        for name, look in ((name, sight.look) for name, sight in largest.items())
+        if not look.large_enough
+    )
 
 
 def predicted_sights(
@@ -138,7 +157,7 @@ def predicted_sights(
     Returns
     -------
     dict
-        By image; targets that would be too small are left out.
+        By image; also targets that are too small to be sought.
     """
     unsure = replace(orientation, cameras=tuple(map(_unsure, orientation.cameras)))
     images = orientation.images
@@ -156,9 +175,8 @@ def predicted_sights(
                 camera = unsure.cameras[images.camera[i]]
                 bend = ground_bend(camera, rotation[i], seen.pixels[i])
                 look = Look(targets.kind, seen.slope[i, :, :2] * targets.side_m / 2, part, bend)
-                if look.large_enough:
-                    own = Sight(name, seen.pixels[i], seen.covariance[i], look)
-                    sights.setdefault(images.names[i], []).append(own)
+                own = Sight(name, seen.pixels[i], seen.covariance[i], look)
+                sights.setdefault(images.names[i], []).append(own)
     return {name: tuple(own) for name, own in sights.items()}
 
 

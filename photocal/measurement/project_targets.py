@@ -91,9 +91,11 @@ def targets_of_project(
             "predicted": plain.sought,
             "found": len(plain.marks),
             "ambiguous": list(plain.ambiguous),
+            "too_small": list(plain.too_small),
         }
         warnings += [f"ambiguous, not used: {refusal}" for refusal in plain.ambiguous]
-        if not plain.marks:
+        warnings += [f"too small, not sought: {refusal}" for refusal in plain.too_small]
+        if plain.sought and not plain.marks:
             warnings.append(f"none of {plain.sought} predicted targets ({kinds}) was found")
     return Targets(tuple(marks), tuple(strangers), record, tuple(warnings))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -199,6 +200,24 @@ def test_targets_of_another_size_are_none(field: Field, tmp_path: Path) -> None:
     control = project.control.model_copy(update={"targets": half})
     other = replace(project, contents=project.contents.model_copy(update={"control": control}))
     assert _found(field, tmp_path, other, 2).marks == ()
+
+
+def test_targets_too_small_to_be_told_from_specks_are_named(field: Field, tmp_path: Path) -> None:
+    """An eighth of a metre from 15 m through 452 px: 4 px and less."""
+    project = field.project
+    small = tuple(own.model_copy(update={"side_m": 0.125}) for own in project.control.plain_targets)
+    control = project.control.model_copy(update={"targets": small})
+    found = _found(
+        field,
+        tmp_path,
+        replace(project, contents=project.contents.model_copy(update={"control": control})),
+        2,
+    )
+    assert found.marks == ()
+    assert found.sought == 0
+    said = dict(text.split(": ", 1) for text in found.too_small)
+    assert "point P1" in said
+    assert re.fullmatch(r"its cross is seen \d\.\d px wide at most, 12 px are needed", said["point P1"])
 
 
 def test_windows_are_as_large_as_the_covariance(field: Field) -> None:
