@@ -25,6 +25,8 @@ from photocal.geometry.camera import PARAMETERS, plane_to_pixel
 # Each family of tests alarms on a clean block in no more than 5 of 1000 cases.
 LEVEL = 0.005
 ROUNDS = 6
+# Steps in which an error is corrected, until this share of its standard deviation is left of it.
+_STEPS, _NEAR = 5, 0.005
 # Candidates count as alike when their displacements are this parallel and their F this close.
 ALIKE = 0.9
 
@@ -99,11 +101,9 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
     rounds = list[Round]()
     last = first
     while len(rounds) < ROUNDS:
-        worst = _worst(last, done)
-        if worst is None:
-            break
-        step = _corrected(last, worst)
-        if rounds and _same(rounds[-1].parameter.candidate, worst.candidate):
+        worst = _worst(last, tuple(one.parameter.candidate for one in rounds), done)
+        step = None if worst is None else _corrected(last, worst)
+        if step is None:
             break
         rounds.append(step)
         last = step.after
@@ -156,10 +156,12 @@ def camera_estimates(fitted: Fit, camera: int) -> Estimates:
     )
 
 
-def _worst(last: Fit, done: Callable[[], None]) -> ExtraParameter | None:
-    """Test every candidate; give the most significant one, or None."""
+def _worst(last: Fit, found: tuple[Candidate, ...], done: Callable[[], None]) -> ExtraParameter | None:
+    """Test every candidate that was not yet found; give the most significant one, or None."""
     tested = []
     for candidate in candidates(last.network, last.state):
+        if any(_same(candidate, one) for one in found):
+            continue
         outcome = estimated_amount(last, candidate)
         if outcome is not None:
             tested.append(outcome)
@@ -181,15 +183,26 @@ def _parallel(last: Fit, one: ExtraParameter, other: ExtraParameter) -> bool:
     return bool(abs(a @ b) > ALIKE * np.linalg.norm(a) * np.linalg.norm(b))
 
 
-def _corrected(before: Fit, worst: ExtraParameter) -> Round:
-    """Correct an error in two steps, the second for what the first left by being linear."""
-    plane, state = corrected(before, worst)
-    halfway = fit(with_measurements(before.network, plane), state)
-    rest = estimated_amount(halfway, worst.candidate)
-    amount = worst.amount + (rest.amount if rest is not None else 0.0)
-    total = replace(worst, amount=amount)
-    plane, _ = corrected(before, total)
-    after = fit(with_measurements(before.network, plane), halfway.state)
+def _corrected(before: Fit, worst: ExtraParameter) -> Round | None:
+    """Correct an error step by step, as large ones are not linear; None when that does not lower v'Pv.
+
+    A step that does not lower it is halved.
+    """
+    amount, step, after = 0.0, worst.amount, before
+    for _ in range(_STEPS):
+        total = replace(worst, amount=amount + step)
+        plane, _ = corrected(before, total)
+        trial = fit(with_measurements(before.network, plane), after.state)
+        if trial.solution.chi_squared >= after.solution.chi_squared:
+            step /= 2.0
+            continue
+        amount, after = total.amount, trial
+        rest = estimated_amount(after, worst.candidate)
+        if rest is None or abs(rest.amount) < _NEAR * rest.sigma:
+            break
+        step = rest.amount
+    if after is before:
+        return None
     fall = before.solution.chi_squared - after.solution.chi_squared
     outcome = judged(before, worst.candidate, amount, worst.sigma, fall)
     return Round(replace(outcome, alike=worst.alike), before, after)
