@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from drivers.errors import IllPosedError
 from photocal.block.model import Block
 from photocal.block.network import block_frame
+from photocal.measurement.ray_sigmas import GROSS
 from photocal.measurement.refine import HALF, Source, refine
 from photocal.measurement.start_block import NO_OBSERVATIONS, NO_POINTS, without_images
-from photocal.measurement.tie_adjustment import GROSS, Adjusted, adjust_ties, pixel_residuals
+from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, pixel_residuals
 from photocal.measurement.tie_block import orient
 from photocal.measurement.tracks import Tracks, of_images, spaced, thin, without_twins
 from photocal.measurement.views import Views, intersected, misses, views_of

@@ -29,9 +29,10 @@ from photocal.measurement.orientation import Orientation
 from photocal.measurement.oriented_ties import Progress, figures, orient_ties
 from photocal.measurement.pair_selection import Footprints, footprints
 from photocal.measurement.project_targets import targets_of_project
+from photocal.measurement.ray_sigmas import GROSS
 from photocal.measurement.released import camera_figures
 from photocal.measurement.start_block import NO_OBSERVATIONS, POSITION_SIGMA_M, without_images
-from photocal.measurement.tie_adjustment import GROSS, Adjusted, adjust_ties, pixel_residuals
+from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, pixel_residuals
 from photocal.measurement.tie_block import place, with_ties
 from photocal.measurement.views import local_poses
 from photocal.project import Project

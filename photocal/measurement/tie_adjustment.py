@@ -14,18 +14,14 @@ from photocal.block.model import Block, Images
 from photocal.block.network import Assembly, assemble
 from photocal.block.run import given_exposures, given_points
 from photocal.geometry.camera import Camera
+from photocal.measurement.ray_sigmas import GROSS, ray_sigmas
 from photocal.measurement.tie_block import fitting, place, with_ties
 from photocal.measurement.tracks import Tracks
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-# A ray is wrong when its residual exceeds so many of its standard deviations.
-GROSS = 3.5
 _ROUNDS = 8
-# Rays of a kind have one sigma: classes of feature scale, or of the precision of the match.
-CLASSES, FEWEST_IN_CLASS = 8, 200
-FINEST_PX = 0.02
 
 
 @dataclass(frozen=True)
@@ -86,7 +82,7 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
         poses = given_exposures(assembly, solution)[0]
         size, redundancy = _by_ray(assembly, solution)
         ties = slice(len(start.observations.image), None)
-        sigma = class_sigmas(tracks.scale, size[ties], redundancy[ties])
+        sigma = ray_sigmas(tracks.scale, tracks.image, size[ties], redundancy[ties])
         # A residual shows the part of the error that the redundancy number says.
         standardised = size[ties] / (sigma * np.sqrt(2 * np.maximum(redundancy[ties], 0.05)))
         good = standardised <= (GROSS if round_ else 2 * GROSS)
@@ -106,44 +102,6 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
         points=replace(block.points, values=points),
     )
     return Adjusted(block, tracks, values, assembly, solution, total - len(tracks.track))
-
-
-def class_sigmas(scale: Floats, size: Floats, redundancy: Floats) -> Floats:
-    """Sigma of a coordinate for each ray: of its class of scale, robust against what is still wrong.
-
-    Parameters
-    ----------
-    scale : ndarray, shape (n,)
-        What the precision depends on.
-    size : ndarray, shape (n,)
-        Length of the residual, px.
-    redundancy : ndarray, shape (n,)
-        Mean of the two redundancy numbers.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-    """
-    classes = int(np.clip(len(scale) // FEWEST_IN_CLASS, 1, CLASSES))
-    edges = np.quantile(scale, np.linspace(0, 1, classes + 1)[1:-1])
-    member = np.searchsorted(edges, scale)
-    sigma = np.ones(len(scale))
-    for k in range(classes):
-        mine = (member == k) & (redundancy > 0.05)
-        if mine.any():
-            sigma[member == k] = _sigma_of_the_kept(size[mine] ** 2, 2 * redundancy[mine])
-    return np.maximum(sigma, FINEST_PX)
-
-
-def _sigma_of_the_kept(squares: Floats, redundancy: Floats) -> float:
-    """Sigma of the rays that stay when those beyond `GROSS` of it are rejected."""
-    share = squares / redundancy
-    # Such shares are exponential in units of the variance: their median is ln 2 of it.
-    variance = float(np.median(share) / np.log(2))
-    for _ in range(_ROUNDS):
-        good = share <= GROSS**2 * variance
-        variance = float(squares[good].sum() / redundancy[good].sum())
-    return float(np.sqrt(variance))
 
 
 def _placed(start: Block, tracks: Tracks) -> Tracks:

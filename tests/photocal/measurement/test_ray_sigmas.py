@@ -1,11 +1,11 @@
-"""Sigmas of tie points by class, against drawn errors of known size."""
+"""Sigmas of tie points by class and image, against drawn errors of known size."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from photocal.measurement.tie_adjustment import GROSS, class_sigmas
+from photocal.measurement.ray_sigmas import GROSS, class_sigmas, ray_sigmas
 
 
 def drawn(sigma: np.ndarray, redundancy: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -50,3 +50,29 @@ def test_few_rays_are_one_class() -> None:
     rng = np.random.default_rng(4)
     scale, redundancy = rng.uniform(size=300), np.full(300, 0.5)
     assert len(np.unique(class_sigmas(scale, drawn(np.full(300, 0.1), redundancy, rng), redundancy))) == 1
+
+
+def test_each_image_has_its_factor() -> None:
+    """Two flying heights, and one image that is blurred; the classes stay what they are."""
+    rng = np.random.default_rng(5)
+    scale, image = rng.uniform(0, 8, 40_000), rng.integers(40, size=40_000)
+    factor = np.where(np.arange(40) < 20, 0.85, 1.15)
+    factor[7] = 3.0
+    true = (0.04 + 0.02 * np.floor(scale)) * factor[image]
+    redundancy = rng.uniform(0.3, 0.95, len(scale))
+    ratio = ray_sigmas(scale, image, drawn(true, redundancy, rng), redundancy) / true
+    # 1000 rays of an image know its factor to 1.6 %.
+    for k in range(40):
+        assert np.median(ratio[image == k]) == pytest.approx(1.0, abs=0.06)
+    for k in range(8):
+        assert np.median(ratio[np.floor(scale) == k]) == pytest.approx(1.0, abs=0.03)
+
+
+def test_an_image_of_few_rays_has_the_sigmas_of_all() -> None:
+    rng = np.random.default_rng(6)
+    image = np.where(np.arange(2000) < 1960, 0, 1)
+    true = np.where(image == 0, 0.1, 0.2)
+    redundancy = np.full(2000, 0.5)
+    found = ray_sigmas(np.zeros(2000), image, drawn(true, redundancy, rng), redundancy)
+    assert len(np.unique(found)) == 1
+    assert found[0] == pytest.approx(0.1, rel=0.05)
