@@ -34,7 +34,7 @@ FOLDERS = (
 )
 PATCHES, SIDE = 5_000, 160
 DICTIONARIES = ("apriltag_36h11", "apriltag_25h9", "4x4_50", "6x6_250", "aruco_mip_36h12")
-# The patches are drawn twice: thresholds were set with an eye on the first draw alone.
+# The patches are drawn twice: thresholds were set without a look at the second draw.
 SEEDS = (8, 2029)
 # Sizes of uncoded targets are drawn between the least that is read and this, px.
 LARGEST = 50.0
@@ -110,8 +110,8 @@ def main(shared: Path) -> None:
         "Made by `python -m tests.evidence.targets`.",
         "",
         f"Patches of {SIDE} x {SIDE} px, {PATCHES} of {len({task.path for task in tasks})} recorded pictures",
-        "(a beach, a facade, a street, a church from the air), drawn twice; thresholds were set with",
-        "an eye on the first draw alone. An uncoded target of a size that is drawn between the least",
+        "(a beach, a facade, a street, a church from the air), drawn twice; thresholds were set without",
+        "a look at the second draw. An uncoded target of a size that is drawn between the least",
         f"that is read ({least} px) and {LARGEST:g} px is",
         "sought in the whole patch, as if the prediction were as unsure as that; in a project it must also",
         "be the only one in the window of its point. Boards have 7 x 5 squares.",
