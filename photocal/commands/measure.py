@@ -12,7 +12,7 @@ from drivers.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from photocal.measurement.match_images import MatchingPlan
-    from photocal.measurement.workers import Workers
+    from photocal.tasks.workers import Workers
 
 # A principal distance that is known no better than this is worth a warning.
 WEAK = 0.005
@@ -212,7 +212,7 @@ def _marked_text(record: dict[str, Any], output: Path) -> str:
 def _crew(workers: int, cluster: str) -> Workers:
     import os
 
-    from photocal.measurement.cluster import Cluster
+    from photocal.tasks.cluster import Cluster
 
     if cluster and workers:
         raise ConfigurationError(
@@ -223,8 +223,8 @@ def _crew(workers: int, cluster: str) -> Workers:
 
 def _plan(crew: Workers, cache: Path | None, images: Path) -> MatchingPlan:
     from photocal.measurement.cache import default_cache
-    from photocal.measurement.cluster import Cluster
     from photocal.measurement.match_images import MatchingPlan
+    from photocal.tasks.cluster import Cluster
 
     folder = (cache or default_cache()).resolve()
     if isinstance(crew, Cluster):

@@ -13,7 +13,7 @@ from photocal.measurement.cache import Arrays, cached, combined_key
 from photocal.measurement.image_file import read_grey
 from photocal.measurement.markers import dictionary, find_markers
 from photocal.measurement.refine import Source
-from photocal.measurement.workers import Workers, run_tasks
+from photocal.tasks.workers import Workers, run_tasks
 
 # Raised whenever the meaning of cached results changes.
 VERSION = 3

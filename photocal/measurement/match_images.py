@@ -15,7 +15,7 @@ from photocal.measurement.features import Features, FeatureSettings, detect
 from photocal.measurement.image_file import as_eight_bit, read_grey
 from photocal.measurement.matching import MatchSettings, match
 from photocal.measurement.tracks import Tracks, join_tracks
-from photocal.measurement.workers import Workers, run_tasks
+from photocal.tasks.workers import Workers, run_tasks
 
 Integers = NDArray[np.int64]
 

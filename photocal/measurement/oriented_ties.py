@@ -20,7 +20,7 @@ from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, pixel_res
 from photocal.measurement.tie_block import orient
 from photocal.measurement.tracks import Tracks, of_images, spaced, thin, without_twins
 from photocal.measurement.views import Views, intersected, misses, views_of
-from photocal.measurement.workers import Workers
+from photocal.tasks.workers import Workers
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -24,8 +24,8 @@ from photocal.measurement.refine import Source
 from photocal.measurement.target_look import PARTS, SMALLEST_PX, Look
 from photocal.measurement.target_search import find_targets
 from photocal.measurement.views import local_poses
-from photocal.measurement.workers import Workers, run_tasks
 from photocal.project_tables import PlainTargets
+from photocal.tasks.workers import Workers, run_tasks
 
 Floats = NDArray[np.float64]
 

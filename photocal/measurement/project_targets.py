@@ -14,8 +14,8 @@ from photocal.measurement.orientation import Orientation
 from photocal.measurement.oriented_ties import Progress
 from photocal.measurement.plain_targets import find_plain_targets
 from photocal.measurement.refine import Source
-from photocal.measurement.workers import Workers
 from photocal.project import Project
+from photocal.tasks.workers import Workers
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from photocal.measurement.cache import Arrays, array_key, cached, combined_key
 from photocal.measurement.image_file import as_eight_bit, read_grey
 from photocal.measurement.tracks import Tracks
 from photocal.measurement.views import Views
-from photocal.measurement.workers import Workers, run_tasks
+from photocal.tasks.workers import Workers, run_tasks
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]

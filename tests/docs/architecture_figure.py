@@ -22,6 +22,7 @@ SHARED = (
     "photocal.checked_toml",
     "photocal.compiled",
     "photocal.geopackage",
+    "photocal.tasks",
 )
 ABOVE_ALL = "photocal.demo"
 

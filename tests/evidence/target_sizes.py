@@ -24,7 +24,7 @@ from photocal.measurement.markers import dictionary, find_markers
 from photocal.measurement.marking.snap import COMMON_PX, snap
 from photocal.measurement.target_look import PARTS, SMALLEST_PX, Look
 from photocal.measurement.target_search import find_targets
-from photocal.measurement.workers import run_tasks
+from photocal.tasks.workers import run_tasks
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

@@ -21,7 +21,7 @@ from photocal.measurement.image_file import as_eight_bit, list_images, read_grey
 from photocal.measurement.markers import find_markers
 from photocal.measurement.target_look import PARTS, SMALLEST_PX, Kind, Look
 from photocal.measurement.target_search import WITHIN, find_targets
-from photocal.measurement.workers import run_tasks
+from photocal.tasks.workers import run_tasks
 
 Floats = NDArray[np.float64]
 ROOT = Path(__file__).parents[2]

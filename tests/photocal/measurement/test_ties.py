@@ -22,7 +22,7 @@ from photocal.measurement.match_images import MatchingPlan, detect_all, match_al
 from photocal.measurement.matching import MatchSettings, match, mutual_matches
 from photocal.measurement.pair_selection import Footprints, footprints, select_pairs
 from photocal.measurement.tracks import Tracks, join_tracks, spaced, thin
-from photocal.measurement.workers import run_tasks
+from photocal.tasks.workers import run_tasks
 
 
 class Answer(Protocol):

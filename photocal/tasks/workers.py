@@ -11,7 +11,7 @@ from multiprocessing import get_context
 from typing import TypeVar
 
 from drivers.errors import ProgramMissingError
-from photocal.measurement.cluster import Cluster
+from photocal.tasks.cluster import Cluster
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
