@@ -122,7 +122,8 @@ def plate(kind: str, half_side_px: float) -> tuple[Floats, Floats]:
     margin = MARGIN.get(kind, PLAIN_MARGIN)
     half = np.array([BOARD.columns + 1, BOARD.rows + 1]) if kind == "board" else np.full(2, 1 + 2 * margin)
     columns, rows = (max(round(2 * n * half_side_px), 16) for n in half)
-    over = 4
+    # Large plates are drawn finely enough as they are, and would not fit into memory.
+    over = 4 if half_side_px < 100 else 1
     u, v = (
         ((np.arange(n * over) + 0.5) / (n * over) - 0.5) * 2 * h
         for n, h in ((columns, half[0]), (rows, half[1]))
