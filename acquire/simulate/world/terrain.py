@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,8 @@ from acquire.simulate.world import configuration
 Floats = NDArray[np.float64]
 
 STEP_M = 2.0
+# A ray meets the ground when it misses it by less.
+_MEETS_M, _MOST_STEPS = 1e-7, 60
 
 
 @dataclass(frozen=True)
@@ -38,34 +41,86 @@ class Terrain:
         )
         return np.asarray(heights)
 
-    def intersect(self, start_m: Floats, direction: Floats, steps: int = 14) -> Floats:
-        """Give where rays meet the ground.
+    def intersect(self, start_m: Floats, direction: Floats) -> Floats:
+        """Give where rays first meet the ground.
 
         Parameters
         ----------
         start_m, direction : ndarray, shape (n, 3)
-            The rays; the directions point downwards.
-        steps : int
-            Steps of the secant method; the first ones go from the mean height.
+            The rays, from above the highest ground; the directions point downwards.
 
         Returns
         -------
         ndarray, shape (n, 3)
             The points, m.
         """
-        mean = float(self.coefficients.mean())
-        before = (mean + 1.0 - start_m[:, 2]) / direction[:, 2]
-        now = (mean - start_m[:, 2]) / direction[:, 2]
-        miss_before = self._miss(start_m, direction, before)
-        for _ in range(steps):
-            miss = self._miss(start_m, direction, now)
-            if np.abs(miss).max() < 1e-7:
+        above, below = (
+            (height - start_m[:, 2]) / direction[:, 2] for height in (self._highest + 1, self._lowest - 1)
+        )
+        flatness = np.hypot(direction[:, 0], direction[:, 1]) / -direction[:, 2]
+        # A ray steeper than any slope goes into the ground once; others may come out of a hill again.
+        grazing = np.flatnonzero(flatness * self._steepest >= 1.0)
+        if len(grazing):
+            rays = start_m[grazing], direction[grazing]
+            above[grazing], below[grazing] = self._first(*rays, above[grazing], below[grazing])
+        along = self._between(start_m, direction, above, below)
+        return np.asarray(start_m + along[:, None] * direction)
+
+    @cached_property
+    def _nodes(self) -> Floats:
+        """Heights at the nodes."""
+        rows, columns = np.indices(self.coefficients.shape)
+        return np.asarray(
+            map_coordinates(self.coefficients, [rows, columns], order=3, mode="nearest", prefilter=False)
+        )
+
+    @cached_property
+    def _highest(self) -> float:
+        # A spline stays within its coefficients.
+        return float(self.coefficients.max())
+
+    @cached_property
+    def _lowest(self) -> float:
+        return float(self.coefficients.min())
+
+    @cached_property
+    def _steepest(self) -> float:
+        """Bound of the slope: that of the nodes, and something for what lies between."""
+        down, across = np.gradient(self._nodes, STEP_M)
+        return 1.5 * float(np.hypot(down, across).max())
+
+    def _first(
+        self, start_m: Floats, direction: Floats, above: Floats, below: Floats
+    ) -> tuple[Floats, Floats]:
+        """Walk along rays until they are under the ground: the last place above it, the first one below."""
+        way = (below - above) * np.hypot(direction[:, 0], direction[:, 1])
+        count = int(np.ceil(way.max() / (STEP_M / 2)))
+        step = (below - above) / count
+        found = np.full(len(above), count)
+        left = np.arange(len(above))
+        for k in range(1, count):
+            here = above[left] + k * step[left]
+            under = self._miss(start_m[left], direction[left], here) < 0
+            found[left[under]] = k
+            left = left[~under]
+            if not len(left):
                 break
-            change = miss - miss_before
-            slope = np.where(np.abs(change) > 1e-12, change, 1.0)
-            step = np.where(np.abs(change) > 1e-12, miss * (now - before) / slope, 0.0)
-            before, miss_before, now = now, miss, now - step
-        return np.asarray(start_m + now[:, None] * direction)
+        return above + (found - 1) * step, above + found * step
+
+    def _between(self, start_m: Floats, direction: Floats, above: Floats, below: Floats) -> Floats:
+        """Find the root between two places by false position (Dowell and Jarratt 1971, "Illinois")."""
+        a, b = above.copy(), below.copy()
+        of_a, of_b = (self._miss(start_m, direction, one) for one in (a, b))
+        root = a
+        for _ in range(_MOST_STEPS):
+            root = b - of_b * (b - a) / np.where(of_b == of_a, 1.0, of_b - of_a)
+            of_root = self._miss(start_m, direction, root)
+            if np.abs(of_root).max(initial=0.0) < _MEETS_M:
+                break
+            across = of_root * of_b < 0
+            a, of_a = np.where(across, b, a), np.where(across, of_b, of_a / 2)
+            b, of_b = root, of_root
+        return np.asarray(root)
 
     def _miss(self, start_m: Floats, direction: Floats, along: Floats) -> Floats:
         point = start_m + along[:, None] * direction

@@ -76,6 +76,24 @@ def test_rays_meet_the_ground(world: World) -> None:
     assert np.abs(back - pixels).max() < 1e-6
 
 
+def test_rays_meet_what_stands_before_the_rest() -> None:
+    """Steep hills, oblique rays: no place of a ray above where it ends lies under the ground."""
+    rough = make_terrain(
+        configuration.Terrain(relief_m=12.0, longest_m=60.0), 150.0, np.random.default_rng(4)
+    )
+    rng = np.random.default_rng(5)
+    start = np.column_stack([rng.uniform(-40, 40, (400, 2)), np.full(400, 60.0)])
+    rays = np.column_stack([rng.uniform(-1, 1, (400, 2)), np.full(400, -1.0)])
+    ground = rough.intersect(start, rays)
+    assert np.abs(ground[:, 2] - rough.height(ground[:, 0], ground[:, 1])).max() < 1e-6
+    ends = (start[:, 2] - ground[:, 2]) / -rays[:, 2]
+    along = np.linspace(0, 0.995, 2000)[:, None, None] * ends[:, None]
+    places = start + along * rays
+    clear = places[..., 2] - rough.height(places[..., 0], places[..., 1])
+    # A crest thinner than a metre may be passed through.
+    assert np.mean((clear < -0.05).any(axis=0)) < 0.01
+
+
 def test_relief_is_as_asked_and_flat_ground_is_flat() -> None:
     rough = make_terrain(configuration.Terrain(relief_m=5.0), 100.0, np.random.default_rng(3))
     heights = rough.height(*np.meshgrid(np.arange(-100, 101, 2.0), np.arange(-100, 101, 2.0)))
