@@ -152,8 +152,11 @@ def round_the_middle(network: Network, before: State, after: State) -> State:
     turns = Rotation.from_matrix(np.swapaxes(after.rotation, 1, 2) @ before.rotation).as_rotvec()
     turn, middle = np.median(turns, axis=0), before.centre.mean(axis=0)
     matrix = Rotation.from_rotvec(turn).as_matrix()
+    # Two products of matrices: other ways cost large blocks several times as much.
+    along = matrix @ np.cross(np.eye(3), turn)
+    shift = middle - matrix @ middle + along @ middle
 
     def bent(old: Floats, new: Floats) -> Floats:
-        return np.asarray((new - np.cross(turn, old - middle) - middle) @ matrix.T + middle)
+        return np.asarray(new @ matrix.T - old @ along.T + shift)
 
     return replace(after, centre=bent(before.centre, after.centre), points=bent(before.points, after.points))
