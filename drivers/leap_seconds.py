@@ -33,18 +33,7 @@ class LeapSeconds:
 
 
 def parse_leap_seconds(text: str) -> LeapSeconds:
-    """Read a table in the form of the time zone database (`leapseconds`).
-
-    Parameters
-    ----------
-    text : str
-        Lines `Leap 2016 Dec 31 23:59:60 + S`, and `#expires` with seconds since 1970.
-
-    Raises
-    ------
-    ValueError
-        When it has no leap second or no expiry.
-    """
+    """Read a table in the form of the time zone database (`leapseconds`)."""
     expires = _EXPIRES.search(text)
     leaps = [
         (dt.date(int(year), 1 + _MONTHS.index(month), int(day)) + dt.timedelta(days=1), int(f"{sign}1"))

@@ -103,13 +103,6 @@ class TlogFramer:
         """Take over walked records up to the first that breaks the row.
 
         Records that are not plainly intact are examined singly: unknown messages keep the row.
-
-        Returns
-        -------
-        int
-            Where the first record begins that was not taken over.
-        bool
-            Whether all were taken over.
         """
         upto = len(rows)
         for index in np.flatnonzero(~intact).tolist():

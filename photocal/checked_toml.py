@@ -25,15 +25,10 @@ def read_toml(path: Path, model: type[Content], context: dict[str, Any] | None =
 
     Parameters
     ----------
-    path : Path
     model : type
         What the file must be.
     context : dict, optional
         For the validators of the model.
-
-    Returns
-    -------
-    model
 
     Raises
     ------

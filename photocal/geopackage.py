@@ -66,7 +66,6 @@ class Layer:
 
     Attributes
     ----------
-    name : str
     kind : {"POINT", "LINESTRING", "POLYGON"}
     has_heights : bool
         Whether corners have three coordinates.
@@ -126,7 +125,6 @@ def add_layer(
     ----------
     database : Connection
         From `geopackage`.
-    layer : Layer
     system : ReferenceSystem
         The one that the file was made with, or one that each file has.
     features : iterable of Feature

@@ -98,14 +98,6 @@ class Project:
 def read_project(path: Path) -> Project:
     """Read and check a project file.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Project
-
     Raises
     ------
     InputNotFoundError

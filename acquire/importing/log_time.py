@@ -45,20 +45,6 @@ def derived(
 
     Each frame has the last time that was told before it; what comes before the first time has that one.
     Times never go back.
-
-    Parameters
-    ----------
-    batches : iterable of Batch
-        The frames.
-    clock : Clock
-        Reads the time.
-    where : object
-        The recording, for the message.
-
-    Raises
-    ------
-    InputMalformedError
-        When no message tells date and time.
     """
     waiting: list[Batch] = []
     last = -1

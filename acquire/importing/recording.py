@@ -115,13 +115,7 @@ class Source:
 
 @contextmanager
 def open_recording(path: Path) -> Iterator[Source]:
-    """Open a recording.
-
-    Raises
-    ------
-    InputNotFoundError
-        When it is missing, empty, a folder or may not be read.
-    """
+    """Open a recording."""
     if path.is_dir():
         raise InputNotFoundError("is a folder, a recording was expected", where=path, remedy="name the file")
     try:
@@ -139,13 +133,7 @@ def open_recording(path: Path) -> Iterator[Source]:
 
 
 def identify(source: Source, dialect: Dialect) -> Format:
-    """Tell the format of a recording by what its first part holds.
-
-    Raises
-    ------
-    InputMalformedError
-        When there is no frame of any format that is known.
-    """
+    """Tell the format of a recording by what its first part holds."""
     head = bytearray()
     for piece in source.pieces():
         head += piece

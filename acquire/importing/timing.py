@@ -54,26 +54,7 @@ class Way:
 
 
 def way_of(source: Source, form: Format, link: str, dialect: Dialect, near_ns: int) -> Way:
-    """Return the way of a recording.
-
-    Parameters
-    ----------
-    source : Source
-        The recording; that of an autopilot is read once to tie its clock to UTC.
-    form : Format
-        What it is.
-    link : str
-        Name of its link.
-    dialect : Dialect
-        The known MAVLink messages.
-    near_ns : int
-        UTC within half a day of the beginning of streams that do not tell their date; -1 if unknown.
-
-    Raises
-    ------
-    InputMalformedError
-        When nothing in an autopilot's log tells UTC.
-    """
+    """Return the way of a recording."""
     # Each format brings its own modules: an import of a small log takes little longer than theirs.
     if form is TELEMETRY_LOG:
         # Host stamps are UTC already; what a receiver tells in GPS time needs the leap seconds.

@@ -128,15 +128,7 @@ def attachment_record(name: str, media_type: str, data: bytes, log_ns: int, crea
 
 
 def message_records(head: NDArray[np.void], payloads: Payloads) -> bytes | memoryview:
-    """Return the records of messages.
-
-    Parameters
-    ----------
-    head : structured array (n,)
-        What stands before each payload, see `MESSAGE_ROW`.
-    payloads : sequence of bytes or Pieces (n,)
-        The payloads.
-    """
+    """Return the records of messages."""
     width = head.itemsize
     if not isinstance(payloads, Pieces):
         heads = head.tobytes()

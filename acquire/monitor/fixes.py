@@ -54,17 +54,7 @@ def number(row: Mapping[str, Any], name: str) -> float | None:
 def receiver_after(
     before: Receiver | None, row: Mapping[str, Any], time_ns: int
 ) -> tuple[Receiver, list[tuple[str, str]]]:
-    """Return a receiver after a message, and level and words of what is to be told.
-
-    Parameters
-    ----------
-    before : Receiver or None
-        What was known of it.
-    row : mapping
-        A message of the type `acquire.channels.layouts.GNSS_STATUS`.
-    time_ns : int
-        When it was received, UTC.
-    """
+    """Return a receiver after a message, and level and words of what is to be told."""
     fix = row["fix"]
     same = before is not None and before.fix == fix
     now = Receiver(

@@ -31,15 +31,7 @@ V = TypeVar("V")
 
 
 def fold(state: State, chunk: Sequence[Messages]) -> State:
-    """Return the state after the messages of a chunk.
-
-    Parameters
-    ----------
-    state : State
-        What was known before.
-    chunk : sequence of Messages
-        The messages, channel by channel.
-    """
+    """Return the state after the messages of a chunk."""
     times = [ns for part in chunk if len(part.log_ns) for ns in (part.log_ns.min(), part.log_ns.max())]
     if not times:
         return state

@@ -30,25 +30,7 @@ def hidden_host() -> str:
 
 @contextmanager
 def gate(address: Address, behind: tuple[str, int]) -> Iterator[str]:
-    """Let connections through to a server until the end of the block, if their address has the token.
-
-    Parameters
-    ----------
-    address : Address
-        Where to listen.
-    behind : (str, int)
-        The server.
-
-    Yields
-    ------
-    str
-        What to open, with the token: ``ws://HOST:PORT/?token=...``.
-
-    Raises
-    ------
-    ConfigurationError
-        When the port is taken.
-    """
+    """Let connections through to a server until the end of the block, if their address has the token."""
     token = secrets.token_urlsafe(TOKEN_BYTES)
     listener = address.listen()
     bound = Address(address.host, listener.getsockname()[1])
@@ -111,15 +93,7 @@ async def _carry(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> 
 
 
 def has_token(head: bytes, token: str) -> bool:
-    """Tell whether the head of a request has the token in its target.
-
-    Parameters
-    ----------
-    head : bytes
-        Of an HTTP request.
-    token : str
-        The token.
-    """
+    """Tell whether the head of a request has the token in its target."""
     words = head.partition(b"\r\n")[0].split(b" ")
     if len(words) != 3:
         return False

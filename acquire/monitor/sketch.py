@@ -72,15 +72,7 @@ def sketch(layers: Sequence[Layer], width: int, height: int) -> Text:
 
 
 def metres(points: NDArray[np.float64], origin: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return metres east and north of an origin, with the radii of curvature there.
-
-    Parameters
-    ----------
-    points : float64 (n, 2)
-        Latitude and longitude, degrees.
-    origin : float64 (2,)
-        Likewise.
-    """
+    """Return metres east and north of an origin, with the radii of curvature there."""
     sine = math.sin(math.radians(origin[0]))
     w = math.sqrt(1 - _E2 * sine**2)
     meridian = _A * (1 - _E2) / w**3

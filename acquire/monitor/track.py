@@ -41,17 +41,7 @@ class Track:
 
 
 def extended(track: Track, points: NDArray[np.float64], times_ns: NDArray[np.int64]) -> Track:
-    """Add points.
-
-    Parameters
-    ----------
-    track : Track
-        What there was.
-    points : float64 (n, 2)
-        Latitude and longitude, degrees.
-    times_ns : int64 (n,)
-        When it was there, UTC.
-    """
+    """Add points."""
     if not len(points):
         return track
     least_m2 = (STEP_M * 2**track.thinned) ** 2

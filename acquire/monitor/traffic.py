@@ -23,17 +23,7 @@ RATE_OVER_S = 5
 
 
 def link_after(link: Link, what: str, part: Messages) -> Link:
-    """Return a link after octets.
-
-    Parameters
-    ----------
-    link : Link
-        What was known of it.
-    what : str
-        One of `OCTETS`.
-    part : Messages
-        The octets.
-    """
+    """Return a link after octets."""
     if what == "sent":
         return replace(link, corrected_ns=max([link.corrected_ns, *_correction_times(part)]))
     size = sum(map(len, part.payloads))

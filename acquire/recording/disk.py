@@ -58,13 +58,7 @@ def new_file(path: Path) -> WholeWrites:
 
 
 def new_path(folder: Path, time_ns: int) -> Path:
-    """Return the path of a file that does not exist yet; the folder is made.
-
-    Raises
-    ------
-    OutputError
-        When the folder cannot be made.
-    """
+    """Return the path of a file that does not exist yet; the folder is made."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as failure:

@@ -33,13 +33,7 @@ def link_sessions(
     positions: dict[str, CasterPosition],
     dialect: Dialect,
 ) -> dict[str, LinkSession]:
-    """Return the sessions of all links, with the ways of corrections and positions between them.
-
-    Raises
-    ------
-    ConfigurationError
-        When an autopilot is asked for a message that does not exist.
-    """
+    """Return the sessions of all links, with the ways of corrections and positions between them."""
     sessions = {
         link.name: LinkSession(link, writer, sources[link.name], dialect) for link in configuration.link
     }

@@ -33,21 +33,7 @@ def read_link(
     stop: threading.Event,
     clock_ns: Callable[[], int],
 ) -> None:
-    """Read a link until told to stop, and then what has arrived by then; to be run in a thread of its own.
-
-    Parameters
-    ----------
-    link : str
-        Its name.
-    source : Source
-        Where it comes from.
-    arrivals : queue
-        Where the bytes go.
-    stop : Event
-        Ends the reading.
-    clock_ns : callable
-        The clock of the host, UTC nanoseconds since 1970.
-    """
+    """Read a link until told to stop, and then what has arrived by then; to be run in a thread of its own."""
     pause = _FIRST_PAUSE_S
     told = peer = ""
     while not stop.is_set():

@@ -24,8 +24,6 @@ def on_ports(
 
     Parameters
     ----------
-    flight : PlayedFlight
-    clock : FlightClock
     udp_port : int
         To which the vehicle sends; 0 for any that is free.
     base_on_tcp : bool
@@ -60,7 +58,6 @@ def record_settings(flight: PlayedFlight, urls: Mapping[str, str], output: Path)
 
     Parameters
     ----------
-    flight : PlayedFlight
     urls : dict of str to str
         Of the links.
     output : Path

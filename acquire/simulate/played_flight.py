@@ -64,10 +64,6 @@ def read_flight(source: Path) -> PlayedFlight:
     source : Path
         A folder that `acquire simulate flight` made, or a configuration.
 
-    Returns
-    -------
-    PlayedFlight
-
     Raises
     ------
     InputNotFoundError

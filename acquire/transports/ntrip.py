@@ -32,19 +32,7 @@ class Address:
 
 
 def ntrip_address(url: str) -> Address | None:
-    """Return the caster that a URL names; None when it is no NTRIP URL.
-
-    Parameters
-    ----------
-    url : str
-        ``ntrip://HOST:PORT/MOUNTPOINT``, with TLS ``ntrips://``; ``?version=1`` for casters of the old kind
-        that do not take a request of version 2.
-
-    Raises
-    ------
-    ConfigurationError
-        When it cannot be meant, or carries a password.
-    """
+    """Return the caster that a URL names; None when it is no NTRIP URL."""
     if not url.startswith(("ntrip:", "ntrips:")):
         return None
     try:

@@ -267,21 +267,7 @@ class FileSource:
 
 
 def source_of(url: str, baud: int) -> Source:
-    """Return the source of a URL.
-
-    Parameters
-    ----------
-    url : str
-        ``udp://HOST:PORT`` (local address), ``tcp://HOST:PORT``, ``serial:DEVICE``, ``socket://``,
-        ``loop://``, ``rfc2217://`` or ``file:PATH``.
-    baud : int
-        Speed of serial lines.
-
-    Raises
-    ------
-    ConfigurationError
-        When the URL cannot be meant.
-    """
+    """Return the source of a URL."""
     scheme, _, rest = url.partition(":")
     if scheme == "serial" and rest:
         return SerialSource(rest, baud)

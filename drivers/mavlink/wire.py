@@ -78,22 +78,7 @@ class MavlinkGrammar:
         return (length, kind, True) if agrees else NOTHING
 
     def examine(self, window: Window, at: int, ends: Callable[[int], bool | None]) -> Examination:
-        """Examine one place for a frame of any message.
-
-        Parameters
-        ----------
-        window : Window
-            The stream.
-        at : int
-            Index of a start byte in it.
-        ends : callable
-            Tells whether a frame may end before the given index; None when more bytes are needed to tell.
-
-        Returns
-        -------
-        (int, int, bool)
-            Length, kind and whether the message is known, see `Examination`.
-        """
+        """Examine one place for a frame of any message."""
         found = self.examine_known(window, at)
         if found[0]:
             return found

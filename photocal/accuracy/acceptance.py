@@ -62,26 +62,6 @@ def form_verdict(
 
     Only RMSE are accepted: the form also offers the mean square error for the same cells, but a square
     cannot be compared with a pixel size.
-
-    Parameters
-    ----------
-    image_rmse_m : tuple of float
-        RMSE of the image residuals in x and y, m (item 2.q).
-    pixel_m : float
-        Pixel size, m.
-    plane_rmse_m : float
-        Planimetric RMSE at the check points, m (item 2.r).
-    gsd_m : float
-        Ground sample distance, m.
-    height_rmse_m : float
-        Height RMSE at the check points, m (item 2.r).
-    dz_m : float
-        Expected altimetric accuracy, m, from `expected_altimetric_accuracy` of the planning.
-
-    Returns
-    -------
-    Verdict
-        With the four limits in the units of the form.
     """
     image = tuple(
         Limit("2.q", f"RMSE of the image residuals in {axis}", rmse * 1e3, pixel_m * 1e3, "mm")

@@ -55,18 +55,7 @@ def to_text(assessment: Assessment) -> str:
 
 
 def findings_text(said: tuple[Finding, ...]) -> str:
-    """Write findings one below the other.
-
-    Parameters
-    ----------
-    said : tuple of Finding
-        The findings.
-
-    Returns
-    -------
-    str
-        One paragraph each, or a line that says that there is nothing.
-    """
+    """Write findings one below the other."""
     if not said:
         return "Nothing to remark."
     return "\n".join(

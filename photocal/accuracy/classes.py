@@ -102,58 +102,17 @@ class AdmittedSize:
 
 
 def sample(vectors_m: FloatArray) -> Sample:
-    """Make a sample from discrepancies.
-
-    Parameters
-    ----------
-    vectors_m : ndarray, shape (n, k)
-        Discrepancies in two (plane) or one (height) components, m, n at least 1.
-
-    Returns
-    -------
-    Sample
-        With moments and lengths.
-    """
+    """Make a sample from discrepancies."""
     return Sample(tuple(moments(column) for column in vectors_m.T), lengths(vectors_m))
 
 
 def component_sigma(ep_m: float, components: int) -> float:
-    """Divide the standard error of a class among the components.
-
-    Parameters
-    ----------
-    ep_m : float
-        Standard error of the class, m.
-    components : int
-        2 for planimetry, 1 for heights.
-
-    Returns
-    -------
-    float
-        Standard deviation for each component, m (Alves Junior et al. 2015, equations 5-6).
-    """
+    """Divide the standard error of a class among the components."""
     return ep_m / math.sqrt(components)
 
 
 def decide(product: Sample, limit: ClassLimit, share_required: float, confidence: float) -> ClassDecision:
-    """Decide whether a product reaches a class.
-
-    Parameters
-    ----------
-    product : Sample
-        Its check points.
-    limit : ClassLimit
-        What the class allows at the scale or interval in question.
-    share_required : float
-        Share of the points that must lie within PEC, 0 to 1.
-    confidence : float
-        Level of the chi-square test, 0 to 1.
-
-    Returns
-    -------
-    ClassDecision
-        Precision and accuracy apart.
-    """
+    """Decide whether a product reaches a class."""
     sigma = component_sigma(limit.ep_m, len(product.components))
     testable = all(component.n > 1 for component in product.components)
     precision = (
@@ -174,26 +133,7 @@ def decide(product: Sample, limit: ClassLimit, share_required: float, confidence
 def admitted_size(
     product: Sample, table: LimitTable, name: str, share_required: float, confidence: float
 ) -> AdmittedSize:
-    """Give the exact smallest scale denominator or contour interval at which a class is reached.
-
-    Parameters
-    ----------
-    product : Sample
-        Its check points.
-    table : LimitTable
-        The limits, by the rule and not by printed figures.
-    name : str
-        Class of the table.
-    share_required : float
-        Share of the points that must lie within PEC, 0 to 1.
-    confidence : float
-        Level of the chi-square test, 0 to 1.
-
-    Returns
-    -------
-    AdmittedSize
-        Scale denominators, or intervals in m, as the table's basis says.
-    """
+    """Give the exact smallest scale denominator or contour interval at which a class is reached."""
     unit = next(limit for limit in table.unit_limits if limit.name == name)
     precision = None
     n = min(component.n for component in product.components)
@@ -211,18 +151,5 @@ def admitted_size(
 
 
 def smallest_listed(sizes: tuple[float, ...], exact: float) -> float | None:
-    """Give the next listed scale denominator or contour interval.
-
-    Parameters
-    ----------
-    sizes : tuple of float
-        Those that a standard or a client lists, smallest first.
-    exact : float
-        Exact smallest size.
-
-    Returns
-    -------
-    float or None
-        The first that is not smaller; None beyond the list.
-    """
+    """Give the next listed scale denominator or contour interval."""
     return next((size for size in sizes if size >= exact), None)

@@ -66,27 +66,11 @@ class Discrepancies:
         return self._complete([COMPONENTS.index(name)], 0)
 
     def planimetric(self) -> tuple[tuple[str, ...], FloatArray]:
-        """Give the plane vectors of the points that have both dE and dN.
-
-        Returns
-        -------
-        points : tuple of str
-            Names.
-        vectors_m : ndarray, shape (k, 2)
-            dE, dN in m.
-        """
+        """Give the plane vectors of the points that have both dE and dN."""
         return self._complete([0, 1], slice(None))
 
     def spatial(self) -> tuple[tuple[str, ...], FloatArray]:
-        """Give the vectors of the points that have all three components.
-
-        Returns
-        -------
-        points : tuple of str
-            Names.
-        vectors_m : ndarray, shape (k, 3)
-            dE, dN, dh in m.
-        """
+        """Give the vectors of the points that have all three components."""
         return self._complete([0, 1, 2], slice(None))
 
     def _complete(self, columns: list[int], pick: int | slice) -> tuple[tuple[str, ...], FloatArray]:
@@ -132,25 +116,7 @@ def read_discrepancies(path: Path) -> Discrepancies:
 
 
 def parse_discrepancies(text: str, where: str) -> Discrepancies:
-    """Read a table of discrepancies from its text.
-
-    Parameters
-    ----------
-    text : str
-        Content of the file, as for `read_discrepancies`.
-    where : str
-        Name for messages.
-
-    Returns
-    -------
-    Discrepancies
-        In metres.
-
-    Raises
-    ------
-    InputMalformedError
-        When the text is not such a table.
-    """
+    """Read a table of discrepancies from its text."""
     rows = _rows(text, where)
     if not rows:
         raise InputMalformedError(

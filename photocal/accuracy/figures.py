@@ -24,18 +24,7 @@ _HISTOGRAM_INCHES = (7.0, 2.6)
 
 
 def round_down(value: float) -> float:
-    """Give the largest 1, 2 or 5 times a power of ten that a value reaches.
-
-    Parameters
-    ----------
-    value : float
-        Positive number.
-
-    Returns
-    -------
-    float
-        Round number not larger than `value`.
-    """
+    """Give the largest 1, 2 or 5 times a power of ten that a value reaches."""
     power = 10.0 ** math.floor(math.log10(value))
     return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= value * (1.0 + 1e-12))
 
@@ -103,18 +92,7 @@ def residual_map(discrepancies: Discrepancies) -> Figure | None:
 
 
 def histograms(discrepancies: Discrepancies) -> Figure:
-    """Draw a histogram of each component with its mean and the normal curve of its moments.
-
-    Parameters
-    ----------
-    discrepancies : Discrepancies
-        Reference minus product.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        One panel for each component that was checked.
-    """
+    """Draw a histogram of each component with its mean and the normal curve of its moments."""
     from matplotlib.figure import Figure
 
     known = [(name, discrepancies.component(name)[1]) for name in COMPONENTS]

@@ -11,22 +11,7 @@ from photocal.accuracy.ground_points import name_list
 def control_in_few_images(
     names: tuple[str, ...], observations: tuple[tuple[str, str], ...], role: str
 ) -> tuple[Finding, ...]:
-    """Find ground points that are measured in one image only, or in none.
-
-    Parameters
-    ----------
-    names : tuple of str
-        Names of the ground points.
-    observations : tuple of tuple of str
-        Image and point of every observation.
-    role : {"control", "check"}
-        What the points are for.
-
-    Returns
-    -------
-    tuple of Finding
-        What such points can and cannot do.
-    """
+    """Find ground points that are measured in one image only, or in none."""
     images = Counter(point for _, point in set(observations))
     one = [name for name in names if images[name] == 1]
     none = [name for name in names if images[name] == 0]

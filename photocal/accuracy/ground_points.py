@@ -44,18 +44,7 @@ class GroundPoints:
 
 
 def check_points_used_as_control(control: GroundPoints, check: GroundPoints) -> tuple[Finding, ...]:
-    """Find check points that are control points, by name or by place.
-
-    Parameters
-    ----------
-    control, check : GroundPoints
-        In the same coordinate system.
-
-    Returns
-    -------
-    tuple of Finding
-        Which points; such a check only repeats the control.
-    """
+    """Find check points that are control points, by name or by place."""
     said = []
     both = sorted(set(control.names) & set(check.names))
     if both:
@@ -81,18 +70,7 @@ def check_points_used_as_control(control: GroundPoints, check: GroundPoints) -> 
 
 
 def heights_all_equal(points: GroundPoints) -> tuple[Finding, ...]:
-    """Find a table whose heights are all zero, or all the same.
-
-    Parameters
-    ----------
-    points : GroundPoints
-        Control or check points.
-
-    Returns
-    -------
-    tuple of Finding
-        Such heights were never measured.
-    """
+    """Find a table whose heights are all zero, or all the same."""
     heights = points.xyz_m[:, 2]
     heights = heights[np.isfinite(heights)]
     if len(heights) < 3 or float(np.ptp(heights)) > 0.0:
@@ -112,21 +90,7 @@ def heights_all_equal(points: GroundPoints) -> tuple[Finding, ...]:
 def latitude_longitude_swapped(
     latitude_deg: FloatArray, longitude_deg: FloatArray, exposures_deg: FloatArray | None
 ) -> tuple[Finding, ...]:
-    """Find latitude and longitude that changed places.
-
-    Parameters
-    ----------
-    latitude_deg, longitude_deg : ndarray, shape (n,)
-        Ground points as given, degrees.
-    exposures_deg : ndarray, shape (k, 2), or None
-        Latitude and longitude of the exposures, degrees; without them only impossible latitudes are
-        found.
-
-    Returns
-    -------
-    tuple of Finding
-        Impossible latitudes, or points that lie near the flight only when swapped.
-    """
+    """Find latitude and longitude that changed places."""
     worst = float(np.max(np.abs(latitude_deg)))
     if worst > 90.0:
         return (
@@ -155,20 +119,7 @@ def latitude_longitude_swapped(
 
 
 def feet_for_metres(points: GroundPoints, block: GroundPoints) -> tuple[Finding, ...]:
-    """Find coordinates or heights in feet among metres, or the reverse.
-
-    Parameters
-    ----------
-    points : GroundPoints
-        As surveyed.
-    block : GroundPoints
-        Coordinates of the same points from the block (any datum, metres), matched by name.
-
-    Returns
-    -------
-    tuple of Finding
-        When the distances between the points have the ratio of foot and metre.
-    """
+    """Find coordinates or heights in feet among metres, or the reverse."""
     row = {name: index for index, name in enumerate(block.names)}
     common = [(index, row[name]) for index, name in enumerate(points.names) if name in row]
     if len(common) < 2:
@@ -195,24 +146,7 @@ def feet_for_metres(points: GroundPoints, block: GroundPoints) -> tuple[Finding,
 def wrong_utm_zone(
     points: GroundPoints, zone: int, *, southern: bool, exposures_deg: FloatArray
 ) -> tuple[Finding, ...]:
-    """Find coordinates that were given the wrong UTM zone or hemisphere.
-
-    Parameters
-    ----------
-    points : GroundPoints
-        UTM coordinates, m.
-    zone : int
-        Zone that they are said to be in, 1 to 60.
-    southern : bool
-        Whether they are said to be in the southern hemisphere.
-    exposures_deg : ndarray, shape (k, 2)
-        Latitude and longitude of the exposures, degrees.
-
-    Returns
-    -------
-    tuple of Finding
-        When the points lie far from the flight, and near to it in another zone or hemisphere.
-    """
+    """Find coordinates that were given the wrong UTM zone or hemisphere."""
     centre = np.nanmean(points.xyz_m[:, :2], axis=0)
     first = float(exposures_deg[0, 1])
     latitude = float(np.mean(exposures_deg[:, 0]))
@@ -247,18 +181,7 @@ def wrong_utm_zone(
 
 
 def geodesic_m(latitude_1: float, longitude_1: float, latitude_2: float, longitude_2: float) -> float:
-    """Give the distance of two places on the ellipsoid.
-
-    Parameters
-    ----------
-    latitude_1, longitude_1, latitude_2, longitude_2 : float
-        On WGS 84, degrees.
-
-    Returns
-    -------
-    float
-        Geodesic, m; infinite for places that do not exist.
-    """
+    """Give the distance of two places on the ellipsoid."""
     from pyproj import Geod
 
     if not all(math.isfinite(value) for value in (latitude_1, longitude_1, latitude_2, longitude_2)):
@@ -295,17 +218,6 @@ def _distance_ratio(a: FloatArray, b: FloatArray) -> float | None:
 
 
 def name_list(names: list[str]) -> str:
-    """Write names for a sentence.
-
-    Parameters
-    ----------
-    names : list of str
-        Names of points.
-
-    Returns
-    -------
-    str
-        The first eight, and how many more there are.
-    """
+    """Write names for a sentence."""
     shown = ", ".join(names[:8])
     return shown if len(names) <= 8 else f"{shown} and {len(names) - 8} more"

@@ -35,34 +35,10 @@ def parse_scale(text: str) -> float:
 
 
 def scale_text(denominator: float) -> str:
-    """Write a scale.
-
-    Parameters
-    ----------
-    denominator : float
-        Scale denominator.
-
-    Returns
-    -------
-    str
-        Such as `1:10 614`, rounded up so that the scale is one that is really reached.
-    """
+    """Write a scale."""
     return f"1:{math.ceil(denominator - 1e-6):,}".replace(",", " ")
 
 
 def size_text(basis: str, size: float) -> str:
-    """Write a scale or a contour interval.
-
-    Parameters
-    ----------
-    basis : {"scale", "interval"}
-        What the number is.
-    size : float
-        Scale denominator or interval in m.
-
-    Returns
-    -------
-    str
-        Such as `1:2000` or `interval 1 m`.
-    """
+    """Write a scale or a contour interval."""
     return scale_text(size) if basis == "scale" else f"interval {size:.4g} m"

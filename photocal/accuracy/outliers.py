@@ -19,20 +19,6 @@ def outliers(values_m: FloatArray, confidence: float) -> tuple[int, ...]:
     """Find the values that do not belong to the normal distribution of the others.
 
     They are shown, never removed: a check point with a large error is the reason for checking.
-
-    Parameters
-    ----------
-    values_m : ndarray, shape (n,)
-        Discrepancies of one component, m.
-    confidence : float
-        Level of the test for the whole sample, 0 to 1.
-
-    Returns
-    -------
-    tuple of int
-        Row numbers, the most deviating first; empty for fewer than five values. At most a quarter of
-        the values, and no more than a hundred, are tested. With one value tested this is the test of
-        Grubbs 1969.
     """
     if len(values_m) < SMALLEST_SAMPLE:
         return ()
@@ -56,19 +42,6 @@ def outliers(values_m: FloatArray, confidence: float) -> tuple[int, ...]:
 
 
 def critical_deviate(n: int, confidence: float) -> float:
-    """Give the largest Studentised deviate that n normal values may show.
-
-    Parameters
-    ----------
-    n : int
-        Number of values left in the step, at least 3.
-    confidence : float
-        Level of the test, 0 to 1.
-
-    Returns
-    -------
-    float
-        Rosner 1983, lambda of the step; for the whole sample the critical value of Grubbs.
-    """
+    """Give the largest Studentised deviate that n normal values may show."""
     t = float(stats.t.ppf(1.0 - (1.0 - confidence) / (2.0 * n), n - 2))
     return (n - 1) * t / math.sqrt((n - 2 + t**2) * n)

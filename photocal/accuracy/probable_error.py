@@ -24,20 +24,7 @@ _DIRECTIONS = 2048
 
 
 def counted_error(lengths_m: FloatArray, share: float) -> float:
-    """Give the smallest length that at least a share of the points does not exceed.
-
-    Parameters
-    ----------
-    lengths_m : ndarray, shape (n,)
-        Absolute errors or lengths of error vectors, m, n at least 1.
-    share : float
-        Share of the points, 0 to 1.
-
-    Returns
-    -------
-    float
-        An observed length, m: with 30 points and 0.9 the 27th in order.
-    """
+    """Give the smallest length that at least a share of the points does not exceed."""
     n = len(lengths_m)
     # A share times n that is whole up to rounding (0.9 * 30) must not be rounded up.
     rank = max(1, math.ceil(share * n - 1e-9))
@@ -45,20 +32,7 @@ def counted_error(lengths_m: FloatArray, share: float) -> float:
 
 
 def linear_error(rmse_m: float, probability: float) -> float:
-    """Give the half width of the interval about zero that holds a share of normal errors (LE).
-
-    Parameters
-    ----------
-    rmse_m : float
-        Root mean square error of the component, m.
-    probability : float
-        Share of the errors, 0 to 1.
-
-    Returns
-    -------
-    float
-        Half width, m; 1.6449 times the RMSE for 0.9.
-    """
+    """Give the half width of the interval about zero that holds a share of normal errors (LE)."""
     return float(stats.norm.ppf(0.5 + probability / 2.0)) * rmse_m
 
 
@@ -67,18 +41,6 @@ def circular_error(second_moments_m2: FloatArray, probability: float) -> float:
 
     Exact for any ellipse: P(r) is the integral over all directions of the radial part, which has a
     closed form, so one dimension is left to sum and one equation to solve.
-
-    Parameters
-    ----------
-    second_moments_m2 : ndarray, shape (2, 2)
-        Mean of d d^T over the points, m^2 (not reduced by the mean: a bias counts).
-    probability : float
-        Share of the errors, 0 to 1.
-
-    Returns
-    -------
-    float
-        Radius, m; 2.1460 sigma for a circular distribution and 0.9.
     """
     small, large = (max(float(value), 0.0) for value in np.linalg.eigvalsh(second_moments_m2))
     if large == 0.0:

@@ -92,25 +92,7 @@ class NormalityTest:
 
 
 def bias_test(component: Moments, confidence: float) -> BiasTest:
-    """Test whether the mean of a component is zero.
-
-    Parameters
-    ----------
-    component : Moments
-        Of at least two points.
-    confidence : float
-        Two-sided level, 0 to 1: 0.90 compares with the 0.95 quantile.
-
-    Returns
-    -------
-    BiasTest
-        Alves Junior et al. 2015, equations 12-15; canon-elph study, equations 23-25.
-
-    Raises
-    ------
-    IllPosedError
-        With fewer than two points.
-    """
+    """Test whether the mean of a component is zero."""
     dof = _degrees_of_freedom(component)
     _require_level(confidence)
     critical = float(stats.t.ppf(0.5 + confidence / 2.0, dof))
@@ -125,27 +107,6 @@ def precision_test(component: Moments, sigma_m: float, confidence: float) -> Pre
     """Test whether the spread of a component is not larger than a required standard deviation.
 
     It sees precision only: a bias of any size passes.
-
-    Parameters
-    ----------
-    component : Moments
-        Of at least two points.
-    sigma_m : float
-        Required standard deviation of the component, m.
-    confidence : float
-        One-sided level, 0 to 1.
-
-    Returns
-    -------
-    PrecisionTest
-        Alves Junior et al. 2015, equations 7-8.
-
-    Raises
-    ------
-    IllPosedError
-        With fewer than two points.
-    ConfigurationError
-        For a standard deviation or level that cannot be.
     """
     dof = _degrees_of_freedom(component)
     if not sigma_m > 0.0:
@@ -155,39 +116,13 @@ def precision_test(component: Moments, sigma_m: float, confidence: float) -> Pre
 
 
 def precision_quantile(n: int, confidence: float) -> float:
-    """Give the chi-square value that the precision test compares with.
-
-    Parameters
-    ----------
-    n : int
-        Number of points, at least 2.
-    confidence : float
-        One-sided level, 0 to 1.
-
-    Returns
-    -------
-    float
-        Quantile of chi-square with n - 1 degrees of freedom.
-    """
+    """Give the chi-square value that the precision test compares with."""
     _require_level(confidence)
     return float(stats.chi2.ppf(confidence, n - 1))
 
 
 def normality_test(values_m: FloatArray, confidence: float) -> NormalityTest | None:
-    """Test whether a component is normally distributed (Shapiro and Wilk 1965).
-
-    Parameters
-    ----------
-    values_m : ndarray, shape (n,)
-        Discrepancies, m.
-    confidence : float
-        Level of the decision, 0 to 1.
-
-    Returns
-    -------
-    NormalityTest or None
-        None for fewer than 3 or more than 5000 points, or when all are equal: nothing can be said then.
-    """
+    """Test whether a component is normally distributed (Shapiro and Wilk 1965)."""
     _require_level(confidence)
     if len(values_m) not in SHAPIRO_WILK_SAMPLES or float(values_m.max() - values_m.min()) < _NO_RANGE_M:
         return None
@@ -196,20 +131,7 @@ def normality_test(values_m: FloatArray, confidence: float) -> NormalityTest | N
 
 
 def std_interval_factors(n: int, confidence: float) -> tuple[float, float]:
-    """Say how badly a standard deviation from n points is known.
-
-    Parameters
-    ----------
-    n : int
-        Number of points, at least 2.
-    confidence : float
-        Two-sided level, 0 to 1.
-
-    Returns
-    -------
-    tuple of float
-        Factors of the computed standard deviation between which the true one lies (normal data).
-    """
+    """Say how badly a standard deviation from n points is known."""
     _require_level(confidence)
     dof = n - 1
     low = float(stats.chi2.ppf(0.5 - confidence / 2.0, dof))

@@ -108,25 +108,7 @@ def load_standard(name: str) -> Standard:
 
 
 def parse_standard(text: str, where: str) -> Standard:
-    """Read a standard from the text of its TOML file.
-
-    Parameters
-    ----------
-    text : str
-        Content of the file.
-    where : str
-        Name for messages.
-
-    Returns
-    -------
-    Standard
-        The standard.
-
-    Raises
-    ------
-    ConfigurationError
-        When the text has not the form of a standard.
-    """
+    """Read a standard from the text of its TOML file."""
     try:
         content = tomllib.loads(text)
         if content.get("kind") == "value":

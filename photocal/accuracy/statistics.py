@@ -95,21 +95,6 @@ class LengthStatistics:
 def moments(values_m: FloatArray) -> Moments:
     """Compute number, mean and standard deviation of one component.
 
-    Parameters
-    ----------
-    values_m : ndarray, shape (n,)
-        Discrepancies, m, all finite.
-
-    Returns
-    -------
-    Moments
-        With the standard deviation over n - 1 (NaN for one point).
-
-    Raises
-    ------
-    InputMalformedError
-        Without any point.
-
     Notes
     -----
     Alves Junior et al. 2015, equations 2-4 and 9-11.
@@ -145,18 +130,7 @@ def spread(values_m: FloatArray) -> Spread:
 
 
 def lengths(vectors_m: FloatArray) -> FloatArray:
-    """Compute the lengths of residual vectors.
-
-    Parameters
-    ----------
-    vectors_m : ndarray, shape (n, k)
-        Discrepancies in k components, m.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Euclidean lengths, m.
-    """
+    """Compute the lengths of residual vectors."""
     squares: FloatArray = np.sum(np.square(vectors_m), axis=1)
     return np.sqrt(squares)
 
@@ -166,16 +140,6 @@ def length_statistics(lengths_m: FloatArray) -> LengthStatistics:
 
     Silva (tank survey, equation 5) defines Rxyz as the root mean square but prints the mean of the
     lengths, so both are given and named.
-
-    Parameters
-    ----------
-    lengths_m : ndarray, shape (n,)
-        Lengths, m, n at least 1.
-
-    Returns
-    -------
-    LengthStatistics
-        Mean, root mean square and maximum, m.
     """
     return LengthStatistics(
         len(lengths_m),
@@ -186,37 +150,11 @@ def length_statistics(lengths_m: FloatArray) -> LengthStatistics:
 
 
 def combined_rmse(*components: Moments) -> float:
-    """Join the RMSE of components into the 2D or 3D RMSE.
-
-    Parameters
-    ----------
-    *components : Moments
-        Two (E, N) or three (E, N, h) components of the same points.
-
-    Returns
-    -------
-    float
-        Square root of the sum of the squared component RMSE, m.
-    """
+    """Join the RMSE of components into the 2D or 3D RMSE."""
     return math.sqrt(sum(component.rmse_m**2 for component in components))
 
 
 def moments_from_rmse_and_t(rmse_m: float, t: float, n: int) -> Moments:
-    """Recover mean and standard deviation from a published RMSE and Student statistic.
-
-    Parameters
-    ----------
-    rmse_m : float
-        Root mean square error about zero, m.
-    t : float
-        Student statistic mean * sqrt(n) / std, with its sign.
-    n : int
-        Number of points, at least 2.
-
-    Returns
-    -------
-    Moments
-        Those that give back `rmse_m` and `t`.
-    """
+    """Recover mean and standard deviation from a published RMSE and Student statistic."""
     std = rmse_m * math.sqrt(n / (t**2 + n - 1))
     return Moments(n, t * std / math.sqrt(n), std)

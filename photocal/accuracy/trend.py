@@ -35,44 +35,13 @@ class SimilarityTrend:
 
 
 def rmse_after_trend_removal(component: Moments, confidence: float) -> float:
-    """Give the RMSE after the mean has been subtracted where it is significant.
-
-    Parameters
-    ----------
-    component : Moments
-        Of at least two points.
-    confidence : float
-        Two-sided level of the Student test, 0 to 1.
-
-    Returns
-    -------
-    float
-        RMSE in m, about the mean if the test says bias, else about zero (canon-elph study, Table 24).
-    """
+    """Give the RMSE after the mean has been subtracted where it is significant."""
     biased = bias_test(component, confidence).significant
     return component.rmse_without_mean_m if biased else component.rmse_m
 
 
 def similarity_trend(positions_m: FloatArray, discrepancies_m: FloatArray) -> SimilarityTrend:
-    """Fit shift, scale and rotation to planimetric discrepancies by least squares.
-
-    Parameters
-    ----------
-    positions_m : ndarray, shape (n, 2)
-        East and north of the points in the product, m.
-    discrepancies_m : ndarray, shape (n, 2)
-        Reference minus product, m.
-
-    Returns
-    -------
-    SimilarityTrend
-        d = shift + [[scale, -rotation], [rotation, scale]] (position - centre).
-
-    Raises
-    ------
-    IllPosedError
-        With fewer than three points or all at one place.
-    """
+    """Fit shift, scale and rotation to planimetric discrepancies by least squares."""
     if len(positions_m) < 3:
         raise IllPosedError("a similarity trend needs at least three check points with coordinates")
     reduced = positions_m - positions_m.mean(axis=0)

@@ -48,18 +48,7 @@ class ValueClass:
 
 
 def class_cm(rmse_m: float) -> float:
-    """Give the class that an RMSE reaches, in cm, rounded up to a tenth.
-
-    Parameters
-    ----------
-    rmse_m : float
-        Root mean square error, m.
-
-    Returns
-    -------
-    float
-        Smallest tenth of a centimetre that the RMSE does not exceed.
-    """
+    """Give the class that an RMSE reaches, in cm, rounded up to a tenth."""
     return math.ceil(rmse_m * 1000.0 - 1e-9) / 10.0
 
 
@@ -70,22 +59,7 @@ def value_class(
     survey_horizontal_m: float | None,
     survey_vertical_m: float | None,
 ) -> ValueClass:
-    """Compute the class reached.
-
-    Parameters
-    ----------
-    standard : ValueStandard
-        Number of points and shares.
-    plane, height : Sample or None
-        Check points of each kind; None where there are none.
-    survey_horizontal_m, survey_vertical_m : float or None
-        RMSE of the survey of the check points, m; None when not known.
-
-    Returns
-    -------
-    ValueClass
-        RMSE = sqrt(fit^2 + survey^2) for each kind.
-    """
+    """Compute the class reached."""
     horizontal = _with_survey(plane, survey_horizontal_m)
     vertical = _with_survey(height, survey_vertical_m)
     share = standard.mean_share_of_rmse.value

@@ -183,17 +183,6 @@ def _value_class(value: ValueClass) -> list[Finding]:
 
 
 def value_class_text(value: ValueClass) -> str:
-    """Write the class reached.
-
-    Parameters
-    ----------
-    value : ValueClass
-        The class.
-
-    Returns
-    -------
-    str
-        Such as `horizontal 12.3 cm, vertical 20.0 cm, 3D 23.5 cm`.
-    """
+    """Write the class reached."""
     parts = (("horizontal", value.horizontal_m), ("vertical", value.vertical_m), ("3D", value.spatial_m))
     return ", ".join(f"{name} {class_cm(rmse):.1f} cm" for name, rmse in parts if rmse is not None)

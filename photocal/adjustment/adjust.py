@@ -20,7 +20,6 @@ def adjust(network: Network, report: Callable[[Iteration], None] | None = None) 
 
     Parameters
     ----------
-    network : Network
     report : callable, optional
         Called after each iteration.
 

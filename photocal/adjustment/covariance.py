@@ -29,15 +29,6 @@ Integers = NDArray[np.int64]
 def complete(problem: Problem, minimum: Minimum) -> Solution:
     """Give the minimum its statistics.
 
-    Parameters
-    ----------
-    problem : Problem
-    minimum : Minimum
-
-    Returns
-    -------
-    Solution
-
     Raises
     ------
     IllPosedError
@@ -124,18 +115,7 @@ def equation_variance(
     inverse: Floats,
     variance: Floats,
 ) -> None:
-    """Variance of each adjusted observation a x.
-
-    Parameters
-    ----------
-    start, column, coefficient
-        As in `Equations`.
-    structure : Structure
-    inverse : ndarray
-        Selected inverse.
-    variance : ndarray, shape (n,)
-        Receives the result.
-    """
+    """Variance of each adjusted observation a x."""
     for row in range(len(variance)):
         for a in range(start[row], start[row + 1]):
             for b in range(start[row], start[row + 1]):
@@ -146,18 +126,7 @@ def equation_variance(
 
 @compiled
 def copy_blocks(columns: Integers, structure: Structure, inverse: Floats, result: Floats) -> None:
-    """Copy diagonal blocks of the selected inverse.
-
-    Parameters
-    ----------
-    columns : ndarray of int, shape (n, m)
-        Columns of each block.
-    structure : Structure
-    inverse : ndarray
-        Selected inverse.
-    result : ndarray, shape (n, m, m)
-        Receives the blocks.
-    """
+    """Copy diagonal blocks of the selected inverse."""
     for k in range(columns.shape[0]):
         for a in range(columns.shape[1]):
             for b in range(columns.shape[1]):

@@ -59,20 +59,7 @@ class Correction:
 
 
 def similarity_moves(problem: Problem, state: State) -> tuple[Floats, Floats]:
-    """Changes of all unknowns under small similarity transformations of the object space.
-
-    Parameters
-    ----------
-    problem : Problem
-    state : State
-
-    Returns
-    -------
-    reduced : ndarray, shape (layout.size, 7)
-        Three translations, three rotations about the middle of the projection centres, scale. What is
-        held does not move.
-    points : ndarray, shape (points, 3, 7)
-    """
+    """Changes of all unknowns under small similarity transformations of the object space."""
     columns, layout = problem.layout.image_columns, problem.layout
     middle = state.centre.mean(axis=0)
     points = _displacements(state.points - middle)
@@ -96,16 +83,7 @@ def _displacements(relative: Floats) -> Floats:
 
 
 def open_combinations(problem: Problem, normal: Normal, moves: Floats) -> Floats:
-    """Combinations of the seven transformations that no observation sees, shape (7, d).
-
-    Parameters
-    ----------
-    problem : Problem
-    normal : Normal
-        Not yet factorised.
-    moves : ndarray, shape (layout.size, 7)
-        From `similarity_moves`.
-    """
+    """Combinations of the seven transformations that no observation sees, shape (7, d)."""
     diagonal = normal.matrix[diagonal_addresses(problem)]
     length = np.sqrt(diagonal @ moves**2)
     movable = length > 0
@@ -123,7 +101,6 @@ def with_datum(problem: Problem, state: State) -> Problem:
 
     Parameters
     ----------
-    problem : Problem
     state : State
         Start values.
 
@@ -145,21 +122,7 @@ def with_datum(problem: Problem, state: State) -> Problem:
 
 
 def inner_state(problem: Problem, normal: Normal, state: State, start: State) -> State:
-    """Move a free network by a similarity so that its datum points come closest to their start values.
-
-    Parameters
-    ----------
-    problem : Problem
-        From `with_datum`.
-    normal : Normal
-        At `state`; not factorised.
-    state, start : State
-        Adjusted and start values.
-
-    Returns
-    -------
-    State
-    """
+    """Move a free network by a similarity so that its datum points come closest to their start values."""
     chosen = _datum_points(problem.network)
     open_ones = _open_ones(problem, normal, similarity_moves(problem, state)[0])
     for _ in range(50):
@@ -210,11 +173,6 @@ def correction(problem: Problem, normal: Normal, bare_normal: Normal, state: Sta
         At `state`, factorised.
     bare_normal : Normal
         The same before it was factorised.
-    state : State
-
-    Returns
-    -------
-    Correction
     """
     reduced, points = similarity_moves(problem, state)
     open_ones = _open_ones(problem, bare_normal, reduced)
@@ -236,23 +194,7 @@ def correction(problem: Problem, normal: Normal, bare_normal: Normal, state: Sta
 def full_solution(
     problem: Problem, normal: Normal, reduced_right: Floats, point_right: Floats
 ) -> tuple[Floats, Floats]:
-    """Solve the full normal equations.
-
-    Parameters
-    ----------
-    problem : Problem
-    normal : Normal
-        Factorised.
-    reduced_right : ndarray, shape (layout.size,)
-        Right-hand side of the reduced system's unknowns, points that are kept among them.
-    point_right : ndarray, shape (points, 3)
-        That of the eliminated points; what stands at kept points is not looked at.
-
-    Returns
-    -------
-    reduced, points
-        The solution; kept points have theirs in both.
-    """
+    """Solve the full normal equations."""
     right = np.ascontiguousarray(point_right)
     layout = problem.layout
     reduced = np.array(reduced_right)

@@ -77,20 +77,7 @@ class MeanPrecision:
 
 
 def enlargement(probability: float, dimensions: int) -> float:
-    """Semi-axis of the ellipse or ellipsoid of a probability in units of the standard deviation.
-
-    Parameters
-    ----------
-    probability : float
-        In (0, 1).
-    dimensions : int
-        1: interval, 2: ellipse, 3: ellipsoid.
-
-    Returns
-    -------
-    float
-        The root of the quantile of chi-squared: of C = 6.25, 7.81, 11.34 for 90, 95, 99 % in space.
-    """
+    """Semi-axis of the ellipse or ellipsoid of a probability in units of the standard deviation."""
     return float(np.sqrt(special.chdtri(dimensions, 1.0 - probability)))
 
 
@@ -101,11 +88,6 @@ def ellipses(covariance: Floats, probability: float) -> Ellipses:
     ----------
     covariance : ndarray, shape (n, m, m)
         m^2, m at least 2; X and Y are the first two.
-    probability : float
-
-    Returns
-    -------
-    Ellipses
     """
     lengths, vectors = _axes(covariance[:, :2, :2])
     azimuth = np.arctan2(vectors[:, 0, 0], vectors[:, 0, 1]) % np.pi
@@ -121,11 +103,6 @@ def ellipsoids(covariance: Floats, probability: float) -> Ellipsoids:
     ----------
     covariance : ndarray, shape (n, 3, 3)
         m^2.
-    probability : float
-
-    Returns
-    -------
-    Ellipsoids
     """
     lengths, vectors = _axes(covariance)
     vectors = vectors * np.where(vectors[..., 2:] < 0, -1.0, 1.0)
@@ -147,10 +124,6 @@ def mean_precision(covariance: Floats) -> MeanPrecision:
     ----------
     covariance : ndarray, shape (n, 3, 3)
         Of at least one point, m^2.
-
-    Returns
-    -------
-    MeanPrecision
     """
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     sigma = np.sqrt(variance)

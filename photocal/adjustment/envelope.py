@@ -79,10 +79,6 @@ def envelope(reach: Integers, block: int, border: int) -> Envelope:
         Columns in a block; panels hold whole blocks.
     border : int
         Columns of the border.
-
-    Returns
-    -------
-    Envelope
     """
     band = len(reach) * block
     panel = max(PANEL // block, 1) * block
@@ -113,7 +109,6 @@ def factorise(structure: Envelope, values: Floats) -> int:
 
     Parameters
     ----------
-    structure : Envelope
     values : ndarray
         Values of the matrix; receives those of L with L L' = matrix.
 
@@ -180,7 +175,6 @@ def solve(structure: Envelope, factor: Floats, right: Floats) -> Floats:
 
     Parameters
     ----------
-    structure : Envelope
     factor : ndarray
         From `factorise`.
     right : ndarray, shape (n,) or (n, m)
@@ -229,7 +223,6 @@ def selected_inverse(structure: Envelope, factor: Floats) -> Floats:
 
     Parameters
     ----------
-    structure : Envelope
     factor : ndarray
         From `factorise`.
 

@@ -22,8 +22,6 @@ class Equations(NamedTuple):
     ----------
     start : ndarray of int, shape (n + 1,)
         Where the coefficients of each observation begin.
-    column : ndarray of int
-    coefficient : ndarray
     residual, weight : ndarray, shape (n,)
         Computed minus observed, and 1 / sigma^2.
     """
@@ -50,16 +48,7 @@ def add_equations(
     matrix: Floats,
     gradient: Floats,
 ) -> None:
-    """Add observations to the normal equations.
-
-    Parameters
-    ----------
-    start, column, coefficient, residual, weight
-        As in `Equations`.
-    structure : Structure
-    matrix, gradient : ndarray
-        Receive the sums.
-    """
+    """Add observations to the normal equations."""
     for row in range(len(residual)):
         p = weight[row]
         for a in range(start[row], start[row + 1]):

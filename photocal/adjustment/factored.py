@@ -23,8 +23,6 @@ class Factored:
 
     Attributes
     ----------
-    problem : Problem
-    state : State
     normal : Normal
         Its matrix is the Cholesky factor.
     datum : Correction or None
@@ -42,13 +40,8 @@ def factored(network: Network, state: State) -> Factored:
 
     Parameters
     ----------
-    network : Network
     state : State
         Of its solution.
-
-    Returns
-    -------
-    Factored
 
     Raises
     ------
@@ -65,21 +58,7 @@ def factored(network: Network, state: State) -> Factored:
 
 
 def covariance_column(at: Factored, reduced: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Covariance of all unknowns with one linear function of them.
-
-    Parameters
-    ----------
-    at : Factored
-    reduced : ndarray, shape (layout.size,)
-        Coefficients of the unknowns of the reduced system.
-    points : ndarray, shape (points, 3)
-        Coefficients of the points; those that are kept in the reduced system have theirs there.
-
-    Returns
-    -------
-    reduced, points
-        The covariances, in the same arrangement; kept points have theirs in both.
-    """
+    """Covariance of all unknowns with one linear function of them."""
     step, moved = full_solution(at.problem, at.normal, reduced, points)
     if at.datum is None:
         return step, moved

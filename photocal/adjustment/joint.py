@@ -23,7 +23,6 @@ class JointCovariance:
 
     Attributes
     ----------
-    unknowns : tuple of Unknown
     covariance : ndarray, shape (n, n)
         In the units of the adjustment (rad, m, unit of the camera); a priori unit variance 1.
     """
@@ -37,13 +36,8 @@ def joint_covariance(at: Factored, chosen: Sequence[tuple[str, str]]) -> JointCo
 
     Parameters
     ----------
-    at : Factored
     chosen : sequence of (kind, name)
         Kind `image`, `camera`, `point` or `mounting` (whose name is empty).
-
-    Returns
-    -------
-    JointCovariance
 
     Raises
     ------

@@ -63,13 +63,8 @@ def layout(network: Network, ray_start: Integers) -> Layout:
 
     Parameters
     ----------
-    network : Network
     ray_start : ndarray of int, shape (points + 1,)
         First ray of each point.
-
-    Returns
-    -------
-    Layout
     """
     count = len(network.image_names)
     together = np.zeros((count, count), dtype=np.bool_)
@@ -122,15 +117,7 @@ def layout(network: Network, ray_start: Integers) -> Layout:
 
 @compiled
 def mark_together(ray_start: Integers, ray_image: Integers, together: NDArray[np.bool_]) -> None:
-    """Mark the pairs of images that see a common point.
-
-    Parameters
-    ----------
-    ray_start : ndarray of int, shape (points + 1,)
-    ray_image : ndarray of int, shape (rays,)
-    together : ndarray of bool, shape (images, images)
-        Receives True for every pair, both ways.
-    """
+    """Mark the pairs of images that see a common point."""
     for point in range(len(ray_start) - 1):
         for a in range(ray_start[point], ray_start[point + 1]):
             for b in range(ray_start[point], ray_start[point + 1]):

@@ -135,25 +135,7 @@ def position_equations(
     basis: Floats,
     common_columns: Integers,
 ) -> Equations:
-    """Linearise the antenna positions.
-
-    Parameters
-    ----------
-    positions, mounting
-        What was observed.
-    values : ndarray
-        Current common values.
-    rotation, centre, basis : ndarray, shape (images, 3, 3), (images, 3), (images, 3, 3)
-        Current exposures and the turns of their rotation unknowns.
-    image_columns : ndarray of int, shape (images, 6)
-    common_columns : ndarray of int, shape (11 + 6 strips,)
-        Columns of the unknowns; -1 for those of held common values.
-
-    Returns
-    -------
-    Equations
-        Whitened: three of unit weight for each position.
-    """
+    """Linearise the antenna positions."""
     image, n = positions.image, len(positions.image)
     matrix = body_to_camera(mounting, values)
     arm = matrix @ values[LEVER]

@@ -113,10 +113,6 @@ class Network:
 
     Attributes
     ----------
-    cameras : tuple of Camera
-    exposures : Exposures
-    points : Points
-    rays : Rays
     image_names, point_names : tuple of str
         What to call images and points in messages.
     relations : Relations

@@ -35,10 +35,6 @@ class Problem:
 
     Attributes
     ----------
-    network : Network
-    layout : Layout
-    design : Design
-    structure : Structure
     held : ndarray of bool, shape (layout.size,)
         Columns of the reduced system that are no unknowns.
     stiffened : ndarray of int
@@ -85,10 +81,6 @@ def prepare(network: Network) -> Problem:
     ----------
     network : Network
         Its rays sorted by point.
-
-    Returns
-    -------
-    Problem
     """
     rays, points, exposures = network.rays, network.points, network.exposures
     ray_start = np.searchsorted(rays.point, np.arange(len(points.values) + 1))
@@ -187,17 +179,11 @@ def normal_equations(
 
     Parameters
     ----------
-    problem : Problem
-    state : State
     damping : float
         Relative addition to the diagonal (Marquardt 1963).
     room : Eliminated, optional
         Arrays of normal equations that are no longer needed, to be filled again: fresh memory for
         millions of rays costs as much time as the arithmetic.
-
-    Returns
-    -------
-    Normal
     """
     design, structure, where = problem.design, problem.structure, problem.layout
     threads, points = len(design.pieces) - 1, len(design.point_free)

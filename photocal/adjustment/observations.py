@@ -135,20 +135,7 @@ def mounting_equations(network: Network, layout: Layout, state: State) -> dict[s
 
 
 def related(kind: str, difference: Floats) -> tuple[Floats, Floats]:
-    """Value of a relation and its derivative with respect to the second point.
-
-    Parameters
-    ----------
-    kind : str
-        One of `RELATIONS`.
-    difference : ndarray, shape (n, 3)
-        Second point less first point.
-
-    Returns
-    -------
-    value : ndarray, shape (n,)
-    derivative : ndarray, shape (n, 3)
-    """
+    """Value of a relation and its derivative with respect to the second point."""
     if kind == "distance":
         length = np.linalg.norm(difference, axis=1)
         return length, difference / length[:, None]

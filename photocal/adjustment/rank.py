@@ -63,20 +63,7 @@ def weakest_pivot(factor_diagonal: Floats, diagonal: Floats) -> float:
 
 
 def explain_singular(problem: Problem, state: State, limits: Limits = SINGULAR) -> None:
-    """Raise what the observations leave undetermined; return when they determine everything.
-
-    Parameters
-    ----------
-    problem : Problem
-    state : State
-        Where the normal equations are looked at.
-    limits : Limits
-
-    Raises
-    ------
-    IllPosedError
-        Naming the points, the datum elements or the parameters concerned.
-    """
+    """Raise what the observations leave undetermined; return when they determine everything."""
     normal = normal_equations(problem, state)
     names = problem.network.point_names
     alone = _parallel(problem, normal, limits.parallel)
@@ -107,20 +94,7 @@ def explain_singular(problem: Problem, state: State, limits: Limits = SINGULAR) 
 def require_determined(
     problem: Problem, state: State, point_covariance: Floats, camera_covariance: Floats
 ) -> None:
-    """Refuse a solution whose points or principal distances are not determined in any useful sense.
-
-    Parameters
-    ----------
-    problem : Problem
-    state : State
-    point_covariance : ndarray, shape (points, 3, 3)
-    camera_covariance : ndarray, shape (cameras, 13, 13)
-
-    Raises
-    ------
-    IllPosedError
-        Naming the points or cameras.
-    """
+    """Refuse a solution whose points or principal distances are not determined in any useful sense."""
     design = problem.design
     first = state.centre[design.ray_image[np.minimum(design.ray_start[:-1], len(design.ray_image) - 1)]]
     distance = np.linalg.norm(state.points - first, axis=1)

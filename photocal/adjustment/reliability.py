@@ -85,20 +85,7 @@ def noncentrality(significance: float = SIGNIFICANCE, power: float = POWER, dime
 
 
 def minimal_detectable_bias(sigma: Floats, redundancy: Floats, delta0: float) -> Floats:
-    """Smallest error that is found: delta0 sigma / sqrt(r) (Baarda 1968); infinite where r is 0.
-
-    Parameters
-    ----------
-    sigma, redundancy : ndarray
-        Standard deviations and redundancy numbers of uncorrelated observations, of one shape.
-    delta0 : float
-        From `noncentrality`.
-
-    Returns
-    -------
-    ndarray
-        In the unit of `sigma`.
-    """
+    """Smallest error that is found: delta0 sigma / sqrt(r) (Baarda 1968); infinite where r is 0."""
     return np.asarray(delta0 * sigma / np.sqrt(_checked(redundancy)))
 
 
@@ -123,15 +110,10 @@ def reliability(
 
     Parameters
     ----------
-    network : Network
     solution : Solution
         Of the same network.
     significance, power : float
         Of the test of a standardised residual.
-
-    Returns
-    -------
-    Reliability
     """
     delta0 = noncentrality(significance, power)
     at = factored(network, solution.state)

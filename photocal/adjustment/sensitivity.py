@@ -159,17 +159,7 @@ def point_effects(
     covariance: Floats,
     effect: Floats,
 ) -> None:
-    """Change of the point that a ray belongs to per unit of change of the ray's coordinates.
-
-    Parameters
-    ----------
-    design, values, structure, inverse, kept
-        As in `kernels.statistics`. A measurement enters the normal equations by its weight only.
-    covariance : ndarray, shape (points, 3, 3)
-        Of the points, of the same (minimally constrained) datum.
-    effect : ndarray, shape (rays, 2, 3)
-        Receives Q_p a p: rows of Q A'P.
-    """
+    """Change of the point that a ray belongs to per unit of change of the ray's coordinates."""
     for piece in numba.prange(len(design.pieces) - 1):
         size = columns(design) * most_rays(design, piece) + structure.border
         point_effects_piece(

@@ -47,12 +47,10 @@ class Snooping:
     ----------
     network : Network
         What was adjusted: the accepted rays and the points that they determine.
-    solution : Solution
     accepted : ndarray of bool, shape (rays,)
         Rays of the original network that take part.
     points : ndarray of int
         Points of the original network that take part.
-    rounds : int
     """
 
     network: Network
@@ -67,16 +65,11 @@ def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None
 
     Parameters
     ----------
-    network : Network
     test : {"w", "tau"}
         Test with the a priori standard deviations (Baarda's w) or with the a posteriori variance factor
         (Pope's tau).
     report : callable, optional
         Called after each iteration.
-
-    Returns
-    -------
-    Snooping
 
     Raises
     ------
@@ -120,20 +113,7 @@ def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None
 
 
 def robust_state(problem: Problem, state: State, report: Callable[[Iteration], None] | None = None) -> State:
-    """State that gross errors do not bend, by iteratively reweighted least squares.
-
-    Parameters
-    ----------
-    problem : Problem
-    state : State
-        Start values.
-    report : callable, optional
-        Called after each iteration.
-
-    Returns
-    -------
-    State
-    """
+    """State that gross errors do not bend, by iteratively reweighted least squares."""
     for number in range(1, 31):
         fit = ray_fit(problem, state)
         factor = 1.0 / (1.0 + (fit / (HALF_WEIGHT * _scale(fit))) ** 2)
@@ -168,19 +148,7 @@ def ray_fit(problem: Problem, state: State) -> Floats:
 
 
 def worst_of_points(network: Network, solution: Solution, test: Test) -> NDArray[np.int64]:
-    """Rays whose standardised residual is rejected; of each point at most the worst.
-
-    Parameters
-    ----------
-    network : Network
-    solution : Solution
-    test : {"w", "tau"}
-
-    Returns
-    -------
-    ndarray of int
-        Indices of rays.
-    """
+    """Rays whose standardised residual is rejected; of each point at most the worst."""
     w = np.abs(solution.standardised(network.rays.sigma))
     if test == "tau":
         w = w / np.sqrt(solution.variance_factor)
@@ -198,19 +166,7 @@ def significance_of(tests: int) -> float:
 
 
 def critical_value(degrees_of_freedom: int, test: Test, significance: float) -> float:
-    """Critical value of a standardised residual, two-sided.
-
-    Parameters
-    ----------
-    degrees_of_freedom : int
-    test : {"w", "tau"}
-        Normal distribution, or Pope's (1976) tau = t sqrt(f) / sqrt(f - 1 + t^2), t of f - 1.
-    significance : float
-
-    Returns
-    -------
-    float
-    """
+    """Critical value of a standardised residual, two-sided."""
     if test == "w" or degrees_of_freedom < 2:
         return float(-special.ndtri(significance / 2))
     t = -special.stdtrit(degrees_of_freedom - 1, significance / 2)
@@ -218,19 +174,7 @@ def critical_value(degrees_of_freedom: int, test: Test, significance: float) -> 
 
 
 def subset(network: Network, accepted: Flags) -> tuple[Network, NDArray[np.int64], NDArray[np.int64]]:
-    """Network of some of the rays, without the points that are then no longer determined.
-
-    Parameters
-    ----------
-    network : Network
-    accepted : ndarray of bool, shape (rays,)
-
-    Returns
-    -------
-    network : Network
-    rays, points : ndarray of int
-        What of the original network takes part.
-    """
+    """Network of some of the rays, without the points that are then no longer determined."""
     count = np.bincount(network.rays.point[accepted], minlength=len(network.points.values))
     known = network.points.held.all(axis=1) | (np.diagonal(network.points.weight, axis1=1, axis2=2) > 0).any(
         axis=1

@@ -21,8 +21,6 @@ class Group:
 
     Attributes
     ----------
-    name : str
-    observations : int
     chi_squared : float
         Its part of v'Pv.
     redundancy : float
@@ -47,7 +45,6 @@ class GlobalTest:
         Interval of v'Pv when the model and the weights are right.
     p_value : float
         Two-sided.
-    accepted : bool
     """
 
     probability: float
@@ -85,13 +82,10 @@ class Solution:
 
     Attributes
     ----------
-    iterations : tuple of Iteration
     chi_squared : float
         v'Pv at the minimum.
-    observations, unknowns : int
     datum_defect : int
         Elements of the datum that inner constraints fixed.
-    groups : tuple of Group
     cameras : ndarray, shape (cameras, 13)
     camera_covariance : ndarray, shape (cameras, 13, 13)
         Zero for parameters that are held.
@@ -104,7 +98,6 @@ class Solution:
         Computed minus measured, in the image plane; redundancy numbers.
     common_covariance : ndarray, shape (k, k)
         Of the common values of the mounting; zero for those that are held.
-    photo_variant : PhotoVariant
     state : State
         The values as the adjustment holds them.
     timing_s : dict
@@ -152,8 +145,6 @@ def global_test(chi_squared: float, degrees_of_freedom: int, probability: float 
 
     Parameters
     ----------
-    chi_squared : float
-    degrees_of_freedom : int
     probability : float
         Confidence of the two-sided interval.
 

@@ -41,7 +41,6 @@ class Iteration:
 
     Attributes
     ----------
-    number : int
     chi_squared : float
         Sum of v'Pv after the step.
     decrement : float
@@ -62,10 +61,8 @@ class Minimum:
 
     Attributes
     ----------
-    state : State
     normal : Normal
         Normal equations there, without damping.
-    iterations : tuple of Iteration
     """
 
     state: State
@@ -83,17 +80,12 @@ def minimise(
 
     Parameters
     ----------
-    problem : Problem
     state : State
         Start values of all unknowns.
     report : callable, optional
         Called after each iteration.
     near : float
         Squared distance to the minimum, in units of the standard deviations, that may be left.
-
-    Returns
-    -------
-    Minimum
 
     Raises
     ------

@@ -62,11 +62,6 @@ def most_varied(network: Network) -> int:
 def lenses(network: Network, state: State) -> Floats:
     """Parameters of every lens: those of the cameras or, where some are photo-variant, of each image.
 
-    Parameters
-    ----------
-    network : Network
-    state : State
-
     Returns
     -------
     ndarray, shape (cameras or images, 13)
@@ -99,20 +94,7 @@ def _angles_held(network: Network) -> NDArray[np.bool_]:
 
 
 def moved_exposures(network: Network, layout: Layout, state: State, step: Floats) -> State:
-    """State after a step of the reduced system; the points are still the old ones.
-
-    Parameters
-    ----------
-    network : Network
-    layout : Layout
-    state : State
-    step : ndarray, shape (layout.size,)
-        Change of the unknowns of the reduced system.
-
-    Returns
-    -------
-    State
-    """
+    """State after a step of the reduced system; the points are still the old ones."""
     pose = step[layout.image_columns]
     rotation = turned(state.rotation, pose[:, :3])
     some = _angles_held(network)
@@ -133,18 +115,6 @@ def round_the_middle(network: Network, before: State, after: State) -> State:
     No ray resists a turn of everything. But a step moves the places along the tangent, which stretches the
     block by half the square of the angle, and the rays resist that: where only weak observations hold the
     orientation, steps would stay as short as their sharpness allows.
-
-    Parameters
-    ----------
-    network : Network
-        Where anything is held the block cannot turn, and the step stays as it is.
-    before, after : State
-        What the step led from and to.
-
-    Returns
-    -------
-    State
-        That after the step, but for terms of second order in it.
     """
     if (network.exposures.sigma == 0).any() or network.points.held.any():
         return after

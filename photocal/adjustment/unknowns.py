@@ -24,7 +24,6 @@ class Unknown:
     kind : {"image", "camera", "mounting", "point"}
     of : str
         Name of the image, camera or point; empty for the mounting.
-    parameter : str
     unit : str
         In which it is printed; empty for coefficients of distortion.
     scale : float
@@ -45,10 +44,6 @@ class Unknown:
 
 def unknowns(problem: Problem) -> list[Unknown | None]:
     """Name the columns of the reduced system; None for those that are no unknowns.
-
-    Parameters
-    ----------
-    problem : Problem
 
     Returns
     -------

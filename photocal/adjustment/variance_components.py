@@ -40,7 +40,6 @@ class RayGroups:
 
     Attributes
     ----------
-    names : tuple of str
     group : ndarray of int, shape (rays,)
     """
 
@@ -54,9 +53,6 @@ class Component:
 
     Attributes
     ----------
-    name : str
-    observations : int
-    redundancy : float
     factor : float
         By which the given standard deviations are to be multiplied.
     sigma : float
@@ -81,12 +77,10 @@ class VarianceComponents:
 
     Attributes
     ----------
-    components : tuple of Component
     network : Network
         With the standard deviations that were found.
     solution : Solution
         Its adjustment.
-    rounds : int
     """
 
     components: tuple[Component, ...]
@@ -114,20 +108,7 @@ def rays_by_camera(network: Network) -> RayGroups:
 
 
 def rays_by_image_set(network: Network, names: tuple[str, ...], image_set: Integers) -> RayGroups:
-    """One group of rays for each set of images.
-
-    Parameters
-    ----------
-    network : Network
-    names : tuple of str
-        Of the sets.
-    image_set : ndarray of int, shape (images,)
-        The set of each image.
-
-    Returns
-    -------
-    RayGroups
-    """
+    """One group of rays for each set of images."""
     return RayGroups(tuple(f"image {name}" for name in names), image_set[network.rays.image])
 
 
@@ -151,10 +132,6 @@ def estimate_components(
         held too.
     report : callable, optional
         Called after each iteration of each adjustment.
-
-    Returns
-    -------
-    VarianceComponents
 
     Raises
     ------
@@ -229,19 +206,7 @@ def _components(
 
 
 def with_factors(network: Network, rays: RayGroups, factors: dict[str, float]) -> Network:
-    """Multiply the standard deviations of groups of observations.
-
-    Parameters
-    ----------
-    network : Network
-    rays : RayGroups
-    factors : dict
-        By the names of the groups; 1 for those not named.
-
-    Returns
-    -------
-    Network
-    """
+    """Multiply the standard deviations of groups of observations."""
 
     def of(name: str) -> float:
         return factors.get(name, 1.0)

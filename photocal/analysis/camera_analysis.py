@@ -60,33 +60,7 @@ def analyse_camera(
     threshold: float,
     done: Callable[[], None] = lambda: None,
 ) -> CameraAnalysis | None:
-    """Judge the parameters of a camera.
-
-    Parameters
-    ----------
-    fit : Fit
-        The network at its minimum.
-    camera : int
-        Which camera.
-    checks : Checks
-        Check points, perhaps none.
-    alpha : float
-        Significance level of the F tests.
-    threshold : float
-        Absolute value from which correlations are named.
-    done : callable
-        Called after each new adjustment.
-
-    Returns
-    -------
-    CameraAnalysis or None
-        None for a camera without estimated parameters.
-
-    Raises
-    ------
-    IllPosedError
-        When the covariance is not positive definite.
-    """
+    """Judge the parameters of a camera."""
     estimates = camera_estimates(fit, camera)
     if not estimates.names:
         return None

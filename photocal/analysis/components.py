@@ -50,21 +50,6 @@ def principal_components(estimates: Estimates) -> Components:
 
     The correlations are used, not the covariances, because the parameters have different units.
 
-    Parameters
-    ----------
-    estimates : Estimates
-        Parameters with their covariance.
-
-    Returns
-    -------
-    Components
-        Eigenvalues, shares and loadings; each component is signed so that its largest loading is positive.
-
-    Raises
-    ------
-    IllPosedError
-        When the matrix is not positive definite.
-
     Notes
     -----
     Tank study (Silva, UFPR, 1995), equation 78: loading = c_ij sqrt(lambda_j) / sigma_i, sigma_i = 1 here.
@@ -143,27 +128,6 @@ def propose_removal(
     As many parameters leave in a round as there are negligible components; they are taken from those
     that load together on one component, the least significant first, higher radial terms before lower ones.
     The covariance without them follows from the inverse with their rows and columns deleted.
-
-    Parameters
-    ----------
-    estimates : Estimates
-        All parameters; values of zero throughout mean that only the covariance is known.
-    essential : tuple of str
-        Parameters that never leave.
-    negligible_percent : float
-        Share of the variance, in percent, below which the last components are negligible together.
-    strong : float
-        Loading above which parameters count as bound to a component.
-
-    Returns
-    -------
-    Proposal
-        The rounds, the outcome and what is to be said of them.
-
-    Raises
-    ------
-    IllPosedError
-        When the correlation matrix is not positive definite.
 
     Notes
     -----

@@ -46,20 +46,7 @@ class StrongCorrelation:
 
 
 def strong_correlations(estimates: Estimates, threshold: float = 0.8) -> tuple[StrongCorrelation, ...]:
-    """List the pairs of parameters with a correlation over a threshold, strongest first.
-
-    Parameters
-    ----------
-    estimates : Estimates
-        Parameters with their covariance; X0, Y0, Z0, omega, phi, kappa may be among them.
-    threshold : float
-        Absolute value from which a correlation is named.
-
-    Returns
-    -------
-    tuple of StrongCorrelation
-        Pairs with their cause.
-    """
+    """List the pairs of parameters with a correlation over a threshold, strongest first."""
     r = estimates.correlation
     found = [
         StrongCorrelation(b, a, float(r[i, j]), cause(a, b))

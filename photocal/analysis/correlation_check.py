@@ -16,21 +16,6 @@ ARITHMETIC = 1e-10
 def correlation_findings(names: tuple[str, ...], matrix: Floats | None, rounding: float) -> list[Finding]:
     """Check that a matrix is symmetric with ones on its diagonal and no negative eigenvalue.
 
-    Parameters
-    ----------
-    names : tuple of str
-        The n parameters.
-    matrix : ndarray, shape (n, n), or None
-        The matrix; nothing is found without one.
-    rounding : float
-        Half a unit of the last printed decimal.
-
-    Returns
-    -------
-    list of Finding
-        "correlation_malformed" or "correlation_not_positive"; in the latter, the pair whose changed
-        sign repairs the matrix is the subject, where there is one.
-
     Notes
     -----
     Rounding adds a symmetric matrix with zero diagonal and entries up to `rounding`, whose eigenvalues

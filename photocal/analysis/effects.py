@@ -31,8 +31,6 @@ class Effect:
     remaining_largest_px, remaining_rms_px : float
         The same when the others follow, as in an adjustment without these parameters, and the bundle is
         rotated back: what no other parameter can do.
-
-    NaN where the distortion folds without them.
     """
 
     parameters: tuple[str, ...]
@@ -70,29 +68,7 @@ def effects(camera: Camera, estimates: Estimates, reach: float = np.inf) -> tupl
 
 
 def effect(camera: Camera, estimates: Estimates, parameters: Iterable[str], pixels: Array) -> Effect:
-    """Give the effect of some parameters over a grid of pixels.
-
-    Parameters
-    ----------
-    camera : Camera
-        With its adjusted values.
-    estimates : Estimates
-        The estimated parameters with their covariance.
-    parameters : iterable of str
-        Those to set to zero.
-    pixels : (n, 2) array
-        Column and row, px.
-
-    Returns
-    -------
-    Effect
-        Displacements in px.
-
-    Raises
-    ------
-    IllPosedError
-        When the covariance of the parameters is not positive definite.
-    """
+    """Give the effect of some parameters over a grid of pixels."""
     removed = tuple(parameters)
     # Beyond the observations the polynomial may fold: those pixels have no ray to compare.
     pixels = pixels[_has_ray(camera, pixels)]

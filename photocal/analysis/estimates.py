@@ -89,27 +89,7 @@ class Estimates:
 def from_sigmas(
     names: Sequence[str], values: Sequence[float], sigmas: Sequence[float], correlation: Array | None = None
 ) -> Estimates:
-    """Build estimates from standard deviations and correlations, the way they are published.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Names of the p parameters.
-    values, sigmas : sequence of float
-        Estimated values and standard deviations, each in its own unit.
-    correlation : (p, p) array, optional
-        Correlation matrix; without it the parameters count as uncorrelated.
-
-    Returns
-    -------
-    Estimates
-        The parameters with the covariance S R S.
-
-    Raises
-    ------
-    ConfigurationError
-        When lengths differ, a standard deviation is not positive, or the matrix is no correlation matrix.
-    """
+    """Build estimates from standard deviations and correlations, the way they are published."""
     p = len(names)
     x, s = np.asarray(values, dtype=np.float64), np.asarray(sigmas, dtype=np.float64)
     r = np.eye(p) if correlation is None else np.asarray(correlation, dtype=np.float64)
@@ -132,20 +112,7 @@ def from_sigmas(
 
 
 def scaled(estimates: Estimates, variance_factor: float) -> Estimates:
-    """Multiply the covariance by a variance factor (from a priori to a posteriori).
-
-    Parameters
-    ----------
-    estimates : Estimates
-        Parameters with their covariance.
-    variance_factor : float
-        The factor, for instance the a posteriori variance of unit weight.
-
-    Returns
-    -------
-    Estimates
-        The same values with the scaled covariance.
-    """
+    """Multiply the covariance by a variance factor (from a priori to a posteriori)."""
     return Estimates(estimates.names, estimates.values, estimates.covariance * variance_factor)
 
 
@@ -189,23 +156,7 @@ def without(estimates: Estimates, removed: Iterable[str]) -> tuple[Estimates, fl
 
 
 def positive_definite(estimates: Estimates) -> Array:
-    """Give the covariance, or refuse it.
-
-    Parameters
-    ----------
-    estimates : Estimates
-        The parameters concerned.
-
-    Returns
-    -------
-    (p, p) array
-        Their covariance.
-
-    Raises
-    ------
-    IllPosedError
-        When the correlation matrix has an eigenvalue that is not positive: no adjustment gives such a matrix.
-    """
+    """Give the covariance, or refuse it."""
     least = float(np.linalg.eigvalsh(estimates.correlation)[0]) if estimates.names else 1.0
     if not least > 1e-14:
         raise IllPosedError(
@@ -217,23 +168,7 @@ def positive_definite(estimates: Estimates) -> Array:
 
 
 def quadratic_form(estimates: Estimates) -> float:
-    """Give x' S^-1 x of the parameters.
-
-    Parameters
-    ----------
-    estimates : Estimates
-        Parameters with their covariance.
-
-    Returns
-    -------
-    float
-        The squared length of x in units of its own uncertainty.
-
-    Raises
-    ------
-    IllPosedError
-        When the covariance is not positive definite.
-    """
+    """Give x' S^-1 x of the parameters."""
     sigma = estimates.sigmas
     positive_definite(estimates)
     t = estimates.values / sigma

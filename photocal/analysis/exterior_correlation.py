@@ -52,22 +52,6 @@ def exterior_correlations(
     A parameter is held one standard deviation away from its estimate and everything is adjusted anew: the
     others follow by their covariance with it, so their change over their own standard deviation is the
     correlation.
-
-    Parameters
-    ----------
-    fit : Fit
-        The network at its minimum.
-    camera : int
-        Whose parameters.
-    threshold : float
-        Absolute value from which a correlation is listed.
-    done : callable
-        Called after each adjustment.
-
-    Returns
-    -------
-    tuple of ExteriorCorrelation
-        One for each pair of parameter and element, strongest first.
     """
     found = []
     for at in np.flatnonzero(fit.network.cameras[camera].estimated):
@@ -96,25 +80,7 @@ def exterior_correlations(
 
 
 def correlation_with(fit: Fit, camera: int, parameter: int) -> Array:
-    """Give the correlation of one camera parameter with every exterior orientation.
-
-    Parameters
-    ----------
-    fit : Fit
-        The network at its minimum.
-    camera, parameter : int
-        Which one; it must be estimated.
-
-    Returns
-    -------
-    (images, 6) array
-        Correlations with omega, phi, kappa, X, Y, Z; 0 where an element is held.
-
-    Raises
-    ------
-    IllPosedError, NotConvergedError
-        As the adjustment does.
-    """
+    """Give the correlation of one camera parameter with every exterior orientation."""
     moved = moved_by_one_sigma(fit, camera, parameter)
     change = np.hstack(
         [
@@ -128,25 +94,7 @@ def correlation_with(fit: Fit, camera: int, parameter: int) -> Array:
 
 
 def moved_by_one_sigma(fit: Fit, camera: int, parameter: int) -> State:
-    """Hold one camera parameter a standard deviation away from its estimate and adjust.
-
-    Parameters
-    ----------
-    fit : Fit
-        The network at its minimum.
-    camera, parameter : int
-        Which one.
-
-    Returns
-    -------
-    State
-        Where everything else goes.
-
-    Raises
-    ------
-    IllPosedError, NotConvergedError
-        As the adjustment does.
-    """
+    """Hold one camera parameter a standard deviation away from its estimate and adjust."""
     own = fit.network.cameras[camera]
     sigma = float(np.sqrt(fit.solution.camera_covariance[camera, parameter, parameter]))
     estimated = own.estimated.copy()

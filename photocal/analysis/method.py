@@ -148,18 +148,6 @@ def shape(network: Network, state: State) -> Shape:
 def check_method(method: str, found: Shape) -> MethodCheck:
     """Compare a network with what a method asks for.
 
-    Parameters
-    ----------
-    method : str
-        One of `METHODS`.
-    found : Shape
-        The network.
-
-    Returns
-    -------
-    MethodCheck
-        Requirement by requirement.
-
     Notes
     -----
     Requirements after Brown (1971, 1989) and Merchant (1972), as the Canon ELPH study lists them.

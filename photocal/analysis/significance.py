@@ -46,31 +46,6 @@ def f_test(
 ) -> FTest:
     """Test one group of parameters, F = x' S^-1 x / p against F(1 - alpha; p, dof).
 
-    Parameters
-    ----------
-    estimates : Estimates
-        Parameters with their covariance, scaled by the a posteriori variance of unit weight.
-    parameters : iterable of str
-        The p parameters tested together; one of them gives (x / s)^2.
-    degrees_of_freedom : float
-        Redundancy of the adjustment.
-    alpha : float
-        Significance level, for instance 0.10.
-    kind : str
-        What the test is called in the outcome.
-
-    Returns
-    -------
-    FTest
-        The outcome.
-
-    Raises
-    ------
-    ConfigurationError
-        When a parameter was not estimated.
-    IllPosedError
-        When the covariance of the group is not positive definite.
-
     Notes
     -----
     Canon ELPH study (FCT-UNESP), equations 11 to 13.

@@ -32,20 +32,6 @@ class GlobalTest:
 def upper_global_test(chi_squared: float, degrees_of_freedom: float, probability: float = 0.90) -> GlobalTest:
     """Test whether the residuals are larger than assumed (one-sided).
 
-    Parameters
-    ----------
-    chi_squared : float
-        Weighted sum of squares of the residuals.
-    degrees_of_freedom : float
-        Redundancy.
-    probability : float
-        Probability of acceptance when the assumptions hold.
-
-    Returns
-    -------
-    GlobalTest
-        The outcome.
-
     Notes
     -----
     Canon ELPH study (FCT-UNESP), table 5, tested at 90 %.

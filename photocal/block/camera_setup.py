@@ -58,13 +58,8 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
 
     Parameters
     ----------
-    keys : CameraKeys
     where : object
         What to name in messages.
-
-    Returns
-    -------
-    Camera
 
     Raises
     ------

@@ -39,10 +39,6 @@ def read_block(folder: Path) -> Block:
     folder : Path
         With block.toml, images.csv, points.csv and observations.csv or .parquet.
 
-    Returns
-    -------
-    Block
-
     Raises
     ------
     InputNotFoundError

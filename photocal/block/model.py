@@ -34,7 +34,6 @@ class InputFile:
     ----------
     path : str
         Relative to the block folder.
-    sha256 : str
     size : int
         Bytes.
     """
@@ -50,7 +49,6 @@ class Images:
 
     Attributes
     ----------
-    names : tuple of str
     camera : ndarray of int, shape (n,)
         Index into the block's cameras.
     values, sigma : ndarray, shape (n, 6)
@@ -69,7 +67,6 @@ class ObjectPoints:
 
     Attributes
     ----------
-    names : tuple of str
     values : ndarray, shape (n, 3)
         X, Y, Z in m; NaN where a tie point has no start value.
     sigma : ndarray, shape (n, 3)
@@ -119,11 +116,8 @@ class FiducialFit:
 
     Attributes
     ----------
-    image : str
-    fiducials : tuple of str
     residuals : ndarray, shape (n, 2)
         Computed minus known, in the unit of the camera.
-    redundancy : int
     sigma0 : float
         Standard deviation of a coordinate of a mark; NaN without redundancy.
     """
@@ -141,7 +135,6 @@ class Block:
 
     Attributes
     ----------
-    name : str
     frame : str
         "local", or the name of a coordinate reference system.
     height : str
@@ -149,11 +142,6 @@ class Block:
     datum : {"control", "free"}
     datum_points : tuple of str
         Points over which a free datum is taken; empty for all.
-    cameras : tuple of Camera
-    images : Images
-    points : ObjectPoints
-    observations : Observations
-    inputs : tuple of InputFile
     relations : Relations
         Distances and height differences between points, by their index.
     positions, attitudes, mounting

@@ -72,17 +72,7 @@ def parse_joint(text: str) -> tuple[tuple[str, str], ...]:
 def more_figures(
     assembly: Assembly, covariance: Floats, wanted: Wanted, components: Sequence[Component]
 ) -> dict[str, Any]:
-    """What `result.json` says of them.
-
-    Parameters
-    ----------
-    assembly : Assembly
-    covariance : ndarray, shape (points, 3, 3)
-        Of the points in the block's coordinates, m^2.
-    wanted : Wanted
-    components : sequence of Component
-        Empty when they were not estimated.
-    """
+    """What `result.json` says of them."""
     free = ~assembly.network.points.held.any(axis=1)
     mean = vars(mean_precision(covariance[free])) if free.any() else {}
     figures: dict[str, Any] = {
@@ -104,18 +94,7 @@ def more_figures(
 def write_more(
     folder: Path, block: Block, assembly: Assembly, solution: Solution, covariance: Floats, wanted: Wanted
 ) -> None:
-    """Write the tables that are asked for.
-
-    Parameters
-    ----------
-    folder : Path
-        Exists.
-    block, assembly, solution
-        What was adjusted.
-    covariance : ndarray, shape (points, 3, 3)
-        Of the points in the block's coordinates, m^2.
-    wanted : Wanted
-    """
+    """Write the tables that are asked for."""
     if len(solution.photo_variant.image):
         _write(folder / "photo_variant.csv", _photo_variant(block, solution))
     if wanted.ellipses is not None:

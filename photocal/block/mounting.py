@@ -43,21 +43,7 @@ BODY_AXES = {
 
 
 def read_positions(path: Path, images: tuple[str, ...], from_m: float) -> Positions:
-    """Read `positions.csv`: antenna positions in the block's frame.
-
-    Parameters
-    ----------
-    path : Path
-        Columns image, X, Y, Z, sX, sY, sZ (m) and optionally the covariances sXY, sXZ, sYZ (m^2), the
-        velocity vX, vY, vZ (m/s), the strip's name and the time in the strip (s).
-    images : tuple of str
-    from_m : float
-        Z from which heights count for the height scale.
-
-    Returns
-    -------
-    Positions
-    """
+    """Read `positions.csv`: antenna positions in the block's frame."""
     if not path.exists():
         return NO_POSITIONS
     table = read_table(path, POSITION_COLUMNS, POSITION_EXTRAS)
@@ -75,17 +61,7 @@ def read_positions(path: Path, images: tuple[str, ...], from_m: float) -> Positi
 
 
 def read_attitudes(path: Path, images: tuple[str, ...]) -> Attitudes:
-    """Read `attitudes.csv`: roll, pitch, yaw of the body and their standard deviations, degrees.
-
-    Parameters
-    ----------
-    path : Path
-    images : tuple of str
-
-    Returns
-    -------
-    Attitudes
-    """
+    """Read `attitudes.csv`: roll, pitch, yaw of the body and their standard deviations, degrees."""
     if not path.exists():
         return NO_ATTITUDES
     table = read_table(path, ATTITUDE_COLUMNS)
@@ -98,23 +74,7 @@ def read_attitudes(path: Path, images: tuple[str, ...]) -> Attitudes:
 
 
 def make_mounting(keys: MountingKeys, strips: int) -> Mounting:
-    """Make the mounting that `[mounting]` describes.
-
-    Parameters
-    ----------
-    keys : MountingKeys
-    strips : int
-        Number of strips.
-
-    Returns
-    -------
-    Mounting
-
-    Raises
-    ------
-    ConfigurationError
-        When the camera axes are not right-handed, or heights are scaled from nowhere.
-    """
+    """Make the mounting that `[mounting]` describes."""
     if keys.height_scale_sigma and keys.height_scale_from_m is None:
         raise ConfigurationError(
             "height_scale_sigma needs height_scale_from_m",

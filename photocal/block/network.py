@@ -34,7 +34,6 @@ class Assembly:
 
     Attributes
     ----------
-    network : Network
     points : ndarray of int, shape (m,)
         The block's points that are in the network: those with rays.
     rays : ndarray of int, shape (n,)
@@ -51,14 +50,6 @@ class Assembly:
 
 def assemble(block: Block) -> Assembly:
     """Make the network of a block.
-
-    Parameters
-    ----------
-    block : Block
-
-    Returns
-    -------
-    Assembly
 
     Raises
     ------
@@ -178,10 +169,6 @@ def _local_positions(positions: Positions, frame: Frame) -> Positions:
 
 def observed_plane(block: Block) -> tuple[Floats, Floats]:
     """Observations and their sigmas in the image plane, in the unit of each camera.
-
-    Parameters
-    ----------
-    block : Block
 
     Returns
     -------

@@ -99,7 +99,6 @@ def adjusted(
 
     Parameters
     ----------
-    assembly : Assembly
     snooping : {"w", "tau"}, optional
         Search for gross errors with this test.
     report : callable, optional
@@ -109,7 +108,6 @@ def adjusted(
     -------
     assembly : Assembly
         With snooping, only what is accepted remains in its network.
-    solution : Solution
 
     Raises
     ------

@@ -26,34 +26,7 @@ def from_readings(
     images: Images,
     observations: Observations,
 ) -> tuple[Observations, tuple[FiducialFit, ...]]:
-    """Turn the readings of every image into image coordinates.
-
-    Parameters
-    ----------
-    folder : Path
-        With `fiducials.csv` (camera, fiducial, x, y in the camera's unit, x right and y up) and
-        `fiducial_readings.csv` (image, fiducial, x, y as the observations were read).
-    transformation : {"conformal", "affine", "projective"}
-    cameras, images
-        Of the block.
-    observations : Observations
-        Values are readings; their sigmas already count in the image plane.
-
-    Returns
-    -------
-    observations : Observations
-    fits : tuple of FiducialFit
-        One for each image.
-
-    Raises
-    ------
-    ConfigurationError
-        When the observations are declared as pixels.
-    InputNotFoundError, InputMalformedError
-        For a missing or wrong table.
-    IllPosedError
-        Naming an image whose fiducials do not determine the transformation.
-    """
+    """Turn the readings of every image into image coordinates."""
     if (observations.unit, observations.axes) != ("mm", "photo"):
         raise ConfigurationError(
             "readings become image coordinates in mm, x right and y up",

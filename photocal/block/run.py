@@ -35,9 +35,6 @@ def summary(
 
     Parameters
     ----------
-    block : Block
-    assembly : Assembly
-    solution : Solution
     timing_s : dict
         Seconds by stage.
 

@@ -65,14 +65,6 @@ class Setup(Table):
 def read_setup(path: Path) -> Setup:
     """Read and check `block.toml`.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Setup
-
     Raises
     ------
     InputNotFoundError

@@ -33,35 +33,7 @@ def with_start_values(
     relations: Relations,
     surveyed: Flags,
 ) -> tuple[Exposures, Floats]:
-    """Fill what is missing among the start values.
-
-    Parameters
-    ----------
-    block : Block
-        Where the cameras come from and the names for messages.
-    exposures : Exposures
-        NaN where an image has no orientation.
-    rays : Rays
-        Sorted by point.
-    points : ndarray, shape (n, 3)
-        Coordinates in the local frame, NaN where a point has none.
-    known : ndarray, shape (n, 3, 3)
-        Projections onto the directions in which points were surveyed as control; zero for all others.
-    relations : Relations
-        Their distances give scale where nothing else does.
-    surveyed : ndarray of bool, shape (n,)
-        Control and check points.
-
-    Returns
-    -------
-    exposures : Exposures
-    points : ndarray, shape (n, 3)
-
-    Raises
-    ------
-    IllPosedError
-        Naming the images or points for which none are found.
-    """
+    """Fill what is missing among the start values."""
     values = exposures.values
     if np.isnan(values).any():
         # The search needs computer vision: blocks that are complete do not wait for it.

@@ -26,8 +26,6 @@ class Table:
 
     Attributes
     ----------
-    path : Path
-    columns : pyarrow.Table
     lines : bool
         Whether rows can be named by their line.
     """
@@ -122,13 +120,8 @@ def read_table(path: Path, required: tuple[str, ...], optional: tuple[str, ...] 
 
     Parameters
     ----------
-    path : Path
     required, optional : tuple of str
         Names of the columns; no others are allowed.
-
-    Returns
-    -------
-    Table
 
     Raises
     ------
@@ -159,12 +152,7 @@ def read_table(path: Path, required: tuple[str, ...], optional: tuple[str, ...] 
 
 
 def require_file(path: Path) -> None:
-    """Complain when a path is no file with content.
-
-    Raises
-    ------
-    InputNotFoundError
-    """
+    """Complain when a path is no file with content."""
     if path.is_dir():
         raise InputNotFoundError("is a folder, a file was expected", where=path, remedy="name the file")
     if not path.exists():

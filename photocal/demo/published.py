@@ -61,20 +61,7 @@ def calibrate(block: Path, output: Path) -> None:
 
 
 def fly(recording: Path, output: Path) -> tuple[str, ...]:
-    """Import a recording as flight log and say in three lines what it holds.
-
-    Parameters
-    ----------
-    recording : Path
-        Telemetry log.
-    output : Path
-        Receives `flight.mcap`.
-
-    Returns
-    -------
-    tuple of str
-        Frames and damage; quality of the fixes; exposures and clock.
-    """
+    """Import a recording as flight log and say in three lines what it holds."""
     from acquire.importing.importer import import_recordings
     from acquire.log.summary import summarise
     from drivers.mavlink.dialect import ardupilotmega

@@ -22,24 +22,7 @@ _STOP_S = 300.0
 
 
 def simulated(plan: Path, output: Path, seed: int | None, speed: float) -> None:
-    """Simulate, record, process, compare.
-
-    Parameters
-    ----------
-    plan : Path
-        Configuration of the flight.
-    output : Path
-        Folder for flight and results; an earlier flight in it is replaced.
-    seed : int or None
-        Instead of the plan's.
-    speed : float
-        Of the recording, times real time.
-
-    Raises
-    ------
-    PhotocalError
-        As the steps do.
-    """
+    """Simulate, record, process, compare."""
     began = time.monotonic()
     flight = output / "flight"
     shutil.rmtree(flight, ignore_errors=True)
@@ -83,7 +66,6 @@ def record(flight: Path, speed: float) -> None:
     ----------
     flight : Path
         With `site/` and `truth/`; gets `site/flight.mcap`.
-    speed : float
 
     Raises
     ------

@@ -21,7 +21,6 @@ class Row:
 
     Attributes
     ----------
-    name, unit : str
     true, found, sigma : float
         Truth, estimate and its standard deviation.
     limit : float
@@ -47,19 +46,7 @@ class Row:
 
 
 def against_truth(truth: Path, work: Path) -> tuple[Row, ...]:
-    """Compare a run with the truth of its flight.
-
-    Parameters
-    ----------
-    truth : Path
-        Folder `truth/` of the flight.
-    work : Path
-        Work folder of the run.
-
-    Returns
-    -------
-    tuple of Row
-    """
+    """Compare a run with the truth of its flight."""
     true = json.loads((truth / "truth.json").read_text(encoding="utf-8"))
     result = json.loads((work / "calibration" / "result.json").read_text(encoding="utf-8"))
     check = json.loads((work / "georeferencing" / "check.json").read_text(encoding="utf-8"))
@@ -115,16 +102,7 @@ def _rows(path: Path) -> list[dict[str, str]]:
 
 
 def table(rows: tuple[Row, ...]) -> str:
-    """Write the comparison for people.
-
-    Parameters
-    ----------
-    rows : tuple of Row
-
-    Returns
-    -------
-    str
-    """
+    """Write the comparison for people."""
     lines = [f"{'':<36}{'truth':>13}{'found':>13}{'sigma':>11}{'deviation':>11}"]
     for row in rows:
         mark = "" if row.agrees else "  <--"

@@ -11,14 +11,6 @@ from photocal.block.model import Block
 def read_any_block(source: Path) -> Block:
     """Read a block folder, or the set-up file of another program.
 
-    Parameters
-    ----------
-    source : Path
-
-    Returns
-    -------
-    Block
-
     Raises
     ------
     PhotocalError

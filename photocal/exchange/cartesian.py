@@ -23,23 +23,7 @@ Floats = NDArray[np.float64]
 
 
 def to_cartesian(given: Reconstruction) -> Reconstruction:
-    """Take a block to the topocentric frame at its middle; a local frame stays as it is.
-
-    Parameters
-    ----------
-    given : Reconstruction
-
-    Returns
-    -------
-    Reconstruction
-        With the frame "local". Standard deviations stay those of the given axes, from which the topocentric
-        ones differ by less than a degree.
-
-    Raises
-    ------
-    ConfigurationError, InputMalformedError
-        When the system is not known, or does not reach the coordinates.
-    """
+    """Take a block to the topocentric frame at its middle; a local frame stays as it is."""
     if given.frame == "local":
         return given
     frame = reference_frame(given.frame, given.height, middle(given))
@@ -54,23 +38,7 @@ def middle(given: Reconstruction) -> Floats:
 
 
 def to_wgs84(given: Reconstruction) -> Callable[[Floats], Floats]:
-    """Make the way from the topocentric frame of `to_cartesian` to WGS 84.
-
-    Parameters
-    ----------
-    given : Reconstruction
-        A block in a reference system, before it was taken to the topocentric frame.
-
-    Returns
-    -------
-    callable
-        Takes topocentric coordinates, shape (n, 3), gives longitude, latitude (deg), ellipsoidal height (m).
-
-    Raises
-    ------
-    ConfigurationError
-        When the system is not known, or no way leads from it to WGS 84.
-    """
+    """Make the way from the topocentric frame of `to_cartesian` to WGS 84."""
     from pyproj import Transformer
     from pyproj.exceptions import ProjError
 

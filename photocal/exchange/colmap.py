@@ -42,21 +42,7 @@ _FREES = {"k1": ("K1",), "k2": ("K2",), "k3": ("K3",), "p1": ("P1", "P2"), "fx":
 
 
 def read_colmap(folder: Path) -> Reconstruction:
-    """Read a model folder; binary files where there are any.
-
-    Parameters
-    ----------
-    folder : Path
-
-    Returns
-    -------
-    Reconstruction
-        Marks without a point are left out; points have their numbers as names.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
+    """Read a model folder; binary files where there are any."""
     binary = (folder / "cameras.bin").exists()
     content = read_binary_model(folder) if binary else read_text_model(folder)
     cameras = {lens.key: _camera(lens, folder) for lens in content.lenses}
@@ -95,26 +81,7 @@ def read_colmap(folder: Path) -> Reconstruction:
 
 
 def write_colmap(folder: Path, given: Reconstruction, *, binary: bool = False) -> tuple[Conversion, ...]:
-    """Write a model folder.
-
-    Parameters
-    ----------
-    folder : Path
-        Exists.
-    given : Reconstruction
-    binary : bool
-        Whether .bin or .txt files.
-
-    Returns
-    -------
-    tuple of Conversion
-        What each camera lost.
-
-    Raises
-    ------
-    InputMalformedError
-        For cameras with a skew, or names that the text form cannot hold.
-    """
+    """Write a model folder."""
     made = [to_pinhole(own, "COLMAP") for own in given.cameras]
     lenses = [
         Lens(k, _WRITTEN, pinhole.size_px, _parameters(pinhole))

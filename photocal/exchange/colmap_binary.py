@@ -69,20 +69,7 @@ class _Reader:
 
 
 def read_binary_model(folder: Path) -> Content:
-    """Read the three binary files of a model.
-
-    Parameters
-    ----------
-    folder : Path
-
-    Returns
-    -------
-    Content
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
+    """Read the three binary files of a model."""
     points = list(_points(folder / "points3D.bin"))
     return Content(
         tuple(_lenses(folder / "cameras.bin")),
@@ -130,14 +117,7 @@ def _points(path: Path) -> Iterator[tuple[int, tuple[float, ...], float, Integer
 
 
 def write_binary_model(folder: Path, content: Content) -> None:
-    """Write the three binary files of a model.
-
-    Parameters
-    ----------
-    folder : Path
-        Exists.
-    content : Content
-    """
+    """Write the three binary files of a model."""
     with (folder / "cameras.bin").open("wb") as out:
         out.write(struct.pack("<Q", len(content.lenses)))
         for lens in content.lenses:

@@ -29,15 +29,7 @@ NO_POINT = -1
 
 @dataclass(frozen=True)
 class Lens:
-    """One camera.
-
-    Attributes
-    ----------
-    key : int
-    model : str
-    size_px : tuple of int
-    parameters : tuple of float
-    """
+    """One camera."""
 
     key: int
     model: str
@@ -51,12 +43,10 @@ class Shot:
 
     Attributes
     ----------
-    key : int
     quaternion, translation : tuple of float
         From object to camera axes.
     lens : int
         Key of its camera.
-    name : str
     marks : ndarray, shape (n, 2)
     points : ndarray of int, shape (n,)
         Keys of the points, or `NO_POINT`.
@@ -77,8 +67,6 @@ class Content:
 
     Attributes
     ----------
-    lenses : tuple of Lens
-    shots : tuple of Shot
     keys : ndarray of int, shape (n,)
         Of the points.
     xyz : ndarray, shape (n, 3)
@@ -97,24 +85,7 @@ class Content:
 
 
 def key_of(value: float, place: object) -> int:
-    """Check a number that names something.
-
-    Parameters
-    ----------
-    value : float
-        As read.
-    place : object
-        For messages.
-
-    Returns
-    -------
-    int
-
-    Raises
-    ------
-    InputMalformedError
-        When it is no number that can name something.
-    """
+    """Check a number that names something."""
     if not -1 <= value < LARGEST_KEY or value % 1:
         raise InputMalformedError(f"the number {value:g} names nothing", where=place, remedy="is it damaged?")
     return int(value)

@@ -17,20 +17,7 @@ Integers = NDArray[np.int64]
 
 
 def read_text_model(folder: Path) -> Content:
-    """Read the three text files of a model.
-
-    Parameters
-    ----------
-    folder : Path
-
-    Returns
-    -------
-    Content
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
+    """Read the three text files of a model."""
     points = list(_points(folder / "points3D.txt"))
     return Content(
         tuple(_lenses(folder / "cameras.txt")),
@@ -99,19 +86,7 @@ def _points(path: Path) -> Iterator[tuple[int, list[float], float, Integers]]:
 
 
 def write_text_model(folder: Path, content: Content) -> None:
-    """Write the three text files of a model, numbers with all their digits.
-
-    Parameters
-    ----------
-    folder : Path
-        Exists.
-    content : Content
-
-    Raises
-    ------
-    InputMalformedError
-        For image names with blanks, which the format cannot hold.
-    """
+    """Write the three text files of a model, numbers with all their digits."""
     for shot in content.shots:
         if any(letter.isspace() for letter in shot.name):
             raise InputMalformedError(

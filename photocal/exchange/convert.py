@@ -27,7 +27,6 @@ class Conversion:
 
     Attributes
     ----------
-    camera : Camera
     rms_px, largest_px : float
         Distance between the image points of the same ray in both models, over the whole image; 0 when the
         models are the same.
@@ -39,22 +38,7 @@ class Conversion:
 
 
 def in_pixels(own: Camera) -> Camera:
-    """Express a camera in px.
-
-    Parameters
-    ----------
-    own : Camera
-
-    Returns
-    -------
-    Camera
-        The same camera; pixels that are not square become an affinity.
-
-    Raises
-    ------
-    InputMalformedError
-        When pixels that are not square meet an affinity that acts elsewhere.
-    """
+    """Express a camera in px."""
     if own.unit == "px":
         return own
     width, height = own.pitch
@@ -91,15 +75,6 @@ def unbalanced(own: Camera) -> Camera:
     """Turn balanced radial distortion (R0 > 0) into the plain polynomial: the same camera with another c.
 
     The constant part s = K1 R0^2 + K2 R0^4 + ... scales the image and goes into the principal distance.
-
-    Parameters
-    ----------
-    own : Camera
-
-    Returns
-    -------
-    Camera
-        With R0 = 0.
     """
     if own.reference_radius == 0:
         return own
@@ -152,18 +127,7 @@ def converted(
 
 
 def apart_px(own: Camera, other: Camera) -> tuple[float, float]:
-    """How far apart two cameras record the same rays, over the whole image of the first.
-
-    Parameters
-    ----------
-    own, other : Camera
-        Of one unit and size.
-
-    Returns
-    -------
-    tuple of float
-        Root mean square and largest distance, px.
-    """
+    """How far apart two cameras record the same rays, over the whole image of the first."""
     measured = _grid(own)
     rays = undistorted(own, measured) / own.values[0]
     seen = np.isfinite(rays).all(axis=1)
@@ -213,18 +177,7 @@ def _fitted(own: Camera, model: Model, affinity: Affinity, terms: Sequence[str])
 
 
 def require_no_skew(own: Camera, program: str) -> None:
-    """Complain when a camera has a skew that a program has no place for.
-
-    Parameters
-    ----------
-    own : Camera
-    program : str
-        For the message.
-
-    Raises
-    ------
-    InputMalformedError
-    """
+    """Complain when a camera has a skew that a program has no place for."""
     matrix = affinity_matrix(own)
     if matrix[0, 1] or matrix[1, 0]:
         raise InputMalformedError(

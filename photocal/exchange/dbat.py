@@ -31,22 +31,7 @@ _GROUPS = {
 
 
 def read_dbat(path: Path) -> Block:
-    """Read a DBAT set-up and the tables that it names.
-
-    Parameters
-    ----------
-    path : Path
-        The XML file; its tables lie in its folder.
-
-    Returns
-    -------
-    Block
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        For missing, damaged or hostile files; for set-ups that mean something we have no equivalent of.
-    """
+    """Read a DBAT set-up and the tables that it names."""
     root = read_xml(path)
     if root.tag != "document" or "dbat_script_version" not in root.attrib:
         raise InputMalformedError(
@@ -94,21 +79,7 @@ def read_dbat(path: Path) -> Block:
 
 
 def read_dbat_cameras(path: Path) -> tuple[DbatCamera, ...]:
-    """Read a DBAT camera file (dbat_camera_version 1).
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    tuple of DbatCamera
-        Everything that the file's camera has is marked as to be estimated.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
+    """Read a DBAT camera file (dbat_camera_version 1)."""
     root = read_xml(path)
     if "dbat_camera_version" not in root.attrib:
         raise InputMalformedError("is no DBAT camera file", where=path)

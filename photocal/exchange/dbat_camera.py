@@ -44,10 +44,8 @@ class DbatCamera:
 
     Attributes
     ----------
-    name : str
     lens_model : int
         -1 or 1 to 5.
-    size_px : tuple of int
     pixel_mm : float
         Height of a pixel; its width is (1 + as) times this.
     values : dict
@@ -65,25 +63,7 @@ class DbatCamera:
 
 
 def from_dbat(described: DbatCamera, camera_id: str, place: object) -> Camera:
-    """Turn DBAT's description into a camera.
-
-    Parameters
-    ----------
-    described : DbatCamera
-    camera_id : str
-    place : object
-        For messages.
-
-    Returns
-    -------
-    Camera
-        In mm.
-
-    Raises
-    ------
-    InputMalformedError
-        For a lens model, or a combination of parameters, that has no equivalent.
-    """
+    """Turn DBAT's description into a camera."""
     number = described.lens_model
     if number not in MODELS:
         raise InputMalformedError(f"lens model {number} is not known", where=place, remedy="use -1 or 1 to 5")
@@ -131,23 +111,7 @@ def from_dbat(described: DbatCamera, camera_id: str, place: object) -> Camera:
 def to_dbat(
     own: Camera, lens_model: int, covariance: Floats | None = None
 ) -> tuple[dict[str, float], Floats]:
-    """Turn a camera's parameters into DBAT's, with their covariance.
-
-    Parameters
-    ----------
-    own : Camera
-        In mm, made by `from_dbat` with the same lens model.
-    lens_model : int
-    covariance : ndarray, shape (13, 13), optional
-        Of the camera's parameters; zero when not given.
-
-    Returns
-    -------
-    values : dict
-        By `NAMES`.
-    covariance : ndarray, shape (11, 11)
-        In the order of `NAMES`.
-    """
+    """Turn a camera's parameters into DBAT's, with their covariance."""
     width, height = np.array(own.size_px) * own.pitch
     index = [PARAMETERS.index(name) for name in _OURS]
     sign = np.array([1.0, 1, -1, 1, 1, -1, -1, -1, -1, -1, -1])

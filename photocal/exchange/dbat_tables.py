@@ -22,7 +22,6 @@ class Row:
 
     Attributes
     ----------
-    line : Line
     cells : dict
         Text by field, blanks removed.
     """
@@ -58,27 +57,7 @@ class Row:
 
 
 def read_rows(path: Path, layout: str, allowed: tuple[str, ...], separator: str = ",") -> Iterator[Row]:
-    """Read the rows of a table whose columns a format names.
-
-    Parameters
-    ----------
-    path : Path
-    layout : str
-        Names of the columns, separated by commas: "id,label,x,y,z,sx,sy,sz".
-    allowed : tuple of str
-        Names that may stand in it.
-    separator : str
-        Between cells.
-
-    Yields
-    ------
-    Row
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        For a missing file, an unknown column name, or a row with another number of cells.
-    """
+    """Read the rows of a table whose columns a format names."""
     fields = [field.strip() for field in layout.split(",")]
     for field in fields:
         if field not in allowed:

@@ -33,24 +33,6 @@ def write_dbat(folder: Path, block: Block) -> Path:
     """Write setup.xml, images.txt, marks.txt, control.txt and check.txt.
 
     Exterior orientations and tie points are not written: DBAT computes its own start values.
-
-    Parameters
-    ----------
-    folder : Path
-        Exists.
-    block : Block
-        With one camera in mm.
-
-    Returns
-    -------
-    Path
-        The set-up.
-
-    Raises
-    ------
-    InputMalformedError
-        For what DBAT has no place for: several cameras, cameras in px, other distortion terms, points that
-        have no number for a name, observations of orientations.
     """
     _require_expressible(block)
     own = unbalanced(block.cameras[0])
@@ -86,21 +68,7 @@ def write_dbat(folder: Path, block: Block) -> Path:
 
 
 def lens_model(own: Camera) -> int:
-    """Number of DBAT's lens model for a camera.
-
-    Parameters
-    ----------
-    own : Camera
-
-    Returns
-    -------
-    int
-
-    Raises
-    ------
-    InputMalformedError
-        When there is none.
-    """
+    """Number of DBAT's lens model for a camera."""
     index = [PARAMETERS.index(name) for name in ("B1", "B2")]
     affine = bool(own.values[index].any() or own.estimated[index].any())
     others = [PARAMETERS.index(name) for name in ("P3", "P4")]

@@ -20,25 +20,7 @@ READABLE = (
 
 
 def read_foreign_block(path: Path) -> Block:
-    """Read a block of another program.
-
-    Parameters
-    ----------
-    path : Path
-        The file that names the others, or the text export.
-
-    Returns
-    -------
-    Block
-        Its inputs with their paths below the folder that has them all.
-
-    Raises
-    ------
-    InputNotFoundError
-        When it is missing or empty.
-    InputMalformedError
-        When it is no format that holds a block, or is damaged.
-    """
+    """Read a block of another program."""
     if not path.exists():
         raise InputNotFoundError("does not exist", where=path, remedy="check the path")
     block = _read(path)

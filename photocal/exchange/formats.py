@@ -49,8 +49,6 @@ class Format:
         Of the camera.
     distortion : {"brown-ideal", "brown-observed", "none"}
         Its direction: added to the projection, or correcting the measurement.
-    units : str
-    write : callable
     read : callable or None
         Takes the folder, or the file, that was written.
     """
@@ -111,14 +109,6 @@ FORMATS: tuple[Format, ...] = (
 def named(name: str) -> Format:
     """Find a format.
 
-    Parameters
-    ----------
-    name : str
-
-    Returns
-    -------
-    Format
-
     Raises
     ------
     ConfigurationError
@@ -136,11 +126,8 @@ def export(form: Format, folder: Path, given: Reconstruction, choices: Choices) 
 
     Parameters
     ----------
-    form : Format
     folder : Path
         Exists.
-    given : Reconstruction
-    choices : Choices
 
     Returns
     -------

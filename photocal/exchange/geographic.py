@@ -36,7 +36,6 @@ class Origin:
 
     Attributes
     ----------
-    latitude_deg, longitude_deg : float
     height_m : float
         Ellipsoidal.
     """
@@ -48,14 +47,6 @@ class Origin:
 
 def topocentric(origin: Origin) -> ToGeographic:
     """Make the way from a topocentric frame (east, north, up) to WGS 84.
-
-    Parameters
-    ----------
-    origin : Origin
-
-    Returns
-    -------
-    callable
 
     Raises
     ------
@@ -86,15 +77,7 @@ def topocentric(origin: Origin) -> ToGeographic:
 
 
 def write_geojson(path: Path, given: Reconstruction, to_geographic: ToGeographic) -> None:
-    """Write exposures, footprints and points.
-
-    Parameters
-    ----------
-    path : Path
-    given : Reconstruction
-    to_geographic : callable
-        From `topocentric`.
-    """
+    """Write exposures, footprints and points."""
     found = [
         {"type": "Feature", "geometry": geometry, "properties": properties}
         for geometry, properties in features(given, to_geographic)
@@ -127,7 +110,6 @@ def footprints(given: Reconstruction, height_m: float) -> Floats:
 
     Parameters
     ----------
-    given : Reconstruction
     height_m : float
         Z of the plane.
 
@@ -158,7 +140,6 @@ def features(
 
     Parameters
     ----------
-    given : Reconstruction
     to_geographic : callable
         Turns local coordinates into those to be written.
 

@@ -53,8 +53,6 @@ def write_geopackage(
 
     Parameters
     ----------
-    path : Path
-    given : Reconstruction
     to_geographic : callable or None
         From `geographic.topocentric`; None keeps local coordinates.
     changed_utc : str

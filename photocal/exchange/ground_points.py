@@ -38,12 +38,10 @@ class GroundMark:
 
     Attributes
     ----------
-    point : str
     xyz : tuple of float
         In the file's coordinate system; geographic ones as longitude, latitude (deg), height (m).
     column, row : float
         px.
-    image : str
     place : str
         File and line.
     """
@@ -62,7 +60,6 @@ class ImagePosition:
 
     Attributes
     ----------
-    image : str
     xyz : tuple of float
         In the file's coordinate system; height NaN when not given.
     yaw_pitch_roll_deg : tuple of float
@@ -80,15 +77,10 @@ class ImagePosition:
 def read_gcp_list(path: Path) -> tuple[str, tuple[GroundMark, ...]]:
     """Read gcp_list.txt.
 
-    Parameters
-    ----------
-    path : Path
-
     Returns
     -------
     crs : str
         As written in the first line.
-    marks : tuple of GroundMark
 
     Raises
     ------
@@ -119,19 +111,7 @@ def read_gcp_list(path: Path) -> tuple[str, tuple[GroundMark, ...]]:
 
 
 def write_gcp_list(path: Path, crs: str, marks: Sequence[GroundMark]) -> None:
-    """Write gcp_list.txt.
-
-    Parameters
-    ----------
-    path : Path
-    crs : str
-    marks : sequence of GroundMark
-
-    Raises
-    ------
-    InputMalformedError
-        For names with blanks, which the format cannot hold.
-    """
+    """Write gcp_list.txt."""
     for mark in marks:
         for name in (mark.image, mark.point):
             _require_no_blanks(name)
@@ -143,21 +123,7 @@ def write_gcp_list(path: Path, crs: str, marks: Sequence[GroundMark]) -> None:
 
 
 def read_geo(path: Path) -> tuple[str, tuple[ImagePosition, ...]]:
-    """Read geo.txt.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    crs : str
-    positions : tuple of ImagePosition
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
+    """Read geo.txt."""
     crs, lines = _head(path)
     positions = []
     for line in lines:
@@ -195,14 +161,7 @@ def angles_of_geo(to_camera: Floats) -> Floats:
 
 
 def write_geo(path: Path, crs: str, positions: Sequence[ImagePosition]) -> None:
-    """Write geo.txt; what is not known at the end of a row is left out, in between it is "nan".
-
-    Parameters
-    ----------
-    path : Path
-    crs : str
-    positions : sequence of ImagePosition
-    """
+    """Write geo.txt; what is not known at the end of a row is left out, in between it is "nan"."""
     rows = []
     for position in positions:
         values = [*position.xyz, *position.yaw_pitch_roll_deg, *position.accuracy_m]
@@ -212,22 +171,7 @@ def write_geo(path: Path, crs: str, positions: Sequence[ImagePosition]) -> None:
 
 
 def write_odm(folder: Path, given: Reconstruction) -> None:
-    """Write gcp_list.txt of the control points and geo.txt of the images.
-
-    Parameters
-    ----------
-    folder : Path
-        Exists.
-    given : Reconstruction
-        In a coordinate reference system. The lists do not state the kind of the heights: it is the block's.
-
-    Raises
-    ------
-    ConfigurationError
-        For a local frame, which ODM cannot place.
-    InputMalformedError
-        For names with blanks.
-    """
+    """Write gcp_list.txt of the control points and geo.txt of the images."""
     if given.frame == "local":
         raise ConfigurationError(
             "the block is in a local frame, but ODM's lists name a coordinate reference system",

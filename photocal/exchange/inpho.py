@@ -29,23 +29,7 @@ Floats = NDArray[np.float64]
 
 
 def read_inpho(path: Path) -> tuple[tuple[str, ...], Floats]:
-    """Read the exterior orientations of a project.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    names : tuple of str
-    poses : ndarray, shape (n, 6)
-        omega, phi, kappa in radians, X, Y, Z in m.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        Also when a matrix is no rotation to the digits given.
-    """
+    """Read the exterior orientations of a project."""
     names, places, matrices = [], [], []
     lines = iter(read_lines(path, comment=""))
     name = ""
@@ -68,24 +52,7 @@ def read_inpho(path: Path) -> tuple[tuple[str, ...], Floats]:
 
 
 def write_inpho(path: Path, given: Reconstruction) -> tuple[Conversion, ...]:
-    """Write cameras and photos of a project.
-
-    Parameters
-    ----------
-    path : Path
-    given : Reconstruction
-        Cameras in mm.
-
-    Returns
-    -------
-    tuple of Conversion
-        What each camera loses with its distortion.
-
-    Raises
-    ------
-    InputMalformedError
-        For cameras in px.
-    """
+    """Write cameras and photos of a project."""
     for own in given.cameras:
         if own.unit != "mm":
             raise InputMalformedError(

@@ -46,7 +46,6 @@ class ScaleBar:
 
     Attributes
     ----------
-    one, other : str
     length, sigma : float
         m.
     """
@@ -58,30 +57,7 @@ class ScaleBar:
 
 
 def read_jaicov(path: Path, sigma_mm: float | None = None, *, switched_off: bool = False) -> Block:
-    """Read a JAICOV project.
-
-    Parameters
-    ----------
-    path : Path
-        Any of its files; the others have the same name. Scale bars (.scale) may be missing.
-    sigma_mm : float, optional
-        A priori standard deviation of an image coordinate; from the report when not given.
-    switched_off : bool
-        Whether observations that the file marks as switched off take part; of a point that was measured
-        several times in an image, the first.
-
-    Returns
-    -------
-    Block
-        With the datum of a free network. Observations of unknown images or points are not in it.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        For missing or damaged files.
-    ConfigurationError
-        When nothing tells the a priori standard deviation.
-    """
+    """Read a JAICOV project."""
     files = {suffix: path.with_suffix(suffix) for suffix in SUFFIXES}
     sigma = _a_priori(path.with_suffix(".htm")) if sigma_mm is None else sigma_mm
     cameras = _cameras(read_lines(files[".ior"]), files[".ior"])
@@ -110,21 +86,7 @@ def read_jaicov(path: Path, sigma_mm: float | None = None, *, switched_off: bool
 
 
 def read_scale_bars(path: Path) -> tuple[ScaleBar, ...]:
-    """Read a .scale file.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    tuple of ScaleBar
-        Those that are switched on.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
+    """Read a .scale file."""
     bars = []
     for line in read_lines(path):
         row = re.fullmatch(r'\s*\S+\s+"[^"]*"\s+(\S+)\s+(\S+)\s+(\S+)\s+(\S+)\s+([01])\s*', line.text)

@@ -20,26 +20,7 @@ _TERMS = ("K1", "K2", "K3", "P1", "P2", "B1", "B2")
 
 
 def write_jaicov(stem: Path, given: Reconstruction) -> tuple[Conversion, ...]:
-    """Write .ior, .eor, .obc and .phc files.
-
-    Parameters
-    ----------
-    stem : Path
-        Path of the files without suffix.
-    given : Reconstruction
-        In Cartesian coordinates, cameras in mm. Names of cameras, images and points are whole numbers in this
-        format; others are counted from 1.
-
-    Returns
-    -------
-    tuple of Conversion
-        What each camera lost.
-
-    Raises
-    ------
-    InputMalformedError
-        For a camera in px.
-    """
+    """Write .ior, .eor, .obc and .phc files."""
     if any(own.unit != "mm" for own in given.cameras):
         raise InputMalformedError("JAICOV files have cameras in mm", remedy="give the pixel pitch")
     made = tuple(converted(own, "brown-ideal", "additive", _TERMS) for own in given.cameras)

@@ -32,23 +32,7 @@ def read_json(path: Path) -> Any:
 
 
 def structured(path: Path, what: str, read: Callable[[], T]) -> T:
-    """Read something of a JSON file; turn what a wrong structure raises into one line.
-
-    Parameters
-    ----------
-    path : Path
-    what : str
-        What the file should be.
-    read : callable
-
-    Returns
-    -------
-    What `read` gives.
-
-    Raises
-    ------
-    InputMalformedError
-    """
+    """Read something of a JSON file; turn what a wrong structure raises into one line."""
     try:
         return read()
     except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError, IndexError) as failure:

@@ -17,10 +17,6 @@ MAX_XML_BYTES = 256 << 20
 def read_xml(path: Path) -> Element:
     """Read an XML file.
 
-    Parameters
-    ----------
-    path : Path
-
     Returns
     -------
     Element
@@ -43,24 +39,7 @@ def read_xml(path: Path) -> Element:
 
 
 def parse_xml(content: bytes, path: object) -> Element:
-    """Parse XML that is already in memory.
-
-    Parameters
-    ----------
-    content : bytes
-    path : object
-        Where it is from, for messages.
-
-    Returns
-    -------
-    Element
-        The root.
-
-    Raises
-    ------
-    InputMalformedError
-        When it is no XML, or declares entities.
-    """
+    """Parse XML that is already in memory."""
     try:
         return fromstring(content, forbid_dtd=False)
     except DefusedXmlException as refusal:
@@ -76,25 +55,7 @@ def parse_xml(content: bytes, path: object) -> Element:
 
 
 def child(element: Element, path: str, place: object) -> Element:
-    """Find an element that must be there.
-
-    Parameters
-    ----------
-    element : Element
-    path : str
-        Names separated by slashes.
-    place : object
-        For messages.
-
-    Returns
-    -------
-    Element
-
-    Raises
-    ------
-    InputMalformedError
-        When it is missing.
-    """
+    """Find an element that must be there."""
     found = element.find(path)
     if found is None:
         raise InputMalformedError(
@@ -114,12 +75,6 @@ def number_of(element: Element, path: str, place: object) -> float:
 
 
 def write_xml(path: Path, root: Element) -> None:
-    """Write a document as indented UTF-8.
-
-    Parameters
-    ----------
-    path : Path
-    root : Element
-    """
+    """Write a document as indented UTF-8."""
     indent(root)
     path.write_bytes(b'<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, encoding="utf-8") + b"\n")

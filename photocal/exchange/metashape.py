@@ -37,7 +37,6 @@ class Marker:
 
     Attributes
     ----------
-    name : str
     xyz, sigma : tuple of float
         In the chunk's coordinate system; NaN when not given.
     enabled : bool
@@ -77,21 +76,7 @@ class Chunk:
 
 
 def read_metashape(path: Path) -> Chunk:
-    """Read a camera XML.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Chunk
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        Also when the file has several chunks.
-    """
+    """Read a camera XML."""
     return chunk_of(read_xml(path), path)
 
 

@@ -15,18 +15,7 @@ from photocal.geometry.camera import Camera
 
 
 def write_metashape(path: Path, given: Reconstruction) -> tuple[Conversion, ...]:
-    """Write a camera XML in local coordinates, with the control and check points as markers.
-
-    Parameters
-    ----------
-    path : Path
-    given : Reconstruction
-
-    Returns
-    -------
-    tuple of Conversion
-        What each camera lost.
-    """
+    """Write a camera XML in local coordinates, with the control and check points as markers."""
     root = Element("document", version="1.5.0")
     chunk = SubElement(root, "chunk", label="photocal", enabled="true")
     sensors = SubElement(chunk, "sensors", next_id=str(len(given.cameras)))
@@ -60,16 +49,7 @@ def write_metashape(path: Path, given: Reconstruction) -> tuple[Conversion, ...]
 
 
 def to_metashape(own: Camera) -> Conversion:
-    """Express a camera in Metashape's model, still with our signs, in px.
-
-    Parameters
-    ----------
-    own : Camera
-
-    Returns
-    -------
-    Conversion
-    """
+    """Express a camera in Metashape's model, still with our signs, in px."""
     flat = in_pixels(own)
     terms = ["K1", "K2", "K3", "K4", "P1", "P2"]
     if flat.value("B1") or flat.value("B2"):

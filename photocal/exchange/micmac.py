@@ -36,7 +36,6 @@ class GroundPoint:
 
     Attributes
     ----------
-    name : str
     xyz, sigma : tuple of float
         Unit of the project, taken as m.
     """
@@ -67,24 +66,7 @@ class Orientation:
 
 
 def read_calibration(path: Path, camera_id: str = "") -> Camera:
-    """Read a calibration (AutoCal_...xml) with radial distortion or Fraser's model.
-
-    Parameters
-    ----------
-    path : Path
-    camera_id : str
-        The file's name when empty.
-
-    Returns
-    -------
-    Camera
-        In px.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        Also for other models, another convention, or a distortion centre of its own.
-    """
+    """Read a calibration (AutoCal_...xml) with radial distortion or Fraser's model."""
     given = child(read_xml(path), "CalibrationInternConique", path)
     _require_convention(given, path)
     place = _vector(given, "PP", path, 2)
@@ -105,20 +87,7 @@ def read_calibration(path: Path, camera_id: str = "") -> Camera:
 
 
 def read_orientation(path: Path) -> Orientation:
-    """Read an orientation (Orientation-IMAGE.xml).
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Orientation
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
+    """Read an orientation (Orientation-IMAGE.xml)."""
     given = child(read_xml(path), "OrientationConique", path)
     outer = child(given, "Externe", path)
     _require_convention(outer, path)
@@ -136,20 +105,7 @@ def read_orientation(path: Path) -> Orientation:
 
 
 def read_ground_points(path: Path) -> tuple[GroundPoint, ...]:
-    """Read ground points (DicoAppuisFlottant, or SetGCP of MMVII).
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    tuple of GroundPoint
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
+    """Read ground points (DicoAppuisFlottant, or SetGCP of MMVII)."""
     root = read_xml(path)
     points = []
     for element in root.iter("OneAppuisDAF"):
@@ -167,21 +123,7 @@ def read_ground_points(path: Path) -> tuple[GroundPoint, ...]:
 
 
 def read_measures(path: Path) -> tuple[parts.Mark, ...]:
-    """Read image measurements (SetOfMesureAppuisFlottants, or SetMesIm of MMVII).
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    tuple of Mark
-        With a standard deviation of 1 px, which the older form does not have.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
+    """Read image measurements (SetOfMesureAppuisFlottants, or SetMesIm of MMVII)."""
     root = read_xml(path)
     marks = []
     for image in root.iter("MesureAppuiFlottant1Im"):
@@ -202,27 +144,7 @@ def read_measures(path: Path) -> tuple[parts.Mark, ...]:
 
 
 def read_micmac(points: Path, measures: Path, orientations: Path) -> Block:
-    """Read a MicMac project: control, its measurements, and start values.
-
-    Parameters
-    ----------
-    points : Path
-        Ground points; their uncertainties are the standard deviations of the control.
-    measures : Path
-        Image measurements.
-    orientations : Path
-        Folder with Orientation-IMAGE.xml and the calibration that they name.
-
-    Returns
-    -------
-    Block
-        Images without orientation are left out, with their measurements. Measured points that are no ground
-        points are tie points.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
+    """Read a MicMac project: control, its measurements, and start values."""
     ground = read_ground_points(points)
     marks = read_measures(measures)
     names = list(dict.fromkeys(mark.image for mark in marks))

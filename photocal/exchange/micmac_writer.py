@@ -28,25 +28,7 @@ TERMS = ("K1", "K2", "K3", "K4", "P1", "P2", "B1", "B2")
 
 
 def write_micmac(folder: Path, given: Reconstruction) -> tuple[Conversion, ...]:
-    """Write a project.
-
-    Parameters
-    ----------
-    folder : Path
-        Exists.
-    given : Reconstruction
-        In Cartesian coordinates.
-
-    Returns
-    -------
-    tuple of Conversion
-        What each camera lost.
-
-    Raises
-    ------
-    InputMalformedError
-        For names of images or cameras that are no names of files.
-    """
+    """Write a project."""
     for name in (*given.image_names, *(own.id for own in given.cameras)):
         require_file_name(name)
     made = tuple(converted(in_pixels(own), "brown-ideal", "additive", TERMS) for own in given.cameras)

@@ -18,21 +18,7 @@ COLMAP_FILES = ("cameras", "images", "points3D")
 
 
 def read_colmap_block(path: Path) -> Block:
-    """Read a COLMAP model.
-
-    Parameters
-    ----------
-    path : Path
-        Any of its three files.
-
-    Returns
-    -------
-    Block
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
+    """Read a COLMAP model."""
     from photocal.exchange.colmap import read_colmap
 
     given = read_colmap(path.parent)
@@ -41,13 +27,7 @@ def read_colmap_block(path: Path) -> Block:
 
 
 def read_opensfm_block(path: Path) -> Block:
-    """Read an OpenSfM reconstruction with its tracks; parameters and errors as of `read_colmap_block`.
-
-    Raises
-    ------
-    InputMalformedError
-        Also when there are no tracks beside it.
-    """
+    """Read an OpenSfM reconstruction with its tracks; parameters and errors as of `read_colmap_block`."""
     from photocal.exchange.opensfm import read_reconstruction, tracks_beside
 
     given = read_reconstruction(path)
@@ -68,13 +48,7 @@ def read_opf_block(path: Path) -> Block:
 
 
 def read_metashape_block(path: Path) -> Block:
-    """Read a camera XML; parameters and errors as of `read_colmap_block`.
-
-    Raises
-    ------
-    InputMalformedError
-        Also for a chunk in a coordinate reference system, whose orientations are geocentric.
-    """
+    """Read a camera XML; parameters and errors as of `read_colmap_block`."""
     from photocal.exchange.metashape import read_metashape
 
     chunk = read_metashape(path)

@@ -28,24 +28,7 @@ COEFFICIENTS = ("distortion_coefficients", "dist_coeffs", "distCoeffs", "D")
 
 
 def read_opencv(path: Path, camera_id: str = "") -> Camera:
-    """Read a calibration.
-
-    Parameters
-    ----------
-    path : Path
-        .yml, .yaml or .json.
-    camera_id : str
-        The file's name when empty.
-
-    Returns
-    -------
-    Camera
-        In px.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
+    """Read a calibration."""
     import cv2
 
     text = read_text(path)
@@ -94,24 +77,7 @@ def read_opencv(path: Path, camera_id: str = "") -> Camera:
 
 
 def write_opencv(path: Path, own: Camera) -> Conversion:
-    """Write a calibration.
-
-    Parameters
-    ----------
-    path : Path
-        .yml, .yaml or .json says the form.
-    own : Camera
-
-    Returns
-    -------
-    Conversion
-        What the change of model cost.
-
-    Raises
-    ------
-    InputMalformedError
-        When the camera has a skew.
-    """
+    """Write a calibration."""
     import cv2
 
     pinhole, conversion = to_pinhole(own, "OpenCV")

@@ -31,42 +31,14 @@ _WHAT = "an OpenSfM file"
 
 
 def read_cameras(path: Path) -> tuple[Camera, ...]:
-    """Read cameras.json.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    tuple of Camera
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
+    """Read cameras.json."""
     return tuple(
         structured(path, _WHAT, lambda: [_camera(name, keys, path) for name, keys in read_json(path).items()])
     )
 
 
 def read_reconstruction(path: Path) -> Reconstruction:
-    """Read the first reconstruction of reconstruction.json.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Reconstruction
-        With the measurements of tracks.csv (`tracks_X.csv` for `reconstruction_X.json`) where it lies beside;
-        of images and points that are not reconstructed they are left out.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
+    """Read the first reconstruction of reconstruction.json."""
     content = read_json(path)
     if not isinstance(content, list) or not content:
         raise InputMalformedError("holds no reconstruction", where=path, remedy="is it an OpenSfM file?")
@@ -126,24 +98,7 @@ def _with_tracks(found: Reconstruction, path: Path) -> Reconstruction:
 
 
 def write_opensfm(folder: Path, given: Reconstruction) -> tuple[Conversion, ...]:
-    """Write cameras.json, reconstruction.json and tracks.csv.
-
-    Parameters
-    ----------
-    folder : Path
-        Exists.
-    given : Reconstruction
-
-    Returns
-    -------
-    tuple of Conversion
-        What each camera lost.
-
-    Raises
-    ------
-    InputMalformedError
-        For cameras with a skew.
-    """
+    """Write cameras.json, reconstruction.json and tracks.csv."""
     made = [to_pinhole(own, "OpenSfM") for own in given.cameras]
     names = [own.id for own in given.cameras]
     cameras = {name: _keys(pinhole) for name, (pinhole, _) in zip(names, made, strict=True)}

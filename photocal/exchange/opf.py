@@ -75,23 +75,7 @@ class _Seen:
 
 
 def read_opf(path: Path) -> Reconstruction:
-    """Read a calibrated project.
-
-    Parameters
-    ----------
-    path : Path
-        project.opf; the files that it names lie in its folder.
-
-    Returns
-    -------
-    Reconstruction
-        Calibrated images; coordinates of the processing frame. Marks of other images are left out.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        Also for cameras that are not perspective, and rolling shutters.
-    """
+    """Read a calibrated project."""
     return structured(path, "an OPF project", lambda: _read(path))
 
 

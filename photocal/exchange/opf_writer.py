@@ -43,25 +43,7 @@ _ITEMS: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
 
 
 def write_opf(folder: Path, given: Reconstruction) -> tuple[Conversion, ...]:
-    """Write project.opf and the files that it names.
-
-    Parameters
-    ----------
-    folder : Path
-        Exists.
-    given : Reconstruction
-        In Cartesian coordinates.
-
-    Returns
-    -------
-    tuple of Conversion
-        What each camera lost.
-
-    Raises
-    ------
-    InputMalformedError
-        For a skew, or an affinity: the format has one focal length.
-    """
+    """Write project.opf and the files that it names."""
     made = [to_pinhole(own, "OPF") for own in given.cameras]
     for own, (pinhole, _) in zip(given.cameras, made, strict=True):
         require_one_focal_length(pinhole, own.id, "an OPF project")

@@ -27,24 +27,7 @@ _CIRCLE: dict[Angle, float] = {"deg": 360.0, "gon": 400.0}
 
 
 def read_angles(path: Path, unit: Angle) -> tuple[tuple[str, ...], Floats]:
-    """Read a table of X, Y, Z, omega, phi, kappa.
-
-    Parameters
-    ----------
-    path : Path
-    unit : {"deg", "gon"}
-        Of the angles; the file does not say.
-
-    Returns
-    -------
-    names : tuple of str
-    poses : ndarray, shape (n, 6)
-        omega, phi, kappa in radians, X, Y, Z in m.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
+    """Read a table of X, Y, Z, omega, phi, kappa."""
     names, values = _table(path, 6)
     angles = values[:, 3:] * (2 * np.pi / _CIRCLE[unit])
     if len(angles) and np.abs(angles).max() > 2 * np.pi + 1e-9:
@@ -55,27 +38,13 @@ def read_angles(path: Path, unit: Angle) -> tuple[tuple[str, ...], Floats]:
 
 
 def write_angles(path: Path, names: Sequence[str], poses: Floats, unit: Angle) -> None:
-    """Write a table of X, Y, Z, omega, phi, kappa; the inverse of `read_angles`.
-
-    Parameters
-    ----------
-    path : Path
-    names : sequence of str
-    poses : ndarray, shape (n, 6)
-    unit : {"deg", "gon"}
-    """
+    """Write a table of X, Y, Z, omega, phi, kappa; the inverse of `read_angles`."""
     turned = np.hstack([poses[:, 3:], poses[:, :3] * (_CIRCLE[unit] / (2 * np.pi))])
     _write(path, f"# image X Y Z [m] omega phi kappa [{unit}]", names, turned)
 
 
 def read_matrices(path: Path) -> tuple[tuple[str, ...], Floats]:
-    """Read a table of X, Y, Z and rotation matrices; result as of `read_angles`.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        Also when a matrix is no rotation to the digits given.
-    """
+    """Read a table of X, Y, Z and rotation matrices; result as of `read_angles`."""
     names, values = _table(path, 12)
     to_object = values[:, 3:].reshape(-1, 3, 3)
     return names, poses_of_matrices(values[:, :3], np.swapaxes(to_object, -1, -2), names, path)

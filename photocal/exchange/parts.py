@@ -26,7 +26,6 @@ class PointEntry:
 
     Attributes
     ----------
-    name : str
     role : {"control", "check", "tie"}
     xyz : array_like, shape (3,)
         m; NaN when unknown.
@@ -46,8 +45,6 @@ class Mark:
 
     Attributes
     ----------
-    image, point : str
-    x, y : float
     sigma : tuple of float
         In x and y.
     place : object
@@ -63,16 +60,7 @@ class Mark:
 
 
 def object_points(entries: Iterable[PointEntry]) -> ObjectPoints:
-    """Collect object points.
-
-    Parameters
-    ----------
-    entries : iterable of PointEntry
-
-    Returns
-    -------
-    ObjectPoints
-    """
+    """Collect object points."""
     rows = list(entries)
     return ObjectPoints(
         tuple(row.name for row in rows),
@@ -89,15 +77,10 @@ def images(
 
     Parameters
     ----------
-    names : sequence of str
     camera : sequence of int
         Index of each image's camera.
     values, sigma : ndarray, shape (n, 6), optional
         omega, phi, kappa in radians, X, Y, Z in m; NaN and infinity when not given.
-
-    Returns
-    -------
-    Images
     """
     shape = (len(names), 6)
     return Images(
@@ -125,10 +108,6 @@ def observations(
         Of the block.
     unit, axes
         As in `Observations`.
-
-    Returns
-    -------
-    Observations
 
     Raises
     ------
@@ -174,7 +153,6 @@ def require_unique(names: Sequence[str], what: str, place: object) -> None:
 
     Parameters
     ----------
-    names : sequence of str
     what : str
         What they name.
     place : object
@@ -192,59 +170,20 @@ def require_unique(names: Sequence[str], what: str, place: object) -> None:
 
 
 def require_file_name(name: str) -> None:
-    """Complain when a name cannot be that of a file inside a folder.
-
-    Parameters
-    ----------
-    name : str
-
-    Raises
-    ------
-    InputMalformedError
-    """
+    """Complain when a name cannot be that of a file inside a folder."""
     if not name or name in (".", "..") or any(letter in '/\\\0:*?"<>|' for letter in name):
         raise InputMalformedError(f"the name {name!r} cannot be that of a file", remedy="rename it")
 
 
 def whole_numbers(names: Sequence[str]) -> list[str]:
-    """Give points or images whole numbers: their names where all are, else counted from 1.
-
-    Parameters
-    ----------
-    names : sequence of str
-
-    Returns
-    -------
-    list of str
-    """
+    """Give points or images whole numbers: their names where all are, else counted from 1."""
     if all(name.isdecimal() and str(int(name)) == name and len(name) < 18 for name in names):
         return list(names)
     return [str(k) for k in range(1, len(names) + 1)]
 
 
 def poses_of_matrices(places: Floats, rotation: Floats, names: Sequence[str], path: object) -> Floats:
-    """Exterior orientations from rotation matrices as a file prints them.
-
-    Parameters
-    ----------
-    places : ndarray, shape (n, 3)
-        Projection centres, m.
-    rotation : ndarray, shape (n, 3, 3)
-        From object to camera axes (x right, y up, z backwards).
-    names : sequence of str
-    path : object
-        For messages.
-
-    Returns
-    -------
-    ndarray, shape (n, 6)
-        omega, phi, kappa in radians, X, Y, Z.
-
-    Raises
-    ------
-    InputMalformedError
-        When a matrix is no rotation to the digits given.
-    """
+    """Exterior orientations from rotation matrices as a file prints them."""
     error = np.abs(rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)).max(axis=(1, 2))
     bad = np.flatnonzero(~(error < 1e-4) | (np.linalg.det(rotation) < 0))
     if len(bad):

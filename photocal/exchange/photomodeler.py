@@ -28,22 +28,7 @@ Floats = NDArray[np.float64]
 
 
 def read_control(path: Path) -> dict[str, tuple[Floats, Floats]]:
-    """Read a table of control points: id, name, X, Y, Z and, optionally, three standard deviations.
-
-    Parameters
-    ----------
-    path : Path
-        Comma-separated.
-
-    Returns
-    -------
-    dict
-        Coordinates and standard deviations (0 holds a coordinate) by id, m.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
+    """Read a table of control points: id, name, X, Y, Z and, optionally, three standard deviations."""
     widths = {len(line.text.split(",")) for line in read_lines(path)}
     layout = "id,label,x,y,z" + (",sx,sy,sz" if widths != {5} else "")
     fields = ("id", "label", "x", "y", "z", "sx", "sy", "sz")
@@ -85,28 +70,7 @@ def block_from_export(
     positions: dict[str, tuple[Floats, float]] | None = None,
     own_camera: Camera | None = None,
 ) -> Block:
-    """Make a block from an export and a table of control points.
-
-    Parameters
-    ----------
-    export : Export
-    control : dict
-        From `read_control`; empty for none. Exported and tabulated coordinates may differ by a shift of
-        the origin; orientation and points are moved to the table's.
-    positions : dict, optional
-        From `read_positions`, in the frame of the control; they become observations.
-    own_camera : Camera, optional
-        Of all photos, instead of the exported interior orientations, which are held.
-
-    Returns
-    -------
-    Block
-
-    Raises
-    ------
-    InputMalformedError
-        For object points without marks, or names that do not fit together.
-    """
+    """Make a block from an export and a table of control points."""
     place = export.file.path
     shift = _shift(export, control, place)
     names = [photo.name for photo in export.photos]
@@ -154,27 +118,7 @@ def block_from_export(
 
 
 def read_photomodeler(export: Path, control: Path | None = None, positions: Path | None = None) -> Block:
-    """Read an export with its table of control points.
-
-    Parameters
-    ----------
-    export : Path
-    control : Path, optional
-        Table of control points.
-    positions : Path, optional
-        Table of camera positions.
-
-    Returns
-    -------
-    Block
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        For missing or damaged files.
-    ConfigurationError
-        When the export has control points but no table tells their standard deviations.
-    """
+    """Read an export with its table of control points."""
     content = read_export(export)
     if control is None and content.control:
         raise ConfigurationError(

@@ -51,18 +51,14 @@ class Export:
 
     Attributes
     ----------
-    title : str
-    size_px : tuple of int
     interior : tuple of float
         Default camera of the head, with one digit more than the photos have.
-    photos : tuple of Photo
     control : dict
         Coordinates of the control points by their name.
     points : dict
         Coordinates of all object points by their name, SmartPoints renumbered behind the others.
     marks : tuple of Mark
         Column and row.
-    file : InputFile
     """
 
     title: str
@@ -108,21 +104,7 @@ def looks_like_export(path: Path) -> bool:
 
 
 def read_export(path: Path) -> Export:
-    """Read a text export.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Export
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        For missing, damaged or cut files.
-    """
+    """Read a text export."""
     cursor = _Cursor(path)
     title = cursor.next().text.strip()
     line = cursor.next()

@@ -55,7 +55,6 @@ class PointTable:
 
     Attributes
     ----------
-    names : tuple of str
     xyz, sigma : ndarray, shape (n, 3)
         m.
     """
@@ -67,14 +66,6 @@ class PointTable:
 
 def read_marks(path: Path) -> MarkTable:
     """Read a table of 2-D points.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    MarkTable
 
     Raises
     ------
@@ -99,14 +90,6 @@ def read_marks(path: Path) -> MarkTable:
 
 def read_points(path: Path) -> PointTable:
     """Read a table of 3-D points.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    PointTable
 
     Raises
     ------

@@ -27,26 +27,7 @@ _TERMS = ("K1", "K2", "K3", "P1", "P2", "B1")
 
 
 def write_photomodeler(path: Path, given: Reconstruction) -> tuple[Conversion, ...]:
-    """Write an export, and `NAME-control.txt` beside it where there is control.
-
-    Parameters
-    ----------
-    path : Path
-        .txt.
-    given : Reconstruction
-        In Cartesian coordinates, cameras in mm and of one image size. Points are numbered from 1 when their
-        names are no whole numbers.
-
-    Returns
-    -------
-    tuple of Conversion
-        What each camera lost.
-
-    Raises
-    ------
-    InputMalformedError
-        For cameras in px, with a skew, or of several image sizes.
-    """
+    """Write an export, and `NAME-control.txt` beside it where there is control."""
     sizes = {own.size_px for own in given.cameras}
     if len(sizes) != 1 or any(own.unit != "mm" for own in given.cameras):
         raise InputMalformedError(

@@ -51,22 +51,7 @@ _ARCHIVE_FAILURES = (
 
 
 def read_photoscan(path: Path) -> Block:
-    """Read a project with one chunk.
-
-    Parameters
-    ----------
-    path : Path
-        .psz.
-
-    Returns
-    -------
-    Block
-        Enabled markers are control, others check points; tie points are named by their track.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
+    """Read a project with one chunk."""
     require_readable(path)
     try:
         with zipfile.ZipFile(path) as archive:

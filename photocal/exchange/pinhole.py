@@ -35,7 +35,6 @@ class Pinhole:
 
     Attributes
     ----------
-    size_px : tuple of int
     fx, fy, cx, cy : float
         px; the centre of the upper-left pixel is (0, 0).
     k1, k2, k3, p1, p2 : float
@@ -55,25 +54,7 @@ class Pinhole:
 
 
 def from_pinhole(given: Pinhole, camera_id: str, place: object) -> Camera:
-    """Turn pinhole intrinsics into a camera in px.
-
-    Parameters
-    ----------
-    given : Pinhole
-    camera_id : str
-    place : object
-        For messages.
-
-    Returns
-    -------
-    Camera
-        `brown-ideal`, affinity "after" when fx and fy differ.
-
-    Raises
-    ------
-    InputMalformedError
-        When a number is beyond what any camera has.
-    """
+    """Turn pinhole intrinsics into a camera in px."""
     require_credible((given.fx, given.fy), (given.cx, given.cy), place)
     require_credible((), (given.k1, given.k2, given.k3, given.p1, given.p2), place)
     c = given.fy
@@ -93,21 +74,7 @@ def from_pinhole(given: Pinhole, camera_id: str, place: object) -> Camera:
 
 
 def require_credible(focal_px: Sequence[float], others: Sequence[float], place: object) -> None:
-    """Complain about numbers that no camera has, before they overflow.
-
-    Parameters
-    ----------
-    focal_px : sequence of float
-        Focal lengths, px.
-    others : sequence of float
-        Principal points (px) and coefficients of normalised coordinates.
-    place : object
-        For messages.
-
-    Raises
-    ------
-    InputMalformedError
-    """
+    """Complain about numbers that no camera has, before they overflow."""
     for value in focal_px:
         if not 1e-3 < value < LARGEST:
             raise InputMalformedError(
@@ -119,26 +86,7 @@ def require_credible(focal_px: Sequence[float], others: Sequence[float], place: 
 
 
 def to_pinhole(own: Camera, program: str) -> tuple[Pinhole, Conversion]:
-    """Turn a camera into pinhole intrinsics.
-
-    Parameters
-    ----------
-    own : Camera
-        Of any model.
-    program : str
-        For messages.
-
-    Returns
-    -------
-    pinhole : Pinhole
-    conversion : Conversion
-        What the change of model cost.
-
-    Raises
-    ------
-    InputMalformedError
-        When the camera has a skew.
-    """
+    """Turn a camera into pinhole intrinsics."""
     require_no_skew(own, program)
     flat = in_pixels(own)
     # A camera without affinity keeps fx = fy.
@@ -161,18 +109,7 @@ def to_pinhole(own: Camera, program: str) -> tuple[Pinhole, Conversion]:
 
 
 def require_one_focal_length(pinhole: Pinhole, camera_id: str, program: str) -> None:
-    """Complain when fx and fy differ and a format has one focal length.
-
-    Parameters
-    ----------
-    pinhole : Pinhole
-    camera_id, program : str
-        For the message.
-
-    Raises
-    ------
-    InputMalformedError
-    """
+    """Complain when fx and fy differ and a format has one focal length."""
     if abs(pinhole.fx / pinhole.fy - 1) > 1e-12:
         raise InputMalformedError(
             f"camera {camera_id} has an affinity (B1), which {program} cannot hold",
@@ -181,35 +118,13 @@ def require_one_focal_length(pinhole: Pinhole, camera_id: str, program: str) -> 
 
 
 def to_vision(pose: Floats) -> tuple[Floats, Floats]:
-    """Turn exterior orientations into rotation and translation from object to vision camera axes.
-
-    Parameters
-    ----------
-    pose : ndarray, shape (..., 6)
-        omega, phi, kappa in radians, X, Y, Z in m.
-
-    Returns
-    -------
-    rotation : ndarray, shape (..., 3, 3)
-    translation : ndarray, shape (..., 3)
-    """
+    """Turn exterior orientations into rotation and translation from object to vision camera axes."""
     rotation = FLIP @ matrix_from_angles(pose[..., :3])
     return rotation, -np.einsum("...ij,...j->...i", rotation, pose[..., 3:])
 
 
 def from_vision(rotation: Floats, translation: Floats) -> Floats:
-    """Turn rotation and translation from object to vision camera axes into exterior orientations.
-
-    Parameters
-    ----------
-    rotation : ndarray, shape (..., 3, 3)
-    translation : ndarray, shape (..., 3)
-
-    Returns
-    -------
-    ndarray, shape (..., 6)
-        omega, phi, kappa in radians, X, Y, Z.
-    """
+    """Turn rotation and translation from object to vision camera axes into exterior orientations."""
     place = -np.einsum("...ji,...j->...i", rotation, translation)
     return np.concatenate([angles_from_matrix(FLIP @ rotation), place], axis=-1)
 

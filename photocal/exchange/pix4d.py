@@ -24,26 +24,7 @@ _KEYS = ("F", "Px", "Py", "K1", "K2", "K3", "T1", "T2")
 
 
 def read_pix4d(path: Path, size_px: tuple[int, int], camera_id: str = "") -> Camera:
-    """Read a .cam file with one camera.
-
-    Parameters
-    ----------
-    path : Path
-    size_px : tuple of int
-        Width and height of the images, which the file does not have.
-    camera_id : str
-        The file's name when empty.
-
-    Returns
-    -------
-    Camera
-        In px.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        Also when the image and the sensor have other shapes.
-    """
+    """Read a .cam file with one camera."""
     lines = read_lines(path, comment="")
     heads = [line for line in lines if line.text.startswith(HEAD)]
     if len(heads) != 1:
@@ -85,23 +66,7 @@ def read_pix4d(path: Path, size_px: tuple[int, int], camera_id: str = "") -> Cam
 
 
 def write_pix4d(path: Path, own: Camera) -> Conversion:
-    """Write a .cam file; the sensor is that of the camera, or pixels of 1 um for a camera in px.
-
-    Parameters
-    ----------
-    path : Path
-    own : Camera
-
-    Returns
-    -------
-    Conversion
-        What the change of model cost.
-
-    Raises
-    ------
-    InputMalformedError
-        For a skew, or an affinity: the format has one focal length.
-    """
+    """Write a .cam file; the sensor is that of the camera, or pixels of 1 um for a camera in px."""
     pinhole, conversion = to_pinhole(own, "Pix4D")
     require_one_focal_length(pinhole, own.id, "a .cam file")
     pixel = own.pitch[0] if own.unit == "mm" else 1e-3

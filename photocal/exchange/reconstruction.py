@@ -29,13 +29,10 @@ class Reconstruction:
 
     Attributes
     ----------
-    cameras : tuple of Camera
-    image_names : tuple of str
     image_camera : ndarray of int, shape (images,)
         Index into the cameras; -1 when a file does not say.
     poses : ndarray, shape (images, 6)
         omega, phi, kappa in radians, X, Y, Z in m.
-    point_names : tuple of str
     xyz : ndarray, shape (points, 3)
         m.
     image, point : ndarray of int, shape (rays,)
@@ -47,7 +44,6 @@ class Reconstruction:
         Like `poses` (radians, m), `xyz` and `pixels`; residuals computed minus measured. Empty when unknown.
     frame, height : str
         "local", or a coordinate reference system with the kind of its heights, as in a block folder.
-    name : str
     """
 
     cameras: tuple[Camera, ...]
@@ -69,21 +65,7 @@ class Reconstruction:
 
 
 def as_block(given: Reconstruction, name: str, sigma_px: float, inputs: tuple[InputFile, ...]) -> Block:
-    """Make a block of a reconstruction: orientations and points as start values.
-
-    Parameters
-    ----------
-    given : Reconstruction
-        Control points with standard deviations carry the datum; without any the datum is free.
-    name : str
-    sigma_px : float
-        Standard deviation of an image coordinate, which these formats do not have.
-    inputs : tuple of InputFile
-
-    Returns
-    -------
-    Block
-    """
+    """Make a block of a reconstruction: orientations and points as start values."""
     count = len(given.point_names)
     roles = given.roles or ("tie",) * count
     role = np.array([ROLES.index(own) for own in roles], dtype=np.int64)
@@ -112,17 +94,7 @@ def as_block(given: Reconstruction, name: str, sigma_px: float, inputs: tuple[In
 
 
 def of_block(block: Block) -> Reconstruction:
-    """Take what other programs know out of a block, the inverse of `as_block`.
-
-    Parameters
-    ----------
-    block : Block
-
-    Returns
-    -------
-    Reconstruction
-        Measurements in px; standard deviations of control points.
-    """
+    """Take what other programs know out of a block, the inverse of `as_block`."""
     given, own = block.observations, block.images.camera[block.observations.image]
     pitch = np.array([camera.pitch for camera in block.cameras])[own]
     size = np.array([camera.size_px for camera in block.cameras], dtype=float)[own]
@@ -156,10 +128,6 @@ def read_run(folder: Path) -> Reconstruction:
     ----------
     folder : Path
         Run folder.
-
-    Returns
-    -------
-    Reconstruction
 
     Raises
     ------

@@ -33,8 +33,6 @@ class Reference:
 
     Attributes
     ----------
-    label : str
-    xyz : tuple of float
     accuracy : tuple of float
         Of X, Y, Z, m; NaN when the table has none.
     """
@@ -45,23 +43,7 @@ class Reference:
 
 
 def read_references(path: Path) -> tuple[str, tuple[Reference, ...]]:
-    """Read a reference table.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    crs : str
-        As written; empty when not given.
-    references : tuple of Reference
-        Rows without coordinates are left out.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
+    """Read a reference table."""
     lines = [(k, line) for k, line in enumerate(read_text(path).split("\n"), start=1) if line.strip()]
     crs = ""
     if lines and lines[0][1].startswith(_SYSTEM):
@@ -107,15 +89,10 @@ def references(names: Sequence[str], places: Floats, sigmas: Floats) -> list[Ref
 
     Parameters
     ----------
-    names : sequence of str
     places : ndarray, shape (n, 3)
         m.
     sigmas : ndarray, shape (n, 3)
         m; NaN, or an empty array, when not known.
-
-    Returns
-    -------
-    list of Reference
     """
     known = sigmas if len(sigmas) else np.full((len(names), 3), np.nan)
     return [
@@ -125,15 +102,7 @@ def references(names: Sequence[str], places: Floats, sigmas: Floats) -> list[Ref
 
 
 def write_references(path: Path, crs: str, references: Iterable[Reference]) -> None:
-    """Write a reference table with an accuracy for each coordinate; the inverse of `read_references`.
-
-    Parameters
-    ----------
-    path : Path
-    crs : str
-        Left out when empty.
-    references : iterable of Reference
-    """
+    """Write a reference table with an accuracy for each coordinate; the inverse of `read_references`."""
     out = io.StringIO()
     if crs:
         out.write(f"{_SYSTEM} {crs}\n")

@@ -25,7 +25,6 @@ class Line:
 
     Attributes
     ----------
-    path : Path
     number : int
         From 1.
     text : str
@@ -44,10 +43,6 @@ class Line:
 
 def require_readable(path: Path) -> int:
     """Complain when a path is no file with content of a credible size.
-
-    Parameters
-    ----------
-    path : Path
 
     Returns
     -------
@@ -80,10 +75,6 @@ def require_readable(path: Path) -> int:
 
 def read_text(path: Path) -> str:
     """Read a text file: UTF-8, or UTF-16 with its mark.
-
-    Parameters
-    ----------
-    path : Path
 
     Returns
     -------
@@ -119,7 +110,6 @@ def read_lines(path: Path, comment: str = "#") -> list[Line]:
 
     Parameters
     ----------
-    path : Path
     comment : str
         What a line of comment starts with; empty when there is none.
 
@@ -146,15 +136,10 @@ def number(cell: str, place: object, what: str) -> float:
 
     Parameters
     ----------
-    cell : str
     place : object
         File and line, for messages.
     what : str
         What the number is.
-
-    Returns
-    -------
-    float
 
     Raises
     ------
@@ -182,17 +167,12 @@ def numbers(text: str, place: object, what: str, count: int | None = None) -> li
 
     Parameters
     ----------
-    text : str
     place : object
         For messages.
     what : str
         What the numbers are.
     count : int, optional
         How many there must be.
-
-    Returns
-    -------
-    list of float
 
     Raises
     ------
@@ -217,10 +197,6 @@ def whole(cell: str, place: object, what: str) -> int:
     cell, place, what
         As in `number`.
 
-    Returns
-    -------
-    int
-
     Raises
     ------
     InputMalformedError
@@ -233,24 +209,7 @@ def whole(cell: str, place: object, what: str) -> int:
 
 
 def image_size(width: float, height: float, place: object) -> tuple[int, int]:
-    """Check an image size that a file claims.
-
-    Parameters
-    ----------
-    width, height : float
-        Pixels.
-    place : object
-        For messages.
-
-    Returns
-    -------
-    tuple of int
-
-    Raises
-    ------
-    InputMalformedError
-        When no camera can have it.
-    """
+    """Check an image size that a file claims."""
     if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX) or width % 1 or height % 1:
         raise InputMalformedError(
             f"image size {width:g} x {height:g} px is impossible", where=place, remedy="correct it"
@@ -272,10 +231,6 @@ def beside(folder: Path, name: str, place: object) -> Path:
         As the set-up names it.
     place : object
         For messages.
-
-    Returns
-    -------
-    Path
 
     Raises
     ------

@@ -123,10 +123,6 @@ def camera(
     photo_variant : dict, optional
         Standard deviations of the images' deviations, see `Camera.deviation_sigma`.
 
-    Returns
-    -------
-    Camera
-
     Raises
     ------
     KeyError

@@ -14,19 +14,7 @@ Floats = NDArray[np.float64]
 
 
 def scale_ratio(camera: Camera, distance_m: Floats) -> Floats:
-    """Image scale at the distance of focus over that at the object's: what makes distortion vary.
-
-    Parameters
-    ----------
-    camera : Camera
-    distance_m : ndarray, shape (n,)
-        Of the object along the optical axis.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        g = (1 - c/s) / (1 - c/s') (Brown 1971); ones for a camera without `focus_m`.
-    """
+    """Image scale at the distance of focus over that at the object's: what makes distortion vary."""
     if not camera.focus_m:
         return np.ones_like(distance_m)
     c = camera.values[0] / MM
@@ -40,7 +28,6 @@ def focused(near: Camera, far: Camera, focus_m: float) -> Camera:
     ----------
     near, far : Camera
         The calibrations, each with its `focus_m`; that of `far` may be infinite.
-    focus_m : float
 
     Returns
     -------
@@ -61,22 +48,7 @@ def focused(near: Camera, far: Camera, focus_m: float) -> Camera:
 
 
 def polynomial_distortion(camera: Camera, plane: Floats, ratio: Floats | float = 1.0) -> Floats:
-    """Radial and decentering distortion, without the affinity.
-
-    Parameters
-    ----------
-    camera : Camera
-    plane : ndarray, shape (n, 2)
-        Points from the principal point, in the camera's unit: measured ones for `brown-observed`, ideal
-        ones for `brown-ideal`.
-    ratio : ndarray, shape (n,), or float
-        From `scale_ratio`; 1 at the distance of focus.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        The polynomial of Brown (1971), to be added to the projection.
-    """
+    """Radial and decentering distortion, without the affinity."""
     k1, k2, k3, k4, p1, p2, p3, p4 = camera.values[3:11]
     x, y = plane[:, 0], plane[:, 1]
     r2, s = x * x + y * y, camera.reference_radius**2
@@ -104,7 +76,6 @@ def undistorted(camera: Camera, measured: Floats, ratio: Floats | float = 1.0) -
 
     Parameters
     ----------
-    camera : Camera
     measured : ndarray, shape (n, 2)
         Image plane coordinates in the camera's unit.
     ratio : ndarray, shape (n,), or float
@@ -137,7 +108,6 @@ def distorted(camera: Camera, ideal: Floats, ratio: Floats | float = 1.0) -> Flo
 
     Parameters
     ----------
-    camera : Camera
     ideal : ndarray, shape (n, 2)
         p = -c (u, v)/w, from the principal point.
     ratio : ndarray, shape (n,), or float
@@ -168,7 +138,6 @@ def projected(camera: Camera, q: Floats) -> Floats:
 
     Parameters
     ----------
-    camera : Camera
     q : ndarray, shape (n, 3)
         Points in camera axes (x right, y up, z backwards), m; visible ones have q_z < 0.
 

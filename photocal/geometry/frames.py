@@ -184,15 +184,10 @@ def reference_frame(name: str, height: str, origin: Floats) -> ReferenceFrame:
 
     Parameters
     ----------
-    name : str
     height : {"ellipsoidal", "orthometric", ...}
         Kind of the heights.
     origin : ndarray, shape (3,)
         Middle of the block.
-
-    Returns
-    -------
-    ReferenceFrame
 
     Raises
     ------

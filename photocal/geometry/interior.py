@@ -73,10 +73,6 @@ def interior_orientation(
     names : sequence of str
         Of the marks, for messages.
 
-    Returns
-    -------
-    InteriorOrientation
-
     Raises
     ------
     IllPosedError

@@ -27,10 +27,6 @@ _ADDITIVE, _BEFORE, _AFTER = (AFFINITIES.index(name) for name in ("additive", "b
 def optics(camera: Camera) -> Floats:
     """What a kernel must know of a camera beside its parameters.
 
-    Parameters
-    ----------
-    camera : Camera
-
     Returns
     -------
     ndarray, shape (12,)
@@ -99,26 +95,6 @@ def polynomial(
 
     dx = x rad + (P1 (r^2 + 2 x^2) + 2 P2 x y) (1 + P3 r^2 + P4 r^4), dy likewise, with
     rad = K1 (r^2 - R0^2) + K2 (r^4 - R0^4) + K3 (r^6 - R0^6) + K4 (r^8 - R0^8).
-
-    Parameters
-    ----------
-    cameras : ndarray, shape (cameras, 13)
-        Camera parameters.
-    k : int
-        Which camera.
-    reference_radius : float
-        R0.
-    g : float
-        Factor of the object's distance: K1 to K4 act times g^2 to g^8, P1 and P2 times g (Brown 1971).
-    x, y : float
-        Where to evaluate, from the principal point.
-    slope, terms : ndarray
-        Receive the derivatives, see `Scratch`.
-
-    Returns
-    -------
-    tuple of float
-        dx, dy.
     """
     k1, k2, k3, k4 = cameras[k, _K1], cameras[k, _K1 + 1], cameras[k, _K1 + 2], cameras[k, _K1 + 3]
     p1, p2, p3, p4 = cameras[k, _P1], cameras[k, _P1 + 1], cameras[k, _P1 + 2], cameras[k, _P1 + 3]

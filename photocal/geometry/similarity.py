@@ -19,7 +19,6 @@ class Similarity:
 
     Attributes
     ----------
-    scale : float
     rotation : ndarray, shape (3, 3)
     shift : ndarray, shape (3,)
     """

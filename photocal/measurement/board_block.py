@@ -34,7 +34,6 @@ class BoardMeasurement:
 
     Attributes
     ----------
-    block : Block
     record : dict
         How it was measured, for `measurement.json`.
     """
@@ -54,16 +53,10 @@ def measure_board(
 
     Parameters
     ----------
-    paths : sequence of Path
-    board : Board
     name : str
         Of the block.
     done : callable
         Told 1 after each image.
-
-    Returns
-    -------
-    BoardMeasurement
 
     Raises
     ------
@@ -177,16 +170,6 @@ def plane_principal_distance(flat: Sequence[Floats], planes: Sequence[Floats]) -
 
     Each homography H of the plane gives two linear equations in 1/c^2: its first two columns are images of
     orthogonal unit vectors (Zhang 2000, eq. 3 and 4).
-
-    Parameters
-    ----------
-    flat, planes : sequence of ndarray, shape (n, 2)
-        Points in the object's plane, and in the image plane from its middle.
-
-    Returns
-    -------
-    float or None
-        In the unit of the image plane; None when the views are parallel to the object.
     """
     import cv2
 

@@ -64,14 +64,8 @@ def parse_board(text: str, square_m: float, dictionary_name: str = "") -> Board:
 
     Parameters
     ----------
-    text : str
-    square_m : float
     dictionary_name : str
         Of a ChArUco board; empty for a plain chessboard.
-
-    Returns
-    -------
-    Board
 
     Raises
     ------
@@ -101,7 +95,6 @@ class BoardView:
     ----------
     corners : ndarray of int, shape (n,)
         Which of the board's inner corners.
-    centres : tuple of Centre
     """
 
     corners: Integers
@@ -119,18 +112,7 @@ class BoardView:
 
 
 def find_board(grey: Grey, board: Board) -> BoardView | None:
-    """Find a board and measure its corners.
-
-    Parameters
-    ----------
-    grey : ndarray, shape (height, width)
-    board : Board
-
-    Returns
-    -------
-    BoardView or None
-        None when the board is not there. A chessboard must be wholly visible, a ChArUco board need not.
-    """
+    """Find a board and measure its corners."""
     grey, eight = measurable(grey), as_eight_bit(grey)
     rough = _chessboard(eight, board) if board.kind == "chessboard" else _charuco(eight, board)
     if rough is None or len(rough[0]) < FEWEST_CORNERS:

@@ -42,22 +42,7 @@ def array_key(*arrays: NDArray[Any]) -> str:
 
 
 def cached(folder: Path, key: str, names: tuple[str, ...], make: Callable[[], Arrays]) -> Arrays:
-    """Give arrays from the cache, or make and keep them.
-
-    Parameters
-    ----------
-    folder : Path
-    key : str
-        Of the content and the settings they are made from.
-    names : tuple of str
-        Arrays that belong to the result.
-    make : callable
-
-    Returns
-    -------
-    dict
-        A damaged file is made again.
-    """
+    """Give arrays from the cache, or make and keep them."""
     path = folder / key[:2] / f"{key}.npz"
     try:
         # Opened here, so that a damaged file is closed again.

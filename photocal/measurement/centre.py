@@ -48,17 +48,7 @@ class Centre:
 
 
 def measurable(grey: Grey) -> Grey:
-    """Grey values in whole steps, as the templates take them for granted.
-
-    Parameters
-    ----------
-    grey : ndarray, shape (height, width)
-
-    Returns
-    -------
-    ndarray
-        Unchanged but for floating point values, which may count in any unit: these get 8 bits.
-    """
+    """Grey values in whole steps, as the templates take them for granted."""
     return as_eight_bit(grey) if grey.dtype == np.float32 else grey
 
 
@@ -80,7 +70,6 @@ def accepted(
 
     Parameters
     ----------
-    window : Window
     fit : Fit
         Its first two parameters are the place of the centre, relative to the middle of the window.
     contrast : float
@@ -91,10 +80,6 @@ def accepted(
         How far from there it may be, px.
     shape : ndarray, shape (k,)
         As in `Centre`.
-
-    Returns
-    -------
-    Centre or None
     """
     place = fit.parameters[:2]
     column, row = (float(p + m) for p, m in zip(place, window.middle, strict=True))

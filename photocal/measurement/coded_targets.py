@@ -34,30 +34,7 @@ def find_coded_targets(
     processes: Workers,
     done: Callable[[float], None],
 ) -> tuple[tuple[Mark, ...], tuple[str, ...]]:
-    """Find coded targets in images.
-
-    Parameters
-    ----------
-    sources : sequence of Source
-    dictionary_name : str
-    names : mapping
-        From the number of a code to the control point in its centre.
-    processes : Workers
-    done : callable
-        Told 1 after each image.
-
-    Returns
-    -------
-    marks : tuple of Mark
-        With the standard deviation that the grey values give, and a common part.
-    strangers : tuple of str
-        Codes that were found and have no name, as "code 7 in image".
-
-    Raises
-    ------
-    ConfigurationError
-        For an unknown dictionary.
-    """
+    """Find coded targets in images."""
     dictionary(dictionary_name)
     marks, strangers = [], []
     tasks = (_Task(source, dictionary_name) for source in sources)

@@ -31,7 +31,6 @@ class ControlMarks:
     ----------
     crs : str
         Of the coordinates; "local" without one. Geographic ones are longitude, latitude (deg), height.
-    points : ObjectPoints
     marks : tuple of Mark
         px of the stored pixel grid.
     without_coordinates : tuple of str
@@ -45,24 +44,7 @@ class ControlMarks:
 
 
 def read_control_marks(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
-    """Read ODM's gcp_list.txt, Metashape's XML of markers, or OpenSfM's ground_control_points.json.
-
-    Parameters
-    ----------
-    path : Path
-    sigma_m : tuple of float
-        Horizontal and vertical, for points whose file does not say it.
-    sizes : mapping
-        Width and height of the images by name; OpenSfM's marks need them.
-
-    Returns
-    -------
-    ControlMarks
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
+    """Read ODM's gcp_list.txt, Metashape's XML of markers, or OpenSfM's ground_control_points.json."""
     kind = path.suffix.lower()
     if kind == ".xml":
         return _metashape(path, sigma_m)
@@ -75,19 +57,6 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
     """Take geographic coordinates to the UTM zone of their middle; others stay as they are.
 
     Heights stay as they are.
-
-    Parameters
-    ----------
-    given : ControlMarks
-
-    Returns
-    -------
-    ControlMarks
-
-    Raises
-    ------
-    ConfigurationError
-        For a system that is not known.
     """
     from pyproj import CRS, Transformer
     from pyproj.aoi import AreaOfInterest
@@ -133,22 +102,7 @@ def _gcp_list(path: Path, sigma_m: Sigma) -> ControlMarks:
 
 
 def metashape_marks(path: Path) -> tuple[Mark, ...]:
-    """Read the pinned projections of Metashape's markers, of all of them.
-
-    Parameters
-    ----------
-    path : Path
-        XML of markers, or the document of a project.
-
-    Returns
-    -------
-    tuple of Mark
-        Of images as they are labelled there, often without the file's ending.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-    """
+    """Read the pinned projections of Metashape's markers, of all of them."""
     return _marks(_chunk(path), path)
 
 

@@ -23,21 +23,7 @@ _AROUND = _STEP_PX * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1], [1, 1],
 
 
 def ground_bend(camera: Camera, rotation: Floats, pixel: Floats) -> Floats:
-    """Bend of level ground about a place in an image.
-
-    Parameters
-    ----------
-    camera : Camera
-    rotation : ndarray, shape (3, 3)
-        From object to camera axes; the third object axis points up.
-    pixel : ndarray, shape (2,)
-        Column and row.
-
-    Returns
-    -------
-    ndarray, shape (2, 2, 2)
-        1/px, symmetric in the last two; zero where the image is parallel to the ground and not distorted.
-    """
+    """Bend of level ground about a place in an image."""
     ideal = undistorted(camera, pixel_to_plane(camera.size_px, camera.pitch, pixel + _AROUND))
     ray = np.column_stack([ideal, np.full(len(ideal), -camera.value("c"))]) @ rotation
     ground = ray[:, :2] / ray[:, 2:]

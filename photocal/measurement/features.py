@@ -61,16 +61,6 @@ def detect(grey: NDArray[np.uint8], settings: FeatureSettings) -> Features:
     """Detect SIFT features (Lowe 2004), evenly spread, the coarse ones before the fine ones.
 
     Fine features are many, but grass and sand change from image to image: the coarse ones are found again.
-
-    Parameters
-    ----------
-    grey : ndarray of uint8, shape (height, width)
-    settings : FeatureSettings
-
-    Returns
-    -------
-    Features
-        At most `settings.most`.
     """
     import cv2
 

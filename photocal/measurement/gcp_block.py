@@ -46,12 +46,6 @@ def measure_gcp(
         Coordinate reference system in place of the file's, or empty; and the kind of the heights.
     name : str
         Of the block.
-    plan : MatchingPlan
-    progress : callable
-
-    Returns
-    -------
-    TieBlock
 
     Raises
     ------

@@ -13,20 +13,7 @@ Floats = NDArray[np.float64]
 
 
 def local_places(facts: Sequence[ImageFacts]) -> tuple[Floats, tuple[float, float, float]]:
-    """Projection centres in a topocentric frame (east, north, up) at their middle.
-
-    Parameters
-    ----------
-    facts : sequence of ImageFacts
-
-    Returns
-    -------
-    places : ndarray, shape (n, 3)
-        m; NaN for images without a position. Heights are taken as the images state them: if they count from
-        the sea, the frame is lower by the geoid's height, which scales a block by a few millionths.
-    origin : tuple of float
-        Latitude and longitude (deg) and height (m) of the frame's origin.
-    """
+    """Projection centres in a topocentric frame (east, north, up) at their middle."""
     from pyproj import Transformer
 
     known = np.array([f.has_position for f in facts])

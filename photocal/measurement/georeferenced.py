@@ -18,22 +18,6 @@ def map_places(facts: Sequence[ImageFacts], crs: str) -> Floats:
 
     The images' heights are of no known kind, so they are taken as they are: between ellipsoid and geoid lie
     up to 100 m, which start values bear and observations would not.
-
-    Parameters
-    ----------
-    facts : sequence of ImageFacts
-    crs : str
-        The horizontal part is used.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        East, north, height as stated, m; NaN for images without a position.
-
-    Raises
-    ------
-    ConfigurationError
-        When the system does not cover the place.
     """
     from pyproj import CRS, Transformer
     from pyproj.exceptions import ProjError

@@ -27,19 +27,6 @@ def search_windows(
 
     A homography takes the one image to the other. How far the known matches lie off it, because the ground
     is not a plane, tells how far to seek.
-
-    Parameters
-    ----------
-    first, second : ndarray, shape (n, 2)
-        Places of the features, px.
-    known_first, known_second : ndarray, shape (k, 2)
-        Places of verified matches, px.
-
-    Returns
-    -------
-    list of pairs of ndarray of int, or None
-        Indices of features of the first and of the second image; those that the second image does not show
-        are left out. None when the known matches do not narrow the search.
     """
     import cv2
 

@@ -83,10 +83,6 @@ class ImageFacts:
 def read_facts(path: Path) -> ImageFacts:
     """Read what an image says of itself, without decoding its pixels.
 
-    Parameters
-    ----------
-    path : Path
-
     Returns
     -------
     ImageFacts

@@ -36,10 +36,6 @@ _ON_END = (5, 6, 7, 8)
 def list_images(folder: Path) -> tuple[Path, ...]:
     """List the image files of a folder, by their names.
 
-    Parameters
-    ----------
-    folder : Path
-
     Returns
     -------
     tuple of Path
@@ -69,10 +65,6 @@ def list_images(folder: Path) -> tuple[Path, ...]:
 @contextmanager
 def opened(path: Path) -> Iterator[Image]:
     """Open an image; whatever is wrong with the file becomes one line that names it.
-
-    Parameters
-    ----------
-    path : Path
 
     Yields
     ------
@@ -113,32 +105,13 @@ def opened(path: Path) -> Iterator[Image]:
 
 
 def stored_size(image: Image) -> tuple[int, int]:
-    """Width and height of the stored grid of an image whose pixels are not read yet.
-
-    Parameters
-    ----------
-    image : PIL.Image.Image
-
-    Returns
-    -------
-    tuple of int
-    """
+    """Width and height of the stored grid of an image whose pixels are not read yet."""
     width, height = image.size
     return (height, width) if _turned_by_library(image) in _ON_END else (width, height)
 
 
 def as_stored(image: Image) -> Image:
-    """Decode an image on its stored grid.
-
-    Parameters
-    ----------
-    image : PIL.Image.Image
-        As `opened` gives it, its pixels not read yet.
-
-    Returns
-    -------
-    PIL.Image.Image
-    """
+    """Decode an image on its stored grid."""
     from PIL.Image import Transpose
 
     orientation = _turned_by_library(image)
@@ -166,23 +139,7 @@ def _turned_by_library(image: Image) -> int:
 
 
 def read_grey(path: Path) -> Grey:
-    """Read the grey values of an image, on its stored pixel grid.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    ndarray, shape (height, width)
-        uint8, or uint16 or float32 for files with more than 8 bits a pixel. Colours are weighted as in
-        ITU-R BT.601 (0.299, 0.587, 0.114).
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        As `opened`; a truncated image is refused, never filled up.
-    """
+    """Read the grey values of an image, on its stored pixel grid."""
     with opened(path) as image:
         # JPEG holds the luminance; decoding it alone saves the colours' time and memory.
         if image.format == "JPEG" and image.mode in ("RGB", "YCbCr"):
@@ -198,17 +155,7 @@ def read_grey(path: Path) -> Grey:
 
 
 def as_eight_bit(grey: Grey) -> NDArray[np.uint8]:
-    """Reduce grey values to 8 bits for detectors that know no more.
-
-    Parameters
-    ----------
-    grey : ndarray, shape (height, width)
-
-    Returns
-    -------
-    ndarray of uint8
-        Unchanged when it has 8 bits; otherwise stretched between its 0.1 and 99.9 percent quantiles.
-    """
+    """Reduce grey values to 8 bits for detectors that know no more."""
     if grey.dtype == np.uint8:
         return np.asarray(grey, dtype=np.uint8)
     low, high = np.nanquantile(grey[::4, ::4], [0.001, 0.999])

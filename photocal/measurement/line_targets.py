@@ -17,21 +17,7 @@ Floats = NDArray[np.float64]
 
 
 def saddle_centre(grey: Grey, approximate: tuple[float, float], radius: float) -> Centre | None:
-    """Centre of a chessboard corner or an hourglass mark.
-
-    Parameters
-    ----------
-    grey : ndarray, shape (height, width)
-    approximate : tuple of float
-        Column and row, px; within half of the radius of the truth.
-    radius : float
-        Of the window, px: no other edge may be nearer.
-
-    Returns
-    -------
-    Centre or None
-        None when there is no such target.
-    """
+    """Centre of a chessboard corner or an hourglass mark."""
     window = cut_window(grey, approximate, radius)
     if window is None:
         return None
@@ -57,25 +43,7 @@ def cross_centre(
     width: float | None = None,
     bend: Floats = FLAT,
 ) -> Centre | None:
-    """Centre of a cross of two bars.
-
-    Parameters
-    ----------
-    grey : ndarray, shape (height, width)
-    approximate : tuple of float
-        Column and row, px; within a quarter of the size of the truth.
-    size : float
-        Length of a bar, px: the window is a circle of this diameter.
-    width : float, optional
-        Of a bar, px; a fifth of the size when not given.
-    bend : ndarray, shape (2, 2, 2)
-        Of the ground, from `eccentricity.ground_bend`.
-
-    Returns
-    -------
-    Centre or None
-        None when there is no such target.
-    """
+    """Centre of a cross of two bars."""
     window = cut_window(grey, approximate, size / 2)
     if window is None:
         return None

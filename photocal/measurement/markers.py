@@ -37,8 +37,6 @@ class Marker:
 
     Attributes
     ----------
-    identity : int
-    centre : Centre
     corners : ndarray, shape (4, 2)
         Columns and rows, px, clockwise from the marker's own first corner.
     """
@@ -56,10 +54,6 @@ def dictionary(name: str) -> Any:
     name : str
         One of `DICTIONARIES`.
 
-    Returns
-    -------
-    cv2.aruco.Dictionary
-
     Raises
     ------
     ConfigurationError
@@ -75,24 +69,7 @@ def dictionary(name: str) -> Any:
 
 
 def find_markers(grey: Grey, dictionary_name: str) -> tuple[Marker, ...]:
-    """Find the coded markers of a dictionary and measure them.
-
-    Parameters
-    ----------
-    grey : ndarray, shape (height, width)
-    dictionary_name : str
-
-    Returns
-    -------
-    tuple of Marker
-        By identity. A code is accepted only without a wrong bit, and only where the picture of its border
-        fits; an identity that is seen twice is ambiguous and left out.
-
-    Raises
-    ------
-    ConfigurationError
-        For an unknown dictionary.
-    """
+    """Find the coded markers of a dictionary and measure them."""
     import cv2
 
     codes, grey = dictionary(dictionary_name), measurable(grey)

@@ -18,22 +18,7 @@ BY_HAND_PX = 1.0
 
 
 def read_marks(path: Path) -> tuple[Mark, ...]:
-    """Read marks.csv: image, point, x, y, optional sx, sy, px of the stored pixel grid.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    tuple of Mark
-        Those without sigma have `BY_HAND_PX`.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        Also for a point that is marked twice in an image.
-    """
+    """Read marks.csv: image, point, x, y, optional sx, sy, px of the stored pixel grid."""
     table = read_table(path, ("image", "point", "x", "y"), ("sx", "sy"))
     xy = np.column_stack([table.numbers("x"), table.numbers("y")])
     sigma = np.column_stack([table.numbers(c, empty=BY_HAND_PX) for c in ("sx", "sy")])
@@ -52,21 +37,7 @@ def read_marks(path: Path) -> tuple[Mark, ...]:
 
 
 def with_marks(block: Block, marks: Iterable[Mark]) -> tuple[Block, tuple[Mark, ...]]:
-    """Add marks of known points in known images to a block.
-
-    Parameters
-    ----------
-    block : Block
-        With the points that marks may name.
-    marks : iterable of Mark
-        The first mark of a point in an image counts.
-
-    Returns
-    -------
-    block : Block
-    unknown : tuple of Mark
-        Those whose image or point the block does not have.
-    """
+    """Add marks of known points in known images to a block."""
     image = {name: k for k, name in enumerate(block.images.names)}
     point = {name: k for k, name in enumerate(block.points.names)}
     rows: dict[tuple[int, int], Mark] = {}

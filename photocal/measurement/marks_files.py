@@ -32,21 +32,6 @@ def read_any_marks(path: Path, sizes: Mapping[str, tuple[int, int]]) -> tuple[Ma
     accuracy in another, and is not used. Tables of Metashape's scripts have a head and the same order. In
     both the upper-left corner of the upper-left pixel is (0, 0). A table with the head of our marks.csv is
     taken as ours.
-
-    Parameters
-    ----------
-    path : Path
-    sizes : mapping
-        Width and height of the images by name: they name the images, and OpenSfM's marks need them.
-
-    Returns
-    -------
-    tuple of Mark
-        Their images named as in `sizes` where these have them.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
     """
     kind = path.suffix.lower()
     if kind == ".xml":
@@ -63,19 +48,7 @@ def read_any_marks(path: Path, sizes: Mapping[str, tuple[int, int]]) -> tuple[Ma
 
 
 def named_after(marks: Iterable[Mark], images: Iterable[str]) -> tuple[Mark, ...]:
-    """Give marks the names of image files: other programs leave out endings, or name folders, too.
-
-    Parameters
-    ----------
-    marks : iterable of Mark
-    images : iterable of str
-        File names.
-
-    Returns
-    -------
-    tuple of Mark
-        Those whose image is not among the files, or could be several of them, as they were.
-    """
+    """Give marks the names of image files: other programs leave out endings, or name folders, too."""
     names = set(images)
     stems: dict[str, list[str]] = {}
     for name in names:

@@ -44,22 +44,7 @@ class _Image:
 def detect_all(
     paths: Sequence[Path], plan: MatchingPlan, done: Callable[[float], None]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Detect the features of all images into the cache.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-    plan : MatchingPlan
-    done : callable
-        Told 1 after each image.
-
-    Returns
-    -------
-    keys : tuple of str
-        Under which the features are found again; empty for an image that cannot be read.
-    reasons : tuple of str
-        Why an image cannot be read; empty for those that can.
-    """
+    """Detect the features of all images into the cache."""
     keys, reasons = [], []
     images = (_Image(path, combined_key(FEATURES, content_key(path), plan.features), plan) for path in paths)
     for key, reason in run_tasks(_detect_one, images, plan.processes):
@@ -72,23 +57,7 @@ def detect_all(
 def match_all(
     keys: Sequence[str], pairs: Integers, plan: MatchingPlan, done: Callable[[float], None]
 ) -> tuple[Tracks, Integers]:
-    """Match pairs of images and join the matches to tracks.
-
-    Parameters
-    ----------
-    keys : sequence of str
-        From `detect_all`.
-    pairs : ndarray of int, shape (k, 2)
-    plan : MatchingPlan
-    done : callable
-        Told 1 after each pair.
-
-    Returns
-    -------
-    tracks : Tracks
-    counts : ndarray of int, shape (k,)
-        Verified matches of each pair.
-    """
+    """Match pairs of images and join the matches to tracks."""
     tasks = ((keys[a], keys[b], plan) for a, b in pairs)
     matches = []
     for found in run_tasks(_match_one, tasks, plan.processes):

@@ -50,11 +50,6 @@ class MatchSettings:
 def match(first: Features, second: Features, settings: MatchSettings) -> Integers:
     """Match two images and verify the matches by their epipolar geometry.
 
-    Parameters
-    ----------
-    first, second : Features
-    settings : MatchSettings
-
     Returns
     -------
     ndarray of int, shape (n, 2)
@@ -94,18 +89,6 @@ def mutual_matches(
     """Features that are each other's nearest, clearly before the second nearest (Lowe 2004).
 
     Descriptors are compared by the Hellinger kernel (Arandjelovic and Zisserman 2012).
-
-    Parameters
-    ----------
-    first, second : ndarray of uint8, shape (n, 128)
-    ratio : float
-    windows : iterable of pairs of ndarray of int, optional
-        Features of the first image, each in one window only, and those of the second that they may match;
-        all when not given.
-
-    Returns
-    -------
-    ndarray of int, shape (k, 2)
     """
     if len(first) < 2 or len(second) < 2:
         return np.zeros((0, 2), dtype=np.int64)
@@ -129,19 +112,7 @@ def mutual_matches(
 
 
 def epipolar_inliers(first: Floats32, second: Floats32, tolerance_px: float) -> NDArray[np.bool_]:
-    """Matches that agree with one epipolar geometry (MAGSAC++, Barath et al. 2020).
-
-    Parameters
-    ----------
-    first, second : ndarray, shape (n, 2)
-        Columns and rows, px.
-    tolerance_px : float
-        Largest distance from the epipolar line.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-    """
+    """Matches that agree with one epipolar geometry (MAGSAC++, Barath et al. 2020)."""
     import cv2
 
     none = np.zeros(len(first), dtype=np.bool_)

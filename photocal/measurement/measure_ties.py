@@ -30,7 +30,6 @@ class TieBlock:
 
     Attributes
     ----------
-    block : Block
     record : dict
         Figures for `measurement.json`.
     """
@@ -47,10 +46,7 @@ class Sighted:
     ----------
     facts : tuple of ImageFacts
         Of the images that can be used.
-    sources : tuple of Source
-    tracks : Tracks
     pairs : ndarray of int, shape (k, 2)
-    verified_pairs : int
     rule : str
         By which the pairs were chosen.
     left_out : tuple of dict
@@ -86,16 +82,10 @@ def measure_ties(paths: Sequence[Path], name: str, plan: MatchingPlan, progress:
 
     Parameters
     ----------
-    paths : sequence of Path
     name : str
         Of the block.
-    plan : MatchingPlan
     progress : callable
         Shows a bar for a title and an amount of work.
-
-    Returns
-    -------
-    TieBlock
 
     Raises
     ------
@@ -129,15 +119,8 @@ def sight(
 
     Parameters
     ----------
-    paths : sequence of Path
-    plan : MatchingPlan
-    progress : callable
     looking : callable
         Gives the footprints of images, by which pairs are chosen.
-
-    Returns
-    -------
-    Sighted
 
     Raises
     ------
@@ -164,17 +147,7 @@ def sight(
 
 
 def tie_record(sighted: Sighted, found: Oriented) -> dict[str, Any]:
-    """What was measured and how, for `measurement.json`.
-
-    Parameters
-    ----------
-    sighted : Sighted
-    found : Oriented
-
-    Returns
-    -------
-    dict
-    """
+    """What was measured and how, for `measurement.json`."""
     return {
         "schema": "photocal.measurement/1",
         "images": list(found.adjusted.block.images.names),

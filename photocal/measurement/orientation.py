@@ -32,7 +32,6 @@ class Orientation:
 
     Attributes
     ----------
-    cameras : tuple of Camera
     images : Images
         Values are NaN where unknown, sigmas infinite where nothing is said of them.
     frame, height : str
@@ -65,22 +64,7 @@ class Orientation:
 
 
 def of_run(run: Path) -> Orientation:
-    """Read the orientation that an adjustment found.
-
-    Parameters
-    ----------
-    run : Path
-        Run folder of `photocal adjust`.
-
-    Returns
-    -------
-    Orientation
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        When it is no run folder.
-    """
+    """Read the orientation that an adjustment found."""
     result = run / "result.json"
     if not result.is_file():
         raise InputNotFoundError("does not exist", where=result, remedy="name the folder of an adjustment")
@@ -111,19 +95,7 @@ def _camera(name: str, entry: dict[str, Any]) -> Camera:
 
 
 def of_project(project: Project, names: tuple[str, ...]) -> Orientation | None:
-    """Give what is known of a project's images: adjusted, or as the flight log has them.
-
-    Parameters
-    ----------
-    project : Project
-    names : tuple of str
-        Of its pictures.
-
-    Returns
-    -------
-    Orientation or None
-        None without a camera: nothing can be said then, whatever is known of the images.
-    """
+    """Give what is known of a project's images: adjusted, or as the flight log has them."""
     adjusted, exposures = project.output / "calibration", project.output / "exposures"
     if (adjusted / "result.json").is_file():
         return of_run(adjusted)
@@ -144,7 +116,6 @@ def of_exposures(project: Project, folder: Path) -> Orientation:
 
     Parameters
     ----------
-    project : Project
     folder : Path
         That `photocal exposures` made.
 

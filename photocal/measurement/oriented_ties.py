@@ -50,7 +50,6 @@ class Oriented:
 
     Attributes
     ----------
-    adjusted : Adjusted
     verified : Tracks
         All tracks that fit the final orientation, before they were thinned.
     left_out : tuple of dict
@@ -70,30 +69,7 @@ def orient_ties(
     processes: Workers,
     progress: Progress,
 ) -> Oriented:
-    """Orient a block by tracks of features and measure its tie points precisely.
-
-    Parameters
-    ----------
-    start : Block
-        Images, cameras, and marked points if there are any; no tie points.
-    sources : sequence of Source
-        The images.
-    tracks : Tracks
-        Joined from matches of features.
-    pairs : ndarray of int, shape (k, 2)
-        Images that may overlap.
-    processes : Workers
-    progress : callable
-
-    Returns
-    -------
-    Oriented
-
-    Raises
-    ------
-    IllPosedError
-        When fewer than two images can be oriented.
-    """
+    """Orient a block by tracks of features and measure its tie points precisely."""
     names = start.images.names
     start, tracks, kept, left_out = _connected(start, tracks)
     sizes = np.array([own.size_px for own in start.cameras], dtype=float)[start.images.camera]

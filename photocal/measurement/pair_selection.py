@@ -53,10 +53,6 @@ def footprints(
         Of the camera, radians; pitch -90 degrees looks down, which is assumed where it is unknown.
     size_px : ndarray, shape (n, 2)
     c_px : ndarray, shape (n,)
-
-    Returns
-    -------
-    Footprints
     """
     yaw, pitch = (
         np.nan_to_num(yaw_pitch[:, 0]),
@@ -71,22 +67,7 @@ def footprints(
 
 
 def select_pairs(seen: Footprints, count: int) -> tuple[Integers, Rule]:
-    """Choose the pairs of images to match.
-
-    Parameters
-    ----------
-    seen : Footprints
-    count : int
-        Number of images.
-
-    Returns
-    -------
-    pairs : ndarray of int, shape (k, 2)
-        First before second, sorted.
-    rule : str
-        What they were chosen by: overlapping footprints, nearest neighbours where heights are unknown,
-        the sequence of the images or all pairs where positions are unknown.
-    """
+    """Choose the pairs of images to match."""
     if not np.isfinite(seen.centre).all():
         if count <= ALL_UP_TO:
             return np.column_stack(np.triu_indices(count, 1)).astype(np.int64), "all"

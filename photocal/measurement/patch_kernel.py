@@ -37,24 +37,6 @@ def match_patches(
 
     Gauss-Newton with the patch's own derivatives, so that the normal matrix is made once (inverse
     compositional: Baker and Matthews 2004, section 3.2; least squares matching: Ackermann 1984, Gruen 1985).
-
-    Parameters
-    ----------
-    patches : ndarray of float32, shape (n, side, side)
-        Side odd; the place is the middle.
-    image : ndarray of float32, shape (height, width)
-    place : ndarray, shape (n, 2)
-        Start column and row in the image, px.
-    affinity : ndarray, shape (n, 2, 2)
-        From offsets in the patch to offsets in the image.
-    farthest : float
-        From the start value, px.
-    found : ndarray, shape (n, 2)
-        Receives column and row; NaN where it does not settle.
-    likeness : ndarray, shape (n,)
-        Receives the correlation coefficient.
-    covariance : ndarray, shape (n, 2, 2)
-        Receives that of column and row from the remaining noise, px squared.
     """
     count, side, _ = patches.shape
     size = (side - 2) ** 2

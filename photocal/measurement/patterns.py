@@ -18,18 +18,7 @@ _FINEST_BLUR_PX = 0.15
 
 
 def saddle(p: Floats, x: Floats, y: Floats) -> Floats:
-    """Corner of four fields in a chessboard, or an hourglass.
-
-    Parameters
-    ----------
-    p : ndarray
-        Column, row, directions of the two edges, blur, mean grey value, half of the contrast.
-    x, y : ndarray, shape (n,)
-
-    Returns
-    -------
-    ndarray, shape (n,)
-    """
+    """Corner of four fields in a chessboard, or an hourglass."""
     return np.asarray(p[5] + p[6] * _edge(_beside(p, p[2], x, y), p[4]) * _edge(_beside(p, p[3], x, y), p[4]))
 
 
@@ -54,62 +43,19 @@ def cross(p: Floats, x: Floats, y: Floats, bend: Floats = FLAT) -> Floats:
 
 
 def disc(p: Floats, x: Floats, y: Floats, bend: Floats = FLAT) -> Floats:
-    """Filled circle in perspective.
-
-    Parameters
-    ----------
-    p : ndarray
-        Column, row of the circle's centre, the ellipse's extent (xx, xy, yy; see `inside_circle`), blur,
-        grey value outside, contrast inside.
-    x, y : ndarray, shape (n,)
-    bend : ndarray, shape (2, 2, 2)
-        As in `cross`.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-    """
+    """Filled circle in perspective."""
     return np.asarray(p[6] + p[7] * 0.5 * (1 + _edge(inside_circle(p[:5], x, y, bend), p[5])))
 
 
 def ring(p: Floats, x: Floats, y: Floats, bend: Floats = FLAT) -> Floats:
-    """Ring between two concentric circles, in perspective.
-
-    Parameters
-    ----------
-    p : ndarray
-        Column, row of the centre, the outer ellipse's extent (xx, xy, yy), the inner radius over the outer
-        one, blur, grey value beside, contrast of the ring.
-    x, y : ndarray, shape (n,)
-    bend : ndarray, shape (2, 2, 2)
-        As in `cross`.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-    """
+    """Ring between two concentric circles, in perspective."""
     hole = np.r_[p[:2], p[2:5] * p[5]]
     outer, inner = (_edge(inside_circle(own, x, y, bend), p[6]) for own in (p[:5], hole))
     return np.asarray(p[7] + p[8] * 0.5 * (outer - inner))
 
 
 def inside_circle(p: Floats, x: Floats, y: Floats, bend: Floats = FLAT) -> Floats:
-    """Distance from a circle in perspective to first order, positive inside (Sampson 1982).
-
-    Parameters
-    ----------
-    p : ndarray
-        Column, row of the centre, and xx, xy, yy of the symmetric matrix that takes the unit circle to the
-        ellipse: its eigenvalues are the semi-axes. Unlike these it is determined where they are equal, too.
-    x, y : ndarray, shape (n,)
-    bend : ndarray, shape (2, 2, 2)
-        As in `cross`.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        px.
-    """
+    """Distance from a circle in perspective to first order, positive inside (Sampson 1982)."""
     xx, xy, yy = np.array([p[4], -p[3], p[2]]) / (p[2] * p[4] - p[3] ** 2)
     dx, dy = flattened(x - p[0], y - p[1], bend)
     u, v = xx * dx + xy * dy, xy * dx + yy * dy
@@ -119,19 +65,7 @@ def inside_circle(p: Floats, x: Floats, y: Floats, bend: Floats = FLAT) -> Float
 
 
 def quadrilateral(p: Floats, x: Floats, y: Floats) -> Floats:
-    """Dark quadrilateral on a light ground.
-
-    Parameters
-    ----------
-    p : ndarray
-        Direction of the inward normal and distance from the origin of each of four edges (8), blur, grey
-        value outside, contrast inside (negative for dark).
-    x, y : ndarray, shape (n,)
-
-    Returns
-    -------
-    ndarray, shape (n,)
-    """
+    """Dark quadrilateral on a light ground."""
     inside = np.ones_like(x)
     for k in range(4):
         angle, distance = p[2 * k], p[2 * k + 1]
@@ -140,18 +74,7 @@ def quadrilateral(p: Floats, x: Floats, y: Floats) -> Floats:
 
 
 def flattened(dx: Floats, dy: Floats, bend: Floats) -> tuple[Floats, Floats]:
-    """Offsets in an image as they would be if it were parallel to the ground and not distorted.
-
-    Parameters
-    ----------
-    dx, dy : ndarray
-        Columns and rows from a place, px.
-    bend : ndarray, shape (2, 2, 2)
-
-    Returns
-    -------
-    tuple of ndarray
-    """
+    """Offsets in an image as they would be if it were parallel to the ground and not distorted."""
     xx, xy, yy = dx * dx, 2 * dx * dy, dy * dy
     return (
         dx + bend[0, 0, 0] * xx + bend[0, 0, 1] * xy + bend[0, 1, 1] * yy,

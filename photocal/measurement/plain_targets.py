@@ -44,11 +44,9 @@ class Sight:
 
     Attributes
     ----------
-    point : str
     place : ndarray, shape (2,)
         Column and row, px.
     covariance : ndarray, shape (2, 2)
-    look : Look
     """
 
     point: str
@@ -93,24 +91,7 @@ def find_plain_targets(
     processes: Workers,
     done: Callable[[float], None],
 ) -> PlainMarks:
-    """Find uncoded targets in images.
-
-    Parameters
-    ----------
-    sources : sequence of Source
-    orientation : Orientation
-        With covariances: they give the windows their sizes.
-    points : ObjectPoints
-        Control and check points; their targets lie level.
-    wanted : sequence of PlainTargets
-    processes : Workers
-    done : callable
-        Told 1 after each image.
-
-    Returns
-    -------
-    PlainMarks
-    """
+    """Find uncoded targets in images."""
     predicted = predicted_sights(orientation, points, wanted)
     sights = {name: tuple(s for s in own if s.look.large_enough) for name, own in predicted.items()}
     tasks = [_Task(source, sights.get(source.path.name, ())) for source in sources]
@@ -147,18 +128,7 @@ def _too_small(predicted: Iterable[Sequence[Sight]]) -> tuple[str, ...]:
 def predicted_sights(
     orientation: Orientation, points: ObjectPoints, wanted: Iterable[PlainTargets]
 ) -> dict[str, tuple[Sight, ...]]:
-    """Predict where images should show targets.
-
-    Parameters
-    ----------
-    orientation, points, wanted
-        As in `find_plain_targets`.
-
-    Returns
-    -------
-    dict
-        By image; also targets that are too small to be sought.
-    """
+    """Predict where images should show targets."""
     unsure = replace(orientation, cameras=tuple(map(_unsure, orientation.cameras)))
     images = orientation.images
     sights: dict[str, list[Sight]] = {}
@@ -181,21 +151,7 @@ def predicted_sights(
 
 
 def identified(sights: Sequence[Sight], found: Floats) -> tuple[list[Mark], dict[str, str]]:
-    """Give the targets of an image the names of the points that predict them, where that is beyond doubt.
-
-    Parameters
-    ----------
-    sights : sequence of Sight
-    found : ndarray, shape (n, 5)
-        Sight, column, row and their sigmas of each target that was found.
-
-    Returns
-    -------
-    marks : list of Mark
-        Without an image.
-    doubts : dict
-        Why points are given up: two targets fit them, or their target fits another point, too.
-    """
+    """Give the targets of an image the names of the points that predict them, where that is beyond doubt."""
     marks, doubts = [], {}
     for k, sight in enumerate(sights):
         mine = found[found[:, 0] == k]

@@ -61,16 +61,6 @@ def predict(orientation: Orientation, xyz: Floats, sigma: Floats) -> Prediction:
 
     Errors are carried over from position and attitude of the image, from the parameters of its camera that
     have an a priori sigma, and from the coordinates of the point (law of propagation of errors).
-
-    Parameters
-    ----------
-    orientation : Orientation
-    xyz, sigma : ndarray, shape (3,)
-        In the coordinates of the orientation, m; an infinite sigma counts as none.
-
-    Returns
-    -------
-    Prediction
     """
     frame = orientation.to_local(xyz[None])
     poses = local_poses(frame, orientation.images.values)

@@ -63,8 +63,6 @@ def measure_project(
     exposures : Orientation or None
         Exterior orientations of some or all images in the project's system, NaN where unknown: good to start
         from, and with their covariances to predict targets. Without: the positions that the images state.
-    plan : MatchingPlan
-    progress : callable
     marks_files : sequence of Path
         Marks of other programs, beside those of the project, which go before them.
 
@@ -268,19 +266,7 @@ def _marked(adjusted: Adjusted, control: ObjectPoints) -> int:
 
 
 def suspected_marks(adjusted: Adjusted, control: ObjectPoints) -> list[dict[str, Any]]:
-    """Marks whose residual is too large for their sigma, the largest first.
-
-    Parameters
-    ----------
-    adjusted : Adjusted
-    control : ObjectPoints
-        The points that marks name; they stand first in the block.
-
-    Returns
-    -------
-    list of dict
-        Image, point, residual in px and in standard deviations.
-    """
+    """Marks whose residual is too large for their sigma, the largest first."""
     block, solution, rays = adjusted.block, adjusted.solution, adjusted.assembly.rays
     residual, redundancy = pixel_residuals(adjusted.assembly, solution), np.empty(len(rays))
     redundancy[rays] = solution.redundancy.mean(axis=1)
@@ -306,21 +292,7 @@ def warnings_of(
     suspects: Sequence[dict[str, Any]],
     left_out: Sequence[dict[str, str]],
 ) -> list[str]:
-    """What must not pass silently, in words.
-
-    Parameters
-    ----------
-    unknown : sequence of Mark
-    strangers : sequence of str
-        Targets without a name.
-    suspects : sequence of dict
-        From `suspected_marks`.
-    left_out : sequence of dict
-
-    Returns
-    -------
-    list of str
-    """
+    """What must not pass silently, in words."""
     said = [f"image {entry['image']} is left out: {entry['reason']}" for entry in left_out]
     said += [f"mark of {mark.point} in {mark.image}: no such image or control point" for mark in unknown]
     said += [f"a target without a name: {name}" for name in strangers]

@@ -24,12 +24,10 @@ class Targets:
 
     Attributes
     ----------
-    marks : tuple of Mark
     strangers : tuple of str
         Codes without a name.
     record : dict
         How many were sought and found, and what was refused.
-    warnings : tuple of str
     """
 
     marks: tuple[Mark, ...]
@@ -46,28 +44,7 @@ def targets_of_project(
     workers: Workers,
     progress: Progress,
 ) -> Targets:
-    """Find the targets of a project.
-
-    Parameters
-    ----------
-    project : Project
-    sources : sequence of Source
-        Its images.
-    exposures : Orientation or None
-        Uncoded targets are not sought without it.
-    control : ObjectPoints
-    workers : Workers
-    progress : callable
-
-    Returns
-    -------
-    Targets
-
-    Raises
-    ------
-    ConfigurationError
-        For an unknown dictionary, or targets of points that the control table does not have.
-    """
+    """Find the targets of a project."""
     given = project.control
     marks: list[Mark] = []
     strangers: list[str] = []

@@ -27,20 +27,6 @@ def ray_sigmas(scale: Floats, image: Integers, size: Floats, redundancy: Floats)
 
     Height, light and blur make images differently sharp; with one sigma for all, those that are worse would
     weigh too much, and what depends on them would seem surer than it is.
-
-    Parameters
-    ----------
-    scale : ndarray, shape (n,)
-        What the precision depends on.
-    image : ndarray of int, shape (n,)
-    size : ndarray, shape (n,)
-        Length of the residual, px.
-    redundancy : ndarray, shape (n,)
-        Mean of the two redundancy numbers.
-
-    Returns
-    -------
-    ndarray, shape (n,)
     """
     images = int(image.max(initial=-1)) + 1
     seen = redundancy > _SEEN
@@ -61,21 +47,7 @@ def ray_sigmas(scale: Floats, image: Integers, size: Floats, redundancy: Floats)
 
 
 def class_sigmas(scale: Floats, size: Floats, redundancy: Floats) -> Floats:
-    """Sigma of a coordinate for each ray: of its class of scale, robust against what is still wrong.
-
-    Parameters
-    ----------
-    scale : ndarray, shape (n,)
-        What the precision depends on.
-    size : ndarray, shape (n,)
-        Length of the residual, px.
-    redundancy : ndarray, shape (n,)
-        Mean of the two redundancy numbers.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-    """
+    """Sigma of a coordinate for each ray: of its class of scale, robust against what is still wrong."""
     classes = int(np.clip(len(scale) // FEWEST_IN_CLASS, 1, CLASSES))
     edges = np.quantile(scale, np.linspace(0, 1, classes + 1)[1:-1])
     member = np.searchsorted(edges, scale)

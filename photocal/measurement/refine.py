@@ -71,29 +71,7 @@ def refine(
     processes: Workers,
     done: Callable[[float], None],
 ) -> Tracks:
-    """Measure tracks again, in all images that should show them.
-
-    Parameters
-    ----------
-    sources : sequence of Source
-        The images.
-    views : Views
-        Their orientation.
-    tracks : Tracks
-    points : ndarray, shape (tracks.count, 3)
-        In the frame of the views.
-    partners : sequence of ndarray of int
-        For each image those that overlap it.
-    processes : Workers
-    done : callable
-        Told 1 after each image; twice the number of images in all.
-
-    Returns
-    -------
-    Tracks
-        Their rays found by matching, those of the reference image included; `scale` is the standard
-        deviation that the grey values give, px. Tracks that are found in one image only are left out.
-    """
+    """Measure tracks again, in all images that should show them."""
     reference = _reference_rays(views, tracks, points)
     middle = np.round(tracks.pixels[reference])
     anchor, axes = _anchors(views, tracks, points, reference, middle)

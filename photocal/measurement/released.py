@@ -22,15 +22,6 @@ def camera_figures(adjusted: Adjusted) -> list[dict[str, Any]]:
     """Parameters of each camera, and what its principal distance becomes when it is released.
 
     It is released after the last gross error was taken out: before, errors would go into it.
-
-    Parameters
-    ----------
-    adjusted : Adjusted
-
-    Returns
-    -------
-    list of dict
-        For `measurement.json`.
     """
     solution, block = adjusted.solution, adjusted.block
     freed = _freed(adjusted)

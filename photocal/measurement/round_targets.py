@@ -24,28 +24,7 @@ def disc_centre(
     bend: Floats = FLAT,
     margin: float | None = None,
 ) -> Centre | None:
-    """Centre of a filled circle in perspective.
-
-    Parameters
-    ----------
-    grey : ndarray, shape (height, width)
-    approximate : tuple of float
-        Column and row, px.
-    semi_axes : tuple of float
-        px.
-    direction : float
-        Of the first axis, from the columns towards the rows, radians.
-    bend : ndarray, shape (2, 2, 2)
-        Of the ground, from `eccentricity.ground_bend`. Without it the centre is that of the ellipse,
-        which is not where the circle's centre is seen.
-    margin : float, optional
-        Even ground around it that is used, px; without it all within a third more than the longer axis.
-
-    Returns
-    -------
-    Centre or None
-        None when there is no such target; `shape` holds semi-axes, direction and blur.
-    """
+    """Centre of a filled circle in perspective."""
     window = _round_window(grey, approximate, semi_axes, direction, margin)
     if window is None:
         return None
@@ -72,22 +51,7 @@ def ring_centre(
     bend: Floats = FLAT,
     margin: float | None = None,
 ) -> Centre | None:
-    """Centre of a ring between two concentric circles, in perspective.
-
-    Parameters
-    ----------
-    grey, approximate, direction, bend, margin
-        As in `disc_centre`.
-    semi_axes : tuple of float
-        Of the outer circle, px.
-    hole : float
-        Inner over outer diameter.
-
-    Returns
-    -------
-    Centre or None
-        None when there is no such target; `shape` holds semi-axes, direction, hole and blur.
-    """
+    """Centre of a ring between two concentric circles, in perspective."""
     window = _round_window(grey, approximate, semi_axes, direction, margin)
     if window is None:
         return None

@@ -16,25 +16,7 @@ Floats = NDArray[np.float64]
 
 
 def quadrilateral_centre(grey: Grey, corners: Floats, cell: float) -> tuple[Centre, Floats] | None:
-    """Centre and corners of a dark quadrilateral, such as the border of a coded marker.
-
-    Parameters
-    ----------
-    grey : ndarray, shape (height, width)
-    corners : ndarray, shape (4, 2)
-        Approximate columns and rows, px, in order around it.
-    cell : float
-        Width of the dark border and at least of the light margin around it, px.
-
-    Returns
-    -------
-    centre : Centre
-        Where the diagonals meet: the image of the centre of a square.
-    corners : ndarray, shape (4, 2)
-        px.
-
-    None when there is no such target.
-    """
+    """Centre and corners of a dark quadrilateral, such as the border of a coded marker."""
     middle = corners.mean(axis=0)
     reach = float(np.hypot(*(corners - middle).T).max()) + 0.7 * cell + 1
     window = cut_window(grey, (float(middle[0]), float(middle[1])), reach)

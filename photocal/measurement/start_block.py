@@ -33,21 +33,7 @@ NO_OBSERVATIONS = Observations(
 
 
 def start_block(facts: Sequence[ImageFacts], places: Floats, name: str) -> Block:
-    """Make a block of images without points.
-
-    Parameters
-    ----------
-    facts : sequence of ImageFacts
-    places : ndarray, shape (n, 3)
-        Projection centres in a local frame, m; NaN where unknown.
-    name : str
-
-    Returns
-    -------
-    Block
-        Angles unknown; positions observed with the sigma that the image states, else with
-        `POSITION_SIGMA_M`.
-    """
+    """Make a block of images without points."""
     names, member = group_cameras(facts)
     cameras = []
     for k, camera_name in enumerate(names):
@@ -85,12 +71,7 @@ def without_images(block: Block, gone: NDArray[np.bool_]) -> Block:
 
     Parameters
     ----------
-    block : Block
     gone : ndarray of bool, shape (images,)
-
-    Returns
-    -------
-    Block
     """
     keep = np.flatnonzero(~gone)
     images, seen = block.images, block.observations

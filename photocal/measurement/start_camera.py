@@ -20,19 +20,7 @@ UNKNOWN_WIDTHS = 1 / (2 * math.tan(math.radians(30)))
 
 
 def group_cameras(facts: Sequence[ImageFacts]) -> tuple[tuple[str, ...], NDArray[np.int64]]:
-    """Tell which images were taken by the same camera with the same lens.
-
-    Parameters
-    ----------
-    facts : sequence of ImageFacts
-
-    Returns
-    -------
-    names : tuple of str
-        A name for each camera.
-    camera : ndarray of int, shape (n,)
-        Camera of each image: same maker, model, serial number, focal length and size.
-    """
+    """Tell which images were taken by the same camera with the same lens."""
     keys: dict[tuple[object, ...], int] = {}
     names: list[str] = []
     members = np.zeros(len(facts), dtype=np.int64)
@@ -49,19 +37,7 @@ def group_cameras(facts: Sequence[ImageFacts]) -> tuple[tuple[str, ...], NDArray
 
 
 def principal_distance_px(facts: ImageFacts) -> tuple[float, str]:
-    """Principal distance to start from.
-
-    Parameters
-    ----------
-    facts : ImageFacts
-
-    Returns
-    -------
-    c : float
-        px.
-    source : str
-        Where it comes from.
-    """
+    """Principal distance to start from."""
     longer = max(facts.size_px)
     if math.isfinite(facts.focal_35mm) and 5 <= facts.focal_35mm <= 2000:
         return longer * facts.focal_35mm / FRAME_WIDTH_MM, "EXIF focal length, 35 mm equivalent"
@@ -69,23 +45,7 @@ def principal_distance_px(facts: ImageFacts) -> tuple[float, str]:
 
 
 def start_camera(name: str, facts: ImageFacts, c: float, estimate: tuple[str, ...]) -> Camera:
-    """Make a camera in px that is estimated on the job.
-
-    Parameters
-    ----------
-    name : str
-    facts : ImageFacts
-        Of one of its images.
-    c : float
-        Principal distance, px.
-    estimate : tuple of str
-        Parameters to estimate.
-
-    Returns
-    -------
-    Camera
-        `brown-ideal`; B1 stands for pixels that are not square.
-    """
+    """Make a camera in px that is estimated on the job."""
     return camera(
         name,
         "brown-ideal",

@@ -32,7 +32,6 @@ class Look:
 
     Attributes
     ----------
-    kind : str
     affine : ndarray, shape (2, 2)
         From the target's plane, in half sides, to px.
     part : float
@@ -97,21 +96,7 @@ class Look:
     def picture(
         self, turn: float, aside: tuple[float, float] = (0.0, 0.0), blur_px: float = _BLUR_PX
     ) -> Floats:
-        """Draw the target: 1 inside, 0 outside, about the middle of the array.
-
-        Parameters
-        ----------
-        turn : float
-            Of the target in its plane, radians.
-        aside : tuple of float
-            Where its centre lies from the middle pixel, px.
-        blur_px : float
-            Standard deviation of the blur.
-
-        Returns
-        -------
-        ndarray
-        """
+        """Draw the target: 1 inside, 0 outside, about the middle of the array."""
         from scipy.special import erf
 
         a, b = self._plane(aside)

@@ -43,22 +43,7 @@ _CROSS, _HOURGLASS = 0.92, 0.85
 
 
 def find_targets(grey: Grey, place: Place, covariance: Floats, look: Look) -> tuple[Centre, ...]:
-    """Find all targets of a look where one is predicted.
-
-    Parameters
-    ----------
-    grey : ndarray, shape (height, width)
-    place : tuple of float
-        Column and row that are predicted, px.
-    covariance : ndarray, shape (2, 2)
-        Of the prediction, px squared: it gives the window its size.
-    look : Look
-
-    Returns
-    -------
-    tuple of Centre
-        The likest first.
-    """
+    """Find all targets of a look where one is predicted."""
     inverse = np.linalg.inv(covariance + 1e-6 * np.eye(2))
     found: list[tuple[float, Centre]] = []
     for start, turn in _worth_a_fit(grey, place, covariance, look):

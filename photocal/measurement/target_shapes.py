@@ -73,10 +73,6 @@ def plain_target(kind: str, size_mm: float) -> Sheet:
     size_mm : float
         Diameter, or side of the square around it.
 
-    Returns
-    -------
-    Sheet
-
     Raises
     ------
     ConfigurationError
@@ -104,14 +100,8 @@ def coded_target(dictionary_name: str, number: int, size_mm: float) -> Sheet:
 
     Parameters
     ----------
-    dictionary_name : str
-    number : int
     size_mm : float
         Side of its black square.
-
-    Returns
-    -------
-    Sheet
 
     Raises
     ------
@@ -133,16 +123,7 @@ def coded_target(dictionary_name: str, number: int, size_mm: float) -> Sheet:
 
 
 def board_target(board: Board) -> Sheet:
-    """Draw a chessboard or ChArUco board.
-
-    Parameters
-    ----------
-    board : Board
-
-    Returns
-    -------
-    Sheet
-    """
+    """Draw a chessboard or ChArUco board."""
     square = 1000 * board.square_m
     size = (board.columns * square, board.rows * square)
     title = f"{board.kind} {board.columns} x {board.rows}, squares of {square:g} mm"

@@ -27,7 +27,6 @@ def sheets_pdf(sheets: Sequence[Sheet], paper: str) -> bytes:
 
     Parameters
     ----------
-    sheets : sequence of Sheet
     paper : str
         One of `PAPERS_MM`; turned when the target is wider than high.
 

@@ -79,21 +79,7 @@ class Fit:
 
 
 def cut_window(grey: Grey, centre: tuple[float, float], radius: float) -> Window | None:
-    """Cut a round window out of an image.
-
-    Parameters
-    ----------
-    grey : ndarray, shape (height, width)
-    centre : tuple of float
-        Column and row, px.
-    radius : float
-        px.
-
-    Returns
-    -------
-    Window or None
-        None when it does not lie inside the image.
-    """
+    """Cut a round window out of an image."""
     if not (np.isfinite(centre[0]) and np.isfinite(centre[1])):
         return None
     column, row, reach = round(centre[0]), round(centre[1]), int(np.ceil(radius))
@@ -107,21 +93,7 @@ def cut_window(grey: Grey, centre: tuple[float, float], radius: float) -> Window
 
 
 def fit_template(window: Window, template: Template, start: Floats, sizes: Floats) -> Fit | None:
-    """Fit a template in light that changes evenly (Levenberg-Marquardt).
-
-    Parameters
-    ----------
-    window : Window
-    template : callable
-    start : ndarray, shape (k,)
-    sizes : ndarray, shape (k,)
-        Typical size of each parameter; a thousandth of it is the step of the derivatives.
-
-    Returns
-    -------
-    Fit or None
-        Of the template's k parameters; None when it does not settle, or the pixels do not determine them.
-    """
+    """Fit a template in light that changes evenly (Levenberg-Marquardt)."""
     across = np.column_stack([window.x, window.y])
 
     def lit(p: Floats) -> Floats:
@@ -172,18 +144,6 @@ def odd_variance(window: Window, fit: Fit, middle: Floats) -> float:
     Targets look the same when turned by half a turn, so what is left of the grey values and looks the same,
     too, such as a plate's edge all around or corners that are rounder than drawn, does not move their centre:
     only the odd part does, grey values less those across the centre.
-
-    Parameters
-    ----------
-    window : Window
-    fit : Fit
-    middle : ndarray, shape (2,)
-        The centre, relative to the middle of the window, px.
-
-    Returns
-    -------
-    float
-        Infinite when too few pixels lie across from each other.
     """
     x, y = window.x.astype(np.int64), window.y.astype(np.int64)
     # To half a pixel: noise does not mind, and other remains are smooth.

@@ -36,8 +36,6 @@ class Adjusted:
         The tie points that are left, in the order of the block.
     values : ndarray, shape (images, 6)
         Adjusted exterior orientations in the block's frame, of the observed ones too.
-    assembly : Assembly
-    solution : Solution
     rejected : int
         Rays that were taken out.
     """
@@ -51,26 +49,7 @@ class Adjusted:
 
 
 def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
-    """Adjust a block with tie points and take out the rays that do not fit.
-
-    Parameters
-    ----------
-    start : Block
-        Without tie points.
-    poses : ndarray, shape (images, 6)
-        Start values of the exterior orientation in the block's frame.
-    tracks : Tracks
-
-    Returns
-    -------
-    Adjusted
-        Observations of tie points have estimated sigmas.
-
-    Raises
-    ------
-    PhotocalError
-        When the tie points do not determine the images.
-    """
+    """Adjust a block with tie points and take out the rays that do not fit."""
     total = len(tracks.track)
     tracks = _placed(_oriented(start, poses), tracks)
     sigma = np.ones(len(tracks.track))

@@ -26,22 +26,7 @@ LEAST_SPREAD = 0.005
 
 
 def with_ties(block: Block, tracks: Tracks, values: Floats, sigma: Floats) -> Block:
-    """Add tie points behind the points that a block has.
-
-    Parameters
-    ----------
-    block : Block
-        Observations in px of the stored pixel grid.
-    tracks : Tracks
-    values : ndarray, shape (tracks.count, 3)
-        Coordinates in the block's frame; NaN where unknown.
-    sigma : ndarray, shape (n,)
-        Of the tracks' image coordinates, px.
-
-    Returns
-    -------
-    Block
-    """
+    """Add tie points behind the points that a block has."""
     known, seen = block.points, block.observations
     count = tracks.count
     return replace(
@@ -64,19 +49,7 @@ def with_ties(block: Block, tracks: Tracks, values: Floats, sigma: Floats) -> Bl
 
 
 def orient(block: Block, tracks: Tracks) -> Block:
-    """Find the exterior orientation of a block's images from tie points, positions and control.
-
-    Parameters
-    ----------
-    block : Block
-        Without tie points. Orientations that are complete are kept where the tie points fit them.
-    tracks : Tracks
-
-    Returns
-    -------
-    Block
-        With start values; the angles of images that are not reached are NaN.
-    """
+    """Find the exterior orientation of a block's images from tie points, positions and control."""
     whole = with_ties(block, tracks, np.full((tracks.count, 3), np.nan), np.ones(len(tracks.track)))
     frame = block_frame(whole)
     given = local_poses(frame, block.images.values)
@@ -101,8 +74,6 @@ def place(block: Block, tracks: Tracks, least_spread: float = LEAST_SPREAD) -> F
 
     Parameters
     ----------
-    block : Block
-    tracks : Tracks
     least_spread : float
         Of a point's rays from their mean, rad.
 
@@ -120,18 +91,7 @@ def place(block: Block, tracks: Tracks, least_spread: float = LEAST_SPREAD) -> F
 
 
 def fitting(block: Block) -> Flags:
-    """Rays that fit the start values: a gross error would keep least squares from converging.
-
-    Parameters
-    ----------
-    block : Block
-        Oriented.
-
-    Returns
-    -------
-    ndarray of bool, shape (observations,)
-        False also for rays of points without coordinates.
-    """
+    """Rays that fit the start values: a gross error would keep least squares from converging."""
     seen = block.observations
     plane, _ = observed_plane(block)
     frame = block_frame(block)

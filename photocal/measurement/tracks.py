@@ -60,20 +60,7 @@ class Tracks:
 
 
 def join_tracks(features: Sequence[Features], pairs: Integers, matches: Sequence[Integers]) -> Tracks:
-    """Join matches of pairs to tracks; those with two places in one image are taken out.
-
-    Parameters
-    ----------
-    features : sequence of Features
-        Of each image.
-    pairs : ndarray of int, shape (k, 2)
-    matches : sequence of ndarray of int, shape (n, 2)
-        Of each pair.
-
-    Returns
-    -------
-    Tracks
-    """
+    """Join matches of pairs to tracks; those with two places in one image are taken out."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -100,18 +87,7 @@ def join_tracks(features: Sequence[Features], pairs: Integers, matches: Sequence
 
 
 def without_twins(tracks: Tracks, apart_px: float) -> Tracks:
-    """Take out tracks that show a place again that a track with more rays shows.
-
-    Parameters
-    ----------
-    tracks : Tracks
-    apart_px : float
-        Side of the cells within which places are one.
-
-    Returns
-    -------
-    Tracks
-    """
+    """Take out tracks that show a place again that a track with more rays shows."""
     rank = np.empty(tracks.count, dtype=np.int64)
     rank[np.argsort(-tracks.rays, kind="stable")] = np.arange(tracks.count)
     cell = np.column_stack([tracks.image, np.floor(tracks.pixels / apart_px).astype(np.int64)])
@@ -129,7 +105,6 @@ def of_images(tracks: Tracks, keep: NDArray[np.bool_]) -> Tracks:
 
     Parameters
     ----------
-    tracks : Tracks
     keep : ndarray of bool, shape (images,)
 
     Returns
@@ -146,20 +121,6 @@ def thin(tracks: Tracks, sizes: Floats, cells: int, in_a_cell: int) -> Tracks:
 
     Tracks with many rays come first; a track stays when it is among the first few in a cell of any of its
     images.
-
-    Parameters
-    ----------
-    tracks : Tracks
-    sizes : ndarray, shape (images, 2)
-        Width and height, px.
-    cells : int
-        Along the longer side of an image.
-    in_a_cell : int
-        Points wanted in each cell.
-
-    Returns
-    -------
-    Tracks
     """
     side = sizes.max(axis=1)[tracks.image] / cells
     order, starts = _strongest_first(tracks)
@@ -180,17 +141,6 @@ def spaced(tracks: Tracks, least_px: float) -> Tracks:
 
     Patches that overlap share pixels, and with them the errors of their places: neighbours say less than
     their number.
-
-    Parameters
-    ----------
-    tracks : Tracks
-    least_px : float
-        Distance from which two points are no neighbours.
-
-    Returns
-    -------
-    Tracks
-        Tracks with many rays come first; of equals those with the smallest scale.
     """
     pairs = [np.zeros((0, 2), dtype=np.int64)]
     for image in np.unique(tracks.image):

@@ -25,7 +25,6 @@ class Views:
 
     Attributes
     ----------
-    cameras : tuple of Camera
     camera : ndarray of int, shape (m,)
         Index into the cameras.
     rotation : ndarray, shape (m, 3, 3)
@@ -97,8 +96,6 @@ def spread(views: Views, tracks: Tracks, points: Floats) -> Floats:
 
     Parameters
     ----------
-    views : Views
-    tracks : Tracks
     points : ndarray, shape (tracks.count, 3)
 
     Returns
@@ -118,35 +115,13 @@ def spread(views: Views, tracks: Tracks, points: Floats) -> Floats:
 
 
 def views_of(block: Block, frame: Frame) -> Views:
-    """Make the views of a block's images at their present values; NaN where they are not oriented.
-
-    Parameters
-    ----------
-    block : Block
-    frame : Frame
-        From the block's coordinates to local ones.
-
-    Returns
-    -------
-    Views
-    """
+    """Make the views of a block's images at their present values; NaN where they are not oriented."""
     poses = local_poses(frame, block.images.values)
     return Views(block.cameras, block.images.camera, matrix_from_angles(poses[:, :3]), poses[:, 3:])
 
 
 def local_poses(frame: Frame, given: Floats) -> Floats:
-    """Exterior orientations in local coordinates; given angles refer to the given axes at each image.
-
-    Parameters
-    ----------
-    frame : Frame
-    given : ndarray, shape (n, 6)
-        omega, phi, kappa in radians, X, Y, Z; NaN where unknown.
-
-    Returns
-    -------
-    ndarray, shape (n, 6)
-    """
+    """Exterior orientations in local coordinates; given angles refer to the given axes at each image."""
     place = frame.to_local(given[:, 3:])
     return np.hstack([_turned(frame, given[:, :3], given[:, 3:], back=False), place])
 

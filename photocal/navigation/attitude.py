@@ -70,15 +70,7 @@ def no_attitudes(count: int) -> Attitudes:
 
 
 def from_angles(angles: Floats, sigma: Floats | None) -> Attitudes:
-    """Return the rotations of roll, pitch, yaw with their standard deviations.
-
-    Parameters
-    ----------
-    angles : float64 (n, 3)
-        Radians, of the body in north, east, down; NaN where unknown.
-    sigma : float64 (3,) or (n, 3) or None
-        Radians; None: the covariance is unknown.
-    """
+    """Return the rotations of roll, pitch, yaw with their standard deviations."""
     rotation, turn = object_to_body(angles)
     rate = np.zeros((len(angles), 3))
     if sigma is None:
@@ -116,25 +108,7 @@ def rotations_of_quaternions(wxyz: Floats) -> Floats:
 
 
 def at_instants(track: AttitudeTrack, time: GpsTime, sigma: Floats | None) -> Attitudes:
-    """Return the rotations at instants by spherical interpolation (Shoemake 1985, section 3.3).
-
-    Parameters
-    ----------
-    track : AttitudeTrack
-        What was recorded.
-    time : GpsTime (n,)
-        The instants.
-    sigma : float64 (3,) or None
-        Standard deviations of roll, pitch, yaw of the recorded rotations, rad.
-
-    Returns
-    -------
-    Attitudes
-        Unknown where no rotations are at most `LARGEST_GAP_S` apart around an instant. What the
-        interpolation adds is learnt from rotations left out: its sigma in a gap of h seconds, a part u
-        after its begin, is q (4 u (1 - u) h)^0.5 about each axis (a rate that wanders freely: Brownian
-        bridge), with q from the trials within 30 s.
-    """
+    """Return the rotations at instants by spherical interpolation (Shoemake 1985, section 3.3)."""
     n = len(time)
     if len(track) < 2:
         return no_attitudes(n)
@@ -162,16 +136,7 @@ def at_instants(track: AttitudeTrack, time: GpsTime, sigma: Floats | None) -> At
 
 
 def left_out_turns(track: AttitudeTrack) -> tuple[GpsTime, Floats, Floats]:
-    """Leave out every rotation in turn and interpolate it from its neighbours.
-
-    Returns
-    -------
-    time : GpsTime (n,)
-    error : float64 (n, 3)
-        Turn about the body axes between interpolated and recorded rotation, rad.
-    gap_s : float64 (n,)
-        Distance of the neighbours.
-    """
+    """Leave out every rotation in turn and interpolate it from its neighbours."""
     i = np.arange(1, len(track) - 1)
     stamps = track.time.ns
     gap = (stamps[i + 1] - stamps[i - 1]) / 1e9

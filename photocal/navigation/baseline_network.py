@@ -132,25 +132,7 @@ class NetworkSolution:
 
 
 def adjust_baselines(baselines: list[Baseline], control: list[Mark]) -> NetworkSolution:
-    """Adjust a network of baselines and leave out those that an outlier test rejects, one at a time.
-
-    Parameters
-    ----------
-    baselines : list of Baseline
-        Independent vectors.
-    control : list of Mark
-        At least one known mark.
-
-    Returns
-    -------
-    NetworkSolution
-        Data snooping of east, north and up of each baseline (Baarda 1968).
-
-    Raises
-    ------
-    IllPosedError
-        When a mark is not connected to a known one, or there is no known mark.
-    """
+    """Adjust a network of baselines and leave out those that an outlier test rejects, one at a time."""
     if not control:
         raise IllPosedError("no known mark: the network can lie anywhere", remedy="give one known position")
     used, blunders = list(baselines), []

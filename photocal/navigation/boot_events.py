@@ -28,17 +28,7 @@ _EARLIEST_UTC_NS = 946_684_800 * 1_000_000_000
 
 
 def boot_exposures(logs: tuple[Path, ...], link: str | None, clock: AutopilotClock) -> dict[str, Events]:
-    """Return the exposures whose only device time is that since boot, by the message that told them.
-
-    Parameters
-    ----------
-    logs : tuple of Path
-        Flight logs that follow each other.
-    link : str or None
-        Link of the autopilot; None: all.
-    clock : AutopilotClock
-        Its UTC.
-    """
+    """Return the exposures whose only device time is that since boot, by the message that told them."""
     dialect = ardupilotmega()
     found: dict[str, list[tuple[Integers, Integers, Integers]]] = {}
     for messages in messages_of(logs):

@@ -107,28 +107,7 @@ def fit_clock(
     resolution_s: float = 1e-3,
     least_jump_s: float = 0.05,
 ) -> ClockModel:
-    """Fit offset and rate between two clocks from simultaneous readings.
-
-    Parameters
-    ----------
-    device_ns, reference_ns : int64 (n,)
-        Readings of both clocks, in the order in which they were taken.
-    resolution_s : float, optional
-        Steps of the coarser clock.
-    least_jump_s : float, optional
-        Smaller jumps stay in the scatter: autopilots pull their clock by some 20 ms every few seconds.
-
-    Returns
-    -------
-    ClockModel
-        Stretches between jumps; each by iteratively reweighted least squares with Huber's weights
-        (Huber 1981, section 7.8), its sigmas widened for the correlation of neighbouring readings.
-
-    Raises
-    ------
-    IllPosedError
-        With fewer than four readings or a clock that stands still.
-    """
+    """Fit offset and rate between two clocks from simultaneous readings."""
     if len(device_ns) < _LEAST_READINGS:
         raise IllPosedError(
             f"{len(device_ns)} clock readings, at least {_LEAST_READINGS} are needed",

@@ -22,19 +22,6 @@ def between_directions(
 
     The engine now and then inverts a covariance that has lost its digits; its combination is then up to some
     decimetres off although both directions agree.
-
-    Parameters
-    ----------
-    combined, forward, backward : EngineSolution
-        Of the same observations.
-
-    Returns
-    -------
-    solution : EngineSolution
-        Where the combined position is farther from both than they are from each other, their mean, weighted
-        by their variances, with the larger covariance: their errors are the same observations' errors.
-    replaced : bool (n,)
-        Where.
     """
     origin = np.array([combined.lat_deg[0], combined.lon_deg[0], combined.height_m[0]])
     here, fore, back = (

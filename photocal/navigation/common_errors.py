@@ -112,21 +112,7 @@ def common_errors(
     base_sigma_m: Floats | None = None,
     weather: Weather | None = None,
 ) -> CommonErrors:
-    """Estimate what all positions of a flight share.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        With the covariances of single positions.
-    sights : Sights
-        Of the engine's forward run.
-    base_m : float64 (3,)
-        Earth-centred position of the base.
-    base_sigma_m : float64 (3,), optional
-        Its standard deviations, east, north, up.
-    weather : Weather, optional
-        Measured at the base.
-    """
+    """Estimate what all positions of a flight share."""
     t = trajectory
     (lat,), _, (height,) = geodetic(base_m[None])
     lapse = remaining_lapse(float(lat), float(height), day_of_year(t.time), weather)

@@ -103,18 +103,7 @@ class AutopilotClock:
 
 
 def autopilot_clock(boot_ns: Integers, utc_ns: Integers, host_ns: Integers) -> AutopilotClock | None:
-    """Fit an autopilot's UTC to its time since boot.
-
-    Parameters
-    ----------
-    boot_ns, utc_ns, host_ns : int64 (n,)
-        Readings of SYSTEM_TIME in the order of arrival.
-
-    Returns
-    -------
-    AutopilotClock or None
-        None with too few readings.
-    """
+    """Fit an autopilot's UTC to its time since boot."""
     # An autopilot switched on anew counts from zero: its stretches must not be mixed.
     starts = np.concatenate([[0], np.flatnonzero(np.diff(boot_ns) < -_RESTART_NS) + 1, [len(boot_ns)]])
     cycles, begins = [], []

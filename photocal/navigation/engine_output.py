@@ -77,13 +77,7 @@ class EngineSolution:
 
 
 def read_solution(path: Path) -> EngineSolution:
-    """Read a position file (geodetic, time as week and seconds).
-
-    Raises
-    ------
-    IllPosedError
-        When it has no positions.
-    """
+    """Read a position file (geodetic, time as week and seconds)."""
     lines = [line.split() for line in path.read_text("latin-1").splitlines() if line and line[0] != "%"]
     rows = [line for line in lines if len(line) >= _COLUMNS]
     if not rows:

@@ -82,15 +82,7 @@ def _sights(rows: list[list[str]]) -> Sights:
 
 
 def shift_by_zenith_delay(sights: Sights) -> Floats:
-    """Return by how much positions move for each metre of zenith delay that is not taken into account.
-
-    Returns
-    -------
-    float64 (3,)
-        East, north, up; median of the flight; NaN when nothing is known. Positions by phases with the
-        engine's weights, one clock for each system: (A'PA)^-1 A'P m with the mapping m = 1 / sin(elevation)
-        (Santerre 1991, eq. 8).
-    """
+    """Return by how much positions move for each metre of zenith delay that is not taken into account."""
     first = sights.frequency == 1
     epochs = np.unique(sights.time.ns[first])
     moved = []
@@ -116,11 +108,6 @@ def correlation_time_s(sights: Sights) -> float:
     The mean over a time T of errors with the variance s^2 has the variance 2 s^2 t / T with this time t
     (Sokal 1997, eq. 2.20). Residuals are taken less the mean of their system and frequency at each epoch,
     which removes the reference satellite; what correlates the positions' errors is the same multipath.
-
-    Returns
-    -------
-    float
-        Seconds; NaN with fewer than 30 epochs.
     """
     epochs, at = np.unique(sights.time.ns, return_inverse=True)
     if len(epochs) < _LEAST_EPOCHS:

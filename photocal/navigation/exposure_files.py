@@ -159,7 +159,6 @@ def write_geo_txt(path: Path, exposures: Exposures, rig: Rig) -> None:
 
     Parameters
     ----------
-    path : Path
     exposures : Exposures
         Those with position and image are written.
     rig : Rig
@@ -190,19 +189,7 @@ def write_geo_txt(path: Path, exposures: Exposures, rig: Rig) -> None:
 
 
 def write_geopackage_of(path: Path, exposures: Exposures, rig: Rig, camera: str, changed_utc: str) -> None:
-    """Write the exposures with image and position for a GIS: WGS 84, angles in the topocentric frame.
-
-    Parameters
-    ----------
-    path : Path
-    exposures : Exposures
-    rig : Rig
-        Camera axes and boresight.
-    camera : str
-        Id of the camera.
-    changed_utc : str
-        See `photocal.exchange.geopackage.write_geopackage`.
-    """
+    """Write the exposures with image and position for a GIS: WGS 84, angles in the topocentric frame."""
     from photocal.exchange.geographic import Origin, topocentric
     from photocal.exchange.geopackage import write_geopackage
     from photocal.exchange.reconstruction import Reconstruction

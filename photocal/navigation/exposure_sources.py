@@ -35,19 +35,7 @@ _LISTED = "MRK"
 def events_of(
     sources: Sources, edge: str, receivers: dict[str, ReceiverRecording], vehicle: VehicleTrack | None
 ) -> tuple[Events | None, list[Events]]:
-    """Return the best events of the logs, and all others.
-
-    Parameters
-    ----------
-    sources : Sources
-        Logs and links.
-    edge : str
-        Of the time marks.
-    receivers : dict of str to ReceiverRecording
-        Of the logs.
-    vehicle : VehicleTrack or None
-        Whose clock timed the events that it noted.
-    """
+    """Return the best events of the logs, and all others."""
     found = []
     rover = receivers.get(sources.rover_link)
     if rover is not None:
@@ -73,13 +61,7 @@ def placed_by(
     listed: CameraEventList | None,
     vehicle: VehicleTrack | None,
 ) -> tuple[Placed, str]:
-    """Return positions at events and their kind of height: PPK, else an event list, else the autopilot.
-
-    Raises
-    ------
-    ConfigurationError
-        When nothing tells positions.
-    """
+    """Return positions at events and their kind of height: PPK, else an event list, else the autopilot."""
     if trajectory is not None:
         placed = interpolate(trajectory, events.time, events.accuracy_s)
         if listed is None:
@@ -139,25 +121,7 @@ def attitudes_of_vehicle(vehicle: VehicleTrack | None, time: GpsTime, rig: Rig) 
 def attitudes_of_images(
     images: list[ImageMetadata | None], rig: Rig
 ) -> tuple[Attitudes, Attitudes, NDArray[np.bool_]]:
-    """Return the attitudes that the images themselves state (XMP of gimbal and vehicle).
-
-    Parameters
-    ----------
-    images : list of ImageMetadata or None (n,)
-        One for each event.
-    rig : Rig
-        Camera axes and standard deviations of the angles.
-
-    Returns
-    -------
-    camera : Attitudes
-        Of a body that carries the camera as `rig.axes` says: the gimbal's angles turn the line of sight, so
-        that at a pitch of -90 degrees roll and yaw would mean the same.
-    vehicle : Attitudes
-        Of the vehicle.
-    stated : bool (n,)
-        Where the gimbal's angles are stated.
-    """
+    """Return the attitudes that the images themselves state (XMP of gimbal and vehicle)."""
     facts = [None if image is None else image.facts for image in images]
     unknown = (np.nan, np.nan, np.nan)
     gimbal = np.radians([unknown if f is None else f.gimbal_deg for f in facts]).reshape(-1, 3)
@@ -169,13 +133,7 @@ def attitudes_of_images(
 
 
 def events_of_images(images: list[ImageMetadata]) -> tuple[Events, Placed]:
-    """Return the events and positions that the images state by themselves.
-
-    Raises
-    ------
-    ConfigurationError
-        When an image tells no time, or none tells a position.
-    """
+    """Return the events and positions that the images state by themselves."""
     time_s = np.array([clock_time_s(image) for image in images])
     order = np.argsort(time_s, kind="stable")
     facts = [images[i].facts for i in order.tolist()]

@@ -96,19 +96,7 @@ def at_events(
     image: list[str],
     height_kind: str,
 ) -> Exposures:
-    """Put positions and attitudes of the same instants together.
-
-    Parameters
-    ----------
-    events : Events
-        The instants.
-    placed : Placed
-        Positions; the covariance contains the error of the time already.
-    attitude : Attitudes
-        Rotations; their covariance does not yet.
-    time_sigma_s : float64 (n,)
-        Standard deviations of the instants: an error moves the position by v dt and turns the body by w dt.
-    """
+    """Put positions and attitudes of the same instants together."""
     w = attitude.rate
     s2 = (time_sigma_s**2)[:, None, None]
     velocity = np.where(np.isfinite(placed.velocity_m_s), placed.velocity_m_s, 0.0)
@@ -121,27 +109,7 @@ def at_events(
 
 
 def at_camera(exposures: Exposures, rig: Rig) -> Exposures:
-    """Return the exposures at the camera instead of the antenna.
-
-    Parameters
-    ----------
-    exposures : Exposures
-        At the antenna.
-    rig : Rig
-        With a lever arm; without one the positions stay where they are.
-
-    Returns
-    -------
-    Exposures
-        At X + R' l. By the law of propagation with J = -R' [l]x for the turns: covariance
-        C + J K' + K J' + J T J' + R' S R, cross covariance K + J T, where C, T, K are those of position, turn
-        and both, and S that of the lever arm. In a gimbal T of the carrier counts, K is zero.
-
-    Raises
-    ------
-    ConfigurationError
-        When an event that has a position has no attitude: the lever arm cannot be turned.
-    """
+    """Return the exposures at the camera instead of the antenna."""
     if rig.lever_m is None:
         return exposures
     there = exposures.placed.placed
@@ -190,19 +158,7 @@ class Orientations:
     covariance: Floats
 
     def in_frame(self, turn: Floats) -> tuple[Floats, Floats]:
-        """Return omega, phi, kappa (rad) and the covariance of position and angles in other axes.
-
-        Parameters
-        ----------
-        turn : float64 (n, 3, 3)
-            From east, north, up to the frame's axes.
-
-        Returns
-        -------
-        angles : float64 (n, 3)
-        covariance : float64 (n, 6, 6)
-            m and rad.
-        """
+        """Return omega, phi, kappa (rad) and the covariance of position and angles in other axes."""
         angles = angles_from_matrix(self.rotation @ np.swapaxes(turn, 1, 2))
         safe = np.where(np.isfinite(angles), angles, 0.0)
         parts = (slice(0, 3), turn), (slice(3, 6), np.linalg.inv(turn_per_angle(safe)))
@@ -252,20 +208,7 @@ class CameraMatch:
 def match_images(
     images: list[ImageMetadata], events: Events, largest_offset_s: float
 ) -> tuple[list[str], list[CameraMatch]]:
-    """Match images to events, camera by camera.
-
-    Returns
-    -------
-    names : list of str (n,)
-        Image of each event, empty where none matched.
-    cameras : list of CameraMatch
-        Clock and rest of each camera.
-
-    Raises
-    ------
-    ConfigurationError
-        When an image tells no time.
-    """
+    """Match images to events, camera by camera."""
     names = [""] * len(events)
     found = []
     event_s = (events.time.ns - events.time.ns[0]) / 1e9

@@ -58,24 +58,7 @@ def judge(
     code: EngineSolution,
     ratio: float,
 ) -> Judgement:
-    """Validate the fixes of a combined solution and rescale the sigmas of the rest.
-
-    Parameters
-    ----------
-    combined, forward, backward : EngineSolution
-        Runs with the base.
-    code : EngineSolution
-        Code positions and Doppler velocities of the rover alone.
-    ratio : float
-        Least ratio of a fix.
-
-    Returns
-    -------
-    Judgement
-        A fix stays when its ratio is reached, both directions agree where both are fixed, the displacement
-        to neighbouring fixes agrees with the Doppler velocity, the position agrees with the code's, and the
-        fix is not one of a few lonely ones that no other direction confirms.
-    """
+    """Validate the fixes of a combined solution and rescale the sigmas of the rest."""
     origin = np.array([combined.lat_deg[0], combined.lon_deg[0], combined.height_m[0]])
     here = _enu(combined, origin)
     fore, back = forward.at(combined.time), backward.at(combined.time)

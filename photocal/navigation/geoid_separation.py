@@ -18,13 +18,6 @@ def told_by_receiver(batch: Batch, payloads: list[bytes]) -> list[float]:
 
     Receivers take it from a coarse model: u-blox interpolates EGM 96 in a grid of 10 degrees, some metres off
     in places.
-
-    Parameters
-    ----------
-    batch : Batch
-        UBX or NMEA frames.
-    payloads : list of bytes
-        The same frames.
     """
     found: list[float] = []
     for kind in (ubx.NAV_PVT, ubx.NAV_POSLLH):

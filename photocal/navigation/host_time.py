@@ -17,12 +17,6 @@ def autopilot_time(track: VehicleTrack, host: HostTime) -> tuple[GpsTime, Floats
     By TIMESYNC exchanges where there are some. Else: between two messages that arrived around a moment the
     autopilot's clock is taken to run evenly: so an uneven playback does no harm beyond the distance of the
     messages.
-
-    Returns
-    -------
-    time : GpsTime (n,)
-    sigma_s : float64 (n,)
-        Without TIMESYNC a quarter of the autopilot's time between the two messages; infinite outside the log.
     """
     if track.sync is not None and track.clock is not None and not track.sync.host_of_boot.played_back:
         boot, sigma = track.sync.boot(host.ns)

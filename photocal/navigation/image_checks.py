@@ -34,19 +34,7 @@ class TieMatching:
 
 
 def check_oriented(oriented: OrientedImages, exposures: Exposures, rig: Rig, source: str) -> list[Check]:
-    """Hold exposures against images that an adjustment oriented.
-
-    Parameters
-    ----------
-    oriented : OrientedImages
-        Of the same images, in any frame.
-    exposures : Exposures
-        At the camera.
-    rig : Rig
-        What was applied to them.
-    source : str
-        What oriented the images.
-    """
+    """Hold exposures against images that an adjustment oriented."""
     found = [
         judge_positions("positions of the adjusted images", exposures, oriented.place, rig, "similarity")
     ]
@@ -63,17 +51,6 @@ def check_images(
     """Hold exposures against their images, oriented together by tie points.
 
     Two images alone would not do: over flat ground a tilt and a shift look alike.
-
-    Parameters
-    ----------
-    exposures : Exposures
-        At the camera.
-    images : list of ImageMetadata
-        Their images, with files.
-    rig : Rig
-        What was applied to the exposures.
-    how : TieMatching
-        How images are matched.
     """
     paths = [image.path for image in images if image.path is not None and image.name in exposures.image]
     try:

@@ -88,13 +88,7 @@ def read_image(path: Path) -> ImageMetadata:
 
 
 def clock_time_s(image: ImageMetadata) -> float:
-    """Return the time of an image's own clock.
-
-    Raises
-    ------
-    ConfigurationError
-        When it tells none.
-    """
+    """Return the time of an image's own clock."""
     if image.time_s is None:
         raise ConfigurationError(
             "tells no time",

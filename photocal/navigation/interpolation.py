@@ -90,23 +90,7 @@ def left_out(trajectory: Trajectory) -> LeftOut:
 
 
 def roughness(trials: LeftOut, time: GpsTime) -> Floats:
-    """Return how far the path strays from its interpolation around instants.
-
-    Parameters
-    ----------
-    trials : LeftOut
-        What leaving out has shown.
-    time : GpsTime (n,)
-        The instants.
-
-    Returns
-    -------
-    float64 (n, 3)
-        East, north, up, m/s^1.5: the interpolation's sigma in the middle of a gap of h seconds is this
-        times h^1.5. So it grows for a vehicle whose acceleration is white noise between the epochs (cubic
-        spline of a Wiener process, Wahba 1978). The trials within 30 s decide, with the weight of ten
-        more for the mean of the whole flight.
-    """
+    """Return how far the path strays from its interpolation around instants."""
     if len(trials.gap_s) < _LEAST_TRIALS:
         return np.full((len(time), 3), _DEFAULT_ROUGHNESS)
     square = (trials.error_m / trials.gap_s[:, None] ** 1.5) ** 2
@@ -126,24 +110,7 @@ def local_mean_square(trial: GpsTime, square: Floats, time: GpsTime) -> Floats:
 def interpolate(
     trajectory: Trajectory, time: GpsTime, time_sigma_s: Floats, rough: Floats | None = None
 ) -> Placed:
-    """Return positions at instants by cubic interpolation with the Doppler velocities.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        The path.
-    time : GpsTime (n,)
-        The instants.
-    time_sigma_s : float64 (n,)
-        Their standard deviations.
-    rough : float64 (n, 3), optional
-        From `roughness`; computed when it is not given.
-
-    Returns
-    -------
-    Placed
-        Instants without epochs at most `LARGEST_GAP_S` apart around them are not placed.
-    """
+    """Return positions at instants by cubic interpolation with the Doppler velocities."""
     q = roughness(left_out(trajectory), time) if rough is None else rough
     stamps = trajectory.time.ns
     after = np.searchsorted(stamps, time.ns, side="right")

@@ -53,11 +53,6 @@ def read_mrk(path: Path) -> CameraEventList:
     """Read a `Timestamp.MRK` file.
 
     The columns are described in `drivers.mrk`.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        When the file cannot be read, or a line is not as described.
     """
     try:
         lines = path.read_text("latin-1").splitlines()

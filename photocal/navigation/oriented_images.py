@@ -35,20 +35,7 @@ class OrientedImages:
 
 
 def oriented_images(folder: Path, images: list[str]) -> OrientedImages:
-    """Read images of a run or block folder.
-
-    Parameters
-    ----------
-    folder : Path
-        With `images.csv`, or such a table.
-    images : list of str (n,)
-        Names; of several cameras' ones the first counts.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        When the table cannot be read or has a cell that is no number.
-    """
+    """Read images of a run or block folder."""
     path = folder / "images.csv" if folder.is_dir() else folder
     try:
         with path.open(newline="", encoding="utf-8") as stream:
@@ -73,24 +60,7 @@ def oriented_images(folder: Path, images: list[str]) -> OrientedImages:
 def oriented_by_ties(
     paths: list[Path], images: list[str], plan: MatchingPlan, progress: Progress
 ) -> OrientedImages:
-    """Orient images by tie points, see `photocal.measurement.measure_ties`.
-
-    Parameters
-    ----------
-    paths : list of Path
-        Files of the images.
-    images : list of str (n,)
-        Names, as `oriented_images` takes them.
-    plan : MatchingPlan
-        How features are found and matched.
-    progress : callable
-        Shows a bar for a title and an amount of work.
-
-    Raises
-    ------
-    PhotocalError
-        When too few images can be read, or their tie points do not orient them.
-    """
+    """Orient images by tie points, see `photocal.measurement.measure_ties`."""
     made = measure_ties(paths, "images", plan, progress).block.images
     rows = zip(made.names, made.values.tolist(), strict=True)
     found = {name: [*row[3:6], *np.degrees(row[:3]).tolist()] for name, row in rows}

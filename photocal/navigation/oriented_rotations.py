@@ -23,15 +23,6 @@ def compare_with_oriented(exposures: Exposures, oriented: OrientedImages, rig: R
 
     An adjustment of many images knows rotations better than two images over flat ground do, whose tilt and
     shift can hardly be told apart.
-
-    Parameters
-    ----------
-    exposures : Exposures
-        With attitudes.
-    oriented : OrientedImages
-        Of the same images.
-    rig : Rig
-        From body to camera axes.
     """
     recorded = orientations(exposures, rig).rotation
     place = places_of(exposures)

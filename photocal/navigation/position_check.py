@@ -27,21 +27,7 @@ Floats = NDArray[np.float64]
 
 
 def judge_positions(source: str, ours: Exposures, theirs: Floats, rig: Rig, free: str) -> Check:
-    """Hold exposures against positions of another source.
-
-    Parameters
-    ----------
-    source : str
-        Its name.
-    ours : Exposures
-        Exposures.
-    theirs : float64 (n, 3)
-        With ``shift``: latitude, longitude (deg), height (m); with ``similarity``: any Cartesian frame, m.
-    rig : Rig
-        With the lever arm that was applied to ours, and how well it and the time are known.
-    free : str
-        What is unknown between the two systems, see `PositionPairs`.
-    """
+    """Hold exposures against positions of another source."""
     compared = f"{source} against the exposures, less a common {free}"
     p = ours.placed
     known = p.placed & np.isfinite(theirs).all(axis=1)

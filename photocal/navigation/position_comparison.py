@@ -127,20 +127,6 @@ def compare_positions(pairs: PositionPairs) -> PositionComparison:
     arm's axes tried, judged by an F test (0.1 % over all) and the criterion of Schwarz (1978). Gross
     differences are left out. Neighbours share the errors of a receiver's own solution, which wander for
     minutes: differences count as so many independent ones as their autocorrelation leaves.
-
-    Parameters
-    ----------
-    pairs : PositionPairs
-        In the order of time.
-
-    Returns
-    -------
-    PositionComparison
-
-    Raises
-    ------
-    IllPosedError
-        With fewer than eight common exposures.
     """
     known = np.isfinite(pairs.ours + pairs.theirs + pairs.velocity).all(axis=1)
     rows = np.flatnonzero(known)
@@ -196,13 +182,7 @@ class _Model:
         return self.share * self.difference.size
 
     def solved(self, sigma: Floats) -> tuple[float, Floats, Floats, Floats]:
-        """Solve with unknowns that are free (infinite), weighted (positive) or held at zero (0).
-
-        Returns
-        -------
-        float, float64 (k,), float64 (n, 3), float64 (k, k)
-            Sum of squares with that of the weighted unknowns, unknowns, residuals, cofactors.
-        """
+        """Solve with unknowns that are free (infinite), weighted (positive) or held at zero (0)."""
         used = np.flatnonzero(sigma > 0)
         a = self.design.reshape(-1, self.design.shape[2])[:, used]
         weight = np.where(np.isfinite(sigma[used]), self.noise_m / np.sqrt(self.share) / sigma[used], 0.0)

@@ -203,13 +203,7 @@ def _common(inputs: Inputs, trajectory: Trajectory, sights: Sights) -> CommonErr
 
 
 def refuse_apart(rover: ObservationFile, base: ObservationFile) -> None:
-    """Refuse observations that do not overlap or hardly so.
-
-    Raises
-    ------
-    IllPosedError
-        The message says when each starts and ends.
-    """
+    """Refuse observations that do not overlap or hardly so."""
     first, last = int(base.time.ns[0]) - _BASE_AGE_NS, int(base.time.ns[-1]) + _BASE_AGE_NS
     common = int(((rover.time.ns >= first) & (rover.time.ns <= last)).sum())
     spans = "; ".join(
@@ -230,13 +224,7 @@ def refuse_apart(rover: ObservationFile, base: ObservationFile) -> None:
 
 
 def parse_position(text: str) -> NDArray[np.float64]:
-    """Return earth-centred coordinates of ``LAT,LON,H`` (degrees, ellipsoidal height in metres).
-
-    Raises
-    ------
-    ConfigurationError
-        When it is not three numbers within their bounds.
-    """
+    """Return earth-centred coordinates of ``LAT,LON,H`` (degrees, ellipsoidal height in metres)."""
     try:
         lat, lon, height = (float(part) for part in text.split(","))
     except ValueError:

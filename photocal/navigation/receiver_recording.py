@@ -166,18 +166,7 @@ class ReceiverRecording:
 
 
 def read_receivers(logs: tuple[Path, ...]) -> dict[str, ReceiverRecording]:
-    """Read the raw frames of every receiver in flight logs.
-
-    Parameters
-    ----------
-    logs : tuple of Path
-        Flight logs (MCAP) that follow each other.
-
-    Returns
-    -------
-    dict of str to ReceiverRecording
-        By link.
-    """
+    """Read the raw frames of every receiver in flight logs."""
     found: dict[str, ReceiverRecording] = {}
     wires = {wire.encoding: wire for wire in (Wire.UBX, Wire.RTCM3, Wire.NMEA)}
     for messages in messages_of(logs):
@@ -193,13 +182,7 @@ def read_receivers(logs: tuple[Path, ...]) -> dict[str, ReceiverRecording]:
 def pick(
     receivers: dict[str, ReceiverRecording], link: str, role: str, logs: tuple[Path, ...]
 ) -> ReceiverRecording:
-    """Return the recording of a link.
-
-    Raises
-    ------
-    ConfigurationError
-        When the log has no such link; the message names those that it has.
-    """
+    """Return the recording of a link."""
     if link in receivers:
         return receivers[link]
     names = ", ".join(sorted(receivers)) or "none"
@@ -211,13 +194,7 @@ def pick(
 
 
 def refuse_unusable(recording: ReceiverRecording, role: str, logs: tuple[Path, ...]) -> None:
-    """Refuse a recording that no position can be computed from.
-
-    Raises
-    ------
-    IllPosedError
-        Without observations, with empty epochs only, or with epochs of week 0 only.
-    """
+    """Refuse a recording that no position can be computed from."""
     if recording.epochs or recording.observation_frames:
         return
     place = f"{named(logs)}, link {recording.link}"

@@ -81,13 +81,6 @@ def rig_of_mounting(keys: MountingKeys, angle_sigma: Floats) -> Rig:
 
     A block measures from the camera to the antenna, exposures from the antenna to the camera: the sign
     changes here and nowhere else.
-
-    Parameters
-    ----------
-    keys : MountingKeys
-        ``[mounting]`` of a block, ``[rig]`` of a project.
-    angle_sigma : float64 (3,)
-        Of the recorded roll, pitch, yaw, rad.
     """
     return Rig(
         -np.asarray(keys.lever_arm_m, np.float64),

@@ -46,15 +46,7 @@ class ObservationFile:
 
 
 def read_observation_file(path: Path) -> ObservationFile:
-    """Read the epochs of a RINEX 2 or 3 observation file.
-
-    Raises
-    ------
-    InputNotFoundError
-        When it cannot be read.
-    InputMalformedError
-        When it is no observation file, has no epochs, or counts another time than GPS.
-    """
+    """Read the epochs of a RINEX 2 or 3 observation file."""
     lines = _lines(path)
     if not lines or "RINEX VERSION" not in lines[0] or lines[0][20:21] != "O":
         raise InputMalformedError(

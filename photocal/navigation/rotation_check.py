@@ -48,18 +48,7 @@ class PairRotation:
 
 
 def least_turn(measured: Floats, recorded: Floats) -> tuple[int, float]:
-    """Return the quarter turns in the image plane that bring two relative rotations closest, and the rest.
-
-    Parameters
-    ----------
-    measured, recorded : float64 (3, 3)
-        From the first image's camera axes to the second's.
-
-    Returns
-    -------
-    int, float
-        Quarter turns, and the angle beside them in degrees.
-    """
+    """Return the quarter turns in the image plane that bring two relative rotations closest, and the rest."""
     quarters = Rotation.from_rotvec([[0, 0, np.pi / 2 * turns] for turns in range(4)])
     angles = np.degrees((quarters * Rotation.from_matrix(measured @ recorded.T)).magnitude())
     turns = int(np.argmin(angles))
@@ -81,11 +70,6 @@ def stored_turns(pairs: list[PairRotation]) -> dict[int, int]:
 
     Turns between neighbours leave one turn common to all open: the images whose direction to the next one
     agrees with the recorded positions decide it; without positions most images are taken to be right.
-
-    Returns
-    -------
-    dict of int to int
-        Row of the exposure to quarter turns, of all that are not 0.
     """
     turns: dict[int, int] = {}
     group: dict[int, int] = {}
@@ -110,15 +94,7 @@ def stored_turns(pairs: list[PairRotation]) -> dict[int, int]:
 
 
 def rotation_check(exposures: Exposures, pairs: list[PairRotation], source: str) -> Check:
-    """Return what the comparison shows as a check.
-
-    Parameters
-    ----------
-    exposures : Exposures
-    pairs : list of PairRotation
-    source : str
-        What told the rotations.
-    """
+    """Return what the comparison shows as a check."""
     compared = f"rotations between neighbouring images by {source} against the recorded attitudes"
     if not pairs:
         return Check(CODE, "not possible", compared, "no neighbours with common points", {})

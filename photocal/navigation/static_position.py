@@ -25,32 +25,7 @@ _STATIC_FLOOR_M = np.array([0.001, 0.001, 0.002])
 def precise_point(
     rover: ObservationFile, files: list[Path], options: ProcessingOptions, engine: Engine, folder: Path
 ) -> Trajectory:
-    """Compute the position of a receiver that stood still by itself, with precise orbits and clocks.
-
-    Parameters
-    ----------
-    rover : ObservationFile
-        Observations of two frequencies.
-    files : list of Path
-        Navigation files and products (SP3, CLK).
-    options : ProcessingOptions
-        With `precise`.
-    engine : Engine
-        What computes positions.
-    folder : Path
-        Where the engine may leave its files.
-
-    Returns
-    -------
-    Trajectory
-        One position. Its covariance has the way that the estimate went over the last half of the time, the
-        formal sigmas of such a solution being far too small.
-
-    Raises
-    ------
-    IllPosedError
-        With one frequency only, or without a solution.
-    """
+    """Compute the position of a receiver that stood still by itself, with precise orbits and clocks."""
     if "2" not in rover.bands:
         raise IllPosedError(
             "a precise point needs two frequencies",
@@ -101,19 +76,7 @@ def trajectory_of(
     base_m: NDArray[np.float64],
     velocity: NDArray[np.float64] | None = None,
 ) -> Trajectory:
-    """Return the engine's positions as a trajectory.
-
-    Parameters
-    ----------
-    solution : EngineSolution
-        As judged.
-    velocity_sigma : float
-        Standard deviation of each component of the velocity, m/s.
-    base_m : float64 (3,)
-        Earth-centred position of the base: its distance adds to the covariance of what was computed with it.
-    velocity : float64 (n, 3), optional
-        East, north, up, m/s.
-    """
+    """Return the engine's positions as a trajectory."""
     place = geocentric(solution.lat_deg, solution.lon_deg, solution.height_m)
     apart = PER_METRE * np.linalg.norm(place - base_m, axis=1)
     apart[solution.quality > _DIFFERENTIAL] = 0.0

@@ -52,7 +52,6 @@ def run_survey(survey: Survey) -> tuple[NetworkSolution, list[dict[str, Any]]]:
 
     Returns
     -------
-    solution : NetworkSolution
     sessions : list of dict
         Times against the required ones, status and length of every session.
 

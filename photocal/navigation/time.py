@@ -90,13 +90,7 @@ class GpsTime(Instants):
 
     @classmethod
     def from_week(cls, week: ArrayLike, seconds: ArrayLike) -> GpsTime:
-        """Return GPS time of week numbers (not modulo 1024) and seconds of the week.
-
-        Raises
-        ------
-        InputMalformedError
-            When a week is 0 or the seconds do not lie within a week: the receiver had no time yet.
-        """
+        """Return GPS time of week numbers (not modulo 1024) and seconds of the week."""
         weeks, tow = np.asarray(week), np.asarray(seconds, np.float64)
         bad = (weeks <= 0) | ~((tow >= 0) & (tow <= WEEK_S))
         if np.any(bad):
@@ -111,18 +105,7 @@ class GpsTime(Instants):
         return self.ns // WEEK_NS, (self.ns % WEEK_NS) / 1e9
 
     def to_utc(self, leap_s: int | None = None) -> UtcTime:
-        """Convert to UTC.
-
-        Parameters
-        ----------
-        leap_s : int, optional
-            GPS time minus UTC as a receiver told it; needed for times after `EXPIRES`.
-
-        Raises
-        ------
-        InputMalformedError
-            When a time lies after the end of the table and `leap_s` is not given.
-        """
+        """Convert to UTC."""
         if leap_s is not None:
             return UtcTime(self.ns + GPS_EPOCH_NS - leap_s * SECOND_NS)
         utc = UtcTime(gnsstime.gps_to_utc_ns(self.ns))

@@ -43,24 +43,7 @@ class TimeSync:
 
 
 def time_sync(boot_ns: Integers, host_ns: Integers, round_trip_ns: Integers) -> TimeSync | None:
-    """Fit the recording computer's clock to the autopilot's by TIMESYNC exchanges.
-
-    Parameters
-    ----------
-    boot_ns : int64 (n,)
-        The autopilot's time in its answers.
-    host_ns : int64 (n,)
-        Arrival of the answers.
-    round_trip_ns : int64 (n,)
-        From request to answer.
-
-    Returns
-    -------
-    TimeSync or None
-        The answer is taken to be given half-way (Cristian 1989); exchanges that waited are left out. What all
-        readings share is that one way may be longer than the other: at most by the whole shortest trip, which
-        moves the middle by a uniformly distributed error of the standard deviation trip / sqrt(12).
-    """
+    """Fit the recording computer's clock to the autopilot's by TIMESYNC exchanges."""
     if not len(boot_ns):
         return None
     shortest = max(int(round_trip_ns.min()), _LEAST_TRIP_NS)
@@ -94,20 +77,7 @@ def _both_ways(
 def clock_through_host(
     boot_ns: Integers, host_ns: Integers, round_trip_ns: Integers, gnss: ComparedClocks
 ) -> AutopilotClock | None:
-    """Return the UTC of an autopilot that does not tell it, by the recording computer and a GNSS receiver.
-
-    Parameters
-    ----------
-    boot_ns, host_ns, round_trip_ns : int64 (n,)
-        TIMESYNC exchanges, see `time_sync`.
-    gnss : ComparedClocks
-        GNSS time by the recording computer's clock, from the arrival of a receiver's epochs.
-
-    Returns
-    -------
-    AutopilotClock or None
-        None where the exchanges do not tell the time, or a clock was played back at another speed.
-    """
+    """Return the UTC of an autopilot that does not tell it, by the recording computer and a GNSS receiver."""
     sync = time_sync(boot_ns, host_ns, round_trip_ns)
     if sync is None or sync.host_of_boot.played_back or gnss.played_back:
         return None

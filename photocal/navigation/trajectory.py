@@ -94,20 +94,7 @@ def write_trajectory(path: Path, trajectory: Trajectory) -> None:
 
 
 def enu_offsets(lat_deg: Floats, lon_deg: Floats, height_m: Floats, origin: Floats) -> Floats:
-    """Return topocentric east, north, up of geodetic positions on WGS 84.
-
-    Parameters
-    ----------
-    lat_deg, lon_deg, height_m : float64 (n,)
-        Positions.
-    origin : float64 (3,)
-        Latitude, longitude (deg) and height (m) of the origin.
-
-    Returns
-    -------
-    float64 (n, 3)
-        Metres.
-    """
+    """Return topocentric east, north, up of geodetic positions on WGS 84."""
     centre = geocentric(origin[None, 0], origin[None, 1], origin[None, 2])[0]
     return np.asarray((geocentric(lat_deg, lon_deg, height_m) - centre) @ enu_axes(*origin[:2]).T)
 

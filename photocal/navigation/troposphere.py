@@ -72,13 +72,7 @@ def measured_weather(air: AirAtBase | None) -> Weather | None:
 
 
 def parse_weather(text: str, option: str) -> Weather:
-    """Return the weather of ``TEMPERATURE,HUMIDITY[,PRESSURE]``: degrees Celsius, percent, hPa at the place.
-
-    Raises
-    ------
-    ConfigurationError
-        When these are not two or three numbers within their bounds.
-    """
+    """Return the weather of ``TEMPERATURE,HUMIDITY[,PRESSURE]``: degrees Celsius, percent, hPa there."""
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
@@ -118,15 +112,6 @@ def remaining_lapse(
     Over a difference in height the zenith delay changes by the refractivity of the air between (Davis et al.
     1985, eq. 1). The engine's model of differential positions is Saastamoinen's (1972) for dry air in the
     standard atmosphere.
-
-    Parameters
-    ----------
-    lat_deg, height_m : float
-        Of the base; the height above the ellipsoid stands for that above the sea.
-    day_of_year : float
-        1 to 366, for the season.
-    weather : Weather, optional
-        Measured; without it that of the latitude and the season.
     """
     if weather is None:
         pressure, kelvin, vapour = climate(lat_deg, height_m, day_of_year)

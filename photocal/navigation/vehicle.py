@@ -106,15 +106,6 @@ def read_vehicle(
     """Read positions, attitudes and clocks of the autopilot from flight logs.
 
     Raw MAVLink frames go first; what was imported from an autopilot's own log stands in decoded topics.
-
-    Parameters
-    ----------
-    logs : tuple of Path
-        Flight logs that follow each other.
-    link : str, optional
-        Link of the autopilot; without: all links, the first system that tells a position.
-    gnss : ComparedClocks, optional
-        GNSS time by the recording computer's clock; with TIMESYNC it stands in for SYSTEM_TIME.
     """
     found = _received(logs, link)
     if not any(received.fields for received in found.values()):

@@ -47,17 +47,7 @@ class VehicleClocks:
 def vehicle_clocks(
     system: Received | None, exchanges: Received | None, gnss: ComparedClocks | None
 ) -> VehicleClocks:
-    """Fit an autopilot's clock to UTC and to the recording computer's clock.
-
-    Parameters
-    ----------
-    system : (int64 (n,), int64 (n,), structured array (n,)) or None
-        Arrival (UTC of the host, ns), time of the log and fields of SYSTEM_TIME.
-    exchanges : the same
-        Of TIMESYNC: answers to the recording computer, and what else was said.
-    gnss : ComparedClocks or None
-        GNSS time by the recording computer's clock; with TIMESYNC it stands in for SYSTEM_TIME.
-    """
+    """Fit an autopilot's clock to UTC and to the recording computer's clock."""
     clocks: list[ComparedClocks] = []
     clock, synced, told = None, None, False
     if system is not None:

@@ -21,15 +21,7 @@ Integers = NDArray[np.int64]
 
 
 def decoded_positions(logs: tuple[Path, ...], link: str) -> tuple[Integers, Integers, Floats]:
-    """Return the positions in `/<link>/position`, or where there are none in `/gnss/<link>/fix`.
-
-    Returns
-    -------
-    utc_ns, log_ns : int64 (n,)
-        Time of validity and of receipt, increasing UTC.
-    place : float64 (n, 3)
-        Latitude, longitude (deg), height (m, of the kind that the channel states).
-    """
+    """Return the positions in `/<link>/position`, or where there are none in `/gnss/<link>/fix`."""
     found = _fixes(logs, f"/{link}/position")
     return found if len(found[0]) else _fixes(logs, f"/gnss/{link}/fix")
 

@@ -53,33 +53,11 @@ class LocalPlane:
     longitude_deg: float
 
     def to_plane(self, latitude_deg: FloatArray, longitude_deg: FloatArray) -> FloatArray:
-        """Lay positions into the plane.
-
-        Parameters
-        ----------
-        latitude_deg, longitude_deg : ndarray, shape (n,)
-            Positions on WGS 84, degrees.
-
-        Returns
-        -------
-        ndarray, shape (n, 2)
-            East and north, m.
-        """
+        """Lay positions into the plane."""
         return np.column_stack(self._projection()(longitude_deg, latitude_deg))
 
     def to_degrees(self, plane_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Take positions back from the plane.
-
-        Parameters
-        ----------
-        plane_m : ndarray, shape (n, 2)
-            East and north, m.
-
-        Returns
-        -------
-        tuple of ndarray
-            Latitude and longitude on WGS 84, degrees.
-        """
+        """Take positions back from the plane."""
         longitude, latitude = self._projection()(plane_m[:, 0], plane_m[:, 1], inverse=True)
         return np.asarray(latitude), np.asarray(longitude)
 
@@ -90,25 +68,7 @@ class LocalPlane:
 
 
 def area_from_corners(corners_deg: list[tuple[float, float]], where: str) -> Area:
-    """Make an area from corners and refuse what cannot be flown.
-
-    Parameters
-    ----------
-    corners_deg : list of tuple of float
-        Longitude and latitude of the corners, degrees; the first may be repeated at the end.
-    where : str
-        Name for messages.
-
-    Returns
-    -------
-    Area
-        The polygon.
-
-    Raises
-    ------
-    InputMalformedError
-        When it is not a simple polygon of a size that one flies.
-    """
+    """Make an area from corners and refuse what cannot be flown."""
     if len(corners_deg) > 1 and corners_deg[0] == corners_deg[-1]:
         corners_deg = corners_deg[:-1]
     if len(set(corners_deg)) < 3:
@@ -143,37 +103,13 @@ def area_from_corners(corners_deg: list[tuple[float, float]], where: str) -> Are
 
 
 def polygon_area(corners_m: FloatArray) -> float:
-    """Give the area of a polygon.
-
-    Parameters
-    ----------
-    corners_m : ndarray, shape (n, 2)
-        Corners in order, m.
-
-    Returns
-    -------
-    float
-        Area, m^2, positive when the corners run counter-clockwise.
-    """
+    """Give the area of a polygon."""
     x, y = (corners_m - corners_m[0]).T
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
 def inside(points_m: FloatArray, corners_m: FloatArray) -> NDArray[np.bool_]:
-    """Say which points lie in a polygon.
-
-    Parameters
-    ----------
-    points_m : ndarray, shape (n, 2)
-        Points, m.
-    corners_m : ndarray, shape (k, 2)
-        Corners in order, m.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-        By the number of sides crossed to the east.
-    """
+    """Say which points lie in a polygon."""
     result = np.zeros(len(points_m), dtype=np.bool_)
     x, y = points_m.T
     for (x1, y1), (x2, y2) in zip(corners_m, np.roll(corners_m, -1, axis=0), strict=True):

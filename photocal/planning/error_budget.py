@@ -31,27 +31,7 @@ class Stage:
 def error_budget(
     product_m: float, stages: tuple[str, ...] = STAGES, earlier_share: float = EARLIER_SHARE
 ) -> tuple[Stage, ...]:
-    """Divide the standard error of a product among the stages that lead to it.
-
-    Parameters
-    ----------
-    product_m : float
-        Standard error of the class of the product, m.
-    stages : tuple of str, optional
-        From the product back to the control points.
-    earlier_share : float, optional
-        What each earlier stage may have of the next one.
-
-    Returns
-    -------
-    tuple of Stage
-        canon-elph study, section 5.1: each stage one third of the next.
-
-    Raises
-    ------
-    ConfigurationError
-        For an error or share that cannot be.
-    """
+    """Divide the standard error of a product among the stages that lead to it."""
     if not (product_m > 0.0 and 0.0 < earlier_share < 1.0):
         raise ConfigurationError(
             "the standard error must be positive and the share of earlier stages between 0 and 1"

@@ -29,18 +29,7 @@ class ExpectedPrecision:
 
 
 def parallax_sigma(image_sigma_m: float) -> float:
-    """Give the standard deviation of an x parallax, the difference of two measured coordinates.
-
-    Parameters
-    ----------
-    image_sigma_m : float
-        Standard deviation of one image coordinate, m.
-
-    Returns
-    -------
-    float
-        sqrt(2) times that, m.
-    """
+    """Give the standard deviation of an x parallax, the difference of two measured coordinates."""
     return math.sqrt(2.0) * image_sigma_m
 
 
@@ -50,24 +39,6 @@ def stereo_precision(
     """Expect the precision of a point intersected from one pair of vertical photos.
 
     More rays make it better, errors of the orientation worse; neither is in here.
-
-    Parameters
-    ----------
-    height_m : float
-        Height above ground, m.
-    base_m : float
-        Distance of the two photos, m.
-    focal_m : float
-        Principal distance, m.
-    point_m : tuple of float
-        Photo coordinates of the point, m.
-    image_sigma_m : float
-        Standard deviation of an image coordinate, m.
-
-    Returns
-    -------
-    ExpectedPrecision
-        canon-elph study, equations 36-38.
     """
     parallax = parallax_sigma(image_sigma_m)
     scale = height_m / focal_m
@@ -82,24 +53,7 @@ def stereo_precision(
 def normal_case_height_sigma(
     height_m: float, base_m: float, focal_m: float, parallax_sigma_m: float
 ) -> float:
-    """Expect the standard deviation of a height in the normal case.
-
-    Parameters
-    ----------
-    height_m : float
-        Height above ground, m.
-    base_m : float
-        Distance of the two photos, m.
-    focal_m : float
-        Principal distance, m.
-    parallax_sigma_m : float
-        Standard deviation of the x parallax, m.
-
-    Returns
-    -------
-    float
-        H^2 / (B c) sigma_p, m (Alves Junior et al. 2015, equation 16, after Kraus).
-    """
+    """Expect the standard deviation of a height in the normal case."""
     return height_m**2 / (base_m * focal_m) * parallax_sigma_m
 
 
@@ -108,20 +62,6 @@ def expected_altimetric_accuracy(height_m: float, base_m: float, focal_m: float,
 
     It is the acceptance limit of the height RMSE at the check points: the normal case with one pixel
     in each image.
-
-    Parameters
-    ----------
-    height_m, base_m : float
-        Height above ground and air base, m.
-    focal_m : float
-        Principal distance, m.
-    pixel_m : float
-        Pixel pitch, m.
-
-    Returns
-    -------
-    float
-        sqrt(2) H^2 / (B f) sigma, m (the form prints it in cm).
     """
     return normal_case_height_sigma(height_m, base_m, focal_m, parallax_sigma(pixel_m))
 
@@ -129,24 +69,7 @@ def expected_altimetric_accuracy(height_m: float, base_m: float, focal_m: float,
 def corner_precision(
     frame: Frame, height_m: float, base_m: float, image_sigma_px: float, share: float = 0.95
 ) -> ExpectedPrecision:
-    """Expect the precision far out in the image, where it is worst.
-
-    Parameters
-    ----------
-    frame : Frame
-        The camera.
-    height_m, base_m : float
-        Height above ground and air base, m.
-    image_sigma_px : float
-        Standard deviation of an image coordinate, px.
-    share : float, optional
-        Position of the point as a share of the columns and rows; the canon-elph study takes 0.95.
-
-    Returns
-    -------
-    ExpectedPrecision
-        For the point at `share` of columns and rows.
-    """
+    """Expect the precision far out in the image, where it is worst."""
     x = (share * frame.columns - (frame.columns - 1) / 2.0) * frame.pixel_m
     y = -(share * frame.rows - (frame.rows - 1) / 2.0) * frame.pixel_m
     return stereo_precision(height_m, base_m, frame.focal_m, (x, y), image_sigma_px * frame.pixel_m)

@@ -133,25 +133,7 @@ class Flight:
 
 
 def level_geometry(wish: Wish, height_m: float) -> LevelGeometry:
-    """Compute the figures of one flying height.
-
-    Parameters
-    ----------
-    wish : Wish
-        Camera, overlaps, speed.
-    height_m : float
-        Height above ground, m.
-
-    Returns
-    -------
-    LevelGeometry
-        Scale to expected precision; the precision is that of one stereo pair at 95 % of the image side.
-
-    Raises
-    ------
-    ConfigurationError
-        For a height or overlap that cannot be flown.
-    """
+    """Compute the figures of one flying height."""
     if not (math.isfinite(height_m) and height_m > 0.0):
         raise ConfigurationError(f"a flying height of {height_m:g} m above ground cannot be flown")
     frame = wish.frame

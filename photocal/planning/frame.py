@@ -34,18 +34,7 @@ class Frame:
             raise ConfigurationError("focal length, pixel size and image size must be positive")
 
     def side_px(self, side: Side) -> int:
-        """Give the number of pixels along one side of the image.
-
-        Parameters
-        ----------
-        side : {"columns", "rows"}
-            Image width or image height.
-
-        Returns
-        -------
-        int
-            Pixels.
-        """
+        """Give the number of pixels along one side of the image."""
         return self.columns if side == "columns" else self.rows
 
 
@@ -87,38 +76,12 @@ def flying_height(focal_m: float, denominator: float) -> float:
 
 
 def ground_sample_distance(height_m: float, frame: Frame) -> float:
-    """Give the size of a pixel on level ground.
-
-    Parameters
-    ----------
-    height_m : float
-        Height above ground, m.
-    frame : Frame
-        The camera.
-
-    Returns
-    -------
-    float
-        Ground sample distance, m.
-    """
+    """Give the size of a pixel on level ground."""
     return height_m * frame.pixel_m / frame.focal_m
 
 
 def footprint(gsd_m: float, frame: Frame) -> tuple[float, float]:
-    """Give the ground that a vertical photo shows.
-
-    Parameters
-    ----------
-    gsd_m : float
-        Ground sample distance, m.
-    frame : Frame
-        The camera.
-
-    Returns
-    -------
-    tuple of float
-        Along the columns (image width) and along the rows (image height), m.
-    """
+    """Give the ground that a vertical photo shows."""
     return frame.columns * gsd_m, frame.rows * gsd_m
 
 
@@ -150,38 +113,12 @@ def air_base(overlap: float, ground_side_m: float) -> float:
 
 
 def overlap_at(base_m: float, ground_side_m: float) -> float:
-    """Give the overlap that a distance of photos or strips leaves.
-
-    Parameters
-    ----------
-    base_m : float
-        Distance, m.
-    ground_side_m : float
-        Side of the footprint in that direction, m.
-
-    Returns
-    -------
-    float
-        Share of the side, negative where there is a gap.
-    """
+    """Give the overlap that a distance of photos or strips leaves."""
     return 1.0 - base_m / ground_side_m
 
 
 def image_point(column: float, row: float, frame: Frame) -> tuple[float, float]:
-    """Give photo coordinates of a pixel (canon-elph study, equations 34-35).
-
-    Parameters
-    ----------
-    column, row : float
-        Pixel position, px; the centre of the upper-left pixel is (0, 0).
-    frame : Frame
-        The camera.
-
-    Returns
-    -------
-    tuple of float
-        x to the right and y upwards from the image centre, m.
-    """
+    """Give photo coordinates of a pixel (canon-elph study, equations 34-35)."""
     return (
         (column - (frame.columns - 1) / 2.0) * frame.pixel_m,
         -(row - (frame.rows - 1) / 2.0) * frame.pixel_m,

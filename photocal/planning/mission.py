@@ -82,28 +82,7 @@ class Item:
 
 
 def mission_items(flight: Flight, home: Home, ground_height_m: float) -> tuple[Item, ...]:
-    """Turn a flight into mission items.
-
-    Parameters
-    ----------
-    flight : Flight
-        The plan.
-    home : Home
-        The take-off place.
-    ground_height_m : float
-        Mean height of the ground of the area above mean sea level, m.
-
-    Returns
-    -------
-    tuple of Item
-        Take-off, speed, for each strip its two ends with the camera triggered by distance between them,
-        return.
-
-    Raises
-    ------
-    ConfigurationError
-        When the flight would be at or below the take-off place.
-    """
+    """Turn a flight into mission items."""
     raise_m = ground_height_m - home.height_m
     lowest = min(strip.height_m for strip in flight.strips) + raise_m
     if not (math.isfinite(lowest) and lowest > 0.0):
@@ -137,31 +116,7 @@ def mission_items(flight: Flight, home: Home, ground_height_m: float) -> tuple[I
 def qgroundcontrol_plan(
     items: tuple[Item, ...], home: Home, speed_m_s: float, autopilot: str, vehicle: str
 ) -> dict[str, Any]:
-    """Make the content of a QGroundControl `.plan` file.
-
-    Parameters
-    ----------
-    items : tuple of Item
-        The mission.
-    home : Home
-        The take-off place.
-    speed_m_s : float
-        Speed over ground, m/s.
-    autopilot : {"ardupilot", "px4"}
-        Firmware.
-    vehicle : {"quadrotor", "fixed-wing"}
-        Kind of aircraft.
-
-    Returns
-    -------
-    dict
-        Plan file format, version 1, with a mission of version 2.
-
-    Raises
-    ------
-    ConfigurationError
-        For an autopilot or vehicle that is not known.
-    """
+    """Make the content of a QGroundControl `.plan` file."""
     return {
         "fileType": "Plan",
         "geoFence": {"circles": [], "polygons": [], "version": 2},
@@ -182,20 +137,7 @@ def qgroundcontrol_plan(
 
 
 def waypoint_file(items: tuple[Item, ...], home: Home) -> str:
-    """Make the content of a mission file of text lines (`QGC WPL 110`).
-
-    Parameters
-    ----------
-    items : tuple of Item
-        The mission.
-    home : Home
-        The take-off place; by convention the first line.
-
-    Returns
-    -------
-    str
-        One line for each item, fields separated by tabs.
-    """
+    """Make the content of a mission file of text lines (`QGC WPL 110`)."""
     first = Item(
         Command.WAYPOINT,
         FrameOfHeight.GLOBAL,

@@ -63,7 +63,6 @@ class SimulatedPrecision:
     ----------
     method : str
         "indirect" or "integrated".
-    images, points, rays : int
     check : int
         Check points that two photos or more see.
     mean_m, worst_m : tuple of float
@@ -87,18 +86,7 @@ class SimulatedPrecision:
 
 
 def simulate(flight: Flight, layout: ControlLayout, survey: Survey) -> SimulatedPrecision:
-    """Adjust a planned flight.
-
-    Parameters
-    ----------
-    flight : Flight
-    layout : ControlLayout
-    survey : Survey
-
-    Returns
-    -------
-    SimulatedPrecision
-    """
+    """Adjust a planned flight."""
     network, check = planned_network(flight, layout, survey)
     method = "indirect" if survey.gnss_m is None else "integrated"
     counts = (len(network.image_names), len(network.point_names), len(network.rays.image), len(check))
@@ -122,20 +110,7 @@ def simulate(flight: Flight, layout: ControlLayout, survey: Survey) -> Simulated
 
 
 def planned_network(flight: Flight, layout: ControlLayout, survey: Survey) -> tuple[Network, Integers]:
-    """Make the network that the flight will give, free of errors.
-
-    Parameters
-    ----------
-    flight : Flight
-    layout : ControlLayout
-    survey : Survey
-
-    Returns
-    -------
-    network : Network
-    check : ndarray of int
-        Its check points.
-    """
+    """Make the network that the flight will give, free of errors."""
     poses = _poses(flight)
     frame = flight.wish.frame
     ties = _ties(flight)

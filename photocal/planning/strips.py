@@ -38,19 +38,7 @@ class Strip:
 
 
 def best_azimuth(corners_m: FloatArray) -> float:
-    """Give the flying direction that needs the fewest strips.
-
-    Parameters
-    ----------
-    corners_m : ndarray, shape (n, 2)
-        Corners of the polygon, east and north, m.
-
-    Returns
-    -------
-    float
-        Azimuth, rad, clockwise from north, 0 to pi: along the side of the convex hull across which the
-        polygon is narrowest (the least width of a polygon lies across a side of its hull).
-    """
+    """Give the flying direction that needs the fewest strips."""
     from scipy.spatial import ConvexHull
 
     hull = corners_m[ConvexHull(corners_m).vertices]
@@ -73,32 +61,6 @@ def plan_strips(
     The outer strips fly along the border, so that ground at the border lies in the middle of their
     photos, and each strip runs out beyond the area. The distances of the strips are evened out: never
     larger than asked.
-
-    Parameters
-    ----------
-    corners_m : ndarray, shape (n, 2)
-        Corners of the polygon, east and north, m.
-    azimuth_rad : float
-        Flying direction, clockwise from north, rad.
-    spacing_m : float
-        Largest distance of the strips, m.
-    base_m : float
-        Distance of the exposures, m.
-    run_out_m : float
-        Distance by which each strip goes on beyond the area, m; half a footprint gives the ground at the
-        border as many photos as the middle has.
-    height_m : float
-        Height above ground, m.
-
-    Returns
-    -------
-    tuple of Strip
-        In flying order.
-
-    Raises
-    ------
-    ConfigurationError
-        When distances are not positive or the plan would need absurdly many exposures.
     """
     if not (spacing_m > 0.0 and base_m > 0.0 and run_out_m >= 0.0):
         raise ConfigurationError("the distances of strips and exposures must be positive")

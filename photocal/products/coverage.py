@@ -54,8 +54,6 @@ def footprints(shots: Shots, frame: Frame, height: float) -> Bounds:
 
     Parameters
     ----------
-    shots : Shots
-    frame : Frame
     height : float
         Of the terrain, m.
 

@@ -25,45 +25,14 @@ _CLOSE_M = 1e-5
 
 
 def image_points(shots: Shots, number: int, local: Floats) -> Floats:
-    """Project points into one image.
-
-    Parameters
-    ----------
-    shots : Shots
-    number : int
-        Of the image.
-    local : ndarray, shape (n, 3)
-        Local coordinates, m.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Column and row, px; NaN for points that the camera cannot see.
-    """
+    """Project points into one image."""
     camera = shots.cameras[shots.camera[number]]
     q = (local - shots.station[number]) @ shots.rotation[number].T
     return plane_to_pixel(camera.size_px, camera.pitch, projected(camera, q))
 
 
 def terrain_points(shots: Shots, number: int, pixel: Floats, terrain: Terrain, frame: Frame) -> Floats:
-    """Intersect the rays of image points with the terrain.
-
-    Parameters
-    ----------
-    shots : Shots
-    number : int
-        Of the image.
-    pixel : ndarray, shape (n, 2)
-        Column and row, px.
-    terrain : Terrain
-    frame : Frame
-        From the terrain's coordinates to local ones.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        In the terrain's coordinates, m; NaN where a ray meets no terrain.
-    """
+    """Intersect the rays of image points with the terrain."""
     camera = shots.cameras[shots.camera[number]]
     ideal = undistorted(camera, pixel_to_plane(camera.size_px, camera.pitch, pixel))
     rays = np.column_stack([ideal, np.full(len(ideal), -camera.values[0])]) @ shots.rotation[number]
@@ -120,8 +89,6 @@ def displacement(
     ----------
     right, wrong : Shots
         The same images with two orientations.
-    terrain : Terrain
-    frame : Frame
     x, y : ndarray, shape (n,)
         Ground points, m.
 
@@ -161,8 +128,6 @@ def draw_displacement(field: Displacement, title: str, path: Path) -> None:
 
     Parameters
     ----------
-    field : Displacement
-    title : str
     path : Path
         Ending in .pdf, .svg or .png.
 

@@ -38,7 +38,6 @@ class Adjusted:
         Weighted sum of the squared residuals.
     degrees_of_freedom : int
         Conditions less parameters.
-    iterations : int
     """
 
     state: Floats
@@ -82,10 +81,6 @@ def fit(
         Applies a step of u parameters.
     what : str
         Name of the surface for messages.
-
-    Returns
-    -------
-    Adjusted
 
     Raises
     ------

@@ -24,7 +24,6 @@ class Grid:
         Corner of the first cell, m.
     cell : float
         Size of a cell, m.
-    columns, rows : int
     """
 
     west: float
@@ -53,7 +52,6 @@ def ground_points(x: Floats, y: Floats, terrain: Terrain, frame: Frame) -> Float
     x : ndarray, shape (columns,)
     y : ndarray, shape (rows,)
         Of the cell centres, m.
-    terrain : Terrain
     frame : Frame
         From the terrain's coordinates to local ones.
 

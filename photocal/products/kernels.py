@@ -69,23 +69,7 @@ def look_up(
     row: Floats,
     chosen: Integers,
 ) -> None:
-    """For every ground point choose the image with the best nadir and find the place in it.
-
-    Parameters
-    ----------
-    ground : ndarray, shape (n, 3)
-        m; NaN where there is no terrain.
-    cameras, optics_of, limit, pitch, size
-        From `LensTables`.
-    camera, rotation, station
-        From `Shots`.
-    candidates : ndarray of int
-        Images that may show the points.
-    column, row : ndarray, shape (n,)
-        Receive the place, px.
-    chosen : ndarray of int, shape (n,)
-        Receives the image; -1 for none.
-    """
+    """For every ground point choose the image with the best nadir and find the place in it."""
     room = scratch(0)
     found = np.zeros(2)
     count = len(candidates)
@@ -148,24 +132,7 @@ def resample(
     whole: bool,
     pixels: NDArray[Any],
 ) -> None:
-    """Take the grey values of one image for the points that chose it.
-
-    Parameters
-    ----------
-    image : ndarray, shape (rows, columns, bands)
-    which : int
-        Its number among the images.
-    method : int
-        `NEAREST`, `BILINEAR` or `CUBIC`.
-    column, row, chosen : ndarray, shape (n,)
-        From `look_up`.
-    lowest, highest : float
-        Range of the values that may be written; the value that means "nothing" lies outside.
-    whole : bool
-        Whether values are whole numbers.
-    pixels : ndarray, shape (bands, n)
-        Receives the values.
-    """
+    """Take the grey values of one image for the points that chose it."""
     rows, columns, bands = image.shape
     across, down = np.zeros(4), np.zeros(4)
     for p in range(len(chosen)):

@@ -35,7 +35,6 @@ def oriented(folder: Path, run: Path | None) -> tuple[Block, Frame, Shots]:
 
     Returns
     -------
-    block : Block
     frame : Frame
         Between the block's coordinates and the local ones of the images.
     shots : Shots

@@ -34,7 +34,6 @@ class Made:
 
     Attributes
     ----------
-    grid : Grid
     share : float
         Part of the cells that an image shows.
     cells : dict
@@ -51,8 +50,6 @@ def image_files(block: Block, folder: Path, wanted: tuple[str, ...]) -> dict[int
 
     Parameters
     ----------
-    block : Block
-    folder : Path
     wanted : tuple of str
         Names of images; empty for all.
 
@@ -264,7 +261,6 @@ def write_orthophoto(
 
     Parameters
     ----------
-    path : Path
     recipe : Recipe
         Its shots are those of the files, in their order.
     files : dict
@@ -273,13 +269,8 @@ def write_orthophoto(
         WKT.
     tags : dict
         Metadata.
-    workers : int
     advance : callable
         Takes the number of cells done.
-
-    Returns
-    -------
-    Made
 
     Raises
     ------

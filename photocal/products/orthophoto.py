@@ -85,15 +85,10 @@ class Recipe:
 
     Attributes
     ----------
-    shots : Shots
     frame : Frame
         From the coordinates of the terrain to those of the shots.
-    terrain : callable
-    grid : Grid
     method : int
         `NEAREST`, `BILINEAR` or `CUBIC` of the kernels.
-    bands : int
-    dtype : str
     nodata : float
         Value of cells that no image shows.
     """
@@ -125,20 +120,7 @@ class Recipe:
 
 
 def orthophoto(recipe: Recipe, images: ImageStore, workers: int) -> Iterator[Tile]:
-    """Make an orthophoto tile by tile.
-
-    Parameters
-    ----------
-    recipe : Recipe
-    images : ImageStore
-    workers : int
-        Threads; the kernels run beside each other.
-
-    Yields
-    ------
-    Tile
-        Each part of the grid once.
-    """
+    """Make an orthophoto tile by tile."""
     lenses = lens_tables(recipe.shots.cameras)
     borders = border_directions(recipe.shots)
 

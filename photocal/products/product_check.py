@@ -26,7 +26,6 @@ class CheckPoints:
 
     Attributes
     ----------
-    names : tuple of str
     enh : ndarray, shape (n, 3)
         E, N, h in m; h may be NaN.
     """
@@ -65,10 +64,6 @@ def read_check_points(path: Path) -> CheckPoints:
     path : Path
         CSV with point, E, N and optional h, in m and in the reference system of the products.
 
-    Returns
-    -------
-    CheckPoints
-
     Raises
     ------
     InputNotFoundError, InputMalformedError
@@ -93,7 +88,6 @@ def check_products(
 
     Parameters
     ----------
-    points : CheckPoints
     ortho : Path or None
         Orthomosaic with round targets, lighter or darker than their surroundings.
     target_diameter_m : float or None
@@ -107,10 +101,6 @@ def check_products(
         Kind of the surveyed heights; needed with a terrain model.
     dtm_height_kind : str or None
         Kind of the heights of a terrain model that does not say it itself.
-
-    Returns
-    -------
-    ProductCheck
 
     Raises
     ------
@@ -186,20 +176,6 @@ def _heights(dtm: Path, points: CheckPoints, kind: str | None, said: str | None)
 
 def find_target(raster: RasterFile, place: Floats, diameter: float, search: float) -> Floats:
     """Find a round target near a place in a raster.
-
-    Parameters
-    ----------
-    raster : RasterFile
-        North up, square cells.
-    place : ndarray, shape (2,)
-        E, N, m.
-    diameter, search : float
-        Of the target, and around the place, m.
-
-    Returns
-    -------
-    ndarray, shape (3,)
-        E, N of its middle, m, and the likeness; NaN when it is not found.
 
     Notes
     -----

@@ -31,10 +31,6 @@ class RasterFile:
 
     Attributes
     ----------
-    path : Path
-    columns, rows, bands : int
-    dtype : str
-    transform : tuple of float
     crs : str
         WKT; empty when the file names none.
     height_kind : str
@@ -58,14 +54,6 @@ class RasterFile:
 
 def describe(path: Path) -> RasterFile:
     """Read the header of any raster that GDAL knows.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    RasterFile
 
     Raises
     ------
@@ -179,17 +167,7 @@ def terrain_source(raster: RasterFile, height_kind: str) -> Callable[[Bounds], T
 
 
 def read_image(path: Path) -> NDArray[Any]:
-    """Read a photo whole.
-
-    Returns
-    -------
-    ndarray, shape (rows, columns, bands)
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        When there is no such file, it is damaged, or has values of another kind than grey levels.
-    """
+    """Read a photo whole."""
     with opened(path) as source:
         if str(source.dtypes[0]) not in ("uint8", "uint16", "float32"):
             raise InputMalformedError(
@@ -246,26 +224,7 @@ def geotiff(
     nodata: float,
     tags: dict[str, str],
 ) -> Iterator[Callable[[NDArray[Any], int, int], None]]:
-    """Write a tiled, compressed GeoTIFF with overviews; it appears when it is whole.
-
-    Parameters
-    ----------
-    path : Path
-    columns, rows, bands, dtype, transform, crs, nodata
-        Of the raster; `crs` as WKT, empty for none.
-    tags : dict
-        Metadata items.
-
-    Yields
-    ------
-    callable
-        Takes pixels (bands, rows, columns), the first column and the first row.
-
-    Raises
-    ------
-    OutputError
-        When it cannot be written.
-    """
+    """Write a tiled, compressed GeoTIFF with overviews; it appears when it is whole."""
     floating = dtype.startswith("float")
     options = {
         "driver": "GTiff",
@@ -322,11 +281,6 @@ def _overviews(columns: int, rows: int) -> list[int]:
 
 def write_terrain(terrain: Terrain, path: Path) -> None:
     """Write a terrain model as GeoTIFF with the kind of its heights.
-
-    Parameters
-    ----------
-    terrain : Terrain
-    path : Path
 
     Raises
     ------

@@ -20,7 +20,6 @@ def draw_rings(tank: Tank, axes: tuple[str, str, str], path: Path) -> None:
 
     Parameters
     ----------
-    tank : Tank
     axes : tuple of str
         Names of the two horizontal axes and the vertical one.
     path : Path

@@ -52,9 +52,6 @@ class Section:
 
     Attributes
     ----------
-    name : str
-    points : tuple of str
-    circle : Circle
     height : float
         Mean height of its points, m.
     covariance : ndarray, shape (2, 2)
@@ -106,10 +103,6 @@ def read_ring_points(path: Path, vertical: Vertical, sigma_m: float | None) -> R
         Axis that points up.
     sigma_m : float or None
         Standard deviation of all coordinates of a table without sX, sY, sZ.
-
-    Returns
-    -------
-    RingPoints
 
     Raises
     ------

@@ -22,8 +22,6 @@ class Shots:
 
     Attributes
     ----------
-    names : tuple of str
-    cameras : tuple of Camera
     camera : ndarray of int, shape (m,)
         Index into the cameras.
     station : ndarray, shape (m, 3)
@@ -80,10 +78,6 @@ def shots(
         As the attributes of `Shots`.
     orientation : ndarray, shape (m, 6)
         omega, phi, kappa in radians, X, Y, Z in m.
-
-    Returns
-    -------
-    Shots
     """
     return Shots(names, cameras, camera, orientation[:, 3:].copy(), matrix_from_angles(orientation[:, :3]))
 

@@ -29,7 +29,6 @@ class Circle:
         Distance of each measured point from the circle, outwards positive, m.
     direction : ndarray, shape (n,)
         Of each measured point from the centre, from the first axis towards the second, radians.
-    adjusted : Adjusted
     """
 
     center: Floats
@@ -56,7 +55,6 @@ class Plane:
         Standard deviation of the plane along its normal at the centroid of the points, m.
     offsets : ndarray, shape (n,)
         Distance of each measured point from the plane, along the normal, m.
-    adjusted : Adjusted
     """
 
     normal: Floats
@@ -85,7 +83,6 @@ class Cylinder:
         m, a priori.
     radial : ndarray, shape (n,)
         Distance of each measured point from the cylinder, outwards positive, m.
-    adjusted : Adjusted
     """
 
     point: Floats
@@ -99,24 +96,7 @@ class Cylinder:
 
 
 def fit_circle(points: Floats, covariance: Floats) -> Circle:
-    """Fit a circle.
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, 2)
-        m.
-    covariance : ndarray, shape (n, 2, 2)
-        m2.
-
-    Returns
-    -------
-    Circle
-
-    Raises
-    ------
-    IllPosedError
-        For fewer than three points, or points on a line.
-    """
+    """Fit a circle."""
     middle = _centroid(points, 3, "circle")
     local = points - middle
     found = fit(local, covariance, _algebraic_circle(local), _circle_condition, np.add, "circle")
@@ -128,24 +108,7 @@ def fit_circle(points: Floats, covariance: Floats) -> Circle:
 
 
 def fit_plane(points: Floats, covariance: Floats) -> Plane:
-    """Fit a plane.
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3)
-        m.
-    covariance : ndarray, shape (n, 3, 3)
-        m2.
-
-    Returns
-    -------
-    Plane
-
-    Raises
-    ------
-    IllPosedError
-        For fewer than three points, or points on a line.
-    """
+    """Fit a plane."""
     middle = _centroid(points, 3, "plane")
     local = points - middle
     start = np.append(np.linalg.svd(local, full_matrices=True)[2][2], 0.0)
@@ -165,24 +128,7 @@ def fit_plane(points: Floats, covariance: Floats) -> Plane:
 
 
 def fit_cylinder(points: Floats, covariance: Floats) -> Cylinder:
-    """Fit a circular cylinder.
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3)
-        m.
-    covariance : ndarray, shape (n, 3, 3)
-        m2.
-
-    Returns
-    -------
-    Cylinder
-
-    Raises
-    ------
-    IllPosedError
-        For fewer than five points, or points that fix no axis.
-    """
+    """Fit a circular cylinder."""
     middle = _centroid(points, 5, "cylinder")
     local = points - middle
     start = _cylinder_start(local)

@@ -41,8 +41,6 @@ class Gridded:
 
     Attributes
     ----------
-    terrain : Terrain
-    triangles : int
     flat : int
         Triangles whose corners lie on one contour: there the ground is cut off level.
     """
@@ -60,10 +58,6 @@ def read_terrain_points(path: Path) -> TerrainPoints:
     path : Path
         CSV with X, Y, Z (m) and optional `line`; `points.csv` of a block or a run is one too. Points without
         height, and check points, are left out.
-
-    Returns
-    -------
-    TerrainPoints
 
     Raises
     ------

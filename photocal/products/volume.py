@@ -75,20 +75,7 @@ def cylinder_volume(radius: float, radius_sigma: float, height: float, height_si
 
 
 def volume_between_sections(radius: Floats, height: Floats, covariance: Floats) -> Volume:
-    """Volume from the lowest to the highest section by the end areas.
-
-    Parameters
-    ----------
-    radius, height : ndarray, shape (m,)
-        Of the sections from below, m.
-    covariance : ndarray, shape (m, 2, 2)
-        Of radius and height of each section, m2; sections are uncorrelated.
-
-    Returns
-    -------
-    Volume
-        Sum of (S_i + S_i+1)/2 (h_i+1 - h_i) with S = pi R2.
-    """
+    """Volume from the lowest to the highest section by the end areas."""
     area, step = np.pi * radius**2, np.diff(height)
     around = np.concatenate([[0.0], step, [0.0]])
     by_radius = np.pi * radius * (around[:-1] + around[1:])

@@ -30,7 +30,6 @@ def tank_json(tank: Tank, axes: tuple[str, str, str], wall_thickness: float) -> 
 
     Parameters
     ----------
-    tank : Tank
     axes : tuple of str
         Names of the coordinates; the last one is the vertical.
     wall_thickness : float

@@ -37,18 +37,6 @@ class Limit:
 def expected_altimetric_error_cm(height_m: float, base_m: float, focal_mm: float, pixel_mm: float) -> float:
     """Expected altimetric accuracy dz by which the ministry measures the check points.
 
-    Parameters
-    ----------
-    height_m, base_m : float
-        Flying height and air base, m.
-    focal_mm, pixel_mm : float
-        Calibrated focal length and pixel size, mm.
-
-    Returns
-    -------
-    float
-        dz = 100 sqrt(2) H^2 / (B f) sigma, cm.
-
     Notes
     -----
     Ministry of Defence of Brazil, technical report for aerial survey with remotely piloted aircraft,
@@ -76,10 +64,6 @@ def limits(
         Planimetric and altimetric root mean square error of the check points, cm.
     gsd_cm, dz_cm : float or None
         Their limits: ground sampling distance, expected altimetric accuracy.
-
-    Returns
-    -------
-    tuple of Limit
     """
     x, y = image_rmse_mm if image_rmse_mm is not None else (None, None)
     plane, height = check_rmse_cm if check_rmse_cm is not None else (None, None)

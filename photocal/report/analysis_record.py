@@ -66,20 +66,7 @@ def analysis_record(outcome: Outcome, say: Catalogue) -> dict[str, Any]:
 
 
 def finding_record(finding: Finding, say: Catalogue) -> dict[str, Any]:
-    """Turn a finding into plain values.
-
-    Parameters
-    ----------
-    finding : Finding
-        The finding.
-    say : Catalogue
-        Language of its sentence.
-
-    Returns
-    -------
-    dict
-        Kind, sentence, figure with its sigma and unit, effects, and all that it was said from.
-    """
+    """Turn a finding into plain values."""
     size = finding.size
     return {
         "kind": finding.code,
@@ -157,18 +144,7 @@ def _jackknife(search: Search, names: list[str]) -> dict[str, Any]:
 
 
 def as_plain(value: Any) -> Any:
-    """Replace arrays by lists and what is not a finite number by null.
-
-    Parameters
-    ----------
-    value
-        Nested mappings, sequences and arrays of numbers and texts.
-
-    Returns
-    -------
-    object
-        The same, ready for JSON.
-    """
+    """Replace arrays by lists and what is not a finite number by null."""
     if isinstance(value, np.ndarray):
         return as_plain(value.tolist())
     if isinstance(value, np.generic):

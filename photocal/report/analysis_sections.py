@@ -11,20 +11,7 @@ from photocal.report.words import finding_text, need_words
 
 
 def analysis_verdict(analysis: StoredAnalysis, say: Catalogue) -> list[Statement]:
-    """Warn of hidden errors that are not small.
-
-    Parameters
-    ----------
-    analysis : StoredAnalysis
-        The analysis.
-    say : Catalogue
-        Language.
-
-    Returns
-    -------
-    list of Statement
-        One, or none.
-    """
+    """Warn of hidden errors that are not small."""
     large = [one for one in analysis.hidden if not one.small]
     if not large:
         return []
@@ -33,19 +20,7 @@ def analysis_verdict(analysis: StoredAnalysis, say: Catalogue) -> list[Statement
 
 
 def hidden_errors(run: Run, say: Catalogue) -> Section:
-    """List the hidden systematic errors, worst first, or say that nobody looked for them.
-
-    Parameters
-    ----------
-    run : Run
-        With its analysis, if there is one.
-    say : Catalogue
-        Language.
-
-    Returns
-    -------
-    Section
-    """
+    """List the hidden systematic errors, worst first, or say that nobody looked for them."""
     title = say("analysis.hidden")
     if run.analysis is None:
         return Section(title, (Paragraph(say("analysis.not_made")),))
@@ -93,10 +68,6 @@ def parameters(title: str, camera_id: str, run: Run, analysis: StoredAnalysis, s
         Its analysis; the camera has estimated parameters.
     say : Catalogue
         Language.
-
-    Returns
-    -------
-    Section
     """
     record, camera = analysis.cameras[camera_id], run.result.cameras[camera_id]
     if record is None:
@@ -231,19 +202,7 @@ def _jackknife(record: JackknifeRecord, camera: CameraResult, say: Catalogue) ->
 
 
 def method_check(analysis: StoredAnalysis, say: Catalogue) -> Section:
-    """Say what each method of calibration asks for and what the network has.
-
-    Parameters
-    ----------
-    analysis : StoredAnalysis
-        The analysis.
-    say : Catalogue
-        Language.
-
-    Returns
-    -------
-    Section
-    """
+    """Say what each method of calibration asks for and what the network has."""
     columns = tuple(
         Column(say(f"analysis.{key}"), align="left")
         for key in ("method_name", "requirement", "found", "needed", "met")

@@ -12,24 +12,7 @@ from photocal.report.run import Result
 
 
 def as_adjusted(block: Block, result: Result) -> Assembly:
-    """Make the network that a run ended with.
-
-    Parameters
-    ----------
-    block : Block
-        What the run was made from.
-    result : Result
-        Of the run.
-
-    Returns
-    -------
-    Assembly
-
-    Raises
-    ------
-    PhotocalError
-        As the adjustment does.
-    """
+    """Make the network that a run ended with."""
     assembly, _ = adjusted(assemble(block), result.snooping)
     if not result.variance_components:
         return assembly

@@ -32,10 +32,6 @@ def method(title: str, run: Run, say: Catalogue) -> Section:
         The adjustment.
     say : Catalogue
         Language.
-
-    Returns
-    -------
-    Section
     """
     result = run.result
     models = sorted({camera.model for camera in result.cameras.values()})
@@ -127,10 +123,6 @@ def exterior_orientation(title: str, run: Run, say: Catalogue) -> Section:
         The adjustment.
     say : Catalogue
         Language.
-
-    Returns
-    -------
-    Section
     """
     n = len(run.exposures.image)
     order, caption, remark = list(range(n)), say("eop.table"), ""
@@ -199,10 +191,6 @@ def check_points(title: str, run: Run, say: Catalogue) -> Section:
         The adjustment.
     say : Catalogue
         Language.
-
-    Returns
-    -------
-    Section
     """
     checks = run.result.checks
     if checks.n == 0:
@@ -258,10 +246,6 @@ def global_test(title: str, run: Run, say: Catalogue) -> Section:
         The adjustment.
     say : Catalogue
         Language.
-
-    Returns
-    -------
-    Section
     """
     result, test = run.result, run.result.global_test
     if test is None or result.sigma0_squared is None:
@@ -297,10 +281,6 @@ def inputs(title: str, run: Run, say: Catalogue) -> Section:
         The adjustment.
     say : Catalogue
         Language.
-
-    Returns
-    -------
-    Section
     """
     software = run.result.software
     return Section(

@@ -11,20 +11,7 @@ from photocal.report.run import CameraResult, Result
 
 
 def calibrations_of_run(result: Result, label: str) -> tuple[Calibration, ...]:
-    """Give the cameras of a run with the covariance of their estimated parameters.
-
-    Parameters
-    ----------
-    result : Result
-        Of the run, see `run_reader.read_adjustment`.
-    label : str
-        What tells this run from others; each calibration is called LABEL or LABEL/CAMERA.
-
-    Returns
-    -------
-    tuple of Calibration
-        For `photocal.analysis.stability.comparison.compare`.
-    """
+    """Give the cameras of a run with the covariance of their estimated parameters."""
     several = len(result.cameras) > 1
     return tuple(
         _calibration(f"{label}/{name}" if several else label, own) for name, own in result.cameras.items()

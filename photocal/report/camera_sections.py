@@ -39,21 +39,7 @@ NOT_TESTED = ("c",)
 
 
 def camera_facts(camera_id: str, camera: CameraResult, say: Catalogue) -> KeyValues:
-    """List the format, pitch and model of a camera.
-
-    Parameters
-    ----------
-    camera_id : str
-        Its name within the block.
-    camera : CameraResult
-        The camera.
-    say : Catalogue
-        Language.
-
-    Returns
-    -------
-    KeyValues
-    """
+    """List the format, pitch and model of a camera."""
     width, height = camera.size_px
     size = {"width": str(width), "height": str(height)}
     rows = [(say("camera.id"), camera_id)]
@@ -107,10 +93,6 @@ def interior_orientation(title: str, camera: CameraResult, dof: int, say: Catalo
         Degrees of freedom of the adjustment, for Student's distribution.
     say : Catalogue
         Language.
-
-    Returns
-    -------
-    Section
     """
     critical = critical_t(dof)
     columns = (
@@ -162,21 +144,7 @@ def _iop_row(name: str, camera: CameraResult, critical: float, say: Catalogue) -
 
 
 def correlations(title: str, name: str, camera: CameraResult, say: Catalogue) -> Section:
-    """Make the correlation matrix as a table, a picture and a sentence.
-
-    Parameters
-    ----------
-    title, name : str
-        Title of the section; short name of the camera for the picture.
-    camera : CameraResult
-        The camera.
-    say : Catalogue
-        Language.
-
-    Returns
-    -------
-    Section
-    """
+    """Make the correlation matrix as a table, a picture and a sentence."""
     correlation = camera.correlation
     heads = [symbol(n) for n in correlation.names]
     columns = (Column("", align="left"), *(Column(head) for head in heads))

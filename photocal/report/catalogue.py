@@ -34,19 +34,7 @@ class Catalogue:
     messages: Mapping[str, str]
 
     def __call__(self, key: str, **values: object) -> str:
-        """Give one text with its values put in.
-
-        Parameters
-        ----------
-        key : str
-            Dotted key.
-        **values
-            What the braces stand for, already formatted.
-
-        Returns
-        -------
-        str
-        """
+        """Give one text with its values put in."""
         return self.messages[key].format(**values)
 
     def date(self, day: dt.date) -> str:
@@ -62,10 +50,6 @@ def catalogue(language: str) -> Catalogue:
     ----------
     language : str
         One of `LANGUAGES`.
-
-    Returns
-    -------
-    Catalogue
 
     Raises
     ------

@@ -56,10 +56,6 @@ def certificate(run: Run, particulars: Particulars, say: Catalogue, told: Told =
     told : Told
         By the processing before the adjustment.
 
-    Returns
-    -------
-    Document
-
     Raises
     ------
     InputMalformedError
@@ -88,22 +84,7 @@ def _subtitle(run: Run, say: Catalogue) -> str:
 
 
 def certificate_number(run: Run, particulars: Particulars, told: Told = NOTHING_TOLD) -> str:
-    """Make the number of a certificate from its date, inputs, software and particulars, in whatever language.
-
-    Parameters
-    ----------
-    run : Run
-        Results of the adjustment.
-    particulars : Particulars
-        What a person gives.
-    told : Told
-        By the processing before the adjustment.
-
-    Returns
-    -------
-    str
-        "PC-20261121-1A2B3C4D".
-    """
+    """Make a certificate's number from date, inputs, software and particulars, in whatever language."""
     software = run.result.software
     files = (f"{f.path} {f.sha256}" for f in run.result.inputs)
     content = [f"{software.name} {software.version}", *files, repr(particulars), *told.warnings, *told.notes]

@@ -20,22 +20,7 @@ NAMED = 60
 
 
 def difference_map(names: tuple[str, ...], place: Floats, d: Floats, say: Catalogue) -> str:
-    """Draw the differences in plane as vectors at their points, those in height beside the names.
-
-    Parameters
-    ----------
-    names : tuple of str
-        Of the n points.
-    place, d : ndarray, shape (n, 3)
-        Coordinates, and adjusted less surveyed, m.
-    say : Catalogue
-        Language of the labels.
-
-    Returns
-    -------
-    str
-        SVG; both axes have one scale, the vectors another one that is drawn.
-    """
+    """Draw the differences in plane as vectors at their points, those in height beside the names."""
     extent = max(float(np.ptp(place[:, 0])), float(np.ptp(place[:, 1])), 1e-9)
     longest = float(np.hypot(d[:, 0], d[:, 1]).max()) or 1.0
     enlarged = LONGEST * extent / longest
@@ -73,20 +58,7 @@ def difference_map(names: tuple[str, ...], place: Floats, d: Floats, say: Catalo
 
 
 def difference_histograms(d: Floats, say: Catalogue) -> str:
-    """Draw a histogram of each component with its mean and the normal curve of its moments.
-
-    Parameters
-    ----------
-    d : ndarray, shape (n, 3)
-        Adjusted less surveyed, m.
-    say : Catalogue
-        Language of the labels.
-
-    Returns
-    -------
-    str
-        SVG.
-    """
+    """Draw a histogram of each component with its mean and the normal curve of its moments."""
     with drawing(WIDTH, 2.1) as (figure, out):
         for k, axis in enumerate("XYZ"):
             ax = figure.add_axes((0.07 + 0.32 * k, 0.22, 0.26, 0.66))

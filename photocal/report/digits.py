@@ -56,20 +56,7 @@ def fixed(value: float, decimals: int, mark: str) -> str:
 
 
 def decimals_of(sigma: float, digits: int = 2) -> int:
-    """Give the number of decimals that shows a standard deviation with so many significant digits.
-
-    Parameters
-    ----------
-    sigma : float
-        Standard deviation, positive.
-    digits : int
-        Significant digits.
-
-    Returns
-    -------
-    int
-        Decimals; 9.97 counts as 10 and so has none left for two digits.
-    """
+    """Give the number of decimals that shows a standard deviation with so many significant digits."""
     # The decimal rounding decides the power of ten: 0.0997 is printed as 0.10, not as 0.100.
     exponent = int(f"{sigma:.{digits - 1}e}".split("e")[1])
     return digits - 1 - exponent
@@ -98,39 +85,13 @@ def significant(value: float, digits: int, mark: str) -> str:
 
 
 def as_given(value: float, mark: str) -> str:
-    """Print a number with the digits that it was given with, ten at most.
-
-    Parameters
-    ----------
-    value : float
-        The number.
-    mark : str
-        The decimal mark.
-
-    Returns
-    -------
-    str
-        The shortest text that says it.
-    """
+    """Print a number with the digits that it was given with, ten at most."""
     digits = next((d for d in range(1, 11) if float(f"{value:.{d}g}") == value), 10)
     return fixed(value, max(decimals_of(abs(value), digits), 0), mark) if value else "0"
 
 
 def measured(value: float, sigma: float, mark: str) -> Measured:
-    """Print a value with its standard deviation, both to two digits of the latter.
-
-    Parameters
-    ----------
-    value, sigma : float
-        In the same unit. Without sigma (0: the value was held) the value has the digits it was given with.
-    mark : str
-        The decimal mark.
-
-    Returns
-    -------
-    Measured
-        The texts; the sigma of a held value is empty.
-    """
+    """Print a value with its standard deviation, both to two digits of the latter."""
     size = max(abs(value), sigma)
     exponent = 0
     if size != 0.0 and not SMALL <= size < LARGE:
@@ -143,58 +104,21 @@ def measured(value: float, sigma: float, mark: str) -> Measured:
 
 
 def power_of_ten(exponent: int, unit: str) -> str:
-    """Write a unit with its power of ten, "10⁻⁴ mm⁻²"; the unit alone for the power 0.
-
-    Parameters
-    ----------
-    exponent : int
-        The power.
-    unit : str
-        The unit, may be empty.
-
-    Returns
-    -------
-    str
-        For the unit column of a table.
-    """
+    """Write a unit with its power of ten, "10⁻⁴ mm⁻²"; the unit alone for the power 0."""
     if exponent == 0:
         return unit
     return f"10{str(exponent).translate(SUPERSCRIPTS)} {unit}".strip()
 
 
 def unit_power(unit: str, power: int) -> str:
-    """Write a unit to a power, "mm⁻²"; the unit alone for 1, nothing for 0.
-
-    Parameters
-    ----------
-    unit : str
-        The unit.
-    power : int
-        Its power.
-
-    Returns
-    -------
-    str
-        The text.
-    """
+    """Write a unit to a power, "mm⁻²"; the unit alone for 1, nothing for 0."""
     if power == 0:
         return ""
     return unit if power == 1 else unit + str(power).translate(SUPERSCRIPTS)
 
 
 def symbol(parameter: str) -> str:
-    """Write a parameter name as a symbol, "K1" as "K₁".
-
-    Parameters
-    ----------
-    parameter : str
-        A name of the camera model.
-
-    Returns
-    -------
-    str
-        With subscripts.
-    """
+    """Write a parameter name as a symbol, "K1" as "K₁"."""
     return parameter.translate(SUBSCRIPTS)
 
 
@@ -217,20 +141,7 @@ def probability(p: float, mark: str) -> str:
 
 
 def relation(p: float, mark: str) -> str:
-    """Write how a probability compares: equal to three decimals, or smaller.
-
-    Parameters
-    ----------
-    p : float
-        Between 0 and 1.
-    mark : str
-        The decimal mark.
-
-    Returns
-    -------
-    str
-        "= 0.130" or "< 0.001".
-    """
+    """Write how a probability compares: equal to three decimals, or smaller."""
     sign, printed = ("=", p) if p >= 0.001 else ("<", 0.001)
     return f"{sign}\u00a0{fixed(printed, 3, mark)}"
 

@@ -39,17 +39,6 @@ class RadialProfile:
 def radial_profile(camera: CameraResult, radius: Floats) -> RadialProfile:
     """Evaluate the radial distortion and its standard deviation.
 
-    Parameters
-    ----------
-    camera : CameraResult
-        Parameters and their correlation.
-    radius : ndarray, shape (n,)
-        Radii in the unit of the camera.
-
-    Returns
-    -------
-    RadialProfile
-
     Notes
     -----
     d(r) = K1 (r^3 - R0^2 r) + K2 (r^5 - R0^4 r) + ..., Brown (1971), the part of the camera equations

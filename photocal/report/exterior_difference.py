@@ -16,25 +16,7 @@ from photocal.report.stored_analysis import ExteriorDifference
 
 
 def exterior_difference(block: Block, result: Result) -> ExteriorDifference | None:
-    """Compare the orientations that the positioning system gave with the adjusted ones.
-
-    Parameters
-    ----------
-    block : Block
-        With positions and attitudes, or sigmas at the exterior orientation of its images.
-    result : Result
-        Of the run: what it rejected stays out.
-
-    Returns
-    -------
-    ExteriorDifference or None
-        None without such orientations.
-
-    Raises
-    ------
-    PhotocalError
-        As the adjustment does.
-    """
+    """Compare the orientations that the positioning system gave with the adjusted ones."""
     local = in_local_frame(block)
     original = direct_orientation(local)
     if not original.known.any():

@@ -65,10 +65,6 @@ def facts(run: Run, camera_id: str, particulars: Particulars) -> Facts:
         One of its cameras.
     particulars : Particulars
         What a person gave; given figures go before computed ones.
-
-    Returns
-    -------
-    Facts
     """
     camera, campaign = run.result.cameras[camera_id], particulars.campaign
     pixel = pixel_size_mm(camera, particulars)

@@ -43,24 +43,7 @@ STYLE: Any = {
 
 
 def radial_curve(camera: CameraResult, profile: RadialProfile, observed_to: float, say: Catalogue) -> str:
-    """Draw the radial displacement over the radius with its 1-sigma band.
-
-    Parameters
-    ----------
-    camera : CameraResult
-        Unit and pitch for the axes.
-    profile : RadialProfile
-        The curve, from the principal point to the farthest corner.
-    observed_to : float
-        Largest radius with an observation; the curve is broken beyond.
-    say : Catalogue
-        Language of the labels.
-
-    Returns
-    -------
-    str
-        SVG.
-    """
+    """Draw the radial displacement over the radius with its 1-sigma band."""
     millimetres = camera.unit == "mm"
     factor = 1e3 if millimetres else 1.0
     pitch = float(np.mean(camera.pitch))
@@ -165,20 +148,7 @@ def residual_map(camera: CameraResult, vectors: Vectors, say: Catalogue) -> str:
 
 
 def correlation_picture(correlation: Correlation, say: Catalogue) -> str:
-    """Draw the lower triangle of a correlation matrix as discs: area goes with |r|, open is negative.
-
-    Parameters
-    ----------
-    correlation : Correlation
-        Names and matrix.
-    say : Catalogue
-        Language of the labels.
-
-    Returns
-    -------
-    str
-        SVG.
-    """
+    """Draw the lower triangle of a correlation matrix as discs: area goes with |r|, open is negative."""
     n = len(correlation.names)
     cell, edge, legend = 0.235, 0.32, 1.15
     width, height = n * cell + edge + legend, max(n * cell, 4 * 1.15 * cell) + 0.1
@@ -203,18 +173,7 @@ def correlation_picture(correlation: Correlation, say: Catalogue) -> str:
 
 
 def natural_width(svg: str) -> float:
-    """Give the share of the text width at which a picture is printed in the size it was drawn for.
-
-    Parameters
-    ----------
-    svg : str
-        A picture of this module.
-
-    Returns
-    -------
-    float
-        At most 1.
-    """
+    """Give the share of the text width at which a picture is printed in the size it was drawn for."""
     found = re.search(r'<svg[^>]*\bwidth="([0-9.]+)pt"', svg)
     return min(float(found[1]) / 72.0 / WIDTH, 1.0) if found else 1.0
 

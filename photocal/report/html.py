@@ -16,18 +16,7 @@ STYLE = "certificate.css"
 
 
 def html(document: Document) -> str:
-    """Render a report as HTML.
-
-    Parameters
-    ----------
-    document : Document
-        The report.
-
-    Returns
-    -------
-    str
-        The page with its style and pictures inside.
-    """
+    """Render a report as HTML."""
     from markupsafe import Markup
 
     figures = [piece for piece in _pieces(document) if isinstance(piece, Figure)]
@@ -43,18 +32,7 @@ def html(document: Document) -> str:
 
 
 def numbered(document: Document) -> dict[int, int]:
-    """Number the tables and the figures, each kind from 1 on, as they stand: equal ones are two.
-
-    Parameters
-    ----------
-    document : Document
-        The report.
-
-    Returns
-    -------
-    dict
-        Number of each table and figure by the identity of the piece.
-    """
+    """Number the tables and the figures, each kind from 1 on, as they stand: equal ones are two."""
     numbers: dict[int, int] = {}
     for kind in (Table, Figure):
         found = [piece for piece in _pieces(document) if isinstance(piece, kind)]

@@ -17,23 +17,7 @@ ARROWS = 1500
 
 
 def radial_distortion(title: str, name: str, run: Run, camera_id: str, say: Catalogue) -> Section:
-    """Make the distortion curve and its table.
-
-    Parameters
-    ----------
-    title, name : str
-        Title of the section; short name of the camera for the picture.
-    run : Run
-        The adjustment.
-    camera_id : str
-        The camera.
-    say : Catalogue
-        Language.
-
-    Returns
-    -------
-    Section
-    """
+    """Make the distortion curve and its table."""
     camera = run.result.cameras[camera_id]
     if not any(camera.value(key) or key in camera.correlation.names for key in RADIAL):
         return Section(title, (Paragraph(say("distortion.none")),))
@@ -86,23 +70,7 @@ def _round_step(step: float) -> float:
 
 
 def image_residuals(title: str, name: str, run: Run, camera_id: str, say: Catalogue) -> Section:
-    """Make the map of residuals on the sensor and their size by image.
-
-    Parameters
-    ----------
-    title, name : str
-        Title of the section; short name of the camera for the picture.
-    run : Run
-        The adjustment.
-    camera_id : str
-        The camera.
-    say : Catalogue
-        Language.
-
-    Returns
-    -------
-    Section
-    """
+    """Make the map of residuals on the sensor and their size by image."""
     camera = run.result.cameras[camera_id]
     residuals = sensor_residuals(run, camera_id)
     vectors = thinned(residuals, camera, ARROWS)

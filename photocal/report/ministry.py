@@ -35,24 +35,7 @@ class Entry:
 
 
 def read_layout(path: Path = LAYOUT) -> tuple[LayoutRow, ...]:
-    """Read the rows of the form.
-
-    Parameters
-    ----------
-    path : Path
-        Table of the layout.
-
-    Returns
-    -------
-    tuple of LayoutRow
-
-    Raises
-    ------
-    InputNotFoundError
-        When the table is missing.
-    ConfigurationError
-        When it lacks a column, or has a row that nothing fills.
-    """
+    """Read the rows of the form."""
     if not path.is_file():
         raise InputNotFoundError("no such file", where=path, remedy="reinstall with the folder configs/")
     with path.open(encoding="utf-8", newline="") as stream:
@@ -79,20 +62,7 @@ def read_layout(path: Path = LAYOUT) -> tuple[LayoutRow, ...]:
 
 
 def entries(layout: tuple[LayoutRow, ...], context: Context) -> tuple[Entry, ...]:
-    """Fill every row.
-
-    Parameters
-    ----------
-    layout : tuple of LayoutRow
-        The form.
-    context : Context
-        What it is filled from.
-
-    Returns
-    -------
-    tuple of Entry
-        One for each row, in the same order.
-    """
+    """Fill every row."""
     filled = [(row, FILLERS[row.key](context)) for row in layout]
     missing = context.say("ministry.not_determined")
     return tuple(

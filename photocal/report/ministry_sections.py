@@ -27,21 +27,7 @@ TONES: dict[str, Tone] = {"acceptable": "good", "new_calibration": "bad", "not_d
 
 
 def acceptance(title: str, facts: Facts, say: Catalogue) -> Section:
-    """Set the figures against the ministry's limits.
-
-    Parameters
-    ----------
-    title : str
-        Title of the section.
-    facts : Facts
-        With the limits.
-    say : Catalogue
-        Language.
-
-    Returns
-    -------
-    Section
-    """
+    """Set the figures against the ministry's limits."""
     columns = (
         Column(say("acceptance.quantity"), align="left"),
         Column(say("acceptance.value")),
@@ -57,19 +43,7 @@ def acceptance(title: str, facts: Facts, say: Catalogue) -> Section:
 
 
 def acceptance_statement(facts: Facts, say: Catalogue) -> Statement:
-    """Give the verdict over the ministry's limits as a statement.
-
-    Parameters
-    ----------
-    facts : Facts
-        With the limits.
-    say : Catalogue
-        Language.
-
-    Returns
-    -------
-    Statement
-    """
+    """Give the verdict over the ministry's limits as a statement."""
     found = verdict(facts.limits)
     missing = [say(f"acceptance.{limit.key}") for limit in facts.limits if limit.met is None]
     text = say(f"acceptance.{found}_text", missing=", ".join(missing) or say("word.none"))
@@ -106,10 +80,6 @@ def findings(title: str, found: tuple[Finding, ...], say: Catalogue) -> Section:
         Worst first.
     say : Catalogue
         Language.
-
-    Returns
-    -------
-    Section
     """
     text = Paragraph(say("plausibility.text"))
     if not found:
@@ -123,21 +93,7 @@ def findings(title: str, found: tuple[Finding, ...], say: Catalogue) -> Section:
 
 
 def equipment(title: str, particulars: Particulars, say: Catalogue) -> Section:
-    """List the positioning system and its offsets, the equipment and the validity.
-
-    Parameters
-    ----------
-    title : str
-        Title of the section.
-    particulars : Particulars
-        What a person gave.
-    say : Catalogue
-        Language.
-
-    Returns
-    -------
-    Section
-    """
+    """List the positioning system and its offsets, the equipment and the validity."""
     missing = say("ministry.not_determined")
     validity, system = particulars.validity, particulars.gnss_ins
     until = say.date(validity.until) if validity.until else missing
@@ -182,19 +138,7 @@ def _six(
 
 
 def technical_report(title: str, context: Context) -> Section:
-    """Fill the ministry's form.
-
-    Parameters
-    ----------
-    title : str
-        Title of the section.
-    context : Context
-        What it is filled from.
-
-    Returns
-    -------
-    Section
-    """
+    """Fill the ministry's form."""
     say = context.say
     columns = tuple(
         Column(say(f"ministry.{key}"), align="left") for key in ("item", "field", "value", "origin")
@@ -224,21 +168,7 @@ def technical_report(title: str, context: Context) -> Section:
 
 
 def signature(title: str, particulars: Particulars, say: Catalogue) -> Section:
-    """Make the place to sign.
-
-    Parameters
-    ----------
-    title : str
-        Title of the section.
-    particulars : Particulars
-        Who signs, where and when.
-    say : Catalogue
-        Language.
-
-    Returns
-    -------
-    Section
-    """
+    """Make the place to sign."""
     responsible, place = particulars.responsible, particulars.document.place
     day = say.date(particulars.date)
     lines = (

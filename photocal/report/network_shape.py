@@ -31,20 +31,7 @@ class NetworkShape:
 
 
 def network_shape(run: Run, camera_id: str) -> NetworkShape | None:
-    """Measure the exposures of one camera.
-
-    Parameters
-    ----------
-    run : Run
-        The adjustment.
-    camera_id : str
-        The camera.
-
-    Returns
-    -------
-    NetworkShape or None
-        None without rays.
-    """
+    """Measure the exposures of one camera."""
     number = {image: i for i, image in enumerate(run.exposures.image)}
     place = {point: j for j, point in enumerate(run.points.point)}
     pairs = [

@@ -125,28 +125,7 @@ class Particulars(StrictKeys):
 def read_particulars(
     path: Path | None, date: dt.date, *, client: str = "", operator: str = ""
 ) -> Particulars:
-    """Read the particulars of a certificate.
-
-    Parameters
-    ----------
-    path : Path or None
-        TOML file; without one nothing but the date is given.
-    date : date
-        Day of the certificate.
-    client, operator : str
-        Take the place of those in the file where not empty.
-
-    Returns
-    -------
-    Particulars
-
-    Raises
-    ------
-    InputNotFoundError
-        When there is no such file.
-    ConfigurationError
-        For a wrong key or value.
-    """
+    """Read the particulars of a certificate."""
     keys: dict[str, Any] = load_toml(path) if path is not None else {}
     if "date" in keys:
         raise ConfigurationError("unknown key 'date'", where=path, remedy="give the day by --date")
@@ -158,24 +137,7 @@ def read_particulars(
 
 
 def given_particulars(keys: dict[str, Any], date: str) -> Particulars:
-    """Take the particulars from a machine-readable certificate.
-
-    Parameters
-    ----------
-    keys : dict
-        Sections as in the file.
-    date : str
-        Day of the certificate, YYYY-MM-DD.
-
-    Returns
-    -------
-    Particulars
-
-    Raises
-    ------
-    ConfigurationError
-        For a wrong key or value.
-    """
+    """Take the particulars from a machine-readable certificate."""
     return _validated({**keys, "date": date}, "certificate.json, particulars")
 
 
@@ -193,24 +155,7 @@ def _validated(keys: dict[str, Any], where: object) -> Particulars:
 
 
 def load_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    dict
-
-    Raises
-    ------
-    InputNotFoundError
-        When there is no such file.
-    ConfigurationError
-        When it is not TOML.
-    """
+    """Read a TOML file."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (FileNotFoundError, IsADirectoryError):

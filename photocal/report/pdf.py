@@ -16,25 +16,7 @@ TEMPLATE = "certificate.typ"
 
 
 def pdf(document: Document, date: dt.date) -> bytes:
-    """Render a report as PDF.
-
-    Parameters
-    ----------
-    document : Document
-        The report.
-    date : date
-        Its day, written into the file in place of the time of making.
-
-    Returns
-    -------
-    bytes
-        The file.
-
-    Raises
-    ------
-    OutputError
-        When the report cannot be set.
-    """
+    """Render a report as PDF."""
     import typst
 
     template = resources.files(__package__).joinpath(TEMPLATE).read_bytes()

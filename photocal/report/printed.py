@@ -93,10 +93,6 @@ def check_printed(path: Path) -> PrintedCheck:
     path : Path
         TOML file with the printed figures.
 
-    Returns
-    -------
-    PrintedCheck
-
     Raises
     ------
     InputNotFoundError
@@ -188,9 +184,5 @@ def offsets(
         Three components and their standard deviations.
     prior : float or None
         Standard deviation beforehand.
-
-    Returns
-    -------
-    Offsets or None
     """
     return Offsets(values, sigmas, prior) if values is not None and sigmas is not None else None

@@ -129,37 +129,13 @@ def _report(context: Context) -> list[dict[str, str]]:
 def plain_record(
     run: Run, particulars: Particulars, say: Catalogue, told: Told = NOTHING_TOLD
 ) -> dict[str, Any]:
-    """Make the certificate as it comes back from JSON: lists for tuples.
-
-    Parameters
-    ----------
-    run, particulars, say, told
-        As for `record`.
-
-    Returns
-    -------
-    dict
-        Comparable with what `read_record` gives.
-    """
+    """Make the certificate as it comes back from JSON: lists for tuples."""
     content: dict[str, Any] = json.loads(json.dumps(record(run, particulars, say, told), allow_nan=False))
     return content
 
 
 def with_documents(certificate: dict[str, Any], documents: dict[str, bytes]) -> bytes:
-    """Add the digests of the printed forms and write the whole as JSON.
-
-    Parameters
-    ----------
-    certificate : dict
-        From `record`.
-    documents : dict
-        Content of the printed forms by file name.
-
-    Returns
-    -------
-    bytes
-        UTF-8.
-    """
+    """Add the digests of the printed forms and write the whole as JSON."""
     digests = {name: hashlib.sha256(content).hexdigest() for name, content in documents.items()}
     text = json.dumps({**certificate, "documents": digests}, indent=1, allow_nan=False, ensure_ascii=False)
     return (text + "\n").encode()
@@ -216,10 +192,6 @@ def certified_result(certificate: dict[str, Any], folder: Path) -> Result:
         From `read_record`.
     folder : Path
         Where it lies, for messages.
-
-    Returns
-    -------
-    Result
 
     Raises
     ------

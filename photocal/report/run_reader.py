@@ -61,25 +61,7 @@ def read_run(folder: Path) -> Run:
 
 
 def read_adjustment(folder: Path) -> Run:
-    """Read the folder that `photocal adjust` wrote, whatever analysis lies in it.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder with result.json, images.csv, points.csv and residuals.csv.
-
-    Returns
-    -------
-    Run
-        The checked content.
-
-    Raises
-    ------
-    InputNotFoundError
-        When the folder or one of its files is missing or empty.
-    InputMalformedError
-        When a file is of another schema, cut, not a number where one must stand, or contradicts another.
-    """
+    """Read the folder that `photocal adjust` wrote, whatever analysis lies in it."""
     if not folder.exists():
         raise InputNotFoundError(
             "no such folder", where=folder, remedy="give the folder that `photocal adjust` wrote"

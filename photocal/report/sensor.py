@@ -38,19 +38,7 @@ class Vectors:
 
 
 def sensor_residuals(run: Run, camera_id: str) -> SensorResiduals:
-    """Take the residuals of one camera to its image plane.
-
-    Parameters
-    ----------
-    run : Run
-        The adjustment.
-    camera_id : str
-        The camera.
-
-    Returns
-    -------
-    SensorResiduals
-    """
+    """Take the residuals of one camera to its image plane."""
     camera = run.result.cameras[camera_id]
     own = {
         image for image, of in zip(run.exposures.image, run.exposures.camera, strict=True) if of == camera_id
@@ -80,10 +68,6 @@ def to_plane(
         Unit of the observations.
     axes : {"pixel", "photo"}
         Column and row, or x right and y up from the image centre.
-
-    Returns
-    -------
-    SensorResiduals
     """
     # Pitch in the unit of the observations per pixel, and in the unit of the camera per pixel.
     observed = np.array((1.0, 1.0) if unit == "px" else camera.pitch_mm or camera.pitch)

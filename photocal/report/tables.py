@@ -47,10 +47,6 @@ def read_table(
     may_be_empty : tuple of str
         Those numbers whose cells may be empty: nan then.
 
-    Returns
-    -------
-    Columns
-
     Raises
     ------
     InputNotFoundError

@@ -32,7 +32,6 @@ def warned(told: Told, say: Catalogue) -> list[Statement]:
 
     Parameters
     ----------
-    told : Told
     say : Catalogue
         Language.
 
@@ -48,19 +47,7 @@ def warned(told: Told, say: Catalogue) -> list[Statement]:
 
 
 def warning_sections(told: Told, say: Catalogue) -> list[Section]:
-    """List warnings and notes.
-
-    Parameters
-    ----------
-    told : Told
-    say : Catalogue
-        Language.
-
-    Returns
-    -------
-    list of Section
-        One, or none.
-    """
+    """List warnings and notes."""
     kinds = (("warning", told.warnings), ("note", told.notes))
     tables = []
     for kind, texts in kinds:

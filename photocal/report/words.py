@@ -74,20 +74,7 @@ def _candidate(text: str, say: Catalogue, name: Callable[[str], str]) -> str:
 
 
 def need_words(need: Requirement, say: Catalogue) -> dict[str, str]:
-    """Say what a method of calibration asks for.
-
-    Parameters
-    ----------
-    need : Requirement
-        One requirement with its figures.
-    say : Catalogue
-        Language.
-
-    Returns
-    -------
-    dict of str
-        "name", "found", "needed" and "advice".
-    """
+    """Say what a method of calibration asks for."""
     figures = {key: Number(value, say.mark) for key, value in need.figures.items()}
     parts = ("name", "found", "needed", "advice")
     return {part: say(f"requirement.{need.code}.{part}", **figures) for part in parts}

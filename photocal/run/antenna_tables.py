@@ -21,16 +21,7 @@ _PAUSE = 4.0
 
 
 def write_positions(path: Path, antenna: Exposures, crs: str) -> None:
-    """Write where the antenna was.
-
-    Parameters
-    ----------
-    path : Path
-    antenna : Exposures
-        At the antenna; those with position and image are written.
-    crs : str
-        System of X, Y, Z.
-    """
+    """Write where the antenna was."""
     rows = with_images(antenna)
     p = antenna.placed
     xyz, turn = projected(p.lat_deg[rows], p.lon_deg[rows], p.height_m[rows], crs)
@@ -49,14 +40,7 @@ def write_positions(path: Path, antenna: Exposures, crs: str) -> None:
 
 
 def write_attitudes(path: Path, antenna: Exposures) -> None:
-    """Write how the vehicle was turned, degrees; exposures without attitude are left out.
-
-    Parameters
-    ----------
-    path : Path
-    antenna : Exposures
-        At the antenna, with the standard deviations of its angles.
-    """
+    """Write how the vehicle was turned, degrees; exposures without attitude are left out."""
     lines = []
     for row in with_images(antenna).tolist():
         angles, sigma = antenna.angles[row], antenna.angle_sigma[row]

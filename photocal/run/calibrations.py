@@ -27,7 +27,6 @@ class Calibrated:
 
     Attributes
     ----------
-    name : str
     run : Path
         Folder with its `result.json`.
     block : Path
@@ -80,10 +79,6 @@ def is_camera_file(path: Path) -> bool:
 def read_calibrated(paths: Sequence[Path]) -> tuple[Calibrated, ...]:
     """Find the calibrations of run folders, work folders and projects.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-
     Returns
     -------
     tuple of Calibrated
@@ -129,14 +124,6 @@ def _calibrated(path: Path) -> Calibrated:
 def cameras_of(flights: Sequence[Calibrated]) -> CameraFile:
     """Give the calibrated cameras to the comparison, with sigmas and correlations.
 
-    Parameters
-    ----------
-    flights : sequence of Calibrated
-
-    Returns
-    -------
-    CameraFile
-
     Raises
     ------
     ConfigurationError
@@ -180,10 +167,6 @@ def exchanged(flights: Sequence[Calibrated], done: Callable[[], None] = lambda: 
         Of one rig, with antenna positions and attitudes.
     done : callable
         Called after each.
-
-    Returns
-    -------
-    tuple of Use
 
     Raises
     ------

@@ -28,7 +28,6 @@ class Outcome:
     ----------
     figures : dict
         Empty when it failed.
-    failure : PhotocalError or None
     told : tuple of str
         What it said on the way, where nobody could listen.
     """

@@ -61,7 +61,6 @@ def causes_first(doubts: Iterable[Doubt], fixed_percent: float) -> tuple[Doubt, 
 
     Parameters
     ----------
-    doubts : iterable of Doubt
     fixed_percent : float
         Share of the positions that have fixed ambiguities.
 

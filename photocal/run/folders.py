@@ -16,21 +16,7 @@ _ASIDE, _OLD = ".partial", ".old.partial"
 
 @contextmanager
 def replaced_folder(folder: Path) -> Iterator[Path]:
-    """Give an empty folder aside; on success it takes the place of `folder`, old files and all.
-
-    Parameters
-    ----------
-    folder : Path
-
-    Yields
-    ------
-    Path
-
-    Raises
-    ------
-    OutputError
-        When it cannot be written.
-    """
+    """Give an empty folder aside; on success it takes the place of `folder`, old files and all."""
     with _refusals(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
         aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=_ASIDE, dir=folder.parent))
@@ -61,18 +47,7 @@ def sweep(folder: Path) -> None:
 
 @contextmanager
 def alone(work: Path) -> Iterator[None]:
-    """Keep other runs out of a work folder; the lock ends with the process, however that ends.
-
-    Parameters
-    ----------
-    work : Path
-        Made when it is not there.
-
-    Raises
-    ------
-    OutputError
-        When another run works there, or the folder cannot be written.
-    """
+    """Keep other runs out of a work folder; the lock ends with the process, however that ends."""
     with _refusals(work):
         work.mkdir(parents=True, exist_ok=True)
         lock = (work / ".lock").open("w")

@@ -67,10 +67,6 @@ def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
 def own_calibration(block: Block) -> Calibration | None:
     """Calibrate camera and mounting on the job, for direct georeferencing of the very flight.
 
-    Parameters
-    ----------
-    block : Block
-
     Returns
     -------
     Calibration or None
@@ -88,24 +84,7 @@ def own_calibration(block: Block) -> Calibration | None:
 
 
 def calibrated_on_the_job(block: Block) -> tuple[Block, Calibration]:
-    """Calibrate camera and mounting of a flight.
-
-    Parameters
-    ----------
-    block : Block
-        With antenna positions and attitudes.
-
-    Returns
-    -------
-    block : Block
-        In its local frame, ready for georeferencing.
-    calibration : Calibration
-
-    Raises
-    ------
-    PhotocalError
-        As the adjustment does.
-    """
+    """Calibrate camera and mounting of a flight."""
     from photocal.accuracy.georeferencing.calibrated import calibrate
     from photocal.accuracy.georeferencing.local import in_local_frame
     from photocal.accuracy.georeferencing.methods import checkable, without_weak_images

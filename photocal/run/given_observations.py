@@ -20,26 +20,7 @@ from photocal.project import Project
 
 
 def given_block(project: Project, images: Images, without_exposure: Collection[str] = ()) -> Block:
-    """Make the block of given observations: points that the control table does not have are tie points.
-
-    Parameters
-    ----------
-    project : Project
-        With `observations` in `[measurements]`.
-    images : Images
-        With start values.
-    without_exposure : collection of str
-        Images that were taken while nothing was recorded: their observations are left out.
-
-    Returns
-    -------
-    Block
-
-    Raises
-    ------
-    InputMalformedError
-        When the observations are of other images.
-    """
+    """Make the block of given observations: points that the control table does not have are tie points."""
     given = project.contents.measurements
     path = given.observations if given is not None and given.observations is not None else Path()
     control = read_points(project.control.points)
@@ -98,16 +79,6 @@ def with_points_on_the_ground(block: Block) -> Block:
 
     Rays of two neighbouring images, turned by what the attitude is wrong, may well meet behind the camera;
     the ground is below it.
-
-    Parameters
-    ----------
-    block : Block
-        With orientations of its images.
-
-    Returns
-    -------
-    Block
-        Points none of whose rays goes down keep no coordinates.
     """
     level = float(np.nanmedian(block.points.values[:, 2]))
     seen = block.observations

@@ -57,8 +57,6 @@ class Made:
 
     Attributes
     ----------
-    name : str
-    folder : Path
     kept : bool
         Whether it was there already.
     seconds : float
@@ -72,27 +70,7 @@ class Made:
 
 
 def bring(stage: Stage, work: Path, digests: Digests, progress: Progress, *, again: bool = False) -> Made:
-    """Make a stage, or keep it when its inputs, settings and program are those of its last making.
-
-    Parameters
-    ----------
-    stage : Stage
-    work : Path
-        Folder of all stages.
-    digests : Digests
-    progress : callable
-    again : bool
-        Make it even so.
-
-    Returns
-    -------
-    Made
-
-    Raises
-    ------
-    PhotocalError
-        As the stage does; nothing of it is then left.
-    """
+    """Make a stage, or keep it when its inputs, settings and program are those of its last making."""
     folder = work / stage.name
     sweep(folder)
     key = _key(stage, digests)

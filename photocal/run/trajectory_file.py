@@ -13,30 +13,14 @@ _COLUMNS = ("lat_deg", "lon_deg", "height_m", "status", "covariance_m2", "veloci
 
 
 def keep_trajectory(path: Path, trajectory: Trajectory) -> None:
-    """Write a trajectory.
-
-    Parameters
-    ----------
-    path : Path
-        Ends in .npz.
-    trajectory : Trajectory
-    """
+    """Write a trajectory."""
     columns = {name: getattr(trajectory, name) for name in _COLUMNS}
     sigma = trajectory.velocity_sigma_m_s
     np.savez(path, time_gps_ns=trajectory.time.ns, velocity_sigma_m_s=sigma, **columns)
 
 
 def kept_trajectory(path: Path) -> Trajectory:
-    """Read what `keep_trajectory` has written.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Trajectory
-    """
+    """Read what `keep_trajectory` has written."""
     with np.load(path) as kept:
         return Trajectory(
             time=GpsTime(kept["time_gps_ns"]),

@@ -23,23 +23,7 @@ _MEMORY = ".digests.json"
 
 
 def stages(project: Project, day: dt.date) -> tuple[Stage, ...]:
-    """List the stages of a project.
-
-    Parameters
-    ----------
-    project : Project
-    day : date
-        Of a certificate that is made now.
-
-    Returns
-    -------
-    tuple of Stage
-
-    Raises
-    ------
-    ConfigurationError
-        When the project lacks a section.
-    """
+    """List the stages of a project."""
     work = project.output
     block, calibration = work / "block", work / "calibration"
     given = project.contents.measurements
@@ -74,7 +58,6 @@ def run_project(
 
     Parameters
     ----------
-    project : Project
     day : date
         Of a certificate that is made now.
     progress : callable
@@ -85,10 +68,6 @@ def run_project(
         A stage that is made even when nothing has changed.
     told : callable
         Told of each stage that is done.
-
-    Returns
-    -------
-    tuple of Made
 
     Raises
     ------

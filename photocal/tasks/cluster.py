@@ -40,7 +40,6 @@ class Cluster:
         ----------
         function : callable
             Of a module, so that workers find it.
-        tasks : iterable
 
         Yields
         ------

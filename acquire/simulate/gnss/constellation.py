@@ -63,22 +63,7 @@ class Satellite:
 def constellation(
     start_gps_ns: int, stop_gps_ns: int, rng: np.random.Generator, unhealthy: tuple[str, ...] = ()
 ) -> tuple[Satellite, ...]:
-    """Return 31 satellites of GPS and 24 of Galileo with the sets of a session.
-
-    Parameters
-    ----------
-    start_gps_ns, stop_gps_ns : int
-        Session, GPS nanoseconds.
-    rng : Generator
-        Chance.
-    unhealthy : tuple of str
-        Names of satellites whose messages call them unhealthy.
-
-    Returns
-    -------
-    tuple of Satellite
-        GPS first, by number.
-    """
+    """Return 31 satellites of GPS and 24 of Galileo with the sets of a session."""
     satellites = []
     for system in (GPS, GALILEO):
         planes, highest = _SLOTS[system]

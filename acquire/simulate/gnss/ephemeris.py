@@ -28,13 +28,7 @@ class Field:
     signed: bool = True
 
     def quantise(self, value: float) -> int:
-        """Return the nearest integer that can be transmitted.
-
-        Raises
-        ------
-        OverflowError
-            When the value is outside of what the field can hold.
-        """
+        """Return the nearest integer that can be transmitted."""
         number = round(value / self.scale)
         low, high = (-(1 << self.bits - 1), 1 << self.bits - 1) if self.signed else (0, 1 << self.bits)
         if not low <= number < high:
@@ -144,19 +138,7 @@ def quantised(
     accuracy: int,
     from_gps_ns: int,
 ) -> Ephemeris:
-    """Return the ephemeris that comes nearest to wished parameters.
-
-    Parameters
-    ----------
-    system, number : str, int
-        Satellite.
-    wished : mapping of str to float
-        All of `fields_of` but `toe` and `toc`; SI units and radians.
-    toe_gps_ns : int
-        Reference time, a multiple of the field's unit.
-    issue, health, accuracy, from_gps_ns : int
-        See `Ephemeris`.
-    """
+    """Return the ephemeris that comes nearest to wished parameters."""
     week, of_week = divmod(toe_gps_ns, _WEEK_NS)
     seconds = of_week / SECOND_NS
     fields = fields_of(system)

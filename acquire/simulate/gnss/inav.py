@@ -26,26 +26,7 @@ _TAIL = "0" * 6
 def page(
     ephemeris: Ephemeris, gps_s: int, band: str, leap_s: int, almanacs: Sequence[Ephemeris]
 ) -> list[int]:
-    """Return the page that begins at a time, as u-blox hands it over.
-
-    Parameters
-    ----------
-    ephemeris : Ephemeris
-        The set on the air.
-    gps_s : int
-        Beginning of its even part, GPS seconds; even for E5b, odd for E1B.
-    band : str
-        ``E1B`` or ``E5b``.
-    leap_s : int
-        GPS time minus UTC, which Galileo's is as well.
-    almanacs : sequence of Ephemeris
-        Of all satellites.
-
-    Returns
-    -------
-    list of int
-        Nine words of 32 bits: even part, odd part (120 bits each and eight of filling), and a last word.
-    """
+    """Return the page that begins at a time, as u-blox hands it over."""
     week, tow = divmod(gps_s, 604_800)
     kind = _SEQUENCE[band][tow // PAGE_S % _SUBFRAME_PAGES]
     if kind in (7, 8):

@@ -21,17 +21,7 @@ Bits = list[tuple[int, int]]
 
 
 def almanac_word(second: bool, tow: int, almanacs: Sequence[Ephemeris]) -> str:
-    """Return word 7 or 9 (first of its subframe) or 8 or 10 (second), 128 bits.
-
-    Parameters
-    ----------
-    second : bool
-        Which place in the subframe.
-    tow : int
-        Time of week, seconds: subframes with an even number have words 7 and 8, the others 9 and 10.
-    almanacs : sequence of Ephemeris
-        All satellites; every minute the next three.
-    """
+    """Return word 7 or 9 (first of its subframe) or 8 or 10 (second), 128 bits."""
     count = tow // _SUBFRAME_S
     first = 3 * (count // 2) % len(almanacs)
     one, two, three = (almanacs[(first + k) % len(almanacs)] for k in range(3))

@@ -52,22 +52,7 @@ class Broadcast:
 
 
 def subframe(ephemeris: Ephemeris, gps_s: int, broadcast: Broadcast) -> list[int]:
-    """Return the subframe that begins at a time, as u-blox hands it over.
-
-    Parameters
-    ----------
-    ephemeris : Ephemeris
-        The set on the air.
-    gps_s : int
-        Beginning, GPS seconds, a multiple of 6.
-    broadcast : Broadcast
-        Ionosphere, UTC and almanacs.
-
-    Returns
-    -------
-    list of int
-        Ten words of 32 bits, see `with_parity`.
-    """
+    """Return the subframe that begins at a time, as u-blox hands it over."""
     week, tow = divmod(gps_s, 604_800)
     number = tow // SUBFRAME_S % 5 + 1
     count = (tow // SUBFRAME_S + 1) % 100_800
@@ -91,12 +76,6 @@ def with_parity(words: Sequence[str]) -> list[int]:
 
     Receivers of u-blox keep the last two bits of the word before (D29*, D30*) in front of the 30 bits of
     a word, and turn all 32 where D30* is set: so the data bits come out as they were before transmission.
-
-    Parameters
-    ----------
-    words : sequence of str
-        Data bits, 24 each. The second and the last have 22: their final two are chosen so that the word ends
-        in two zeros (IS-GPS-200N, 20.3.3.2 and 20.3.5.2).
     """
     coded, last = [], (0, 0)
     for word in words:

@@ -27,17 +27,7 @@ _MOST_CELLS = 64
 def observation_messages(
     observations: Observations, station: int, every_s: float
 ) -> Iterator[tuple[int, bytes]]:
-    """Yield time of sending (GPS ns) and payload: 1077 and 1097 of each epoch.
-
-    Parameters
-    ----------
-    observations : Observations
-        Of the base.
-    station : int
-        Its number.
-    every_s : float
-        Between the epochs that are sent.
-    """
+    """Yield time of sending (GPS ns) and payload: 1077 and 1097 of each epoch."""
     rows = observations.rows
     clock = observations.clock
     every = round(every_s * SECOND_NS)

@@ -33,17 +33,6 @@ def thermal(signal: Signal, elevation: Floats, model: ReceiverModel, rng: np.ran
 
     Sources: Kaplan and Hegarty (2006), Understanding GPS, equations 5.15 (code, early minus late power) and
     5.8 (phase); the Doppler is the phase's change within the integration.
-
-    Parameters
-    ----------
-    signal : Signal
-        Which.
-    elevation : float64 (n,)
-        Radians.
-    model : ReceiverModel
-        The receiver; a patch antenna on it loses 13 dB from the zenith to the horizon.
-    rng : Generator
-        Chance.
     """
     gain = _LOW_GAIN_DB * (1 - np.sin(np.maximum(elevation, 0.0)) ** 0.7)
     fading = correlated(len(elevation), model.interval_s / _FADING_S, 1, rng)[0]
@@ -57,17 +46,7 @@ def thermal(signal: Signal, elevation: Floats, model: ReceiverModel, rng: np.ran
 
 
 def correlated(count: int, step: float, rows: int, rng: np.random.Generator) -> Floats:
-    """Return Gauss-Markov sequences of unit variance, float64 (rows, count).
-
-    Parameters
-    ----------
-    count, rows : int
-        Shape.
-    step : float
-        Distance of the values in units of the correlation time.
-    rng : Generator
-        Chance.
-    """
+    """Return Gauss-Markov sequences of unit variance, float64 (rows, count)."""
     from scipy.signal import lfilter
 
     keep = np.exp(-step)

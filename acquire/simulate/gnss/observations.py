@@ -83,25 +83,7 @@ def observe(
     gaps_s: tuple[tuple[float, float], ...] = (),
     outages: tuple[Outage, ...] = (),
 ) -> Observations:
-    """Measure through a session.
-
-    Parameters
-    ----------
-    antenna : Antenna
-        Its way.
-    satellites : tuple of Satellite
-        The sky.
-    atmosphere : Atmosphere
-        The weather.
-    model : ReceiverModel
-        The receiver.
-    span_gps_ns : (int, int)
-        Start and stop of the session.
-    rng : Generator
-        Chance.
-    gaps_s, outages : tuple
-        See `Faults`.
-    """
+    """Measure through a session."""
     start = span_gps_ns[0]
     clock = run(model, *span_gps_ns, rng)
     true_ns = clock.true_gps_ns

@@ -47,19 +47,7 @@ def rover_ubx(
     *,
     rng: np.random.Generator,
 ) -> Stream:
-    """Return the rover's stream: RXM-RAWX, RXM-SFRBX, NAV-PVT and TIM-TM2.
-
-    Parameters
-    ----------
-    session : Session
-        What was measured.
-    events : Events, optional
-        Edges at the receiver's pin.
-    own_position : OwnPosition, optional
-        Quality of the receiver's own solution.
-    rng : Generator
-        Chance of the own solution and of the time marks.
-    """
+    """Return the rover's stream: RXM-RAWX, RXM-SFRBX, NAV-PVT and TIM-TM2."""
     for_position, for_marks = rng.spawn(2)
     parts = [
         _ubx(rawx.KIND, rawx.messages(session.rover, session.sky.leap_s)),
@@ -94,19 +82,7 @@ def base_ubx(session: Session) -> Stream:
 def base_rtcm(
     session: Session, *, station: int = 1, ephemerides: bool = True, every_s: float = 1.0
 ) -> Stream:
-    """Return the base's stream of RTCM 3: 1006, 1013, 1077 and 1097, with ephemerides 1019 and 1046.
-
-    Parameters
-    ----------
-    session : Session
-        What was measured.
-    station : int
-        Number of the station.
-    ephemerides : bool
-        Whether they are sent, all every half minute.
-    every_s : float
-        Between observations; epochs in between are left out.
-    """
+    """Return the base's stream of RTCM 3: 1006, 1013, 1077 and 1097, with ephemerides 1019 and 1046."""
     parts = [
         rtcm_station.positions(session, station),
         rtcm_station.dates(session, station),

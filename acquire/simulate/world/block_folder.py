@@ -25,8 +25,6 @@ def write_block(world: World, observed: Observations, folder: Path) -> None:
 
     Parameters
     ----------
-    world : World
-    observed : Observations
     folder : Path
         Is made.
 

@@ -20,7 +20,6 @@ class Camera:
     ----------
     width, height : int
         px.
-    pitch_mm : float
     fx, fy, cx, cy : float
         px.
     k1, k2, p1, p2, k3 : float
@@ -117,16 +116,6 @@ class Camera:
 
     def certificate_terms(self, unit: str) -> dict[str, float]:
         """Give the same camera as `brown-ideal`, affinity `after`, y up from the middle of the image.
-
-        Parameters
-        ----------
-        unit : str
-            ``px`` or ``mm``.
-
-        Returns
-        -------
-        dict of str to float
-            c, x0, y0, K1-K3, P1, P2, B1.
 
         Notes
         -----

@@ -10,17 +10,7 @@ from acquire.simulate.world.world import World
 
 
 def stamps(world: World) -> list[dt.datetime]:
-    """Give the time that the camera writes into each picture: offset, drift, jitter, cut to milliseconds.
-
-    Parameters
-    ----------
-    world : World
-
-    Returns
-    -------
-    list of datetime
-        Without zone, as EXIF has it; whole seconds where the camera writes no more.
-    """
+    """Give the time that the camera writes into each picture: offset, drift, jitter, cut to milliseconds."""
     given, random = world.configuration.pictures, world.random("pictures")
     event = world.exposures.event_s
     jitter = np.abs(random.standard_normal(len(event))) * given.clock_jitter_s

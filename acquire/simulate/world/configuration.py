@@ -258,13 +258,8 @@ def read_configuration(path: Path, instead: dict[str, Any] | None = None) -> Con
 
     Parameters
     ----------
-    path : Path
     instead : dict, optional
         Keys of the top level that replace those of the file.
-
-    Returns
-    -------
-    Configuration
 
     Raises
     ------

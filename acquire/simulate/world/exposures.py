@@ -151,23 +151,7 @@ def make_exposures(
     cameras: tuple[Camera, ...],
     random: np.random.Generator,
 ) -> Exposures:
-    """Take the pictures of a flight.
-
-    Parameters
-    ----------
-    motion : Motion
-    rig : Rig
-    lines : tuple of Strip
-    spreads : tuple of float
-        Of each pass: how unevenly the trigger spaces its pictures, in parts of their spacing.
-    cameras : tuple of Camera
-        The camera during each pass.
-    random : Generator
-
-    Returns
-    -------
-    Exposures
-    """
+    """Take the pictures of a flight."""
     event, covers, strip = [], [], []
     for number, begin, end in motion.strip:
         line = lines[number]

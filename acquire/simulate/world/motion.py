@@ -64,7 +64,6 @@ class Motion:
     ----------
     way : BSpline
         Position in the local frame over time.
-    duration_s : float
     ground_m : float
         Height of the take-off place: on it nothing moves.
     sway, shake, vibration : Waves
@@ -154,20 +153,7 @@ def body_of(angles: Floats) -> Floats:
 def make_motion(
     start_m: Floats, legs: list[Leg], given: configuration.Vehicle, random: np.random.Generator
 ) -> Motion:
-    """Make the motion along a way.
-
-    Parameters
-    ----------
-    start_m : ndarray, shape (3,)
-        On the ground.
-    legs : list of Leg
-    given : configuration.Vehicle
-    random : Generator
-
-    Returns
-    -------
-    Motion
-    """
+    """Make the motion along a way."""
     ends = np.cumsum([0.0, *(leg.duration_s for leg in legs)])
     corners = np.vstack([start_m, *(leg.to_m for leg in legs)])
     duration = float(ends[-1])

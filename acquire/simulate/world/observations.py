@@ -50,17 +50,7 @@ def kept_images(world: World) -> NDArray[np.bool_]:
 
 
 def observe(world: World) -> Observations:
-    """Measure targets and tie points in all pictures.
-
-    Parameters
-    ----------
-    world : World
-
-    Returns
-    -------
-    Observations
-        Of points with at least two rays; targets are measured better than ties.
-    """
+    """Measure targets and tie points in all pictures."""
     given = world.configuration
     random = world.random("observations")
     area = np.array(given.plan.area_m)

@@ -23,7 +23,6 @@ def seen(points_m: Floats, pose: Pose, camera: Camera) -> Floats:
         In the local frame.
     pose : Pose
         Of n moments or of one.
-    camera : Camera
     """
     rays = np.squeeze(pose.rotation @ (points_m - pose.centre_m)[..., None], axis=-1)
     return camera.project(rays @ TO_OPENCV)

@@ -35,16 +35,7 @@ _XMP = """<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>
 
 
 def write_pictures(world: World, folder: Path, advance: Callable[[float], None]) -> None:
-    """Render and write all pictures that reach the office.
-
-    Parameters
-    ----------
-    world : World
-    folder : Path
-        Is made.
-    advance : callable
-        Is told the share of the work done since the last call.
-    """
+    """Render and write all pictures that reach the office."""
     folder.mkdir(parents=True)
     scene = make_scene(world)
     # Made before the threads ask for it all at once.
@@ -72,21 +63,7 @@ def write_picture(
     place: Floats,
     angles_deg: Floats,
 ) -> None:
-    """Write a picture.
-
-    Parameters
-    ----------
-    path : Path
-    picture : ndarray of uint8, shape (height, width, 3)
-        Blue, green, red.
-    world : World
-    stamp : datetime
-        By the camera's clock.
-    place : ndarray, shape (3,)
-        Latitude and longitude (rad), ellipsoidal height (m), as the autopilot tells the camera.
-    angles_deg : ndarray, shape (3,)
-        Roll, pitch, yaw of the body.
-    """
+    """Write a picture."""
     from PIL import Image
 
     given = world.configuration

@@ -24,8 +24,6 @@ class Strip:
         Number of its pass.
     begin_m, end_m : ndarray, shape (3,)
         Where its first and its last exposure are wanted.
-    exposures : int
-    speed_m_s : float
     """
 
     covers: int
@@ -42,7 +40,6 @@ class Leg:
     Attributes
     ----------
     to_m : ndarray, shape (3,)
-    duration_s : float
     strip : int
         Index of the strip, -1 where nothing is taken.
     """
@@ -57,13 +54,8 @@ def strips(plan: configuration.Plan, camera: configuration.Camera) -> tuple[Stri
 
     Parameters
     ----------
-    plan : configuration.Plan
     camera : configuration.Camera
         Its width lies across the strips.
-
-    Returns
-    -------
-    tuple of Strip
     """
     area = np.array(plan.area_m)
     found: list[Strip] = []
@@ -96,20 +88,7 @@ def _crossing(area: Floats, right: Floats, along: Floats, across: float) -> tupl
 
 
 def legs(plan: configuration.Plan, lines: tuple[Strip, ...], ground_m: float) -> tuple[Floats, list[Leg]]:
-    """Join the strips to one way, from the ground to the ground.
-
-    Parameters
-    ----------
-    plan : configuration.Plan
-    lines : tuple of Strip
-    ground_m : float
-        Height of the take-off place.
-
-    Returns
-    -------
-    start_m : ndarray, shape (3,)
-    list of Leg
-    """
+    """Join the strips to one way, from the ground to the ground."""
     home = np.array([*plan.take_off_m, ground_m])
     way = _Way(home)
     way.wait(plan.on_ground_s)

@@ -86,13 +86,7 @@ def make_plate(centre_m: Floats, turn: float, code: int, dictionary: str, side_m
 
 
 def dictionary_of(name: str) -> Any:
-    """Give OpenCV's dictionary of a name such as ``apriltag_36h11``.
-
-    Raises
-    ------
-    ConfigurationError
-        When OpenCV has none of this name.
-    """
+    """Give OpenCV's dictionary of a name such as ``apriltag_36h11``."""
     import cv2
 
     number = getattr(cv2.aruco, f"DICT_{name.upper()}", None)

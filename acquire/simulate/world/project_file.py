@@ -17,14 +17,7 @@ _SIGMAS = ("sX", "sY", "sZ")
 
 
 def write_project(world: World, site: Path) -> None:
-    """Write `project.toml`, and but for the level block `control.csv`.
-
-    Parameters
-    ----------
-    world : World
-    site : Path
-        The folder.
-    """
+    """Write `project.toml`, and but for the level block `control.csv`."""
     given = world.configuration
     block = given.level is Level.BLOCK
     crs, height = ("local", "local") if block else (given.place.crs, "ellipsoidal")

@@ -32,8 +32,6 @@ class Scene:
 
     Attributes
     ----------
-    world : World
-    plates : tuple of Plate
     grounds : tuple of Ground
         For each pass, as soft as its pixels are large.
     """
@@ -83,7 +81,6 @@ def render(scene: Scene, number: int) -> Bytes:
 
     Parameters
     ----------
-    scene : Scene
     number : int
         Which one.
 

@@ -27,7 +27,6 @@ def simulate_flight(configuration: Configuration, folder: Path, advance: Advance
 
     Parameters
     ----------
-    configuration : Configuration
     folder : Path
         An empty folder.
     advance : callable
@@ -60,15 +59,7 @@ def simulate_flight(configuration: Configuration, folder: Path, advance: Advance
 
 
 def write_streams(world: World, streams: Streams, folder: Path) -> None:
-    """Write the recorded streams to the site, and when each frame arrived beside the truth.
-
-    Parameters
-    ----------
-    world : World
-    streams : Streams
-    folder : Path
-        Has `site/`; `truth/wires/` is made.
-    """
+    """Write the recorded streams to the site, and when each frame arrived beside the truth."""
     site, wires = folder / "site", folder / "truth" / "wires"
     wires.mkdir(parents=True)
     start_us = int(world.utc_ns(np.zeros(1))[0]) // 1000

@@ -39,16 +39,7 @@ class Streams:
 
 
 def make_streams(world: World) -> Streams:
-    """Let the devices of a flight send.
-
-    Parameters
-    ----------
-    world : World
-
-    Returns
-    -------
-    Streams
-    """
+    """Let the devices of a flight send."""
     given = world.configuration
     random = world.random("wires")
     sent = telemetry.messages(world)

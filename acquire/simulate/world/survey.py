@@ -25,7 +25,6 @@ class FieldBook:
         Coordinates of each target as texts, in the system of the site.
     base_m : ndarray, shape (3,)
         Announced place of the base's mark in the local frame.
-    base_antenna_height_m : float
     camera_to_antenna_m : ndarray, shape (3,)
     mistyped : str
         Name of the target with swapped digits, empty for none.
@@ -39,18 +38,7 @@ class FieldBook:
 
 
 def take_notes(world: World, coordinates: Floats) -> FieldBook:
-    """Write down the site.
-
-    Parameters
-    ----------
-    world : World
-    coordinates : ndarray, shape (n, 3)
-        Surveyed coordinates of the targets in the system of the site.
-
-    Returns
-    -------
-    FieldBook
-    """
+    """Write down the site."""
     given = world.configuration
     texts = [tuple(f"{value:.4f}" for value in row) for row in coordinates.tolist()]
     mistyped = ""

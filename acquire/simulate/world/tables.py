@@ -18,7 +18,6 @@ def write_table(path: Path, columns: Columns) -> None:
 
     Parameters
     ----------
-    path : Path
     columns : Columns
         Format of each value and the values; NaN becomes an empty cell.
     """

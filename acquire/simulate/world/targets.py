@@ -23,7 +23,6 @@ class Targets:
 
     Attributes
     ----------
-    names : tuple of str (n,)
     roles : tuple of str (n,)
         ``control`` or ``check``.
     codes : ndarray of int, shape (n,)
@@ -47,20 +46,7 @@ class Targets:
 def make_targets(
     given: configuration.Targets, area_m: Floats, terrain: Terrain, random: np.random.Generator
 ) -> Targets:
-    """Lay the plates far from each other over the area; those that spread widest become control.
-
-    Parameters
-    ----------
-    given : configuration.Targets
-    area_m : ndarray, shape (k, 2)
-        Corners of the area.
-    terrain : Terrain
-    random : Generator
-
-    Returns
-    -------
-    Targets
-    """
+    """Lay the plates far from each other over the area; those that spread widest become control."""
     count = given.control + given.check
     places = spread_points(area_m, count, random)
     centre = np.column_stack([places, _bed(terrain, places, given.side_m)])

@@ -42,18 +42,7 @@ class Terrain:
         return np.asarray(heights)
 
     def intersect(self, start_m: Floats, direction: Floats) -> Floats:
-        """Give where rays first meet the ground.
-
-        Parameters
-        ----------
-        start_m, direction : ndarray, shape (n, 3)
-            The rays, from above the highest ground; the directions point downwards.
-
-        Returns
-        -------
-        ndarray, shape (n, 3)
-            The points, m.
-        """
+        """Give where rays first meet the ground."""
         above, below = (
             (height - start_m[:, 2]) / direction[:, 2] for height in (self._highest + 1, self._lowest - 1)
         )
@@ -129,17 +118,6 @@ class Terrain:
 
 def make_terrain(given: configuration.Terrain, half_m: float, random: np.random.Generator) -> Terrain:
     """Draw a surface.
-
-    Parameters
-    ----------
-    given : configuration.Terrain
-    half_m : float
-        Half the side of the square that it must cover.
-    random : Generator
-
-    Returns
-    -------
-    Terrain
 
     Notes
     -----

@@ -66,19 +66,7 @@ class Ground:
 
 
 def paint(terrain: Terrain, half_m: float, texel_m: float, random: np.random.Generator) -> Ground:
-    """Paint the ground.
-
-    Parameters
-    ----------
-    terrain : Terrain
-        Its slopes are lit by the sun.
-    half_m, texel_m : float
-    random : Generator
-
-    Returns
-    -------
-    Ground
-    """
+    """Paint the ground."""
     count = int(np.ceil(2 * half_m / texel_m))
     side = count * texel_m / 2
     detail = _detail(count, random)

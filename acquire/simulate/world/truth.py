@@ -20,18 +20,7 @@ Floats = NDArray[np.float64]
 
 
 def write_truth(world: World, folder: Path, observed: Observations | None, projected: bool) -> None:
-    """Write `truth.json`, `flight.toml`, `exposures.csv`, `points.csv` and `trajectory.csv`.
-
-    Parameters
-    ----------
-    world : World
-    folder : Path
-        Is made where it is not there yet.
-    observed : Observations or None
-        Its tie points go into `points.csv`.
-    projected : bool
-        Whether coordinates are also given in the projected system.
-    """
+    """Write `truth.json`, `flight.toml`, `exposures.csv`, `points.csv` and `trajectory.csv`."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "truth.json").write_text(json.dumps(_figures(world), indent=2) + "\n", encoding="utf-8")
     (folder / "flight.toml").write_text(_settings(world), encoding="utf-8")
@@ -139,15 +128,7 @@ def _write_exposures(world: World, path: Path, projected: bool) -> None:
 
 
 def grid_to_local(place: Place, local_m: Floats, step_m: float = 10.0) -> Floats:
-    """Give rotations from grid east, grid north, up at places to the local frame, shape (n, 3, 3).
-
-    Parameters
-    ----------
-    place : Place
-    local_m : ndarray, shape (n, 3)
-    step_m : float
-        Of the difference quotient by which grid north is found.
-    """
+    """Give rotations from grid east, grid north, up at places to the local frame, shape (n, 3, 3)."""
     geodetic = place.to_geodetic(local_m)
     (sb, sl), (cb, cl) = np.sin(geodetic[:, :2]).T, np.cos(geodetic[:, :2]).T
     up = np.column_stack([cb * cl, cb * sl, sb]) @ place.axes.T

@@ -52,8 +52,6 @@ def carry(
     ----------
     time_s : ndarray, shape (n,)
         When they are sent.
-    frames : list of bytes (n,)
-    random : Generator
     latency_s : float
         Mean time on the way.
     loss, damage : float

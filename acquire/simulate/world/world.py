@@ -36,16 +36,10 @@ class World:
 
     Attributes
     ----------
-    configuration : Configuration
     place : Place
         The local frame: all coordinates below are in it, m.
-    terrain : Terrain
-    targets : Targets
     camera : Camera
         During the first pass.
-    rig : Rig
-    motion : Motion
-    exposures : Exposures
     base_m : ndarray, shape (3,)
         The base's mark.
     start_gps_ns : int
@@ -109,16 +103,7 @@ def generator(configuration: Configuration, part: str) -> np.random.Generator:
 
 
 def make_world(configuration: Configuration) -> World:
-    """Draw a world and fly through it.
-
-    Parameters
-    ----------
-    configuration : Configuration
-
-    Returns
-    -------
-    World
-    """
+    """Draw a world and fly through it."""
     area = np.array(configuration.plan.area_m)
     far = np.abs(area).max() + 1.3 * max(one.height_m for one in configuration.plan.passes)
     half = max(float(far), float(np.abs(configuration.gnss.base_m).max()) + 5.0)

@@ -25,10 +25,6 @@ _POSE = ("omega_deg", "phi_deg", "kappa_deg", "X_m", "Y_m", "Z_m")
 def to_json(check: BlockCheck) -> dict[str, Any]:
     """Give a block's check as a JSON value.
 
-    Parameters
-    ----------
-    check : BlockCheck
-
     Returns
     -------
     dict

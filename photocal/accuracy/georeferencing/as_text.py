@@ -17,10 +17,6 @@ from photocal.accuracy.georeferencing.wording import block_findings, estimate_te
 def to_text(check: BlockCheck) -> str:
     """Write a block's check for people.
 
-    Parameters
-    ----------
-    check : BlockCheck
-
     Returns
     -------
     str

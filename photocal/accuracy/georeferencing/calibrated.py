@@ -44,17 +44,7 @@ class Calibration:
     covariance: Floats
 
     def on_flight(self, mounting: Mounting) -> Calibration:
-        """Give the calibration for another flight, whose positions have errors of their own.
-
-        Parameters
-        ----------
-        mounting : Mounting
-            Of that flight: what it states of its shift and height scale takes the place of those found.
-
-        Returns
-        -------
-        Calibration
-        """
+        """Give the calibration for another flight, whose positions have errors of their own."""
         values, covariance = self.mounting.copy(), self.covariance.copy()
         values[OF_FLIGHT] = mounting.values[OF_FLIGHT]
         covariance[OF_FLIGHT], covariance[:, OF_FLIGHT] = 0.0, 0.0
@@ -71,10 +61,6 @@ def calibrate(block: Block) -> Calibration:
     ----------
     block : Block
         With positions and attitudes.
-
-    Returns
-    -------
-    Calibration
 
     Raises
     ------
@@ -102,23 +88,7 @@ def calibrate(block: Block) -> Calibration:
 
 
 def with_calibration(block: Block, calibration: Calibration) -> Block:
-    """Return a block with camera and mounting of a calibration of its own flight, or one made `on_flight`.
-
-    Parameters
-    ----------
-    block : Block
-    calibration : Calibration
-        Of the same cameras.
-
-    Returns
-    -------
-    Block
-
-    Raises
-    ------
-    ConfigurationError
-        When the calibration has another number of cameras.
-    """
+    """Return a block with camera and mounting of a calibration of its own flight, or one made `on_flight`."""
     if len(calibration.cameras) != len(block.cameras):
         raise ConfigurationError(
             f"the calibration has {len(calibration.cameras)} cameras, the block {len(block.cameras)}",
@@ -138,7 +108,6 @@ def joint_covariance(calibration: Calibration, common: int) -> Floats:
 
     Parameters
     ----------
-    calibration : Calibration
     common : int
         Number of the block's common values; shifts and drifts of its strips are taken as known.
 

@@ -38,18 +38,7 @@ class Change:
 
 
 def places_of_change(block: Block) -> tuple[int, ...]:
-    """List the images before which the camera may have changed: first ones of strips, else quarters.
-
-    Parameters
-    ----------
-    block : Block
-        With one camera; images in the order of exposure.
-
-    Returns
-    -------
-    tuple of int
-        Indices of images; empty for several cameras (each has its own c already) or few images.
-    """
+    """List the images before which the camera may have changed: first ones of strips, else quarters."""
     count = len(block.images.names)
     if len(block.cameras) != 1 or count < 2 * _FEWEST_IMAGES:
         return ()
@@ -64,22 +53,7 @@ def places_of_change(block: Block) -> tuple[int, ...]:
 
 
 def split_at(block: Block, change: Change, loose: float) -> Block:
-    """Return the block with a second camera from an image on, the principal distances of both free.
-
-    Parameters
-    ----------
-    block : Block
-        With one camera.
-    change : Change
-    loose : float
-        Standard deviation of both principal distances about their values, relative.
-
-    Returns
-    -------
-    Block
-        The second camera has the same parameters free as the first: held at what both together gave, they
-        would keep part of the misfit, and other groups would seem to explain it.
-    """
+    """Return the block with a second camera from an image on, the principal distances of both free."""
     (own,) = block.cameras
     c = PARAMETERS.index("c")
     estimated, sigma = own.estimated.copy(), own.prior_sigma.copy()
@@ -102,22 +76,7 @@ def unknowns_of_change(block: Block) -> int:
 
 
 def best_change(block: Block, values: Floats, loose: float) -> Change | None:
-    """Find the image from which a second camera explains most.
-
-    Parameters
-    ----------
-    block : Block
-        With one camera.
-    values : ndarray, shape (13,)
-        Its adjusted parameters, with which the second camera starts.
-    loose : float
-        See `split_at`.
-
-    Returns
-    -------
-    Change or None
-        None when there is no place to try.
-    """
+    """Find the image from which a second camera explains most."""
     best: tuple[float, Change] | None = None
     for image in places_of_change(block):
         change = Change(image, values)

@@ -40,8 +40,6 @@ class Judged:
 
     Attributes
     ----------
-    found : Georeferenced
-    control, check : Differences
     assessment : Assessment or None
         Of the check points, by statistics and standards; None without check points.
     """
@@ -58,7 +56,6 @@ class ExposureDifference:
 
     Attributes
     ----------
-    images : int
     mean, rmse : ndarray, shape (6,)
         omega, phi, kappa (rad), X, Y, Z (m).
     """
@@ -74,7 +71,6 @@ class BlockCheck:
 
     Attributes
     ----------
-    block : Block
     judged : tuple of Judged
         Those methods that the block allows, in the order of `METHODS`.
     refused : tuple of (Method, str)
@@ -83,7 +79,6 @@ class BlockCheck:
         None unless both the direct and the indirect method are there.
     systematic : SystematicErrors or None
         None without positions, or where they cannot be tested.
-    separation : Separation or None
     plausibility : tuple of Finding
         Mistakes in the ground points.
     mistyped : tuple of Mistyped
@@ -116,20 +111,14 @@ def check_block(
 
     Parameters
     ----------
-    block : Block
     standards : tuple of Standard
         Applied to the check points of each method.
-    question : Question
     simulate : (Degradation, Generator), optional
         Direct georeferencing from the adjusted orientation with this noise, labelled as simulated.
     done : callable
         Called with the name of each stage that ended.
     calibration : Calibration, optional
         Camera and mounting for direct georeferencing; without it those that the block states.
-
-    Returns
-    -------
-    BlockCheck
 
     Raises
     ------

@@ -29,7 +29,6 @@ class Differences:
     Attributes
     ----------
     role : {"control", "check"}
-    names : tuple of str
     d : ndarray, shape (n, 3)
         m.
     xyz : ndarray, shape (n, 3)
@@ -77,13 +76,7 @@ def differences(block: Block, found: Georeferenced, role: Role) -> Differences:
 
     Parameters
     ----------
-    block : Block
-    found : Georeferenced
     role : {"control", "check"}
-
-    Returns
-    -------
-    Differences
     """
     mine = block.points.role[found.points] == ROLES.index(role)
     index, fitted = found.points[mine], found.fitted[mine]

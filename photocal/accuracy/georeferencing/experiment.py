@@ -33,7 +33,6 @@ class InteriorSet:
 
     Attributes
     ----------
-    name : str
     camera : Camera
         Values.
     sigma : ndarray, shape (13,)
@@ -62,14 +61,10 @@ class Experiment:
 
     Attributes
     ----------
-    block : Block
-    methods : tuple of Method
     interiors : tuple of InteriorSet
         Empty: the block's own camera.
-    uses : tuple of Use
     patterns : tuple of ControlPattern
         Empty: the block's own roles.
-    leave_one_out : bool
     noise : Degradation or None
         Direct orientations are the adjusted ones with this noise.
     seed : int
@@ -98,8 +93,6 @@ class Run:
 
     Attributes
     ----------
-    interior, use, pattern : str
-    method : Method
     control : int
         Number of control points.
     check : Differences or None
@@ -150,11 +143,8 @@ class LeftOut:
 
     Attributes
     ----------
-    method : Method
-    point : str
     d, sigma, w : ndarray, shape (3,)
         Surveyed less computed, its predicted sigma, m; d over sigma.
-    failure : str
     """
 
     method: Method
@@ -178,7 +168,6 @@ def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: No
 
     Parameters
     ----------
-    experiment : Experiment
     done : callable
         Called after each run.
 
@@ -208,23 +197,7 @@ def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: No
 
 
 def spread_points(block: Block, candidates: Integers, count: int) -> Integers:
-    """Choose points far from each other: from the outermost always to the farthest one (Gonzalez 1985).
-
-    Parameters
-    ----------
-    block : Block
-    candidates : ndarray of int
-    count : int
-
-    Returns
-    -------
-    ndarray of int, shape (count,)
-
-    Raises
-    ------
-    ConfigurationError
-        When there are not so many.
-    """
+    """Choose points far from each other: from the outermost always to the farthest one (Gonzalez 1985)."""
     if not 0 < count <= len(candidates):
         raise ConfigurationError(
             f"{count} control points were asked for, the block has {len(candidates)}",

@@ -75,10 +75,6 @@ def read_experiment(
     read_block, read_interiors : callable
         Readers of a block and of a file with [[camera]] entries.
 
-    Returns
-    -------
-    Experiment
-
     Raises
     ------
     InputNotFoundError

@@ -21,16 +21,7 @@ _AXES = ("x", "y", "z")
 
 
 def to_json(outcome: Outcome) -> dict[str, Any]:
-    """Give an experiment's results as a JSON value.
-
-    Parameters
-    ----------
-    outcome : Outcome
-
-    Returns
-    -------
-    dict
-    """
+    """Give an experiment's results as a JSON value."""
     return {
         "schema": SCHEMA,
         "sign": SIGN,
@@ -44,16 +35,7 @@ def to_json(outcome: Outcome) -> dict[str, Any]:
 
 
 def to_text(outcome: Outcome) -> str:
-    """Write an experiment's results for people.
-
-    Parameters
-    ----------
-    outcome : Outcome
-
-    Returns
-    -------
-    str
-    """
+    """Write an experiment's results for people."""
     lines = [
         f"check points, {SIGN}; RMSE and predicted sigma in m, t of the mean (* biased)",
         f"{'run':<40}{'control':>8}{'check':>6}{'X':>9}{'Y':>9}{'Z':>9}   {'sX':>8}{'sY':>8}{'sZ':>8}   t",
@@ -87,7 +69,6 @@ def write_experiment(outcome: Outcome, folder: Path) -> tuple[str, ...]:
 
     Parameters
     ----------
-    outcome : Outcome
     folder : Path
         Gets `experiment.json`, `runs.csv`, `leave_one_out.csv`, `rmse.pdf` and, where the number of control
         points differs, `rmse_by_control.pdf`.

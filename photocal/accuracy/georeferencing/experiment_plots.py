@@ -15,17 +15,7 @@ _AXES = (("plane", "#1f4e9c", "o"), ("Z", "#b06a2a", "s"))
 
 
 def rmse_plot(outcome: Outcome) -> Figure | None:
-    """Draw the RMSE at the check points of every run, with the predicted sigma as a line across each bar.
-
-    Parameters
-    ----------
-    outcome : Outcome
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        None without a run that has check points.
-    """
+    """Draw the RMSE at the check points of every run, with the predicted sigma as a line across each bar."""
     from matplotlib.figure import Figure
 
     runs = [run for run in outcome.runs if run.check is not None and run.check.names]
@@ -48,18 +38,7 @@ def rmse_plot(outcome: Outcome) -> Figure | None:
 
 
 def control_plot(outcome: Outcome) -> Figure | None:
-    """Draw the RMSE at the check points against the number of control points, predicted sigma broken.
-
-    Parameters
-    ----------
-    outcome : Outcome
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        One panel for each method, interior orientation and use; None where no two runs of one kind have
-        different numbers of control points.
-    """
+    """Draw the RMSE at the check points against the number of control points, predicted sigma broken."""
     from matplotlib.figure import Figure
 
     kinds: dict[tuple[str, str, str], list[Run]] = {}

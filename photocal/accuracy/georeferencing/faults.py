@@ -22,17 +22,7 @@ _AXES = ("forward", "right", "down")
 
 
 def fault_of(error: SystematicError) -> Finding | None:
-    """Name the mistake that a systematic error looks like.
-
-    Parameters
-    ----------
-    error : SystematicError
-
-    Returns
-    -------
-    Finding or None
-        Code "antenna-height", "base-position" or "lever-arm-axes"; None when it looks like none of these.
-    """
+    """Name the mistake that a systematic error looks like."""
     same = (error.found, *error.alternatives)
     shift = next((one for one in same if one.name == "datum shift"), None)
     if shift is None:

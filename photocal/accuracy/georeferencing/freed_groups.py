@@ -38,7 +38,6 @@ class Estimate:
 
     Attributes
     ----------
-    name : str
     unit : str
         m, deg, s, mm or px.
     correction : float
@@ -63,17 +62,7 @@ class Estimate:
 
 
 def groups_of(block: Block) -> tuple[str, ...]:
-    """Give the groups that a block may be tested for: what it leaves free itself is none.
-
-    Parameters
-    ----------
-    block : Block
-
-    Returns
-    -------
-    tuple of str
-        Keys of `MEANING`.
-    """
+    """Give the groups that a block may be tested for: what it leaves free itself is none."""
     names = ["lever arm", "datum shift"]
     if len(block.attitudes.image):
         names.append("boresight")
@@ -101,20 +90,7 @@ def left_free(block: Block, name: str) -> bool:
 
 
 def with_freed(block: Block, name: str, change: Change | None) -> Block:
-    """Return the block with one group freed, weakly observed at its given value.
-
-    Parameters
-    ----------
-    block : Block
-    name : str
-        A key of `MEANING`.
-    change : Change or None
-        Where the camera changes, for `CHANGE`.
-
-    Returns
-    -------
-    Block
-    """
+    """Return the block with one group freed, weakly observed at its given value."""
     if name == CHANGE and change is not None:
         return split_at(block, change, LOOSE_CAMERA)
     if name in ("principal distance", "principal point"):
@@ -150,20 +126,7 @@ def _columns(name: str) -> slice:
 
 
 def estimates_of(block: Block, freed: Block, solution: Solution, name: str) -> tuple[Estimate, ...]:
-    """Give the values of one group from the solution in which it is freed.
-
-    Parameters
-    ----------
-    block, freed : Block
-        With the given values, and with the group freed.
-    solution : Solution
-        Of `freed`.
-    name : str
-
-    Returns
-    -------
-    tuple of Estimate
-    """
+    """Give the values of one group from the solution in which it is freed."""
     critical = float(stats.norm.ppf(1.0 - SIGNIFICANCE / 2.0))
 
     def one(label: str, unit: str, value: float, given: float, sigma: float) -> Estimate:

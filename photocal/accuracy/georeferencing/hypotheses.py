@@ -39,7 +39,6 @@ class Hypothesis:
 
     Attributes
     ----------
-    name : str
     gain : float
         By which v'Pv falls.
     factor : float
@@ -48,8 +47,6 @@ class Hypothesis:
         Freed values.
     f, critical : float
         gain / unknowns over the variance factor that is left, and its limit.
-    significant : bool
-    estimates : tuple of Estimate
     """
 
     name: str
@@ -68,8 +65,6 @@ class Fit:
 
     Attributes
     ----------
-    chi_squared : float
-    degrees_of_freedom : int
     estimates : dict of str to tuple of Estimate
         Of each group that was freed.
     """
@@ -92,10 +87,6 @@ def compare(name: str, before: Fit, after: Fit, unknowns: int, tests: int) -> Hy
         Values that were freed.
     tests : int
         Groups that are tested: the significance of the whole is shared by them.
-
-    Returns
-    -------
-    Hypothesis
     """
     gain = max(before.chi_squared - after.chi_squared, 0.0)
     # As many weak observations as unknowns came in: the degrees of freedom are those of the data.
@@ -107,19 +98,7 @@ def compare(name: str, before: Fit, after: Fit, unknowns: int, tests: int) -> Hy
 
 
 def most_probable(tries: tuple[Hypothesis, ...], observations: int) -> Hypothesis | None:
-    """Choose the most probable significant hypothesis (Schwarz 1978): gain less ln(n) for each unknown.
-
-    Parameters
-    ----------
-    tries : tuple of Hypothesis
-    observations : int
-        The n.
-
-    Returns
-    -------
-    Hypothesis or None
-        None when no one is significant; an imitator only when no other is.
-    """
+    """Choose the most probable significant hypothesis (Schwarz 1978): gain less ln(n) for each unknown."""
     penalty = _scale(tries) * math.log(observations)
     significant = tuple(one for one in tries if one.significant and _noteworthy(one))
     return max(causes_first(significant), key=lambda one: one.gain - one.unknowns * penalty, default=None)
@@ -149,18 +128,7 @@ def _as_good(one: Hypothesis, scale: float) -> float:
 
 
 def as_good(best: Hypothesis, tries: tuple[Hypothesis, ...]) -> tuple[Hypothesis, ...]:
-    """Give the other hypotheses that explain nearly all of what the best one explains, but for strip shifts.
-
-    Parameters
-    ----------
-    best : Hypothesis
-    tries : tuple of Hypothesis
-        Tested beside the same groups.
-
-    Returns
-    -------
-    tuple of Hypothesis
-    """
+    """Give the other hypotheses that explain nearly all of what the best explains, but for strip shifts."""
     limit, silent = _as_good(best, _scale(tries)), [best.name, STRIP_SHIFTS]
     if best.name == PRINCIPAL_DISTANCE:
         # Two of them contain the common one.

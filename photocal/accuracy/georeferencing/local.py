@@ -19,10 +19,6 @@ def in_local_frame(block: Block) -> Block:
     Everything that is compared here is in metres along axes at right angles: differences of map
     coordinates would carry the scale of the projection.
 
-    Parameters
-    ----------
-    block : Block
-
     Returns
     -------
     Block

@@ -51,7 +51,6 @@ class Georeferenced:
 
     Attributes
     ----------
-    method : Method
     label : str
         What it is, with everything that a reader must know.
     points : ndarray of int, shape (n,)
@@ -63,10 +62,6 @@ class Georeferenced:
         Whether the point's surveyed coordinates took part.
     exposures : ndarray, shape (images, 6)
         omega, phi, kappa (rad), X, Y, Z (m); NaN where the method has none.
-    images : ImageResiduals
-    chi_squared : float
-    degrees_of_freedom : int
-    test : GlobalTest or None
     solution : Solution or None
         The adjustment; None for direct georeferencing.
     """
@@ -92,16 +87,11 @@ def of_method(
 
     Parameters
     ----------
-    block : Block
     method : {"direct", "integrated", "indirect"}
     note : str
         Added to the label, such as where simulated orientations come from.
     calibration : Calibration, optional
         Camera and mounting for the direct method; without it those that the block states.
-
-    Returns
-    -------
-    Georeferenced
 
     Raises
     ------
@@ -123,10 +113,6 @@ def without_georeference(block: Block) -> Block:
 
 def without_weak_images(block: Block) -> tuple[Block, NDArray[np.bool_]]:
     """Set images with fewer than four rays aside: they give the adjustment nothing.
-
-    Parameters
-    ----------
-    block : Block
 
     Returns
     -------
@@ -179,19 +165,7 @@ def checkable(block: Block) -> Block:
 
 
 def with_roles(block: Block, control: Integers, role_of_rest: Role = "check") -> Block:
-    """Return the block with these control points; the other control points get another role.
-
-    Parameters
-    ----------
-    block : Block
-    control : ndarray of int
-        Indices of points.
-    role_of_rest : Role
-
-    Returns
-    -------
-    Block
-    """
+    """Return the block with these control points; the other control points get another role."""
     role = block.points.role.copy()
     role[block.points.of_role("control")] = ROLES.index(role_of_rest)
     role[control] = ROLES.index("control")

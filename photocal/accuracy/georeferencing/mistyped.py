@@ -33,7 +33,6 @@ class Mistyped:
 
     Attributes
     ----------
-    point : str
     d, sigma : ndarray, shape (3,)
         Given less computed from the other points, and its standard deviation, m.
     slip : str
@@ -52,20 +51,6 @@ def mistyped_control(block: Block, given: Floats) -> tuple[Block, tuple[Mistyped
     Image observations and control are adjusted alone, so that nothing else can be to blame; the point that
     fits worst is taken out and judged by the others, until all fit. Nothing is named when more than
     three are in contradiction: then it is not the points.
-
-    Parameters
-    ----------
-    block : Block
-        In a local frame.
-    given : ndarray, shape (points, 3)
-        Coordinates as they were typed, in whatever frame.
-
-    Returns
-    -------
-    block : Block
-        Without these points as control.
-    found : tuple of Mistyped
-        Worst first.
     """
     found: list[Mistyped] = []
     current = block

@@ -26,16 +26,6 @@ def as_mounted(block: Block) -> Block:
 
     Only so can a lever arm, a boresight or a shift be estimated from them. Blocks that have
     positions or attitudes of their own are left as they are.
-
-    Parameters
-    ----------
-    block : Block
-
-    Returns
-    -------
-    Block
-        Images whose X, Y, Z (whose omega, phi, kappa) all have a positive sigma have a position (an
-        attitude) instead; body axes are those of a camera that looks down.
     """
     if len(block.positions.image) or len(block.attitudes.image):
         return block

@@ -28,7 +28,6 @@ def write_check(
 
     Parameters
     ----------
-    check : BlockCheck
     content : dict
         From `as_json.to_json`.
     folder : Path

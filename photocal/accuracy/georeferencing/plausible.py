@@ -30,17 +30,7 @@ _FAR_M = 50_000.0
 
 
 def ground_findings(block: Block) -> tuple[Finding, ...]:
-    """Look for mistakes in the control and check points of a block.
-
-    Parameters
-    ----------
-    block : Block
-        In any frame: those that cannot be adjusted in are looked at too.
-
-    Returns
-    -------
-    tuple of Finding
-    """
+    """Look for mistakes in the control and check points of a block."""
     control, check = _of_role(block, "control"), _of_role(block, "check")
     pairs = tuple(
         (block.images.names[i], block.points.names[j])
@@ -152,17 +142,7 @@ def _far_in_local_frame(ground: GroundPoints, exposures: Floats) -> tuple[Findin
 
 
 def by_start_values(block: Block) -> GroundPoints:
-    """Intersect the rays of all points from the given orientations.
-
-    Parameters
-    ----------
-    block : Block
-
-    Returns
-    -------
-    GroundPoints
-        NaN for points without two rays from images with start values.
-    """
+    """Intersect the rays of all points from the given orientations."""
     plane, _ = observed_plane(block)
     image = block.observations.image
     camera = block.images.camera[image]

@@ -50,7 +50,6 @@ class Separation:
 
     Attributes
     ----------
-    names : tuple of str
     sigma : ndarray, shape (k,)
         Standard deviation when all are free, in m, rad, s and the camera's unit; the prior of 1 m,
         1 degree, 0.1 s, 1 % of c is included.
@@ -66,18 +65,7 @@ class Separation:
 
 
 def separation(block: Block) -> Separation | None:
-    """Free everything at once and see what the block leaves open.
-
-    Parameters
-    ----------
-    block : Block
-        With positions, see `as_mounted`.
-
-    Returns
-    -------
-    Separation or None
-        None without positions, or when even so the network cannot be adjusted.
-    """
+    """Free everything at once and see what the block leaves open."""
     if not len(block.positions.image):
         return None
     asked = np.zeros(len(block.mounting.sigma), dtype=bool)
@@ -142,16 +130,7 @@ def _groups(names: tuple[str, ...], covariance: Floats) -> tuple[tuple[str, ...]
 
 
 def separation_findings(found: Separation) -> tuple[Finding, ...]:
-    """Say what the flight cannot separate, and what would.
-
-    Parameters
-    ----------
-    found : Separation
-
-    Returns
-    -------
-    tuple of Finding
-    """
+    """Say what the flight cannot separate, and what would."""
     said = []
     for group in found.groups:
         words = [_WORDS.get(name.split(" of ")[0], name) for name in group]

@@ -44,24 +44,7 @@ class Degradation:
 
 
 def degraded(block: Block, noise: Degradation, rng: np.random.Generator) -> Block:
-    """Adjust a block and give its images the result with noise, as observations.
-
-    Parameters
-    ----------
-    block : Block
-    noise : Degradation
-    rng : Generator
-
-    Returns
-    -------
-    Block
-        Its images carry the stated sigmas; it has no positions and attitudes otherwise.
-
-    Raises
-    ------
-    PhotocalError
-        As the adjustment does.
-    """
+    """Adjust a block and give its images the result with noise, as observations."""
     adjusted, weak = without_weak_images(block)
     assembly = assemble(adjusted)
     exposures = adjust(assembly.network).exposures

@@ -38,8 +38,6 @@ class Intersected:
         Rows of the block's observations that took part.
     residuals, standardised : ndarray, shape (r, 2)
         Computed minus measured, in the image plane without distortion, px; over its standard deviation.
-    chi_squared : float
-    degrees_of_freedom : int
     """
 
     points: Integers
@@ -70,20 +68,6 @@ def intersect_points(
 
     The weights of a point's rays come from image observations and orientations together, with the
     correlation that common errors (mounting, camera) give them: the best linear unbiased estimate.
-
-    Parameters
-    ----------
-    block : Block
-    orientation : DirectOrientation
-    wanted : ndarray of int, shape (n,)
-        Points of the block; those with fewer than two such rays, or whose rays meet nowhere, are left out.
-    joint : ndarray, optional
-        Covariance of the common values and the parameters of all cameras together; without it that of
-        the sigmas that the block states.
-
-    Returns
-    -------
-    Intersected
     """
     if joint is None:
         stated = [np.diag(camera_variance(own)) for own in block.cameras]

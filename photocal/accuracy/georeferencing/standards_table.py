@@ -8,19 +8,7 @@ from photocal.accuracy.value_class import class_cm
 
 
 def standards_rows(check: BlockCheck) -> list[list[str]]:
-    """Give one row for each statement, one column for each method that has check points.
-
-    Parameters
-    ----------
-    check : BlockCheck
-
-    Returns
-    -------
-    list of list of str
-        A header, then: mean, t and verdict of each component; precision class and accuracy class of each
-        table at the size that was asked for, and the smallest size that its best class admits. Empty
-        without check points.
-    """
+    """Give one row for each statement, one column for each method that has check points."""
     judged = [(one.found.method, one.assessment) for one in check.judged]
     known = [(method, assessment) for method, assessment in judged if assessment is not None]
     if not known:

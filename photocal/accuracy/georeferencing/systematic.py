@@ -85,24 +85,7 @@ class SystematicErrors:
 
 
 def systematic_errors(block: Block, done: Callable[[], None] = lambda: None) -> SystematicErrors:
-    """Look for systematic errors of the georeference.
-
-    Parameters
-    ----------
-    block : Block
-        With positions (see `as_mounted`) and control.
-    done : callable
-        Called after each adjustment.
-
-    Returns
-    -------
-    SystematicErrors
-
-    Raises
-    ------
-    PhotocalError
-        When the block cannot be adjusted as it is.
-    """
+    """Look for systematic errors of the georeference."""
     first = adjust(assemble(block).network)
     done()
     search = _Search(block, first, done)

@@ -27,16 +27,7 @@ _MINOR = 0.1
 
 
 def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
-    """Say what was found: mistakes and errors first, each under one name, then what follows of them.
-
-    Parameters
-    ----------
-    check : BlockCheck
-
-    Returns
-    -------
-    tuple of Finding
-    """
+    """Say what was found: mistakes and errors first, each under one name, then what follows of them."""
     said = [*check.plausibility, *(_mistyped(one) for one in check.mistyped)]
     if check.systematic is not None:
         said += _causes(check.systematic.errors)

@@ -15,18 +15,7 @@ _SIGNIFICANT = 3.0
 
 
 def correlation_matrix(report: StatedReport) -> tuple[Finding, ...]:
-    """Notice a matrix that is no correlation matrix, and the sign that was lost.
-
-    Parameters
-    ----------
-    report : StatedReport
-        What the report states.
-
-    Returns
-    -------
-    tuple of Finding
-        Empty when nothing is wrong, or the report does not state enough.
-    """
+    """Notice a matrix that is no correlation matrix, and the sign that was lost."""
     matrix, names = report.correlation, report.correlation_names
     if matrix is None:
         return ()
@@ -107,18 +96,7 @@ def boresight(report: StatedReport) -> tuple[Finding, ...]:
 
 
 def tables_that_disagree(report: StatedReport) -> tuple[Finding, ...]:
-    """Compare two printings of the same parameters.
-
-    Parameters
-    ----------
-    report : StatedReport
-        What the report states.
-
-    Returns
-    -------
-    tuple of Finding
-        Empty when nothing is wrong, or the report does not state enough.
-    """
+    """Compare two printings of the same parameters."""
     elsewhere = {parameter.name: parameter for parameter in report.parameters_elsewhere}
     said = []
     for first in report.parameters:

@@ -14,20 +14,7 @@ _LONGEST_SENSOR_MM = 60.0
 
 
 def pixel_size(report: StatedReport, cameras: tuple[KnownCamera, ...]) -> tuple[Finding, ...]:
-    """Compare the pixel size with the sensor, with the running text, and with itself times the format.
-
-    Parameters
-    ----------
-    report : StatedReport
-        What the report states.
-    cameras : tuple of KnownCamera
-        Cameras whose format is known.
-
-    Returns
-    -------
-    tuple of Finding
-        Empty when nothing is wrong, or the report does not state enough.
-    """
+    """Compare the pixel size with the sensor, with the running text, and with itself times the format."""
     said: list[Finding] = []
     stated = report.pixel_mm
     if stated is None:
@@ -65,20 +52,7 @@ def pixel_size(report: StatedReport, cameras: tuple[KnownCamera, ...]) -> tuple[
 
 
 def image_format(report: StatedReport, cameras: tuple[KnownCamera, ...]) -> tuple[Finding, ...]:
-    """Compare the image format with the camera that is named.
-
-    Parameters
-    ----------
-    report : StatedReport
-        What the report states.
-    cameras : tuple of KnownCamera
-        Cameras whose format is known.
-
-    Returns
-    -------
-    tuple of Finding
-        Empty when nothing is wrong, or the report does not state enough.
-    """
+    """Compare the image format with the camera that is named."""
     known = find_camera(report.camera_model, cameras)
     if report.columns is None or report.rows is None or known is None:
         return ()
@@ -96,20 +70,7 @@ def image_format(report: StatedReport, cameras: tuple[KnownCamera, ...]) -> tupl
 
 
 def resolution(report: StatedReport, cameras: tuple[KnownCamera, ...]) -> tuple[Finding, ...]:
-    """Compare the ground sample distance with height, focal length and pixel size.
-
-    Parameters
-    ----------
-    report : StatedReport
-        What the report states.
-    cameras : tuple of KnownCamera
-        Cameras whose format is known.
-
-    Returns
-    -------
-    tuple of Finding
-        Empty when nothing is wrong, or the report does not state enough.
-    """
+    """Compare the ground sample distance with height, focal length and pixel size."""
     if report.gsd_m is None or report.height_m is None or report.focal_nominal_mm is None:
         return ()
     known = find_camera(report.camera_model, cameras)
@@ -137,20 +98,7 @@ def resolution(report: StatedReport, cameras: tuple[KnownCamera, ...]) -> tuple[
 
 
 def focal_length(report: StatedReport, cameras: tuple[KnownCamera, ...]) -> tuple[Finding, ...]:
-    """Notice a calibrated focal length in pixels under the unit mm, and a nominal one called calibrated.
-
-    Parameters
-    ----------
-    report : StatedReport
-        What the report states.
-    cameras : tuple of KnownCamera
-        Cameras whose format is known.
-
-    Returns
-    -------
-    tuple of Finding
-        Empty when nothing is wrong, or the report does not state enough.
-    """
+    """Notice a calibrated focal length in pixels under the unit mm, and a nominal one called calibrated."""
     nominal, table, form = report.focal_nominal_mm, report.focal_calibrated_mm, report.focal_form_mm
     if nominal is None:
         return ()
@@ -216,18 +164,7 @@ def air_base(report: StatedReport) -> tuple[Finding, ...]:
 
 
 def corner_table(report: StatedReport) -> tuple[Finding, ...]:
-    """Notice image width and height that changed places in the corner table.
-
-    Parameters
-    ----------
-    report : StatedReport
-        What the report states.
-
-    Returns
-    -------
-    tuple of Finding
-        Empty when nothing is wrong, or the report does not state enough.
-    """
+    """Notice image width and height that changed places in the corner table."""
     if not report.corners or report.columns is None or report.rows is None:
         return ()
     column = max(corner.column_px for corner in report.corners)

@@ -8,20 +8,7 @@ from photocal.accuracy.plausibility.record import KnownCamera, StatedReport
 
 
 def check_report(report: StatedReport, cameras: tuple[KnownCamera, ...]) -> tuple[Finding, ...]:
-    """Look for figures of a report that contradict each other or the camera.
-
-    Parameters
-    ----------
-    report : StatedReport
-        What the report states; checks of what it does not state are left out.
-    cameras : tuple of KnownCamera
-        Cameras whose format is known, from `known_cameras`.
-
-    Returns
-    -------
-    tuple of Finding
-        In words; empty when nothing was found.
-    """
+    """Look for figures of a report that contradict each other or the camera."""
     return (
         *camera_checks.pixel_size(report, cameras),
         *camera_checks.image_format(report, cameras),

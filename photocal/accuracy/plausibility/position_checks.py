@@ -10,18 +10,7 @@ _ROUNDING_SHARE = 0.1
 
 
 def position_digits(report: StatedReport) -> tuple[Finding, ...]:
-    """Compare the last printed digit of the positions with what they are used for.
-
-    Parameters
-    ----------
-    report : StatedReport
-        What the report states.
-
-    Returns
-    -------
-    tuple of Finding
-        Empty when nothing is wrong, or the report does not state enough.
-    """
+    """Compare the last printed digit of the positions with what they are used for."""
     if not report.positions_deg:
         return ()
     decimals = max(len(text.partition(".")[2]) for position in report.positions_deg for text in position)
@@ -41,20 +30,7 @@ def position_digits(report: StatedReport) -> tuple[Finding, ...]:
 
 
 def quantum_m(decimals: int, latitude_deg: float) -> tuple[float, float]:
-    """Give the size of the last printed digit of a position.
-
-    Parameters
-    ----------
-    decimals : int
-        Decimals of the degrees.
-    latitude_deg : float
-        Latitude, degrees.
-
-    Returns
-    -------
-    tuple of float
-        East and north, m, on GRS 80.
-    """
+    """Give the size of the last printed digit of a position."""
     from pyproj import Geod
 
     step = 10.0**-decimals
@@ -67,18 +43,7 @@ def quantum_m(decimals: int, latitude_deg: float) -> tuple[float, float]:
 
 
 def decimals_for(need_m: float) -> int:
-    """Give the decimals of degrees whose rounding does not matter for an accuracy.
-
-    Parameters
-    ----------
-    need_m : float
-        Accuracy, m.
-
-    Returns
-    -------
-    int
-        Decimals: half the last digit is at most a tenth of the accuracy.
-    """
+    """Give the decimals of degrees whose rounding does not matter for an accuracy."""
     decimals = 0
     # One degree of latitude is nowhere longer than 111 700 m.
     while 111_700.0 * 10.0**-decimals / 2.0 > _ROUNDING_SHARE * need_m:
@@ -113,18 +78,7 @@ def roles(report: StatedReport) -> tuple[Finding, ...]:
 
 
 def claimed_class(report: StatedReport) -> tuple[Finding, ...]:
-    """Notice an accuracy class without scale or contour interval.
-
-    Parameters
-    ----------
-    report : StatedReport
-        What the report states.
-
-    Returns
-    -------
-    tuple of Finding
-        Empty when nothing is wrong, or the report does not state enough.
-    """
+    """Notice an accuracy class without scale or contour interval."""
     if report.claimed_class is None or report.claimed_scale or report.claimed_interval_m:
         return ()
     return (
@@ -138,18 +92,7 @@ def claimed_class(report: StatedReport) -> tuple[Finding, ...]:
 
 
 def motion_blur(report: StatedReport) -> tuple[Finding, ...]:
-    """Notice an exposure time that smears the image even at walking pace.
-
-    Parameters
-    ----------
-    report : StatedReport
-        What the report states.
-
-    Returns
-    -------
-    tuple of Finding
-        Empty when nothing is wrong, or the report does not state enough.
-    """
+    """Notice an exposure time that smears the image even at walking pace."""
     if report.exposure_s is None or report.gsd_m is None:
         return ()
     slowest = 0.5 * report.gsd_m / report.exposure_s

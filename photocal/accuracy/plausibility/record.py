@@ -140,13 +140,7 @@ class KnownCamera:
 
 
 def known_cameras() -> tuple[KnownCamera, ...]:
-    """Read the cameras that the package knows.
-
-    Returns
-    -------
-    tuple of KnownCamera
-        From `cameras.toml` beside this module.
-    """
+    """Read the cameras that the package knows."""
     text = (resources.files(__package__) / "cameras.toml").read_text(encoding="utf-8")
     return tuple(
         KnownCamera(
@@ -161,20 +155,7 @@ def known_cameras() -> tuple[KnownCamera, ...]:
 
 
 def find_camera(name: str | None, cameras: tuple[KnownCamera, ...]) -> KnownCamera | None:
-    """Find a camera by its model or an alias.
-
-    Parameters
-    ----------
-    name : str or None
-        As stated.
-    cameras : tuple of KnownCamera
-        Where to look.
-
-    Returns
-    -------
-    KnownCamera or None
-        None where it is not known.
-    """
+    """Find a camera by its model or an alias."""
     wanted = (name or "").casefold()
     return next(
         (c for c in cameras if wanted in {c.model.casefold(), *(alias.casefold() for alias in c.aliases)}),

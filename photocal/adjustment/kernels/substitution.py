@@ -42,21 +42,7 @@ def back_substitute_piece(
 def back_substitute(
     design: Design, structure: Structure, step: Floats, kept: Eliminated, points: Floats, decreases: Floats
 ) -> None:
-    """Move the points by the steps that belong to a step of the reduced system.
-
-    Parameters
-    ----------
-    design, structure
-        As in `accumulate`.
-    step : ndarray, shape (n,)
-        Step of the reduced system.
-    kept : Eliminated
-        From `accumulate`.
-    points : ndarray, shape (points, 3)
-        Moved in place.
-    decreases : ndarray, shape (threads,)
-        Receive g'V^-1 g of the points, their part of the Newton decrement.
-    """
+    """Move the points by the steps that belong to a step of the reduced system."""
     for piece in numba.prange(len(design.pieces) - 1):
         decreases[piece] = back_substitute_piece(design, structure, step, kept, piece, points)
 
@@ -65,19 +51,7 @@ def back_substitute(
 def reduce_right(
     design: Design, structure: Structure, right: Floats, kept: Eliminated, reduced: Floats
 ) -> None:
-    """Eliminate the points from a right-hand side.
-
-    Parameters
-    ----------
-    design, structure
-        As in `accumulate`.
-    right : ndarray, shape (points, 3)
-        Right-hand side at the points.
-    kept : Eliminated
-        From `accumulate`.
-    reduced : ndarray, shape (n,)
-        Its part of the reduced system; less W V^-1 of the points' part afterwards.
-    """
+    """Eliminate the points from a right-hand side."""
     band = structure.band
     for j in range(len(design.ray_start) - 1):
         b0, b1, b2 = right[j, 0], right[j, 1], right[j, 2]

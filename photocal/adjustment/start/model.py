@@ -72,20 +72,7 @@ def empty_model(images: int, given: Floats) -> Model:
 
 
 def grown(model: Model, sights: Sights, limit: int | None = None) -> Model:
-    """Orient image after image, until no more can be reached.
-
-    Parameters
-    ----------
-    model : Model
-    sights : Sights
-    limit : int, optional
-        Stop when this many images are oriented.
-
-    Returns
-    -------
-    Model
-        Adjusted.
-    """
+    """Orient image after image, until no more can be reached."""
     model = intersected(model, sights)
     adjusted_at = int(model.oriented.sum())
     failed = np.zeros(sights.images, dtype=np.bool_)

@@ -20,19 +20,7 @@ WIDE = np.radians(25.0)
 
 
 def first_model(sights: Sights, free: Flags) -> Model | None:
-    """Small model of the images that orient each other best.
-
-    Parameters
-    ----------
-    sights : Sights
-    free : ndarray of bool, shape (images,)
-        Images that may take part.
-
-    Returns
-    -------
-    Model or None
-        In a system of its own; None when no two images have enough points in common.
-    """
+    """Small model of the images that orient each other best."""
     pairs = _pairs(sights, free)
     trials: list[Model] = []
     for first, second, candidates in pairs[:TRIALS]:

@@ -66,15 +66,9 @@ def sights(cameras: tuple[Camera, ...], camera_of: Integers, points: int, rays: 
 
     Parameters
     ----------
-    cameras : tuple of Camera
     camera_of : ndarray of int, shape (images,)
-    points : int
     rays : Rays
         Sorted by point.
-
-    Returns
-    -------
-    Sights
     """
     camera = camera_of[rays.image]
     slopes = np.empty(rays.plane.shape)

@@ -73,10 +73,6 @@ def start_values(
         Their distances give a free network its scale.
     free : bool
         Whether a network without control is wanted in a system of its own: that of the largest model.
-
-    Returns
-    -------
-    StartValues
     """
     seen = sights(cameras, camera_of, len(points), rays)
     model = _known_poses(empty_model(len(camera_of), points), exposures)

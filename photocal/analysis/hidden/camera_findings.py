@@ -25,18 +25,7 @@ SMALL_MOVE = 1.0
 
 
 def of_round(one: Round) -> Finding:
-    """Describe an error that was found and corrected.
-
-    Parameters
-    ----------
-    one : Round
-        The error.
-
-    Returns
-    -------
-    Finding
-        One line.
-    """
+    """Describe an error that was found and corrected."""
     parameter, at = one.parameter, one.parameter.candidate.camera
     camera = one.before.network.cameras[at]
     change = float(one.before.solution.cameras[at, 0] - one.after.solution.cameras[at, 0])
@@ -111,18 +100,7 @@ def _explained_by_pitch(parameter: ExtraParameter, camera: Camera) -> bool:
 
 
 def of_sigma(search: Search) -> list[Finding]:
-    """Describe the assumed standard deviation of the image coordinates, when it is wrong.
-
-    Parameters
-    ----------
-    search : Search
-        What was found.
-
-    Returns
-    -------
-    list of Finding
-        No line, or one for each that is concerned.
-    """
+    """Describe the assumed standard deviation of the image coordinates, when it is wrong."""
     sigma = search.sigma
     ratio = sigma.found / sigma.assumed
     if sigma.p_value >= LEVEL or abs(ratio - 1.0) < WRONG_SIGMA:
@@ -151,18 +129,7 @@ def of_sigma(search: Search) -> list[Finding]:
 
 
 def of_bias(search: Search) -> list[Finding]:
-    """Describe the bias of every c, when it is beyond its precision.
-
-    Parameters
-    ----------
-    search : Search
-        What was found.
-
-    Returns
-    -------
-    list of Finding
-        No line, or one for each that is concerned.
-    """
+    """Describe the bias of every c, when it is beyond its precision."""
     if not search.rounds:
         return []
     listed = []
@@ -189,18 +156,7 @@ def of_bias(search: Search) -> list[Finding]:
 
 
 def of_significance(search: Search) -> list[Finding]:
-    """Name the parameters whose significance changes with the corrections.
-
-    Parameters
-    ----------
-    search : Search
-        What was found.
-
-    Returns
-    -------
-    list of Finding
-        No line, or one for each that is concerned.
-    """
+    """Name the parameters whose significance changes with the corrections."""
     if not search.rounds:
         return []
     listed = []
@@ -229,18 +185,7 @@ def of_significance(search: Search) -> list[Finding]:
 
 
 def of_jackknife(search: Search) -> list[Finding]:
-    """Describe parameters that hang on single images.
-
-    Parameters
-    ----------
-    search : Search
-        What was found.
-
-    Returns
-    -------
-    list of Finding
-        No line, or one for each that is concerned.
-    """
+    """Describe parameters that hang on single images."""
     listed = []
     for k, camera in enumerate(search.first.network.cameras):
         formal = np.sqrt(np.diag(search.first.solution.camera_covariance[k])) * np.sqrt(_factor(search.first))

@@ -43,18 +43,6 @@ def estimated_amount(fit: Fit, candidate: Candidate) -> ExtraParameter | None:
     """Estimate the amount of a candidate as if it were one more unknown of the adjustment.
 
     The minimum of the sum of squares is a parabola in the amount; it is found from two more adjustments.
-
-    Parameters
-    ----------
-    fit : Fit
-        The network at its minimum.
-    candidate : Candidate
-        What to test.
-
-    Returns
-    -------
-    ExtraParameter or None
-        None when the network cannot tell it from its other unknowns.
     """
     sigma = fit.network.rays.sigma
     length = float(np.sqrt(np.sum((candidate.displacement / sigma) ** 2)))

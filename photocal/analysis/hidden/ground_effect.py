@@ -12,20 +12,7 @@ SMALL_SIGMAS = 2.0
 
 
 def mean_distance(fitted: Fit, camera: int) -> float:
-    """Give the mean distance of object points from the exposures of a camera.
-
-    Parameters
-    ----------
-    fitted : Fit
-        The network at its minimum.
-    camera : int
-        Which camera.
-
-    Returns
-    -------
-    float
-        Over all its rays, m; NaN without rays.
-    """
+    """Give the mean distance of object points from the exposures of a camera."""
     rays, state = fitted.network.rays, fitted.state
     mine = fitted.network.exposures.camera[rays.image] == camera
     apart = state.points[rays.point[mine]] - state.centre[rays.image[mine]]
@@ -33,20 +20,5 @@ def mean_distance(fitted: Fit, camera: int) -> float:
 
 
 def ground_effect(fitted: Fit, camera: int, change_of_c: float) -> float:
-    """Give the height error that a wrong c makes at the mean distance of the block.
-
-    Parameters
-    ----------
-    fitted : Fit
-        The network at its minimum.
-    camera : int
-        Which camera.
-    change_of_c : float
-        Error of c, in the unit of the camera.
-
-    Returns
-    -------
-    float
-        Distance times the relative error of c, m.
-    """
+    """Give the height error that a wrong c makes at the mean distance of the block."""
     return float(abs(change_of_c) / fitted.solution.cameras[camera, 0] * mean_distance(fitted, camera))

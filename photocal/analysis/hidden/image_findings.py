@@ -17,18 +17,7 @@ SMALL_RATIO = 1.25
 
 
 def of_groups(search: Search) -> list[Finding]:
-    """Describe image axes and cameras that scatter differently.
-
-    Parameters
-    ----------
-    search : Search
-        What was found.
-
-    Returns
-    -------
-    list of Finding
-        No line, or one for each that is concerned.
-    """
+    """Describe image axes and cameras that scatter differently."""
     overall = search.sigma.found / search.sigma.assumed
     return [
         _scatter(code, one, search)
@@ -94,18 +83,7 @@ def _scatter(code: str, one: VarianceComponent, search: Search) -> Finding:
 
 
 def of_maps(search: Search) -> list[Finding]:
-    """Describe patterns of the residuals on the sensor.
-
-    Parameters
-    ----------
-    search : Search
-        What was found.
-
-    Returns
-    -------
-    list of Finding
-        No line, or one for each that is concerned.
-    """
+    """Describe patterns of the residuals on the sensor."""
     listed = []
     for camera, cells in zip(search.last.network.cameras, search.maps, strict=True):
         if cells is None or (cells.global_p_value >= LEVEL and not cells.significant.any()):

@@ -60,20 +60,6 @@ def image_shifts(
     The most suspicious images, all of them in a small network, get them as unknowns beside all others. The
     rest is tested by its residuals, from which only what the exterior orientation takes up is taken away:
     that test alarms less often than its level says.
-
-    Parameters
-    ----------
-    fit : Fit
-        The network at its minimum.
-    variance_factor : float
-        Variance of unit weight of the image coordinates.
-    done : callable
-        Called after each image that was adjusted anew.
-
-    Returns
-    -------
-    tuple of ImageShift
-        One for each image with enough rays.
     """
     screened = screened_shifts(fit, variance_factor)
     suspicious = sorted(screened, key=lambda one: one.p_value)[:MOST_JOINT]
@@ -91,18 +77,6 @@ def joint_shift(fit: Fit, image: str) -> ImageShift | None:
 
     The minimum of the sum of squares is a paraboloid in the three amounts; it is found from nine more
     adjustments.
-
-    Parameters
-    ----------
-    fit : Fit
-        The network at its minimum.
-    image : str
-        Its name.
-
-    Returns
-    -------
-    ImageShift or None
-        None when the network cannot tell any of the three from its other unknowns, or cannot be adjusted.
     """
     from scipy import stats
 
@@ -174,18 +148,6 @@ def screened_shifts(fit: Fit, variance_factor: float) -> tuple[ImageShift, ...]:
 
     What the exterior orientation of the image takes up is taken away first. Other unknowns are not, which
     makes the test alarm less often than its level says.
-
-    Parameters
-    ----------
-    fit : Fit
-        The network at its minimum.
-    variance_factor : float
-        Variance of unit weight of the image coordinates.
-
-    Returns
-    -------
-    tuple of ImageShift
-        One for each image with enough rays.
     """
     from scipy import stats
 
@@ -223,20 +185,7 @@ def screened_shifts(fit: Fit, variance_factor: float) -> tuple[ImageShift, ...]:
 
 
 def pose_derivatives(fit: Fit, state: State) -> Array:
-    """Change of the ideal image coordinates with the exterior orientation of their image.
-
-    Parameters
-    ----------
-    fit : Fit
-        The network.
-    state : State
-        Where to take the derivatives.
-
-    Returns
-    -------
-    (n, 2, 6) array
-        Per radian of turn about the camera axes and per metre.
-    """
+    """Change of the ideal image coordinates with the exterior orientation of their image."""
     image = fit.network.rays.image
     c = state.cameras[fit.network.exposures.camera[image], :1]
     points = state.points[fit.network.rays.point]

@@ -84,44 +84,13 @@ def fit(network: Network, state: State | None = None) -> Fit:
 
 
 def lowest(network: Network, state: State, near: float = CONVERGED) -> Lowest:
-    """Adjust a network without statistics.
-
-    Parameters
-    ----------
-    network : Network
-        What to adjust.
-    state : State
-        Where to start.
-    near : float
-        Squared distance to the minimum, in units of the standard deviations, that may be left.
-
-    Returns
-    -------
-    Lowest
-        Where the iteration ended.
-
-    Raises
-    ------
-    IllPosedError, NotConvergedError
-        As the adjustment does.
-    """
+    """Adjust a network without statistics."""
     minimum = minimise(with_datum(prepare(network), state), state, near=near)
     return Lowest(minimum.state, minimum.iterations[-1].chi_squared)
 
 
 def residuals_of(network: Network, state: State) -> Array:
-    """Give the residuals of the rays at a state.
-
-    Parameters
-    ----------
-    network : Network
-    state : State
-
-    Returns
-    -------
-    (n, 2) array
-        Computed less measured, in the unit of each camera.
-    """
+    """Give the residuals of the rays at a state."""
     residuals, depth = np.empty_like(network.rays.plane), np.empty(len(network.rays.plane))
     problem = prepare(network)
     evaluate(problem.design, values_of(problem, state), residuals, depth)
@@ -129,38 +98,12 @@ def residuals_of(network: Network, state: State) -> Array:
 
 
 def with_measurements(network: Network, plane: Array) -> Network:
-    """Give the network other measured image coordinates.
-
-    Parameters
-    ----------
-    network : Network
-        The network.
-    plane : (n, 2) array
-        Image plane coordinates in the unit of each camera.
-
-    Returns
-    -------
-    Network
-        All else as it was.
-    """
+    """Give the network other measured image coordinates."""
     return replace(network, rays=replace(network.rays, plane=plane))
 
 
 def with_sigmas(network: Network, factor: float) -> Network:
-    """Give the network other standard deviations of the image coordinates.
-
-    Parameters
-    ----------
-    network : Network
-        The network.
-    factor : float
-        By which all are multiplied.
-
-    Returns
-    -------
-    Network
-        All else as it was.
-    """
+    """Give the network other standard deviations of the image coordinates."""
     return replace(network, rays=replace(network.rays, sigma=network.rays.sigma * factor))
 
 

@@ -112,20 +112,7 @@ def residual_map(
 
 
 def grid_shape(size_px: tuple[int, int], rays: int) -> tuple[int, int]:
-    """Choose how many cells the rays can fill.
-
-    Parameters
-    ----------
-    size_px : (int, int)
-        Columns and rows of the image.
-    rays : int
-        Number of rays.
-
-    Returns
-    -------
-    (int, int)
-        Columns and rows of cells: nearly square ones, no more than 12 in a row.
-    """
+    """Choose how many cells the rays can fill."""
     wanted = max(1.0, rays / RAYS_PER_CELL)
     columns = int(np.clip(np.sqrt(wanted * size_px[0] / size_px[1]), 1, 12))
     return columns, max(1, round(columns * size_px[1] / size_px[0]))

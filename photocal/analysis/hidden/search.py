@@ -134,20 +134,7 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
 
 
 def camera_estimates(fitted: Fit, camera: int) -> Estimates:
-    """Give the estimated parameters of a camera with their a priori covariance.
-
-    Parameters
-    ----------
-    fitted : Fit
-        The network at its minimum.
-    camera : int
-        Which camera.
-
-    Returns
-    -------
-    Estimates
-        In the unit of the camera.
-    """
+    """Give the estimated parameters of a camera with their a priori covariance."""
     at = np.flatnonzero(fitted.network.cameras[camera].estimated)
     return Estimates(
         tuple(PARAMETERS[i] for i in at),

@@ -113,20 +113,7 @@ class AssumedSigma:
 def assumed_sigma(
     sigma: Array, residual: Array, redundancy: Array, probability: float = 0.95
 ) -> AssumedSigma:
-    """Compare the assumed standard deviation of image coordinates with that of the residuals.
-
-    Parameters
-    ----------
-    sigma, residual, redundancy : (n, 2) array
-        Assumed standard deviations, residuals and redundancy numbers of the rays.
-    probability : float
-        Confidence of the interval.
-
-    Returns
-    -------
-    AssumedSigma
-        Both, with the interval.
-    """
+    """Compare the assumed standard deviation of image coordinates with that of the residuals."""
     from scipy import stats
 
     squares, r = float(np.sum((residual / sigma) ** 2)), float(redundancy.sum())

@@ -109,27 +109,7 @@ def view(camera: Camera, pixels: Array) -> View:
 
 
 def sensitivity(calibration: Calibration, pixels: Array) -> tuple[NDArray[np.float64], Array]:
-    """Change of a view with each estimated parameter, times the square root of their covariance.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        With its uncertainty.
-    pixels : (n, 2) array
-        Column and row, px.
-
-    Returns
-    -------
-    ideal : (p, n, 2) array
-        Change of the ideal coordinates for each of p independent unit normal variables, px.
-    c : (p,) array
-        Change of the principal distance, px.
-
-    Raises
-    ------
-    ConfigurationError
-        When the uncertainty is not known.
-    """
+    """Change of a view with each estimated parameter, times the square root of their covariance."""
     known = calibration.uncertainty
     if known is None:
         raise ConfigurationError(

@@ -156,10 +156,6 @@ def camera_file(tables: dict[str, Any], path: Path) -> CameraFile:
     path : Path
         What to name in messages.
 
-    Returns
-    -------
-    CameraFile
-
     Raises
     ------
     ConfigurationError

@@ -15,22 +15,6 @@ def brown_from_pix4d(
     Pix4D evaluates its polynomial at ideal coordinates divided by f, with y down from the corner; so the
     result is a `brown-ideal` camera and nothing is fitted: K_n = R_n / f^(2n), P1 = T2 / f, P2 = -T1 / f.
 
-    Parameters
-    ----------
-    camera_id : str
-        Name of the calibration.
-    size_px : (int, int)
-        Columns and rows.
-    pitch_mm : (float, float)
-        Size of a pixel in x and y, mm.
-    parameters : dict
-        f, Px, Py in mm from the upper left corner of the sensor; R1, R2, R3, T1, T2 without unit.
-
-    Returns
-    -------
-    Camera
-        In mm.
-
     Notes
     -----
     Canon ELPH study (FCT-UNESP), box 1.

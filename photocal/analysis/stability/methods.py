@@ -84,19 +84,7 @@ def common_rotation_misfit(first: View, second: View, pose: Array) -> Array:
 
 
 def resection_misfit(heights: Array) -> Misfit:
-    """Make the misfit of the single photo resection over given ground.
-
-    Parameters
-    ----------
-    heights : (n,) array
-        Depth of the ground below the exposure for every grid point, in units of the flying height.
-
-    Returns
-    -------
-    callable
-        Projects set I onto the ground and images it with set II from a free pose, whose position is in
-        units of the flying height.
-    """
+    """Make the misfit of the single photo resection over given ground."""
 
     def misfit(first: View, second: View, pose: Array) -> Array:
         ground = np.column_stack([first.ideal / first.c, -np.ones(len(heights))]) * heights[:, None]
@@ -149,29 +137,7 @@ def methods(points: int, terrains: tuple[Terrain, ...], repeats: int, seed: int)
 
 
 def fitted_pose(method: Method, misfit: Misfit, first: View, second: View) -> tuple[Array, Array]:
-    """Find the pose of least misfit.
-
-    Parameters
-    ----------
-    method : Method
-        Gives the number of free elements.
-    misfit : callable
-        One of its misfits.
-    first, second : View
-        The two bundles.
-
-    Returns
-    -------
-    pose : (k,) array
-        Angles in radians, position in units of the flying height.
-    design : (2n, k) array
-        Derivative of the misfit with respect to the pose there.
-
-    Raises
-    ------
-    NotConvergedError
-        When the iteration does not settle: the two calibrations have nothing in common.
-    """
+    """Find the pose of least misfit."""
     pose = np.zeros(method.pose_size)
     for _ in range(30):
         design = _design(misfit, first, second, pose)

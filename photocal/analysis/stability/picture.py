@@ -11,22 +11,7 @@ from photocal.analysis.stability.comparison import Pair
 
 
 def matrix_of(pairs: tuple[Pair, ...], names: tuple[str, ...], which: int) -> Array:
-    """Arrange one figure of every pair as a matrix.
-
-    Parameters
-    ----------
-    pairs : tuple of Pair
-        The comparison.
-    names : tuple of str
-        The m calibrations in order.
-    which : int
-        Place of the figure in `Pair.figures`.
-
-    Returns
-    -------
-    (m, m) array
-        The figure in px below the diagonal (row set II, column set I), NaN elsewhere.
-    """
+    """Arrange one figure of every pair as a matrix."""
     place = {name: i for i, name in enumerate(names)}
     matrix = np.full((len(names), len(names)), np.nan)
     for pair in pairs:

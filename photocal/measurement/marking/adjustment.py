@@ -33,7 +33,6 @@ class Residual:
 
     Attributes
     ----------
-    image, point : str
     vx, vy : float
         px.
     in_sigmas : float or None
@@ -53,7 +52,6 @@ class Adjusted:
 
     Attributes
     ----------
-    residuals : tuple of Residual
     orientation : Orientation
         Improved where images took part.
     sigma0 : float or None
@@ -69,25 +67,7 @@ class Adjusted:
 
 
 def adjust_marks(orientation: Orientation, points: ObjectPoints, marks: Sequence[Mark]) -> Adjusted:
-    """Adjust marks.
-
-    Parameters
-    ----------
-    orientation : Orientation
-        What is known before.
-    points : ObjectPoints
-        Check points take part with their rays only.
-    marks : sequence of Mark
-
-    Returns
-    -------
-    Adjusted
-
-    Raises
-    ------
-    IllPosedError
-        When no image has marks enough, or they do not determine it.
-    """
+    """Adjust marks."""
     from photocal.block.network import assemble
     from photocal.block.process import adjusted
     from photocal.block.run import given_exposures, observed_residuals
@@ -119,24 +99,7 @@ def adjust_marks(orientation: Orientation, points: ObjectPoints, marks: Sequence
 def block_of_marks(
     orientation: Orientation, points: ObjectPoints, marks: Sequence[Mark]
 ) -> tuple[Block, tuple[str, ...]]:
-    """Make the block of those marks that can be adjusted.
-
-    Parameters
-    ----------
-    orientation, points, marks
-        As in `adjust_marks`.
-
-    Returns
-    -------
-    block : Block
-    left_out : tuple of str
-        Images whose marks do not suffice, with the reason.
-
-    Raises
-    ------
-    IllPosedError
-        When nothing remains.
-    """
+    """Make the block of those marks that can be adjusted."""
     none, free = np.zeros(len(PARAMETERS), dtype=np.bool_), np.full(len(PARAMETERS), np.inf)
     cameras = tuple(replace(own, estimated=none, prior_sigma=free) for own in orientation.cameras)
     whole, _ = with_marks(

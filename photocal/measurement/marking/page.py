@@ -35,8 +35,6 @@ def application(scene: Scene, store: MarkStore, cache: Path) -> Starlette:
 
     Parameters
     ----------
-    scene : Scene
-    store : MarkStore
     cache : Path
         Where tiles are kept.
     """

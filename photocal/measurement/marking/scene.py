@@ -26,7 +26,6 @@ class Picture:
 
     Attributes
     ----------
-    path : Path
     size_px : (int, int)
         Width and height of the stored pixel grid.
     turn_deg : int
@@ -47,13 +46,10 @@ class Scene:
 
     Attributes
     ----------
-    name : str
     pictures : mapping of str to Picture
         By file name: no other file is ever opened for the page.
-    points : ObjectPoints
     listed : bool
         Whether only these points may be marked; else names are free.
-    orientation : Orientation or None
     dictionaries : tuple of str
         Of coded targets.
     """
@@ -71,14 +67,8 @@ def scene_of_project(project: Project, run: Path | None) -> tuple[Scene, Path]:
 
     Parameters
     ----------
-    project : Project
     run : Path or None
         Adjustment that says how images are oriented, instead of what the project has.
-
-    Returns
-    -------
-    scene : Scene
-    marks : Path
 
     Raises
     ------
@@ -102,15 +92,10 @@ def scene_of_folder(folder: Path, points: Path | None, run: Path | None) -> Scen
 
     Parameters
     ----------
-    folder : Path
     points : Path or None
         points.csv; without it any name may be marked.
     run : Path or None
         Adjustment that says how images are oriented.
-
-    Returns
-    -------
-    Scene
 
     Raises
     ------
@@ -123,22 +108,7 @@ def scene_of_folder(folder: Path, points: Path | None, run: Path | None) -> Scen
 
 
 def read_pictures(folder: Path) -> dict[str, Picture]:
-    """List the pictures of a folder; those that cannot be shown say why.
-
-    Parameters
-    ----------
-    folder : Path
-
-    Returns
-    -------
-    dict
-        By file name.
-
-    Raises
-    ------
-    InputNotFoundError
-        When there is no such folder, or no picture in it.
-    """
+    """List the pictures of a folder; those that cannot be shown say why."""
     return {path.name: _picture(path) for path in list_images(folder)}
 
 

@@ -80,26 +80,6 @@ def snap(
 
     All kinds and sizes are fitted; of those whose picture fits, the one that determines the centre best
     is taken.
-
-    Parameters
-    ----------
-    grey : ndarray, shape (height, width)
-    place : (float, float)
-        Column and row, px.
-    reach : float
-        How far the centre may be from the place, px.
-    kinds : tuple of str
-        What may be found.
-    dictionaries : tuple of str
-        Of coded targets.
-    bend : ndarray, shape (2, 2, 2)
-        Of level ground there, from `eccentricity.ground_bend`: circles, rings and crosses are then measured
-        in their own centre, not in that of their picture.
-
-    Returns
-    -------
-    Snapped or None
-        None when nothing there looks like a target.
     """
     if "code" in kinds:
         # A code is proven by its bits; its border alone could pass for something else.
@@ -168,25 +148,7 @@ def _snapped(kind: Kind, centre: Centre) -> Snapped:
 def symmetric_place(
     grey: Grey, place: tuple[float, float], reach: float, radius: float
 ) -> tuple[tuple[float, float], float]:
-    """Find the pixel about which an image is most alike when turned by 180 degrees, as targets are.
-
-    Parameters
-    ----------
-    grey : ndarray, shape (height, width)
-    place : (float, float)
-        Column and row, px.
-    reach : float
-        How far from it is looked, px.
-    radius : float
-        Of the surroundings that are compared, px.
-
-    Returns
-    -------
-    place : (float, float)
-        Column and row; the place itself where it lies too near to the edge of the image.
-    likeness : float
-        The largest correlation with what is turned within reach; 1 where it is not known.
-    """
+    """Find the pixel about which an image is most alike when turned by 180 degrees, as targets are."""
     far, r = math.ceil(reach), math.ceil(radius)
     column, row = round(place[0]), round(place[1])
     height, width = grey.shape

@@ -49,13 +49,7 @@ class TileAddress:
 
 
 def coarsest_level(size_px: tuple[int, int]) -> int:
-    """Give the first level that is one tile.
-
-    Parameters
-    ----------
-    size_px : (int, int)
-        Width and height of the picture.
-    """
+    """Give the first level that is one tile."""
     level = 0
     while -(-max(size_px) >> level) > TILE_PX:
         level += 1
@@ -84,11 +78,6 @@ class Tiles:
 
     def tile(self, picture: Path, address: TileAddress) -> bytes:
         """Give a tile as JPEG.
-
-        Parameters
-        ----------
-        picture : Path
-        address : TileAddress
 
         Returns
         -------
