@@ -42,8 +42,8 @@ def monitor(
     Example: `acquire monitor flight.toml --page`
     """
     from acquire.monitor.live import read_all
-    from acquire.monitor.picture import picture
     from acquire.monitor.sources import tail_of
+    from acquire.monitor.view_model import picture
 
     tail = tail_of(source)
     if as_json:
@@ -89,8 +89,8 @@ def _in_terminal(
 
     from acquire.monitor.chart import layers
     from acquire.monitor.live import follow, read_all
-    from acquire.monitor.picture import picture
     from acquire.monitor.terminal import render
+    from acquire.monitor.view_model import picture
 
     console = Console()
     if not console.is_terminal:

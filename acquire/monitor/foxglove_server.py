@@ -8,7 +8,7 @@ from typing import Any
 
 from acquire.log.reader import Messages
 from acquire.log.records import Channel, Schema
-from acquire.monitor.gate import gate, hidden_host
+from acquire.monitor.token_proxy import gate, hidden_host
 from acquire.web import Address
 from drivers.errors import ConfigurationError, ProgramMissingError
 

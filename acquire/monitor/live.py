@@ -9,8 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from acquire.log.reader import Messages
-from acquire.monitor.fold import fold
-from acquire.monitor.looks import looked
+from acquire.monitor.disk_status import looked
+from acquire.monitor.reducer import fold
 from acquire.monitor.state import Look, State
 from acquire.monitor.tail import Tail
 

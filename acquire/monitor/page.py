@@ -13,8 +13,8 @@ from starlette.responses import StreamingResponse
 from starlette.routing import Route
 
 from acquire.monitor.chart import layers
-from acquire.monitor.picture import picture
 from acquire.monitor.state import State
+from acquire.monitor.view_model import picture
 from acquire.web import packaged
 
 _SCRIPTS = ("figures", "alarms", "map", "monitor")

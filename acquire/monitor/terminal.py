@@ -11,10 +11,10 @@ from rich.table import Table
 from rich.text import Text
 
 from acquire.channels.decoded import SECOND_NS
+from acquire.monitor.braille_map import sketch
 from acquire.monitor.chart import Layer
-from acquire.monitor.picture import CameraRow, LinkRow, Picture, ReceiverRow, Word
-from acquire.monitor.sketch import sketch
 from acquire.monitor.state import Alarm
+from acquire.monitor.view_model import CameraRow, LinkRow, Picture, ReceiverRow, Word
 
 # Sign and word differ as well as the colour.
 _SIGNS = {"good": "✓", "warn": "▲", "bad": "✕", "off": "·", "note": "–"}

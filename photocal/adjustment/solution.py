@@ -162,3 +162,10 @@ def global_test(chi_squared: float, degrees_of_freedom: int, probability: float 
     )
     accepted = bool(lower <= chi_squared <= upper)
     return GlobalTest(probability, float(lower), float(upper), min(float(p_value), 1.0), accepted)
+
+
+def upper_global_test(chi_squared: float, degrees_of_freedom: float, probability: float = 0.90) -> GlobalTest:
+    """Test whether the residuals are larger than assumed (one-sided; canon-elph study, Table 5, at 90 %)."""
+    upper = float(special.chdtri(degrees_of_freedom, 1.0 - probability))
+    p_value = float(special.chdtrc(degrees_of_freedom, chi_squared))
+    return GlobalTest(probability, 0.0, upper, p_value, chi_squared <= upper)

@@ -12,10 +12,10 @@ from photocal.analysis.correlation import StrongCorrelation, strong_correlations
 from photocal.analysis.effects import Effect, effects
 from photocal.analysis.estimates import Estimates, scaled
 from photocal.analysis.exterior_correlation import ExteriorCorrelation, exterior_correlations
-from photocal.analysis.hidden.left_out import Checks, LeftOut, left_out
-from photocal.analysis.hidden.refit import Fit
-from photocal.analysis.hidden.search import camera_estimates
 from photocal.analysis.significance import FTest, significance
+from photocal.analysis.systematic_errors.left_out import Checks, LeftOut, left_out
+from photocal.analysis.systematic_errors.refit import Fit
+from photocal.analysis.systematic_errors.search import camera_estimates
 
 
 @dataclass(frozen=True)

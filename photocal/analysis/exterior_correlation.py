@@ -11,7 +11,7 @@ from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.state import State
 from photocal.analysis.correlation import cause
 from photocal.analysis.estimates import Array
-from photocal.analysis.hidden.refit import Fit, lowest
+from photocal.analysis.systematic_errors.refit import Fit, lowest
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import angles_from_matrix
 

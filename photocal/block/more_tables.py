@@ -20,7 +20,7 @@ from photocal.adjustment.reliability import POWER, SIGNIFICANCE, reliability
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.variance_components import Component
 from photocal.block.model import Block
-from photocal.block.network import Assembly, plane_per_unit
+from photocal.block.network import NetworkOfBlock, plane_per_unit
 from photocal.geometry.camera import PARAMETERS
 
 Floats = NDArray[np.float64]
@@ -70,7 +70,7 @@ def parse_joint(text: str) -> tuple[tuple[str, str], ...]:
 
 
 def more_figures(
-    assembly: Assembly, covariance: Floats, wanted: Wanted, components: Sequence[Component]
+    assembly: NetworkOfBlock, covariance: Floats, wanted: Wanted, components: Sequence[Component]
 ) -> dict[str, Any]:
     """What `result.json` says of them."""
     free = ~assembly.network.points.held.any(axis=1)
@@ -92,7 +92,12 @@ def more_figures(
 
 
 def write_more(
-    folder: Path, block: Block, assembly: Assembly, solution: Solution, covariance: Floats, wanted: Wanted
+    folder: Path,
+    block: Block,
+    assembly: NetworkOfBlock,
+    solution: Solution,
+    covariance: Floats,
+    wanted: Wanted,
 ) -> None:
     """Write the tables that are asked for."""
     if len(solution.photo_variant.image):
@@ -132,7 +137,9 @@ def _photo_variant(block: Block, solution: Solution) -> dict[str, Any]:
     }
 
 
-def _ellipses(block: Block, assembly: Assembly, covariance: Floats, probability: float) -> dict[str, Any]:
+def _ellipses(
+    block: Block, assembly: NetworkOfBlock, covariance: Floats, probability: float
+) -> dict[str, Any]:
     plane, space = ellipses(covariance, probability), ellipsoids(covariance, probability)
     columns: dict[str, Any] = {
         "point": [block.points.names[j] for j in assembly.points],
@@ -147,7 +154,7 @@ def _ellipses(block: Block, assembly: Assembly, covariance: Floats, probability:
     return columns
 
 
-def _reliability(block: Block, assembly: Assembly, solution: Solution) -> dict[str, dict[str, Any]]:
+def _reliability(block: Block, assembly: NetworkOfBlock, solution: Solution) -> dict[str, dict[str, Any]]:
     """Tables of the rays and of the control coordinates; an infinite figure is an empty cell."""
     found = reliability(assembly.network, solution)
     network = assembly.network

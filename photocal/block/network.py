@@ -29,7 +29,7 @@ Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Assembly:
+class NetworkOfBlock:
     """A network and how its arrays correspond to those of its block.
 
     Attributes
@@ -48,7 +48,7 @@ class Assembly:
     frame: Frame
 
 
-def assemble(block: Block) -> Assembly:
+def assemble(block: Block) -> NetworkOfBlock:
     """Make the network of a block.
 
     Raises
@@ -106,7 +106,7 @@ def assemble(block: Block) -> Assembly:
         block.attitudes,
         block.mounting,
     )
-    return Assembly(network, used, order, frame)
+    return NetworkOfBlock(network, used, order, frame)
 
 
 def block_frame(block: Block) -> Frame:

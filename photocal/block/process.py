@@ -18,7 +18,7 @@ from photocal.adjustment.variance_components import Component, estimate_componen
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.block.more_tables import Wanted, more_figures, write_more
-from photocal.block.network import Assembly, assemble
+from photocal.block.network import NetworkOfBlock, assemble
 from photocal.block.run import given_points, summary, write_run
 
 NOTHING_MORE = Wanted()
@@ -93,8 +93,8 @@ def _origin(source: Path, block: Block, output: Path) -> dict[str, str]:
 
 
 def adjusted(
-    assembly: Assembly, snooping: Test | None = None, report: Report | None = None
-) -> tuple[Assembly, Solution]:
+    assembly: NetworkOfBlock, snooping: Test | None = None, report: Report | None = None
+) -> tuple[NetworkOfBlock, Solution]:
     """Adjust the network of an assembly.
 
     Parameters
@@ -106,7 +106,7 @@ def adjusted(
 
     Returns
     -------
-    assembly : Assembly
+    assembly : NetworkOfBlock
         With snooping, only what is accepted remains in its network.
 
     Raises

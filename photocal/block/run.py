@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from photocal.adjustment.mounting import BORESIGHT, COMMON, STRIPS
 from photocal.adjustment.solution import Solution, global_test
 from photocal.block.model import ROLES, Block, FiducialFit
-from photocal.block.network import Assembly, plane_per_unit
+from photocal.block.network import NetworkOfBlock, plane_per_unit
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.frames import nearest_rotation
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
@@ -29,7 +29,7 @@ LONG_TABLE = 500_000
 
 
 def summary(
-    block: Block, assembly: Assembly, solution: Solution, timing_s: dict[str, float]
+    block: Block, assembly: NetworkOfBlock, solution: Solution, timing_s: dict[str, float]
 ) -> dict[str, Any]:
     """Make the content of `result.json`.
 
@@ -82,7 +82,7 @@ def _unobserved(block: Block) -> NDArray[np.bool_]:
 
 
 def write_run(
-    folder: Path, block: Block, assembly: Assembly, solution: Solution, result: dict[str, Any]
+    folder: Path, block: Block, assembly: NetworkOfBlock, solution: Solution, result: dict[str, Any]
 ) -> None:
     """Write `result.json` and the tables beside it.
 
@@ -181,7 +181,7 @@ def _fiducials(fit: FiducialFit) -> dict[str, Any]:
     }
 
 
-def _rejected(block: Block, assembly: Assembly) -> list[dict[str, str]]:
+def _rejected(block: Block, assembly: NetworkOfBlock) -> list[dict[str, str]]:
     """Observations that take no part because data snooping found them wrong."""
     part = np.zeros(len(block.observations.image), dtype=np.bool_)
     part[assembly.rays] = True
@@ -194,7 +194,7 @@ def _rejected(block: Block, assembly: Assembly) -> list[dict[str, str]]:
     ]
 
 
-def _image_residuals(block: Block, assembly: Assembly, solution: Solution) -> dict[str, Any]:
+def _image_residuals(block: Block, assembly: NetworkOfBlock, solution: Solution) -> dict[str, Any]:
     v = observed_residuals(block, assembly, solution)
     image = assembly.network.rays.image
     count = np.bincount(image, minlength=len(block.images.names))
@@ -207,7 +207,7 @@ def _image_residuals(block: Block, assembly: Assembly, solution: Solution) -> di
     }
 
 
-def _checks(block: Block, assembly: Assembly, solution: Solution) -> dict[str, Any]:
+def _checks(block: Block, assembly: NetworkOfBlock, solution: Solution) -> dict[str, Any]:
     """Differences adjusted minus surveyed at the check points."""
     check = block.points.of_role("check")[assembly.points]
     index = assembly.points[check]
@@ -224,21 +224,21 @@ def _checks(block: Block, assembly: Assembly, solution: Solution) -> dict[str, A
     return {"n": len(d), "rmse_m": dict(zip("xyz", rmse, strict=True)), "points": points}
 
 
-def observed_residuals(block: Block, assembly: Assembly, solution: Solution) -> Floats:
+def observed_residuals(block: Block, assembly: NetworkOfBlock, solution: Solution) -> Floats:
     """Residuals (computed minus measured) in the unit and axes of the observations, shape (rays, 2)."""
     camera = block.images.camera[assembly.network.rays.image]
     sign = np.array([1.0, -1.0 if block.observations.axes == "pixel" else 1.0])
     return np.asarray(solution.residuals / plane_per_unit(block)[camera] * sign)
 
 
-def given_points(assembly: Assembly, solution: Solution) -> tuple[Floats, Floats]:
+def given_points(assembly: NetworkOfBlock, solution: Solution) -> tuple[Floats, Floats]:
     """Adjusted points in the block's coordinates, shape (n, 3), and their covariance, (n, 3, 3)."""
     values = assembly.frame.to_given(solution.points)
     back = np.linalg.inv(assembly.frame.derivative(values))
     return values, np.asarray(back @ solution.point_covariance @ np.swapaxes(back, 1, 2))
 
 
-def given_exposures(assembly: Assembly, solution: Solution) -> tuple[Floats, Floats]:
+def given_exposures(assembly: NetworkOfBlock, solution: Solution) -> tuple[Floats, Floats]:
     """Adjusted exterior orientation in the block's coordinates, shape (n, 6), and covariance, (n, 6, 6).
 
     The angles refer to the axes of the given coordinates at each image.
@@ -258,7 +258,7 @@ def given_exposures(assembly: Assembly, solution: Solution) -> tuple[Floats, Flo
     return values, np.asarray(covariance)
 
 
-def _images(block: Block, assembly: Assembly, solution: Solution) -> Any:
+def _images(block: Block, assembly: NetworkOfBlock, solution: Solution) -> Any:
     values, covariance = given_exposures(assembly, solution)
     sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     columns: dict[str, Any] = {
@@ -276,7 +276,7 @@ def _images(block: Block, assembly: Assembly, solution: Solution) -> Any:
     return pa.table(columns)
 
 
-def _points(block: Block, assembly: Assembly, solution: Solution) -> Any:
+def _points(block: Block, assembly: NetworkOfBlock, solution: Solution) -> Any:
     values, covariance = given_points(assembly, solution)
     sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     columns: dict[str, Any] = {
@@ -291,7 +291,7 @@ def _points(block: Block, assembly: Assembly, solution: Solution) -> Any:
     return pa.table({name: columns[name] for name in order})
 
 
-def _residuals(block: Block, assembly: Assembly, solution: Solution) -> Any:
+def _residuals(block: Block, assembly: NetworkOfBlock, solution: Solution) -> Any:
     """One row for each observation, in the order of the block's table."""
     observations = block.observations
     sign = np.array([1.0, -1.0 if observations.axes == "pixel" else 1.0])
@@ -315,7 +315,7 @@ def _residuals(block: Block, assembly: Assembly, solution: Solution) -> Any:
     return pa.table(columns)
 
 
-def _covariances(block: Block, assembly: Assembly, solution: Solution) -> Any:
+def _covariances(block: Block, assembly: NetworkOfBlock, solution: Solution) -> Any:
     """One row for each image (deg, m), point (m) and camera: its unknowns and the lower triangle by rows."""
     scale = np.array([*np.degrees(np.ones(3)), 1.0, 1.0, 1.0])
     pose, xyz = ["omega", "phi", "kappa", "X", "Y", "Z"], ["X", "Y", "Z"]

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     import numpy as np
 
     from photocal.accuracy.assessment import Question
-    from photocal.accuracy.georeferencing.experiment import InteriorSet
-    from photocal.accuracy.georeferencing.simulated import Degradation
     from photocal.accuracy.standard import Standard
+    from photocal.georeferencing.experiment import InteriorSet
+    from photocal.georeferencing.simulated import Degradation
     from photocal.project import Project
 
 
@@ -32,11 +32,11 @@ def judge_block(
 ) -> None:
     """Georeference a block three ways, judge it and answer."""
     from photocal.accuracy.geopackage import reference_system
-    from photocal.accuracy.georeferencing.as_json import to_json
-    from photocal.accuracy.georeferencing.as_text import to_text
-    from photocal.accuracy.georeferencing.comparison import check_block
-    from photocal.accuracy.georeferencing.methods import METHODS
     from photocal.exchange.any_block import read_any_block
+    from photocal.georeferencing.as_json import to_json
+    from photocal.georeferencing.as_text import to_text
+    from photocal.georeferencing.comparison import check_block
+    from photocal.georeferencing.methods import METHODS
     from photocal.run.georeferencing import own_calibration
 
     read = read_any_block(source)
@@ -48,7 +48,7 @@ def judge_block(
         result = check_block(read, standards, question, noise, lambda _: advance(1), calibration)
     content = to_json(result)
     if output is not None:
-        from photocal.accuracy.georeferencing.output import write_check
+        from photocal.georeferencing.output import write_check
 
         system = system or reference_system(None if read.frame == "local" else read.frame)
         write_check(result, content, output, system, changed_utc(source))
@@ -80,10 +80,10 @@ def with_project(path: Path, question: Question) -> tuple[Project, Question]:
 
 def judge_experiment(path: Path, output: Path | None, *, as_json: bool) -> None:
     """Run an experiment with interior orientations and control patterns, and answer."""
-    from photocal.accuracy.georeferencing.experiment import run_experiment
-    from photocal.accuracy.georeferencing.experiment_file import read_experiment
-    from photocal.accuracy.georeferencing.experiment_output import to_json, to_text, write_experiment
     from photocal.exchange.any_block import read_any_block
+    from photocal.georeferencing.experiment import run_experiment
+    from photocal.georeferencing.experiment_file import read_experiment
+    from photocal.georeferencing.experiment_output import to_json, to_text, write_experiment
 
     asked = read_experiment(path, read_any_block, _interiors)
     with progress("running", None) as advance:
@@ -98,9 +98,9 @@ def _interiors(path: Path) -> tuple[InteriorSet, ...]:
     """Calibrations of a file as `photocal compare` reads it."""
     import numpy as np
 
-    from photocal.accuracy.georeferencing.experiment import InteriorSet
     from photocal.analysis.stability.camera_file import read_camera_file
     from photocal.geometry.camera import PARAMETERS
+    from photocal.georeferencing.experiment import InteriorSet
 
     sets = []
     for one in read_camera_file(path).calibrations:
@@ -119,7 +119,7 @@ def noise_of(text: str, seed: int) -> tuple[Degradation, np.random.Generator]:
 
     import numpy as np
 
-    from photocal.accuracy.georeferencing.simulated import Degradation
+    from photocal.georeferencing.simulated import Degradation
 
     try:
         position, attitude = (float(part) for part in text.split(","))

@@ -29,7 +29,7 @@ def judge_product(
     from photocal.accuracy.as_json import to_json
     from photocal.accuracy.as_text import to_text
     from photocal.accuracy.assessment import assess
-    from photocal.accuracy.georeferencing.as_json import finite
+    from photocal.georeferencing.as_json import finite
 
     result = assess(found.discrepancies, standards, question)
     _files(result.discrepancies, path, figures, geopackage, crs)

@@ -56,7 +56,7 @@ def measure_board(
     name : str
         Of the block.
     done : callable
-        Told 1 after each image.
+        ProcessingWarnings 1 after each image.
 
     Raises
     ------

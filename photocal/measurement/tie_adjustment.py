@@ -11,7 +11,7 @@ from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.solution import Solution
 from photocal.block.model import Block, Images
-from photocal.block.network import Assembly, assemble
+from photocal.block.network import NetworkOfBlock, assemble
 from photocal.block.run import given_exposures, given_points
 from photocal.geometry.camera import Camera
 from photocal.measurement.ray_sigmas import GROSS, ray_sigmas
@@ -43,7 +43,7 @@ class Adjusted:
     block: Block
     tracks: Tracks
     values: Floats
-    assembly: Assembly
+    assembly: NetworkOfBlock
     solution: Solution
     rejected: int
 
@@ -112,7 +112,7 @@ def _oriented(block: Block, poses: Floats) -> Block:
     return replace(block, images=replace(block.images, values=poses))
 
 
-def _solved(start: Block, assembly: Assembly, *, held: bool) -> tuple[Block, Assembly, Solution]:
+def _solved(start: Block, assembly: NetworkOfBlock, *, held: bool) -> tuple[Block, NetworkOfBlock, Solution]:
     """Adjust, and give the cameras their new values; where the block does not bear them they are held."""
     if held:
         assembly = _with_cameras(assembly, _held(assembly.network.cameras))
@@ -132,11 +132,11 @@ def _held(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
     return tuple(replace(own, estimated=np.zeros_like(own.estimated)) for own in cameras)
 
 
-def _with_cameras(assembly: Assembly, cameras: tuple[Camera, ...]) -> Assembly:
+def _with_cameras(assembly: NetworkOfBlock, cameras: tuple[Camera, ...]) -> NetworkOfBlock:
     return replace(assembly, network=replace(assembly.network, cameras=cameras))
 
 
-def pixel_residuals(assembly: Assembly, solution: Solution) -> Floats:
+def pixel_residuals(assembly: NetworkOfBlock, solution: Solution) -> Floats:
     """Residuals in the order of the block's observations, px, whatever the unit of the cameras; (n, 2)."""
     network = assembly.network
     pitch = np.array([own.pitch for own in network.cameras])[network.exposures.camera[network.rays.image]]
@@ -145,7 +145,7 @@ def pixel_residuals(assembly: Assembly, solution: Solution) -> Floats:
     return residuals
 
 
-def _by_ray(assembly: Assembly, solution: Solution) -> tuple[Floats, Floats]:
+def _by_ray(assembly: NetworkOfBlock, solution: Solution) -> tuple[Floats, Floats]:
     """Length of the residual, px, and mean redundancy number of each observation of the block."""
     size = np.hypot(*pixel_residuals(assembly, solution).T)
     redundancy = np.empty(len(assembly.rays))

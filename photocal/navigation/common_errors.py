@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.navigation.engine_sights import Sights, correlation_time_s, shift_by_zenith_delay
+from photocal.navigation.satellite_residuals import Sights, correlation_time_s, shift_by_zenith_delay
 from photocal.navigation.static_position import PER_METRE
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric, geodetic

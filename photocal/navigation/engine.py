@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import IllPosedError, ProgramMissingError
 from photocal.navigation.engine_output import EngineSolution, read_solution
-from photocal.navigation.engine_sights import Sights, read_sights
+from photocal.navigation.satellite_residuals import Sights, read_sights
 from photocal.navigation.time import GpsTime
 
 Mode = Literal["kinematic", "static", "single", "ppp-static"]

@@ -14,9 +14,9 @@ from photocal.navigation.combination import between_directions
 from photocal.navigation.common_errors import CommonErrors, common_errors
 from photocal.navigation.engine import Direction, Engine, Mode, ProcessingOptions
 from photocal.navigation.engine_output import EngineSolution
-from photocal.navigation.engine_sights import Sights
 from photocal.navigation.fix_validation import Judgement, judge
 from photocal.navigation.rinex import ObservationFile, count_ephemerides
+from photocal.navigation.satellite_residuals import Sights
 from photocal.navigation.static_position import in_order, static_position, trajectory_of
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric, geodetic

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from acquire.outputs import output_file
-from photocal.analysis.hidden.left_out import Checks
 from photocal.analysis.outcome import Outcome, analyse_network
+from photocal.analysis.systematic_errors.left_out import Checks
 from photocal.block.model import Block
-from photocal.block.network import Assembly
+from photocal.block.network import NetworkOfBlock
 from photocal.exchange.any_block import read_any_block
 from photocal.report.analysis_record import analysis_record, as_plain
 from photocal.report.as_adjusted import as_adjusted
@@ -79,6 +79,6 @@ def analyse_run(
     return outcome
 
 
-def _checks(block: Block, assembly: Assembly) -> Checks:
+def _checks(block: Block, assembly: NetworkOfBlock) -> Checks:
     check = np.flatnonzero(block.points.of_role("check")[assembly.points])
     return Checks(check, assembly.frame.to_local(block.points.values[assembly.points[check]]))

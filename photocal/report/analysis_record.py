@@ -10,9 +10,9 @@ import numpy as np
 
 from photocal.analysis.camera_analysis import CameraAnalysis
 from photocal.analysis.finding import Finding
-from photocal.analysis.hidden.search import Search
 from photocal.analysis.method import MethodCheck
 from photocal.analysis.outcome import Outcome
+from photocal.analysis.systematic_errors.search import Search
 from photocal.geometry.camera import PARAMETERS
 from photocal.report.catalogue import Catalogue
 from photocal.report.run_reader import ANALYSIS_SCHEMA

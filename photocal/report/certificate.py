@@ -18,9 +18,10 @@ from photocal.report.block_sections import (
 )
 from photocal.report.camera_sections import camera_facts, correlations, interior_orientation
 from photocal.report.catalogue import Catalogue
+from photocal.report.certificate_metadata import Particulars
+from photocal.report.derived_figures import Facts, facts
 from photocal.report.digits import fixed, measured, relation
 from photocal.report.document import Document, Highlight, KeyValues, Piece, Section, Statement
-from photocal.report.facts import Facts, facts
 from photocal.report.image_sections import image_residuals, radial_distortion, rms_px
 from photocal.report.ministry_rows import Context
 from photocal.report.ministry_sections import (
@@ -31,10 +32,9 @@ from photocal.report.ministry_sections import (
     signature,
     technical_report,
 )
-from photocal.report.particulars import Particulars
 from photocal.report.run import CameraResult, Run
 from photocal.report.sensor import sensor_residuals
-from photocal.report.warning_sections import NOTHING_TOLD, Told, warned, warning_sections
+from photocal.report.warning_sections import NO_WARNINGS, ProcessingWarnings, warned, warning_sections
 from photocal.report.words import finding_text
 
 # Findings of the plausibility that a reader must see first.
@@ -42,7 +42,9 @@ WEAK = "weak_principal_distance"
 WORDS = ("table", "figure", "page", "of", "contents")
 
 
-def certificate(run: Run, particulars: Particulars, say: Catalogue, told: Told = NOTHING_TOLD) -> Document:
+def certificate(
+    run: Run, particulars: Particulars, say: Catalogue, told: ProcessingWarnings = NO_WARNINGS
+) -> Document:
     """Compose the certificate.
 
     Parameters
@@ -53,7 +55,7 @@ def certificate(run: Run, particulars: Particulars, say: Catalogue, told: Told =
         What a person gives.
     say : Catalogue
         Language.
-    told : Told
+    told : ProcessingWarnings
         By the processing before the adjustment.
 
     Raises
@@ -83,7 +85,7 @@ def _subtitle(run: Run, say: Catalogue) -> str:
     return say("title.subtitle" if calibrated else "title.subtitle_held", cameras=", ".join(cameras))
 
 
-def certificate_number(run: Run, particulars: Particulars, told: Told = NOTHING_TOLD) -> str:
+def certificate_number(run: Run, particulars: Particulars, told: ProcessingWarnings = NO_WARNINGS) -> str:
     """Make a certificate's number from date, inputs, software and particulars, in whatever language."""
     software = run.result.software
     files = (f"{f.path} {f.sha256}" for f in run.result.inputs)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from photocal.accuracy.georeferencing.direct import direct_orientation
-from photocal.accuracy.georeferencing.local import in_local_frame
-from photocal.accuracy.georeferencing.methods import local_origin
 from photocal.adjustment.adjust import adjust
 from photocal.block.model import Block
 from photocal.geometry.rotation import angles_from_matrix
+from photocal.georeferencing.direct import direct_orientation
+from photocal.georeferencing.local import in_local_frame
+from photocal.georeferencing.methods import local_origin
 from photocal.report.as_adjusted import as_adjusted
 from photocal.report.run import Result
 from photocal.report.stored_analysis import ExteriorDifference

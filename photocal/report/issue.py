@@ -11,14 +11,14 @@ from drivers.errors import InputNotFoundError
 from photocal.report.block_files import Source, block_of_run, carry
 from photocal.report.catalogue import catalogue
 from photocal.report.certificate import certificate
+from photocal.report.certificate_metadata import read_particulars
 from photocal.report.document import Document
 from photocal.report.html import html
-from photocal.report.particulars import read_particulars
 from photocal.report.pdf import pdf
 from photocal.report.record import NAME, record, with_documents
 from photocal.report.run import Run
 from photocal.report.run_reader import read_run
-from photocal.report.warning_sections import NOTHING_TOLD, Told
+from photocal.report.warning_sections import NO_WARNINGS, ProcessingWarnings
 
 FORMS = ("certificate.html", "certificate.pdf", NAME)
 
@@ -33,7 +33,7 @@ def issue(
     particulars: Path | None = None,
     client: str = "",
     operator: str = "",
-    told: Told = NOTHING_TOLD,
+    told: ProcessingWarnings = NO_WARNINGS,
     done: Callable[[], None] = lambda: None,
 ) -> Document:
     """Write the certificate of a run.
@@ -54,7 +54,7 @@ def issue(
         TOML file with what a person gives.
     client, operator : str
         For whom and by whom; go before those of the file.
-    told : Told
+    told : ProcessingWarnings
         By the processing before the adjustment.
     done : callable
         Called after each of four steps.

@@ -9,6 +9,8 @@ from typing import Literal
 from photocal.report.acceptance import verdict
 from photocal.report.camera_sections import POWERS
 from photocal.report.catalogue import Catalogue
+from photocal.report.certificate_metadata import Particulars
+from photocal.report.derived_figures import Facts
 from photocal.report.digits import (
     MINUS,
     as_given,
@@ -19,8 +21,6 @@ from photocal.report.digits import (
     symbol,
     unit_power,
 )
-from photocal.report.facts import Facts
-from photocal.report.particulars import Particulars
 from photocal.report.run import CameraResult, Run
 
 Origin = Literal["computed", "given", "fixed", "not_determined"]

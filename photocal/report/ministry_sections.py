@@ -5,6 +5,8 @@ from __future__ import annotations
 from photocal.analysis.finding import Finding
 from photocal.report.acceptance import Limit, verdict
 from photocal.report.catalogue import Catalogue
+from photocal.report.certificate_metadata import Particulars
+from photocal.report.derived_figures import Facts
 from photocal.report.digits import as_given, significant
 from photocal.report.document import (
     Column,
@@ -17,10 +19,8 @@ from photocal.report.document import (
     Table,
     Tone,
 )
-from photocal.report.facts import Facts
 from photocal.report.ministry import entries, read_layout
 from photocal.report.ministry_rows import Context, corners
-from photocal.report.particulars import Particulars
 from photocal.report.words import finding_text
 
 TONES: dict[str, Tone] = {"acceptable": "good", "new_calibration": "bad", "not_determined": "note"}

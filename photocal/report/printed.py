@@ -13,7 +13,7 @@ from drivers.errors import ConfigurationError
 from photocal.analysis.finding import Finding
 from photocal.analysis.plausibility import CalibrationRecord, Offsets, effective_unit, plausibility
 from photocal.report.acceptance import Limit, expected_altimetric_error_cm, limits
-from photocal.report.particulars import GnssInsKeys, StrictKeys, load_toml
+from photocal.report.certificate_metadata import GnssInsKeys, StrictKeys, load_toml
 
 Pair = tuple[FiniteFloat, FiniteFloat]
 

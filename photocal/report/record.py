@@ -15,19 +15,21 @@ from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.report.acceptance import verdict
 from photocal.report.catalogue import Catalogue
 from photocal.report.certificate import certificate_number
+from photocal.report.certificate_metadata import Particulars
+from photocal.report.derived_figures import Facts, facts
 from photocal.report.distortion import farthest_corner, radial_profile
-from photocal.report.facts import Facts, facts
 from photocal.report.ministry import entries, read_layout
 from photocal.report.ministry_rows import Context
-from photocal.report.particulars import Particulars
 from photocal.report.run import Result, Run
-from photocal.report.warning_sections import NOTHING_TOLD, Told
+from photocal.report.warning_sections import NO_WARNINGS, ProcessingWarnings
 
 SCHEMA = "photocal.certificate/1"
 NAME = "certificate.json"
 
 
-def record(run: Run, particulars: Particulars, say: Catalogue, told: Told = NOTHING_TOLD) -> dict[str, Any]:
+def record(
+    run: Run, particulars: Particulars, say: Catalogue, told: ProcessingWarnings = NO_WARNINGS
+) -> dict[str, Any]:
     """Make the machine-readable certificate.
 
     Parameters
@@ -38,7 +40,7 @@ def record(run: Run, particulars: Particulars, say: Catalogue, told: Told = NOTH
         What a person gave.
     say : Catalogue
         Language of the technical report's texts.
-    told : Told
+    told : ProcessingWarnings
         By the processing before the adjustment.
 
     Returns
@@ -127,7 +129,7 @@ def _report(context: Context) -> list[dict[str, str]]:
 
 
 def plain_record(
-    run: Run, particulars: Particulars, say: Catalogue, told: Told = NOTHING_TOLD
+    run: Run, particulars: Particulars, say: Catalogue, told: ProcessingWarnings = NO_WARNINGS
 ) -> dict[str, Any]:
     """Make the certificate as it comes back from JSON: lists for tuples."""
     content: dict[str, Any] = json.loads(json.dumps(record(run, particulars, say, told), allow_nan=False))

@@ -13,10 +13,10 @@ from photocal.exchange.any_block import read_any_block
 from photocal.report.analysis_file import analyse_run
 from photocal.report.block_files import CARRIED, Source, carry
 from photocal.report.catalogue import catalogue
-from photocal.report.particulars import given_particulars
+from photocal.report.certificate_metadata import given_particulars
 from photocal.report.record import certified_result, plain_record
 from photocal.report.run_reader import read_run
-from photocal.report.warning_sections import Told
+from photocal.report.warning_sections import ProcessingWarnings
 
 
 def repeated(
@@ -59,7 +59,7 @@ def repeated(
         if analysis is not None:
             asked = analysis["alpha"], analysis["correlation_threshold"]
             analyse_run(aside / "run", copied.path, *asked, done)
-        told = Told(tuple(certified["warnings"]), tuple(certified["notes"]))
+        told = ProcessingWarnings(tuple(certified["warnings"]), tuple(certified["notes"]))
         again = plain_record(read_run(aside / "run"), particulars, say, told)
     # A block that does not name itself is called as its folder, which is another one here.
     again["result"]["block"]["name"] = certified["result"]["block"].get("name")

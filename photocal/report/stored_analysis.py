@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from photocal.analysis.correlation import StrongCorrelation
 from photocal.analysis.exterior_correlation import ExteriorCorrelation
 from photocal.analysis.finding import Figure, Finding, Severity, Size
-from photocal.analysis.hidden.variance_components import AssumedSigma
 from photocal.analysis.method import MethodCheck
+from photocal.analysis.systematic_errors.variance_components import AssumedSigma
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from photocal.report.document import Column, Section, Statement, Table
 
 
 @dataclass(frozen=True)
-class Told:
+class ProcessingWarnings:
     """What the processing told, each a sentence.
 
     Attributes
@@ -24,10 +24,10 @@ class Told:
     notes: tuple[str, ...] = ()
 
 
-NOTHING_TOLD = Told()
+NO_WARNINGS = ProcessingWarnings()
 
 
-def warned(told: Told, say: Catalogue) -> list[Statement]:
+def warned(told: ProcessingWarnings, say: Catalogue) -> list[Statement]:
     """Say at the head of a document that there are warnings.
 
     Parameters
@@ -46,7 +46,7 @@ def warned(told: Told, say: Catalogue) -> list[Statement]:
     return [Statement("bad", say("warnings.title"), text)]
 
 
-def warning_sections(told: Told, say: Catalogue) -> list[Section]:
+def warning_sections(told: ProcessingWarnings, say: Catalogue) -> list[Section]:
     """List warnings and notes."""
     kinds = (("warning", told.warnings), ("note", told.notes))
     tables = []

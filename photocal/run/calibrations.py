@@ -173,9 +173,9 @@ def exchanged(flights: Sequence[Calibrated], done: Callable[[], None] = lambda: 
     PhotocalError
         When a flight has no positions, attitudes or check points.
     """
-    from photocal.accuracy.georeferencing.differences import differences
-    from photocal.accuracy.georeferencing.methods import of_method
     from photocal.block.folder import read_block
+    from photocal.georeferencing.differences import differences
+    from photocal.georeferencing.methods import of_method
     from photocal.run.georeferencing import calibrated_on_the_job
 
     prepared = [calibrated_on_the_job(read_block(flight.block)) for flight in flights]

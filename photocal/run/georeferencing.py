@@ -11,8 +11,8 @@ from photocal.project import Project
 from photocal.run.stage import Progress, Stage
 
 if TYPE_CHECKING:
-    from photocal.accuracy.georeferencing.calibrated import Calibration
     from photocal.block.model import Block
+    from photocal.georeferencing.calibrated import Calibration
 
 FIGURES = "check.json"
 
@@ -36,13 +36,13 @@ def _files(project: Project) -> list[str]:
 def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
     from photocal.accuracy.assessment import Question
     from photocal.accuracy.geopackage import reference_system
-    from photocal.accuracy.georeferencing.as_json import to_json
-    from photocal.accuracy.georeferencing.comparison import check_block
-    from photocal.accuracy.georeferencing.methods import METHODS
-    from photocal.accuracy.georeferencing.output import write_check
     from photocal.accuracy.map_scale import parse_scale
     from photocal.accuracy.standard_file import SHIPPED, load_standard
     from photocal.block.folder import read_block
+    from photocal.georeferencing.as_json import to_json
+    from photocal.georeferencing.comparison import check_block
+    from photocal.georeferencing.methods import METHODS
+    from photocal.georeferencing.output import write_check
 
     asked = project.contents.judgement
     question = Question(
@@ -85,10 +85,10 @@ def own_calibration(block: Block) -> Calibration | None:
 
 def calibrated_on_the_job(block: Block) -> tuple[Block, Calibration]:
     """Calibrate camera and mounting of a flight."""
-    from photocal.accuracy.georeferencing.calibrated import calibrate
-    from photocal.accuracy.georeferencing.local import in_local_frame
-    from photocal.accuracy.georeferencing.methods import checkable, without_weak_images
-    from photocal.accuracy.georeferencing.mounted import with_attitude_angles
+    from photocal.georeferencing.calibrated import calibrate
+    from photocal.georeferencing.local import in_local_frame
+    from photocal.georeferencing.methods import checkable, without_weak_images
+    from photocal.georeferencing.mounted import with_attitude_angles
 
     local = with_attitude_angles(checkable(in_local_frame(block)))
     return local, calibrate(without_weak_images(local)[0])

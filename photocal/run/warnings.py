@@ -7,9 +7,9 @@ from collections.abc import Callable, Container, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from photocal.report.warning_sections import NOTHING_TOLD, Told
-from photocal.run.causes import causes_first
+from photocal.report.warning_sections import NO_WARNINGS, ProcessingWarnings
 from photocal.run.doubt import Doubt
+from photocal.run.root_causes import causes_first
 
 LEAST_FIXED_PERCENT = 95.0
 # Findings of the exposures that are told image by image.
@@ -64,7 +64,7 @@ def gather(work: Path, stages: Container[str] | None = None) -> tuple[Doubt, ...
     return causes_first(found.values(), 100.0 if ppk is None else float(ppk["fixed_percent"]))
 
 
-def told_beside(run: Path) -> Told:
+def told_beside(run: Path) -> ProcessingWarnings:
     """Give what the whole processing told to a certificate that is made of one of its stages.
 
     Parameters
@@ -74,11 +74,11 @@ def told_beside(run: Path) -> Told:
 
     Returns
     -------
-    Told
+    ProcessingWarnings
         Nothing for a folder of `photocal adjust`, which has no stages beside it.
     """
     if not (run / "stage.json").is_file():
-        return NOTHING_TOLD
+        return NO_WARNINGS
     work = run.resolve().parent
     found = gather(work)
     if not (work / "georeferencing").is_dir():
@@ -86,12 +86,12 @@ def told_beside(run: Path) -> Told:
     return told_by(found)
 
 
-def told_by(doubts: Iterable[Doubt]) -> Told:
+def told_by(doubts: Iterable[Doubt]) -> ProcessingWarnings:
     """Sort warnings and notes for a certificate."""
     kinds: tuple[list[str], list[str]] = ([], [])
     for one in doubts:
         kinds[one.kind == "note"].append(f"{one.code}: {one.text}")
-    return Told(tuple(kinds[0]), tuple(kinds[1]))
+    return ProcessingWarnings(tuple(kinds[0]), tuple(kinds[1]))
 
 
 def read_json(path: Path) -> dict[str, Any] | None:

@@ -67,7 +67,7 @@ def run_project(
     again : str, optional
         A stage that is made even when nothing has changed.
     told : callable
-        Told of each stage that is done.
+        ProcessingWarnings of each stage that is done.
 
     Raises
     ------

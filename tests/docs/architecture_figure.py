@@ -84,16 +84,17 @@ BOXES = (
     Box("commands", "what a person types", ("photocal.commands", "photocal.cli"), 560, 600, 0),
     Box("run", "the stages of a project, kept by content", ("photocal.run",), 560, 370, 1),
     Box("navigation", "PPK, exposures", ("photocal.navigation",), 560, 150, 2, "4"),
-    Box("report", "certificate, verification", ("photocal.report",), 780, 150, 2, "9"),
-    Box("products", "orthophotos", ("photocal.products",), 950, 98, 2),
-    Box("planning", "next flight", ("photocal.planning",), 1062, 98, 2),
+    Box("report", "certificate, verification", ("photocal.report",), 780, 230, 2, "9"),
+    Box("products", "orthophotos", ("photocal.products",), 1020, 66, 2),
+    Box("planning", "next flight", ("photocal.planning",), 1094, 66, 2),
     Box("measurement", "targets, ties, marks", ("photocal.measurement",), 560, 150, 3, "5"),
-    Box("accuracy", "check points, classes", ("photocal.accuracy",), 950, 210, 3, "8"),
+    Box("georeferencing", "DG, ISO, AT", ("photocal.georeferencing",), 880, 130, 3, "8"),
+    Box("accuracy", "classes", ("photocal.accuracy",), 1060, 100, 6, "8"),
     Box("project", "the project file", ("photocal.project", "photocal.project_tables"), 560, 150, 4),
     Box("analysis", "hidden errors", ("photocal.analysis",), 780, 150, 4, "8"),
     Box("block · exchange", "folders, formats", ("photocal.block", "photocal.exchange"), 560, 206, 5, "6"),
-    Box("adjustment", "network, solver, covariance, reliability", ("photocal.adjustment",), 560, 600, 6, "7"),
-    Box("geometry", "cameras, rotations, frames", ("photocal.geometry",), 560, 600, 7),
+    Box("adjustment", "network, solver, covariance, reliability", ("photocal.adjustment",), 560, 480, 6, "7"),
+    Box("geometry", "cameras, rotations, frames", ("photocal.geometry",), 560, 480, 7),
 )  # fmt: skip
 
 

@@ -18,15 +18,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from photocal.accuracy.georeferencing.freed_groups import MEANING
 from photocal.block.mounting import BODY_AXES
+from photocal.georeferencing.freed_groups import MEANING
 from photocal.project_tables import Rig
 from photocal.run.warnings import _UNMATCHED as UNMATCHED
 
 ROOT = Path(__file__).parents[2]
 GUIDE = ROOT / "docs" / "guide"
 # Where findings are made that `photocal run` tells.
-FOUND_IN = ("photocal/navigation", "photocal/accuracy/georeferencing", "photocal/run")
+FOUND_IN = ("photocal/navigation", "photocal/georeferencing", "photocal/run")
 FOUND_BY = ("photocal/accuracy/ground_points.py", "photocal/accuracy/ground_point_images.py")
 
 

@@ -17,9 +17,9 @@ import numba
 import numpy as np
 
 from photocal.analysis.estimates import Array
-from photocal.analysis.hidden.findings import findings
-from photocal.analysis.hidden.refit import fit
-from photocal.analysis.hidden.search import search
+from photocal.analysis.systematic_errors.findings import findings
+from photocal.analysis.systematic_errors.refit import fit
+from photocal.analysis.systematic_errors.search import search
 from tests.photocal.analysis.simulated import (
     CONTROL_M,
     Simulated,

@@ -31,8 +31,6 @@ from scipy import stats
 
 from acquire.simulate.world.configuration import Level, read_configuration
 from acquire.simulate.world.site import simulate_flight
-from photocal.accuracy.georeferencing.differences import differences
-from photocal.accuracy.georeferencing.methods import METHODS, Method, of_method
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.mounting import COMMON
 from photocal.adjustment.solution import Solution
@@ -41,6 +39,8 @@ from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.block.run import given_exposures, given_points
 from photocal.geometry.camera import PARAMETERS
+from photocal.georeferencing.differences import differences
+from photocal.georeferencing.methods import METHODS, Method, of_method
 from photocal.project import read_project
 from photocal.run.campaign import quiet
 from photocal.run.georeferencing import calibrated_on_the_job

@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from photocal.accuracy.georeferencing.differences import differences
-from photocal.accuracy.georeferencing.methods import METHODS, of_method
-from photocal.accuracy.georeferencing.mounted import with_attitude_angles
-from photocal.accuracy.georeferencing.systematic import systematic_errors
 from photocal.block.folder import read_block
-from tests.photocal.accuracy.georeferencing.flights import Errors, Plan, fly
+from photocal.georeferencing.differences import differences
+from photocal.georeferencing.methods import METHODS, of_method
+from photocal.georeferencing.mounted import with_attitude_angles
+from photocal.georeferencing.systematic import systematic_errors
+from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
 SEEDS = 100
 INJECTED_SEEDS = 25

@@ -26,7 +26,7 @@ from photocal.adjustment.adjust import adjust
 from photocal.block.model import Block, ObjectPoints
 from photocal.block.network import assemble
 from photocal.block.run import given_exposures, given_points
-from photocal.exchange.foreign import read_foreign_block
+from photocal.exchange.format_detection import read_foreign_block
 from photocal.exchange.micmac import read_micmac
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import matrix_from_angles

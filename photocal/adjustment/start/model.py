@@ -12,7 +12,7 @@ from photocal.adjustment.intersection import intersect
 from photocal.adjustment.network import Exposures, Network, Points, Rays
 from photocal.adjustment.normal import prepare
 from photocal.adjustment.snooping import robust_state
-from photocal.adjustment.start.sights import Sights
+from photocal.adjustment.start.bearings import Sights
 from photocal.adjustment.state import start_state
 from photocal.geometry.resection import ray_residuals, resection
 from photocal.geometry.rotation import angles_from_matrix

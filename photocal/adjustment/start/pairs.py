@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from photocal.adjustment.start.bearings import Sights
 from photocal.adjustment.start.model import Model, empty_model, grown, misfit
-from photocal.adjustment.start.sights import Sights
 from photocal.geometry.relative_orientation import FEWEST, RelativeOrientation, relative_orientations
 
 Flags = NDArray[np.bool_]

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.adjustment.network import NO_RELATIONS, RELATIONS, Rays, Relations
+from photocal.adjustment.start.bearings import Sights, sights
 from photocal.adjustment.start.model import Model, adjusted, empty_model, grown, intersected
 from photocal.adjustment.start.pairs import first_model
-from photocal.adjustment.start.sights import Sights, sights
 from photocal.geometry.camera import Camera
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.geometry.similarity import Similarity, similarity

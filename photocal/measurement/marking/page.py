@@ -15,8 +15,8 @@ from starlette.routing import Route
 
 from acquire.web import packaged
 from drivers.errors import ConfigurationError, InputNotFoundError, PhotocalError
-from photocal.measurement.marking.desk import Desk
 from photocal.measurement.marking.scene import Scene
+from photocal.measurement.marking.service import Desk
 from photocal.measurement.marking.store import MarkStore
 from photocal.measurement.marking.tiles import TileAddress
 

@@ -10,13 +10,13 @@ import pytest
 from pyproj import Geod
 from rich.console import Console
 
+from acquire.monitor.braille_map import metres, round_step, sketch
 from acquire.monitor.chart import Layer, layers
 from acquire.monitor.exposures import Exposures, Trigger
-from acquire.monitor.picture import picture
-from acquire.monitor.sketch import metres, round_step, sketch
 from acquire.monitor.state import Battery, Link, Look, Receiver, State, raised
 from acquire.monitor.terminal import render
 from acquire.monitor.track import Track
+from acquire.monitor.view_model import picture
 
 SECOND = 1_000_000_000
 NOW = time.time_ns()

@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 
 from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.analysis.estimates import without
-from photocal.analysis.hidden.left_out import Checks, left_out
-from photocal.analysis.hidden.refit import fit
-from photocal.analysis.hidden.search import camera_estimates
+from photocal.analysis.systematic_errors.left_out import Checks, left_out
+from photocal.analysis.systematic_errors.refit import fit
+from photocal.analysis.systematic_errors.search import camera_estimates
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
 from photocal.block.process import adjust_block

@@ -9,7 +9,7 @@ import pytest
 
 from photocal.analysis.correlation import cause
 from photocal.analysis.exterior_correlation import correlation_with, exterior_correlations, moved_by_one_sigma
-from photocal.analysis.hidden.refit import Fit, fit
+from photocal.analysis.systematic_errors.refit import Fit, fit
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
 from photocal.geometry.camera import PARAMETERS

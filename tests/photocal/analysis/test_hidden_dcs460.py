@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from photocal.analysis.finding import Finding
-from photocal.analysis.hidden.findings import findings
-from photocal.analysis.hidden.jackknife import jackknife
-from photocal.analysis.hidden.refit import Fit, fit, with_measurements
-from photocal.analysis.hidden.search import Search, search
+from photocal.analysis.systematic_errors.findings import findings
+from photocal.analysis.systematic_errors.jackknife import jackknife
+from photocal.analysis.systematic_errors.refit import Fit, fit, with_measurements
+from photocal.analysis.systematic_errors.search import Search, search
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
 from photocal.geometry.camera import PARAMETERS

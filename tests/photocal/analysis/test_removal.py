@@ -8,10 +8,10 @@ import numpy as np
 
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.state import start_state
-from photocal.analysis.hidden.refit import without_images
+from photocal.analysis.systematic_errors.refit import without_images
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
-from tests.photocal.accuracy.georeferencing.flights import Plan, fly
+from tests.photocal.georeferencing.flights import Plan, fly
 
 
 def test_positions_and_attitudes_go_with_their_images(tmp_path: Path) -> None:

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError, IllPosedError
+from photocal.adjustment.solution import upper_global_test
 from photocal.analysis.estimates import Estimates, from_sigmas, quadratic_form, scaled, without
 from photocal.analysis.significance import f_test, significance
-from photocal.analysis.variance import upper_global_test
 
 Rows = list[dict[str, str]]
 NAMES = {"f": "c", "A": "B1", "B": "B2"}

@@ -32,7 +32,6 @@ from photocal.exchange.jaicov import read_scale_bars
 from photocal.exchange.micmac import read_measures
 from photocal.exchange.orientation_tables import read_angles, write_angles
 from photocal.exchange.photomodeler import read_positions
-from photocal.exchange.photomodeler_tables import read_marks, read_points
 from photocal.exchange.pix4d import read_pix4d, write_pix4d
 from photocal.exchange.reconstruction import read_run
 from photocal.exchange.reference_table import Reference, read_references, write_references
@@ -41,7 +40,6 @@ from photocal.geometry.camera import camera
 from tests.photocal.exchange.conftest import reconstruction_of
 
 TEN_GB = 10 << 30
-TABLE = "Project Units: meters\n\n\n"
 
 
 @dataclass(frozen=True)
@@ -110,24 +108,6 @@ CASES = [of_format(form.name) for form in FORMATS if form.read is not None] + [
         "pix4d",
         lambda folder: write_pix4d(folder / "c.cam", PLAIN),
         lambda folder: read_pix4d(folder / "c.cam", (3060, 2036)),
-    ),
-    Case(
-        "photomodeler-2d",
-        text(
-            "t.txt",
-            TABLE
-            + "Object Point ID,Photo #,X (pixels),Y (pixels),Residual X,Residual Y\n1,1,2.5,3.5,0.5,0.5\n",
-        ),
-        lambda folder: read_marks(folder / "t.txt"),
-    ),
-    Case(
-        "photomodeler-3d",
-        text(
-            "t.txt",
-            TABLE + "Id,X (project units),Y (project units),Z (project units),X Precision,Y Precision,"
-            "Z Precision\n1,1.5,2.5,3.5,0.5,0.5,0.5\n",
-        ),
-        lambda folder: read_points(folder / "t.txt"),
     ),
     Case(
         "positions",

@@ -11,7 +11,7 @@ import pytest
 from drivers.errors import InputMalformedError
 from photocal.adjustment.adjust import adjust
 from photocal.block.network import assemble
-from photocal.exchange.foreign import read_foreign_block
+from photocal.exchange.format_detection import read_foreign_block
 from photocal.exchange.formats import export, named
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.writers import Choices

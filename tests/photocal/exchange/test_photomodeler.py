@@ -10,8 +10,6 @@ import pytest
 
 from drivers.errors import InputMalformedError
 from photocal.exchange.photomodeler import read_photomodeler
-from photocal.exchange.photomodeler_export import read_export
-from photocal.exchange.photomodeler_tables import read_marks, read_points
 from photocal.exchange.photomodeler_writer import write_photomodeler
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.camera import plane_to_pixel
@@ -67,65 +65,3 @@ def test_what_has_no_place(tmp_path: Path, vision: Reconstruction) -> None:
         with pytest.raises(InputMalformedError, match=message):
             write_photomodeler(tmp_path / "e.txt", given)
         assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.shared
-@pytest.mark.parametrize(
-    ("folder", "stem", "photos"),
-    [
-        ("dbat-sxb/pmexports", "w-op0-with-orient", 5),
-        ("dbat-camcal/prague2016", "weighted-with-orient", 21),
-    ],
-)
-def test_tables_agree_with_the_export(shared: Path, folder: str, stem: str, photos: int) -> None:
-    """The same solution in both files; the export has four decimals of a pixel."""
-    marks = read_marks(shared / "data" / folder / f"{stem}-2dpts.txt")
-    export = read_export(shared / "data" / folder / f"{stem}-pmexport.txt")
-    index = {photo.name: photo.number for photo in export.photos}
-    exported = {(mark.point, index[mark.image]): (mark.x, mark.y) for mark in export.marks}
-    found = {
-        (name, photo): tuple(pixel)
-        for name, photo, pixel in zip(marks.point, marks.photo.tolist(), marks.pixels, strict=True)
-    }
-    assert len(index) == photos
-    assert found.keys() == exported.keys()
-    apart = [np.abs(np.subtract(found[key], exported[key])).max() for key in found]
-    assert max(apart) < 0.51e-4 + 1e-9
-    points = read_points(shared / "data" / folder / f"{stem}-3dpts.txt")
-    assert set(points.names) == set(marks.point)
-    here = np.array([export.points[name] for name in points.names])
-    # Up to a shift of the origin, which only one of the files has.
-    shift = points.xyz - here
-    assert np.ptp(shift, axis=0).max() < 2e-5
-
-
-@pytest.mark.shared
-def test_tables_of_smart_points(shared: Path) -> None:
-    folder = shared / "data" / "dbat-sxb" / "pmexports"
-    marks = read_marks(folder / "wsmart-with-orient-2dsmartpts.txt")
-    points = read_points(folder / "wsmart-with-orient-3dsmartpts.txt")
-    assert (len(marks.point), len(points.names)) == (1149, 365)
-    assert set(marks.point) == set(points.names)
-
-
-HEAD = "Project Units: meters\nUnits & Scale - Active\n\n"
-MARKS = "Object Point ID,Photo #,X (pixels),Y (pixels),Residual X,Residual Y\n"
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (MARKS + "1,1,2,3,0,0\n", "no header"),
-        (HEAD + "Id,Name\n1,a\n", "no header"),
-        (HEAD.replace("meters", "feet") + MARKS + "1,1,2,3,0,0\n", "is in 'feet'"),
-        (HEAD + MARKS + "1,1,2,3,0\n", "5 cells where the header has 6"),
-        (HEAD + MARKS + "1,1,2,nan,0,0\n", "not finite"),
-        (HEAD + MARKS + "1,0,2,3,0,0\n", "impossible photo 0"),
-        (HEAD + MARKS + "1,1,2,3,0,0\n1,1,2,3,0,0\n", "marked twice"),
-        (HEAD + MARKS + "1.5,1,2,3,0,0\n", "not a whole number"),
-    ],
-)
-def test_bad_table(tmp_path: Path, text: str, message: str) -> None:
-    (tmp_path / "t.txt").write_text(text)
-    with pytest.raises(InputMalformedError, match=message):
-        read_marks(tmp_path / "t.txt")

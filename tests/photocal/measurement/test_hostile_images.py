@@ -23,8 +23,8 @@ from photocal.measurement.boards import find_board, parse_board
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import list_images, read_grey
 from photocal.measurement.markers import dictionary, find_markers
-from photocal.measurement.marking.desk import Desk
 from photocal.measurement.marking.scene import scene_of_folder
+from photocal.measurement.marking.service import Desk
 from photocal.measurement.marking.store import MarkStore
 from photocal.measurement.marking.tiles import TileAddress
 from photocal.measurement.target_look import Look

@@ -12,8 +12,8 @@ import pytest
 
 from photocal.report.catalogue import catalogue
 from photocal.report.certificate import certificate
+from photocal.report.certificate_metadata import read_particulars
 from photocal.report.document import Document
-from photocal.report.particulars import read_particulars
 from photocal.report.run import Run
 from photocal.report.run_reader import read_run
 

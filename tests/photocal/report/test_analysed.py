@@ -14,18 +14,18 @@ from photocal.block.process import adjust_block
 from photocal.report.analysis_file import analyse_run
 from photocal.report.catalogue import catalogue
 from photocal.report.certificate import certificate
+from photocal.report.certificate_metadata import read_particulars
+from photocal.report.derived_figures import facts
 from photocal.report.document import Document, KeyValues, Paragraph, Signature, Statement, Table
 from photocal.report.exterior_difference import exterior_difference
-from photocal.report.facts import facts
 from photocal.report.html import html
 from photocal.report.ministry import entries, read_layout
 from photocal.report.ministry_rows import Context
-from photocal.report.particulars import read_particulars
 from photocal.report.record import record
 from photocal.report.run import Run
 from photocal.report.run_reader import read_adjustment, read_run
-from photocal.report.warning_sections import Told
-from tests.photocal.accuracy.georeferencing.flights import Plan, fly
+from photocal.report.warning_sections import ProcessingWarnings
+from tests.photocal.georeferencing.flights import Plan, fly
 from tests.photocal.report.conftest import DAY
 
 DEMO = Path(__file__).resolve().parents[3] / "configs" / "demo" / "dcs460"
@@ -90,7 +90,7 @@ def test_without_analysis_it_is_said(analysed: Run) -> None:
 
 def test_warnings_reach_every_form(analysed: Run) -> None:
     given, say = read_particulars(None, DAY), catalogue("en")
-    told = Told(("PPK: 62 % of the epochs are fixed.",), ("one height only",))
+    told = ProcessingWarnings(("PPK: 62 % of the epochs are fixed.",), ("one height only",))
     warned = certificate(analysed, given, say, told)
     assert "62 % of the epochs" in warned.verdicts[-1].text
     assert "62 % of the epochs" in words(warned)
@@ -102,7 +102,7 @@ def test_warnings_reach_every_form(analysed: Run) -> None:
 
 def test_a_limit_of_the_flight_is_no_warning(analysed: Run) -> None:
     given, say = read_particulars(None, DAY), catalogue("en")
-    noted = certificate(analysed, given, say, Told(notes=("one height only",)))
+    noted = certificate(analysed, given, say, ProcessingWarnings(notes=("one height only",)))
     assert noted.verdicts == certificate(analysed, given, say).verdicts
     assert "one height only" in words(noted)
 

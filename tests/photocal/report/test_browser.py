@@ -10,8 +10,8 @@ from playwright.sync_api import Browser
 
 from photocal.report.catalogue import catalogue
 from photocal.report.certificate import certificate
+from photocal.report.certificate_metadata import Particulars
 from photocal.report.html import html
-from photocal.report.particulars import Particulars
 from photocal.report.run import Run
 
 

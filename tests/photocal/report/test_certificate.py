@@ -24,9 +24,9 @@ from drivers.errors import InputMalformedError
 from photocal.cli import app
 from photocal.report.catalogue import catalogue
 from photocal.report.certificate import certificate
+from photocal.report.certificate_metadata import Particulars, read_particulars
 from photocal.report.document import Document, Figure, Table
 from photocal.report.html import html
-from photocal.report.particulars import Particulars, read_particulars
 from photocal.report.pdf import pdf
 from photocal.report.run import Run
 from photocal.report.run_reader import read_run

@@ -13,11 +13,11 @@ import pytest
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.report.catalogue import catalogue
 from photocal.report.certificate import certificate
+from photocal.report.certificate_metadata import Particulars, read_particulars
+from photocal.report.derived_figures import facts
 from photocal.report.document import Signature, Table
-from photocal.report.facts import facts
 from photocal.report.ministry import LAYOUT, entries, read_layout
 from photocal.report.ministry_rows import Context, corners
-from photocal.report.particulars import Particulars, read_particulars
 from photocal.report.run import Run
 
 DAY = dt.date(2026, 11, 21)

@@ -15,7 +15,7 @@ from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.project import read_project
 from photocal.run.block import block_stage
-from tests.photocal.accuracy.georeferencing.flights import Errors, Plan, fly
+from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
 PROJECT = """
 [project]

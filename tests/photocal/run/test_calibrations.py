@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.block.process import adjust_block
 from photocal.cli import app
-from tests.photocal.accuracy.georeferencing.flights import Errors, Plan, fly
+from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
 RIG = Errors(lever_arm_m=(0.1, -0.05, -0.2), boresight_deg=(0.4, -0.3, 0.5), time_offset_s=0.008)
 PLAN = Plan(

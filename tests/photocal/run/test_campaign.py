@@ -12,7 +12,7 @@ import pytest
 
 from drivers.errors import InputNotFoundError
 from photocal.run.campaign import quiet, run_projects
-from tests.photocal.accuracy.georeferencing.flights import Errors, Plan, fly
+from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
 DAY = dt.date(2025, 6, 16)

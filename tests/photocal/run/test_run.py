@@ -12,7 +12,7 @@ from typer.testing import CliRunner, Result
 
 from drivers.errors import ConfigurationError, InputNotFoundError, NotConvergedError
 from photocal.cli import app
-from tests.photocal.accuracy.georeferencing.flights import Errors, Plan, fly
+from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
 PLAN = Plan(
     heights_m=(80.0, 110.0),

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from photocal.accuracy.georeferencing.freed_groups import MEANING
+from photocal.georeferencing.freed_groups import MEANING
 from photocal.run.doubt import Doubt
 from photocal.run.warnings import gather
 

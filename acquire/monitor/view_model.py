@@ -1,0 +1,299 @@
+"""What a person is shown of a state: figures with their units, and a word and a level for each."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from acquire.channels.decoded import SECOND_NS
+from acquire.monitor.disk_status import bytes_per_s
+from acquire.monitor.exposures import Exposures, numbers
+from acquire.monitor.fixes import (
+    DEAD_CORRECTION_S,
+    LEAST_WORTH,
+    NAMES,
+    OLD_CORRECTION_S,
+    WORTH,
+    correction_age_s,
+)
+from acquire.monitor.state import Alarm, Link, Receiver, State
+from acquire.monitor.traffic import RATE_OVER_S
+
+SCHEMA = "acquire.monitor/1"
+# From so much silence of a link or a receiver on it is said.
+_SILENT_S, _STALE_S = 3.0, 5.0
+# A receiver's message comes some tenths of a second after its time; more is a wrong clock.
+_CLOCK_LIMIT_S = 1.0
+_GB = 1e9
+_LITTLE_ROOM, _NO_ROOM = (2 * _GB, 2.0), (0.5 * _GB, 0.5)
+_UNHEARD_TRIGGERS = 3
+_LISTED_MISSED = 4
+
+
+@dataclass(frozen=True)
+class Word:
+    """How something is: in words, and as a level: ``good``, ``warn``, ``bad`` or ``off`` (nothing to say)."""
+
+    text: str
+    level: str
+
+
+@dataclass(frozen=True)
+class LinkRow:
+    """A link: rates of the last seconds, silence, pauses and damage so far."""
+
+    name: str
+    state: Word
+    frames: int
+    frames_per_s: float
+    bytes_per_s: float
+    silent_s: float | None
+    gaps: int
+    longest_gap_s: float
+    damage_bytes: int
+
+
+@dataclass(frozen=True)
+class ReceiverRow:
+    """A receiver: its fix and for how long it has had it, satellites, accuracy, age of the corrections."""
+
+    name: str
+    fix: Word
+    for_s: float
+    satellites: int | None
+    horizontal_m: float | None
+    correction: Word
+    correction_age_s: float | None
+
+
+@dataclass(frozen=True)
+class CameraRow:
+    """The pictures of a link: asked for, reported, missed (and which), time marks."""
+
+    link: str
+    state: Word
+    triggered: int
+    reported: int
+    missed: int
+    missed_numbers: str
+    time_marks: int
+    time_marks_missed: int
+
+
+@dataclass(frozen=True)
+class ClockRow:
+    """Clock of this computer less clock of a device."""
+
+    link: str
+    state: Word
+    host_minus_device_s: float
+
+
+@dataclass(frozen=True)
+class BatteryRow:
+    """The battery of a vehicle."""
+
+    link: str
+    voltage_v: float | None
+    percent: int | None
+
+
+@dataclass(frozen=True)
+class Disk:
+    """What is left on the disk, and for how long that is enough."""
+
+    state: Word
+    free_bytes: int | None
+    bytes_per_s: float | None
+    hours: float | None
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Everything but the map, see `picture`."""
+
+    flight: str
+    file: str
+    recording: Word
+    duration_s: float
+    bytes: int
+    time_ns: int
+    links: tuple[LinkRow, ...]
+    receivers: tuple[ReceiverRow, ...]
+    cameras: tuple[CameraRow, ...]
+    clocks: tuple[ClockRow, ...]
+    batteries: tuple[BatteryRow, ...]
+    disk: Disk
+    alarms: tuple[Alarm, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it for programs."""
+        return {"schema": SCHEMA, **asdict(self)}
+
+
+def picture(state: State) -> Picture:
+    """Return what a person is shown of a state."""
+    now_ns = _now_ns(state)
+    return Picture(
+        flight=state.flight,
+        file=state.look.file if state.look else "",
+        recording=_recording(state),
+        duration_s=_seconds(now_ns - state.first_ns) if state.first_ns else 0.0,
+        bytes=state.look.size if state.look else 0,
+        time_ns=now_ns,
+        links=tuple(_link(name, link, state, now_ns) for name, link in sorted(state.links.items())),
+        receivers=tuple(_receiver(name, r, state, now_ns) for name, r in sorted(state.receivers.items())),
+        cameras=tuple(_camera(name, state) for name in sorted({*state.exposures, *state.marks})),
+        clocks=tuple(
+            _clock(name, link.clock_offset_s)
+            for name, link in sorted(state.links.items())
+            if link.clock_offset_s is not None
+        ),
+        batteries=tuple(
+            BatteryRow(name, battery.voltage_v, battery.percent)
+            for name, battery in sorted(state.batteries.items())
+        ),
+        disk=_disk(state),
+        alarms=state.alarms,
+    )
+
+
+def _now_ns(state: State) -> int:
+    """Return the time of the flight: the clock of the log, going on while nothing is written."""
+    if state.look is None or state.look.ended:
+        return state.last_ns
+    return state.last_ns + max(state.look.time_ns - state.grown_ns, 0)
+
+
+def _recording(state: State) -> Word:
+    look = state.look
+    if look is None or not look.file:
+        return Word("waiting for a recording", "off")
+    if look.trouble:
+        return Word("cannot be read", "bad")
+    if look.ended:
+        return Word("ended", "off")
+    if state.stalled:
+        return Word(f"nothing written for {_seconds(look.time_ns - state.grown_ns):.0f} s", "bad")
+    return Word("recording", "good")
+
+
+def _link(name: str, link: Link, state: State, now_ns: int) -> LinkRow:
+    # Whole seconds that the log holds; a log that has stopped holds seconds without frames.
+    end = max(state.last_ns // SECOND_NS, now_ns // SECOND_NS - 1)
+    counted = [
+        (frames, octets) for second, frames, octets in link.recent if end - RATE_OVER_S <= second < end
+    ]
+    over_s = max(min(RATE_OVER_S, end - link.first_ns // SECOND_NS), 1)
+    silent_s = _seconds(now_ns - link.last_ns) if link.last_ns else None
+    if silent_s is None:
+        word = Word(link.trouble or "not heard yet", "bad" if link.trouble else "warn")
+    elif link.trouble:
+        word = Word(f"{link.trouble} for {silent_s:.0f} s", "bad")
+    elif silent_s > _SILENT_S:
+        word = Word(f"silent for {silent_s:.0f} s", "warn")
+    else:
+        word = Word("heard", "good")
+    return LinkRow(
+        name=name,
+        state=word,
+        frames=link.frames,
+        frames_per_s=sum(frames for frames, _ in counted) / over_s,
+        bytes_per_s=sum(octets for _, octets in counted) / over_s,
+        silent_s=silent_s,
+        gaps=link.gaps,
+        longest_gap_s=_seconds(link.longest_gap_ns),
+        damage_bytes=link.damage_bytes,
+    )
+
+
+def _receiver(name: str, receiver: Receiver, state: State, now_ns: int) -> ReceiverRow:
+    stale_s = _seconds(now_ns - receiver.time_ns)
+    link = state.links.get(receiver.link, Link())
+    age_s = correction_age_s(receiver, link, now_ns)
+    return ReceiverRow(
+        name=name,
+        fix=_fix(receiver.fix, stale_s),
+        for_s=_seconds(now_ns - receiver.since_ns),
+        satellites=receiver.satellites if receiver.satellites >= 0 else None,
+        horizontal_m=receiver.horizontal_m,
+        correction=_correction(age_s),
+        correction_age_s=age_s,
+    )
+
+
+def _fix(fix: str, stale_s: float) -> Word:
+    if stale_s > _STALE_S:
+        return Word(f"not told for {stale_s:.0f} s", "bad")
+    worth = WORTH.get(fix, 0)
+    level = "bad" if worth < LEAST_WORTH else "good" if fix == "rtk_fixed" else "warn"
+    return Word(NAMES.get(fix, fix), level)
+
+
+def _correction(age_s: float | None) -> Word:
+    if age_s is None:
+        return Word("none told", "off")
+    level = "good" if age_s <= OLD_CORRECTION_S else "warn" if age_s <= DEAD_CORRECTION_S else "bad"
+    return Word(f"{age_s:.1f} s old" if age_s < 10 else f"{age_s:.0f} s old", level)
+
+
+def _camera(name: str, state: State) -> CameraRow:
+    counted = state.exposures.get(name, Exposures())
+    marks = state.marks.get(name, Exposures())
+    missed, untold = numbers(counted.unreported), numbers(marks.unreported)
+    words = []
+    if counted.unreported:
+        words.append(f"{len(counted.unreported)} missed: {_shortened(missed)}")
+    if marks.unreported:
+        words.append(f"{len(marks.unreported)} time marks not told: {_shortened(untold)}")
+    if words:
+        word = Word(", ".join(words), "bad")
+    elif counted.feedbacks:
+        word = Word("all reported", "good")
+    elif counted.triggers:
+        # A camera without feedback is no failure, but nobody knows whether it takes pictures.
+        word = Word("no feedback so far", "warn" if counted.triggers >= _UNHEARD_TRIGGERS else "good")
+    else:
+        word = Word("all marks told", "good")
+    return CameraRow(
+        link=name,
+        state=word,
+        triggered=counted.triggers,
+        reported=counted.feedbacks,
+        missed=len(counted.unreported),
+        missed_numbers=missed,
+        time_marks=marks.feedbacks,
+        time_marks_missed=len(marks.unreported),
+    )
+
+
+def _shortened(missed: str) -> str:
+    parts = missed.split(", ")
+    return missed if len(parts) <= _LISTED_MISSED else "…, " + ", ".join(parts[-_LISTED_MISSED:])
+
+
+def _clock(name: str, offset_s: float) -> ClockRow:
+    good = abs(offset_s) <= _CLOCK_LIMIT_S
+    word = Word(f"in step ({offset_s:+.2f} s)", "good") if good else Word(f"off by {offset_s:+.1f} s", "bad")
+    return ClockRow(name, word, offset_s)
+
+
+def _disk(state: State) -> Disk:
+    free = state.look.free_bytes if state.look else None
+    speed = bytes_per_s(state)
+    if free is None:
+        return Disk(Word("unknown", "off"), None, speed, None)
+    hours = free / speed / 3600 if speed else None
+
+    def below(limit: tuple[float, float]) -> bool:
+        return free < limit[0] or (hours is not None and hours < limit[1])
+
+    level = "bad" if below(_NO_ROOM) else "warn" if below(_LITTLE_ROOM) else "good"
+    text = f"{free / _GB:.1f} GB free"
+    if hours is not None:
+        text += f", {hours:.1f} h" if hours < 10 else f", {hours:.0f} h" if hours < 100 else ", over 100 h"
+    return Disk(Word(text, level), free, speed, hours)
+
+
+def _seconds(nanoseconds: int) -> float:
+    return nanoseconds / SECOND_NS

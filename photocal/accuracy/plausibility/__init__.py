@@ -1,1 +1,0 @@
-"""Plausibility of a calibration report: figures that contradict each other or the camera."""

@@ -1,0 +1,223 @@
+"""Findings about cameras: extra parameters, assumed sigma, bias of c, significance, stability."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from photocal.analysis.estimates import Estimates, scaled
+from photocal.analysis.finding import Figure, Finding, Severity, Size
+from photocal.analysis.significance import f_test
+from photocal.analysis.systematic_errors.extra_parameter import ExtraParameter
+from photocal.analysis.systematic_errors.ground_effect import SMALL_PX, SMALL_SIGMAS, ground_effect
+from photocal.analysis.systematic_errors.refit import Fit
+from photocal.analysis.systematic_errors.search import LEVEL, Round, Search, camera_estimates
+from photocal.geometry.camera import PARAMETERS, Camera
+
+# A jackknife error of a parameter this many times its formal one is worth a line.
+UNSTABLE = 3.0
+# Less than this is no wrong sigma: `brown-observed` alone stretches the noise at the edge by some percent.
+WRONG_SIGMA = 0.10
+# From here on a wrong sigma is not small, even if nothing else was found.
+BADLY_WRONG_SIGMA = 1.2
+ALPHA = 0.10
+# An error that moves object points by less than this share of their standard deviations is small.
+SMALL_MOVE = 1.0
+
+
+def of_round(one: Round) -> Finding:
+    """Describe an error that was found and corrected."""
+    parameter, at = one.parameter, one.parameter.candidate.camera
+    camera = one.before.network.cameras[at]
+    change = float(one.before.solution.cameras[at, 0] - one.after.solution.cameras[at, 0])
+    sigma_c = float(np.sqrt(one.before.solution.camera_covariance[at, 0, 0]))
+    left = _left_px(one)
+    small = left < SMALL_PX and abs(change) < SMALL_SIGMAS * sigma_c and _points_moved(one) < SMALL_MOVE
+    ground = ground_effect(one.before, at, change)
+    figure, unit = _figure(parameter, camera)
+    figures: dict[str, Figure] = {
+        "camera": camera.id,
+        "parameter": parameter.candidate.parameter,
+        "figure": figure,
+        "sigma": parameter.sigma,
+        "px": parameter.effect_px,
+        "left_px": left,
+        "f": parameter.statistic,
+        "shift_c": change,
+        "unit": camera.unit,
+        "ground_m": ground,
+        "alike": parameter.alike,
+    }
+    clauses = []
+    if parameter.candidate.kind == "y-scale":
+        square = _explained_by_pitch(parameter, camera)
+        clauses.append("square_pixels" if square else "stretched")
+        if square:
+            figures |= {"pitch_x": camera.pitch[0], "pitch_y": camera.pitch[1]}
+    clauses.append("up_to")
+    if change:
+        clauses.append("shifts_c")
+    if parameter.alike:
+        clauses.append("alike")
+    size = Size(figure, unit, parameter.sigma, change, ground, parameter.effect_px)
+    return _graded(parameter.candidate.kind, camera.id, figures, clauses, size, small=small)
+
+
+def _left_px(one: Round) -> float:
+    """Largest displacement of a ray that no other unknown takes up, px."""
+    at = one.parameter.candidate.camera
+    mine = one.before.network.exposures.camera[one.before.network.rays.image] == at
+    change = (one.after.solution.residuals - one.before.solution.residuals)[mine]
+    return float(np.linalg.norm(change / one.before.network.cameras[at].pitch, axis=1).max(initial=0.0))
+
+
+def _points_moved(one: Round) -> float:
+    """By how many standard deviations the error moves object points, root mean square."""
+    sigma = np.sqrt(np.diagonal(one.before.solution.point_covariance, axis1=1, axis2=2))
+    moved = one.after.solution.points - one.before.solution.points
+    ratio = np.divide(moved, sigma, out=np.zeros_like(moved), where=sigma > 0.0)
+    return float(np.sqrt(np.mean(ratio**2))) if ratio.size else 0.0
+
+
+def _graded(
+    code: str, subject: str, figures: dict[str, Figure], clauses: list[str], size: Size, *, small: bool
+) -> Finding:
+    said = (*clauses, "small") if small else tuple(clauses)
+    return Finding(code, "note" if small else "doubtful", subject, figures, said, size)
+
+
+def _figure(parameter: ExtraParameter, camera: Camera) -> tuple[float, str]:
+    kind = parameter.candidate.kind
+    if kind == "y-scale":
+        return 1.0 + parameter.amount, "1"
+    units = {"rolling-shutter": "exposure intervals", "shear": "1"}
+    return parameter.amount, units.get(kind, f"powers of {camera.unit}")
+
+
+def _explained_by_pitch(parameter: ExtraParameter, camera: Camera) -> bool:
+    """Whether the scale of y is the ratio of the pixel pitches: square pixels, scaled to a rounded format."""
+    ratio = camera.pitch[0] / camera.pitch[1]
+    return ratio != 1.0 and abs(1.0 + parameter.amount - ratio) < 3.0 * parameter.sigma
+
+
+def of_sigma(search: Search) -> list[Finding]:
+    """Describe the assumed standard deviation of the image coordinates, when it is wrong."""
+    sigma = search.sigma
+    ratio = sigma.found / sigma.assumed
+    if sigma.p_value >= LEVEL or abs(ratio - 1.0) < WRONG_SIGMA:
+        return []
+    camera = search.last.network.cameras[0]
+    scale, unit = (1000.0, "µm") if camera.unit == "mm" else (1.0, "px")
+    # Residuals are smaller than errors: their rms is the plain figure where too much was assumed, but only
+    # the one that counts the redundancy can show that too little was.
+    figure = sigma.rms if ratio < 1.0 else sigma.found
+    figures: dict[str, Figure] = {
+        "assumed": sigma.assumed * scale,
+        "found": figure * scale,
+        "by_redundancy": sigma.found * scale,
+        "lower": sigma.lower * scale,
+        "upper": sigma.upper * scale,
+        "unit": unit,
+    }
+    clauses = ["by_rms", "too_poor"] if ratio < 1.0 else ["by_redundancy", "too_good"]
+    if ratio < 1.0 and search.rounds:
+        clauses.append("unseen")
+    small = ratio < BADLY_WRONG_SIGMA and not search.rounds
+    spread = (sigma.upper - sigma.lower) / 4.0 * scale
+    size = Size(figure * scale, unit, spread, 0.0, 0.0, figure / min(camera.pitch))
+    severity: Severity = "note" if small else "doubtful"
+    return [Finding("observation-sigma", severity, "image coordinates", figures, tuple(clauses), size)]
+
+
+def of_bias(search: Search) -> list[Finding]:
+    """Describe the bias of every c, when it is beyond its precision."""
+    if not search.rounds:
+        return []
+    listed = []
+    for k, camera in enumerate(search.first.network.cameras):
+        before, after = search.first.solution.cameras[k, 0], search.last.solution.cameras[k, 0]
+        sigma = float(np.sqrt(search.first.solution.camera_covariance[k, 0, 0]))
+        bias = float(before - after)
+        if not sigma > 0.0 or abs(bias) < SMALL_SIGMAS * sigma:
+            continue
+        ground = ground_effect(search.first, k, bias)
+        figures: dict[str, Figure] = {
+            "camera": camera.id,
+            "bias": bias,
+            "unit": camera.unit,
+            "before": float(before),
+            "after": float(after),
+            "formal": abs(bias) / sigma,
+            "ground_m": ground,
+            "share": abs(bias) / float(after),
+        }
+        size = Size(bias, camera.unit, sigma, bias, ground)
+        listed.append(Finding("c-bias", "doubtful", camera.id, figures, size=size))
+    return listed
+
+
+def of_significance(search: Search) -> list[Finding]:
+    """Name the parameters whose significance changes with the corrections."""
+    if not search.rounds:
+        return []
+    listed = []
+    redundancy = search.last.solution.degrees_of_freedom
+    for k, camera in enumerate(search.first.network.cameras):
+        before, after = _honest(search.first, k), _honest(search.last, k)
+        for name in before.names:
+            was = f_test(before, (name,), redundancy, ALPHA)
+            now = f_test(after, (name,), redundancy, ALPHA)
+            if was.significant == now.significant:
+                continue
+            at = after.names.index(name)
+            figures: dict[str, Figure] = {
+                "camera": camera.id,
+                "parameter": name,
+                "value": float(after.values[at]),
+                "sigma": float(after.sigmas[at]),
+                "f": now.statistic,
+                "critical": now.critical,
+                "f_before": was.statistic,
+            }
+            clauses = ("no_longer" if was.significant else "only_then",)
+            size = Size(now.statistic, f"powers of {camera.unit}")
+            listed.append(Finding("significance", "doubtful", camera.id, figures, clauses, size))
+    return listed
+
+
+def of_jackknife(search: Search) -> list[Finding]:
+    """Describe parameters that hang on single images."""
+    listed = []
+    for k, camera in enumerate(search.first.network.cameras):
+        formal = np.sqrt(np.diag(search.first.solution.camera_covariance[k])) * np.sqrt(_factor(search.first))
+        before = search.jackknife_first.standard_error[k]
+        ratio = np.divide(before, formal, out=np.zeros_like(before), where=formal > 0.0)
+        if not np.any(ratio > UNSTABLE):
+            continue
+        worst = 0 if ratio[0] > UNSTABLE else int(np.nanargmax(ratio))
+        figures: dict[str, Figure] = {
+            "camera": camera.id,
+            "parameter": PARAMETERS[worst],
+            "error": float(before[worst]),
+            "unit": camera.unit,
+            "corrected": float(search.jackknife_last.standard_error[k][worst]),
+            "formal": float(formal[worst]),
+        }
+        effect = float(before[0]) if worst == 0 else None
+        ground = ground_effect(search.first, k, effect) if effect is not None else None
+        size = Size(float(before[worst]), camera.unit, None, effect, ground)
+        clauses = ("once_corrected",) if search.rounds else ("as_adjusted",)
+        listed.append(Finding("jackknife", "doubtful", camera.id, figures, clauses, size))
+    return listed
+
+
+def _factor(fitted: Fit) -> float:
+    """Give the variance factor for judging: a posteriori, but never below 1.
+
+    Where the residuals are smaller than assumed the formal precision would become better than the one that
+    was promised, while hidden errors show in the parameters and not in the residuals.
+    """
+    return max(1.0, fitted.solution.variance_factor)
+
+
+def _honest(fitted: Fit, camera: int) -> Estimates:
+    return scaled(camera_estimates(fitted, camera), _factor(fitted))

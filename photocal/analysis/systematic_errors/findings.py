@@ -1,0 +1,38 @@
+"""What a search found: worst first, each with its figure and its effect."""
+
+from __future__ import annotations
+
+from photocal.analysis.finding import Finding
+from photocal.analysis.systematic_errors.camera_findings import (
+    of_bias,
+    of_jackknife,
+    of_round,
+    of_sigma,
+    of_significance,
+)
+from photocal.analysis.systematic_errors.image_findings import of_groups, of_images, of_maps
+from photocal.analysis.systematic_errors.search import Search
+
+
+def findings(search: Search) -> tuple[Finding, ...]:
+    """Turn a search into a list.
+
+    Parameters
+    ----------
+    search : Search
+        What was found.
+
+    Returns
+    -------
+    tuple of Finding
+        Large ones first, in the order in which they should be dealt with, then small ones.
+    """
+    listed = [of_round(one) for one in search.rounds]
+    listed += of_sigma(search)
+    listed += of_bias(search)
+    listed += of_significance(search)
+    listed += of_jackknife(search)
+    listed += of_groups(search)
+    listed += of_images(search)
+    listed += of_maps(search)
+    return tuple(sorted(listed, key=lambda one: one.small))

@@ -1,0 +1,207 @@
+"""Images that have a scale or a principal point of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.errors import IllPosedError, NotConvergedError
+from photocal.adjustment.state import State
+from photocal.analysis.estimates import Array
+from photocal.analysis.systematic_errors.refit import Fit, lowest, residuals_of, with_measurements
+from photocal.geometry.rotation import turned
+
+# Less of a column than this, beside the exterior orientation, is not determined.
+INDEPENDENT = 1e-2
+# So many images are adjusted with a scale and a principal point of their own.
+MOST_JOINT = 12
+# A displacement of this many standard deviations, over all rays of an image, is a step small enough.
+STEP = 2.0
+# Above the minimum, see `minimise`: so much is a sum of squares too large.
+NEAR = 1e-7
+
+
+@dataclass(frozen=True)
+class ImageShift:
+    """Scale and principal point of one image against its camera.
+
+    Attributes
+    ----------
+    image : str
+        The image.
+    scale : float
+        Relative difference of scale, dimensionless.
+    shift_px : (2,) array
+        Shift of the principal point to the right and up, px.
+    effect_px : float
+        Largest displacement of a ray that the other unknowns do not take up, px.
+    p_value : float
+        Probability without such a difference, already multiplied by the number of images.
+    sigma : (3,) array or None
+        Of scale and shift (px), a priori, when they were estimated jointly with all other unknowns; NaN for
+        what these take up. None when only the exterior orientation of the image was taken into account.
+    """
+
+    image: str
+    scale: float
+    shift_px: Array
+    effect_px: float
+    p_value: float
+    sigma: Array | None = None
+
+
+def image_shifts(
+    fit: Fit, variance_factor: float, done: Callable[[], None] = lambda: None
+) -> tuple[ImageShift, ...]:
+    """Test each image for a scale and a principal point of its own.
+
+    The most suspicious images, all of them in a small network, get them as unknowns beside all others. The
+    rest is tested by its residuals, from which only what the exterior orientation takes up is taken away:
+    that test alarms less often than its level says.
+    """
+    screened = screened_shifts(fit, variance_factor)
+    suspicious = sorted(screened, key=lambda one: one.p_value)[:MOST_JOINT]
+    jointly = dict[str, ImageShift]()
+    for one in suspicious:
+        estimated = joint_shift(fit, one.image)
+        if estimated is not None:
+            jointly[one.image] = estimated
+        done()
+    return tuple(jointly.get(one.image, one) for one in screened)
+
+
+def joint_shift(fit: Fit, image: str) -> ImageShift | None:
+    """Estimate scale and principal point of one image as further unknowns of the adjustment.
+
+    The minimum of the sum of squares is a paraboloid in the three amounts; it is found from nine more
+    adjustments.
+    """
+    from scipy import stats
+
+    network = fit.network
+    i = network.image_names.index(image)
+    mine = network.rays.image == i
+    plane, sigma = network.rays.plane[mine], network.rays.sigma[mine]
+    columns = _own_geometry(plane)
+    step = STEP / np.linalg.norm((columns / sigma[:, :, None]).reshape(-1, 3), axis=0)
+
+    def chi_squared(amount: Array) -> float:
+        moved = network.rays.plane.copy()
+        moved[mine] += columns @ (step * amount)
+        return lowest(with_measurements(network, moved), fit.state, NEAR).chi_squared
+
+    try:
+        slope, curvature = _paraboloid(chi_squared, fit.solution.chi_squared)
+    except (IllPosedError, NotConvergedError):
+        return None
+    values, vectors = np.linalg.eigh(curvature)
+    seen = values > 2.0 * STEP**2 * INDEPENDENT**2
+    if not seen.any():
+        return None
+    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
+    amount = -inverse @ slope
+    fall = float(slope @ inverse @ slope) / 2.0
+    freedom = fit.solution.degrees_of_freedom - int(seen.sum())
+    statistic = fall / seen.sum() / (max(fit.solution.chi_squared - fall, 1e-300) / freedom)
+    p_value = float(stats.f.sf(statistic, int(seen.sum()), freedom))
+    pitch = np.array(network.cameras[network.exposures.camera[i]].pitch)
+    unit = step / np.array([1.0, *pitch])
+    # What other unknowns take up has no variance to speak of here: it is not determined.
+    hidden = np.linalg.norm(vectors[:, ~seen], axis=1) > 0.5
+    spread = np.where(hidden, np.nan, np.sqrt(2.0 * np.diag(inverse))) * unit
+    corrected = network.rays.plane.copy()
+    corrected[mine] += columns @ (step * amount)
+    changed = with_measurements(network, corrected)
+    after = residuals_of(changed, lowest(changed, fit.state).state)
+    seen_px = (after - fit.solution.residuals)[mine] / pitch
+    return ImageShift(
+        image,
+        float(amount[0] * unit[0]),
+        amount[1:] * unit[1:],
+        float(np.linalg.norm(seen_px, axis=1).max()),
+        min(1.0, len(network.image_names) * p_value),
+        spread,
+    )
+
+
+def _paraboloid(function: Callable[[Array], float], base: float) -> tuple[Array, Array]:
+    """Slope (3,) and curvature (3, 3) of a function of three amounts at 0, from unit steps."""
+    unit = np.eye(3)
+    above, below = (np.array([function(sign * axis) for axis in unit]) for sign in (1.0, -1.0))
+    curvature = np.diag(above + below - 2.0 * base)
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        curvature[a, b] = curvature[b, a] = function(unit[a] + unit[b]) - above[a] - above[b] + base
+    return (above - below) / 2.0, curvature
+
+
+def _own_geometry(plane: Array) -> Array:
+    """Displacement of image plane coordinates by a scale and a shift of one image, (n, 2, 3)."""
+    zero, one = np.zeros(len(plane)), np.ones(len(plane))
+    x, y = plane.T
+    return np.stack([np.column_stack(pair) for pair in ((x, y), (one, zero), (zero, one))], axis=-1)
+
+
+def screened_shifts(fit: Fit, variance_factor: float) -> tuple[ImageShift, ...]:
+    """Test the residuals of each image for a scale and a principal point of its own.
+
+    What the exterior orientation of the image takes up is taken away first. Other unknowns are not, which
+    makes the test alarm less often than its level says.
+    """
+    from scipy import stats
+
+    network, state = fit.network, fit.state
+    rays = network.rays
+    poses = pose_derivatives(fit, state)
+    shapes = _own_geometry(rays.plane)
+    images = len(network.image_names)
+    found = []
+    for i, name in enumerate(network.image_names):
+        mine = rays.image == i
+        weight = 1.0 / rays.sigma[mine].ravel()
+        if len(weight) < 12:
+            continue
+        orientation, _ = np.linalg.qr(poses[mine].reshape(-1, 6) * weight[:, None])
+        columns = shapes[mine].reshape(-1, 3) * weight[:, None]
+        size = np.linalg.norm(columns, axis=0)
+        unit = columns / size
+        unit -= orientation @ (orientation.T @ unit)
+        # Residuals are computed minus measured: what must be added to the measurements.
+        v = fit.solution.residuals[mine].ravel() * weight
+        left, values, right = np.linalg.svd(unit, full_matrices=False)
+        k = int(np.sum(values > INDEPENDENT))
+        if k == 0:
+            continue
+        along = left[:, :k].T @ v
+        statistic = float(along @ along) / k / variance_factor
+        amount = right[:k].T @ (along / values[:k]) / size
+        pitch = np.array(network.cameras[network.exposures.camera[i]].pitch)
+        moved = (left[:, :k] @ along / weight).reshape(-1, 2) / pitch
+        p_value = min(1.0, images * float(stats.f.sf(statistic, k, fit.solution.degrees_of_freedom)))
+        effect = float(np.linalg.norm(moved, axis=1).max())
+        found.append(ImageShift(name, float(amount[0]), amount[1:] / pitch, effect, p_value))
+    return tuple(found)
+
+
+def pose_derivatives(fit: Fit, state: State) -> Array:
+    """Change of the ideal image coordinates with the exterior orientation of their image."""
+    image = fit.network.rays.image
+    c = state.cameras[fit.network.exposures.camera[image], :1]
+    points = state.points[fit.network.rays.point]
+
+    def ideal(rotation: Array, centre: Array) -> Array:
+        q = np.einsum("nij,nj->ni", rotation[image], points - centre[image])
+        return np.asarray(-c * q[:, :2] / q[:, 2:])
+
+    reach = float(np.median(np.linalg.norm(points - state.centre[image], axis=1)))
+    columns = []
+    for axis in np.eye(3):
+        turn = np.broadcast_to(1e-6 * axis, state.centre.shape)
+        above, below = (ideal(turned(state.rotation, sign * turn), state.centre) for sign in (1.0, -1.0))
+        columns.append((above - below) / 2e-6)
+    for axis in np.eye(3):
+        move = 1e-6 * reach * axis
+        above, below = (ideal(state.rotation, state.centre + sign * move) for sign in (1.0, -1.0))
+        columns.append((above - below) / (2e-6 * reach))
+    return np.stack(columns, axis=-1)

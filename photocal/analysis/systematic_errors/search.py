@@ -1,0 +1,216 @@
+"""The search: the most significant error is corrected, then the next is looked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from photocal.analysis.estimates import Array, Estimates
+from photocal.analysis.systematic_errors.candidates import Candidate, candidates
+from photocal.analysis.systematic_errors.extra_parameter import (
+    ExtraParameter,
+    corrected,
+    estimated_amount,
+    judged,
+)
+from photocal.analysis.systematic_errors.image_shift import ImageShift, image_shifts
+from photocal.analysis.systematic_errors.jackknife import Jackknife, jackknife
+from photocal.analysis.systematic_errors.refit import Fit, fit, with_measurements
+from photocal.analysis.systematic_errors.residual_map import ResidualMap, residual_map
+from photocal.analysis.systematic_errors.variance_components import (
+    AssumedSigma,
+    VarianceComponent,
+    assumed_sigma,
+    variance_components,
+)
+from photocal.geometry.camera import PARAMETERS, plane_to_pixel
+
+# Each family of tests alarms on a clean block in no more than 5 of 1000 cases.
+LEVEL = 0.005
+ROUNDS = 6
+# Steps in which an error is corrected, until this share of its standard deviation is left of it.
+_STEPS, _NEAR = 5, 0.005
+# Candidates count as alike when their displacements are this parallel and their F this close.
+ALIKE = 0.9
+
+
+@dataclass(frozen=True)
+class Round:
+    """One error that was found and corrected.
+
+    Attributes
+    ----------
+    parameter : ExtraParameter
+        The error with its total amount.
+    before, after : Fit
+        The network without and with the correction.
+    """
+
+    parameter: ExtraParameter
+    before: Fit
+    after: Fit
+
+
+@dataclass(frozen=True)
+class Search:
+    """Everything that the search found.
+
+    Attributes
+    ----------
+    rounds : tuple of Round
+        Errors in the order in which they were found, the worst first.
+    first, last : Fit
+        The network as it was adjusted, and with all corrections.
+    sigma : AssumedSigma
+        Of the image coordinates, at the end.
+    images, axes, cameras : tuple of VarianceComponent
+        Scatter by image, by image axis and by camera, at the end.
+    shifts : tuple of ImageShift
+        Scale and principal point of each image, at the end.
+    maps : tuple of ResidualMap or None
+        For each camera, at the end; None for a camera without rays.
+    jackknife_first, jackknife_last : Jackknife
+        Before and after the corrections.
+    """
+
+    rounds: tuple[Round, ...]
+    first: Fit
+    last: Fit
+    sigma: AssumedSigma
+    images: tuple[VarianceComponent, ...]
+    axes: tuple[VarianceComponent, ...]
+    cameras: tuple[VarianceComponent, ...]
+    shifts: tuple[ImageShift, ...]
+    maps: tuple[ResidualMap | None, ...]
+    jackknife_first: Jackknife
+    jackknife_last: Jackknife
+
+
+def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
+    """Look for systematic errors in an adjusted network.
+
+    Parameters
+    ----------
+    first : Fit
+        The network at its minimum.
+    done : callable
+        Called after each piece of work.
+
+    Returns
+    -------
+    Search
+        What was found.
+    """
+    rounds = list[Round]()
+    last = first
+    while len(rounds) < ROUNDS:
+        worst = _worst(last, tuple(one.parameter.candidate for one in rounds), done)
+        step = None if worst is None else _corrected(last, worst)
+        if step is None:
+            break
+        rounds.append(step)
+        last = step.after
+    before = jackknife(first, done)
+    after = jackknife(last, done) if rounds else before
+    solution, rays = last.solution, last.network.rays
+    squares = (solution.residuals / rays.sigma) ** 2
+    redundancy = solution.redundancy
+    sigma = assumed_sigma(rays.sigma, solution.residuals, redundancy)
+    factor = float(squares.sum() / redundancy.sum())
+    both = np.repeat(rays.image, 2)
+    camera = last.network.exposures.camera[both]
+    axis = np.tile(np.array([0, 1]), len(rays.image))
+    flat, checked = squares.ravel(), redundancy.ravel()
+    return Search(
+        tuple(rounds),
+        first,
+        last,
+        sigma,
+        variance_components(last.network.image_names, both, flat, checked),
+        variance_components(("x", "y"), axis, flat, checked),
+        variance_components(tuple(one.id for one in last.network.cameras), camera, flat, checked),
+        image_shifts(last, factor, done),
+        tuple(_map(last, k, factor) for k in range(len(last.network.cameras))),
+        before,
+        after,
+    )
+
+
+def camera_estimates(fitted: Fit, camera: int) -> Estimates:
+    """Give the estimated parameters of a camera with their a priori covariance."""
+    at = np.flatnonzero(fitted.network.cameras[camera].estimated)
+    return Estimates(
+        tuple(PARAMETERS[i] for i in at),
+        fitted.solution.cameras[camera][at],
+        fitted.solution.camera_covariance[camera][np.ix_(at, at)],
+    )
+
+
+def _worst(last: Fit, found: tuple[Candidate, ...], done: Callable[[], None]) -> ExtraParameter | None:
+    """Test every candidate that was not yet found; give the most significant one, or None."""
+    tested = []
+    for candidate in candidates(last.network, last.state):
+        if any(_same(candidate, one) for one in found):
+            continue
+        outcome = estimated_amount(last, candidate)
+        if outcome is not None:
+            tested.append(outcome)
+        done()
+    significant = [one for one in tested if one.p_value < LEVEL / len(tested)]
+    if not significant:
+        return None
+    worst = max(significant, key=lambda one: one.statistic)
+    alike = tuple(
+        one.candidate.name
+        for one in significant
+        if one is not worst and one.statistic > ALIKE * worst.statistic and _parallel(last, one, worst)
+    )
+    return replace(worst, alike=alike)
+
+
+def _parallel(last: Fit, one: ExtraParameter, other: ExtraParameter) -> bool:
+    a, b = ((each.candidate.displacement / last.network.rays.sigma).ravel() for each in (one, other))
+    return bool(abs(a @ b) > ALIKE * np.linalg.norm(a) * np.linalg.norm(b))
+
+
+def _corrected(before: Fit, worst: ExtraParameter) -> Round | None:
+    """Correct an error step by step, as large ones are not linear; None when that does not lower v'Pv.
+
+    A step that does not lower it is halved.
+    """
+    amount, step, after = 0.0, worst.amount, before
+    for _ in range(_STEPS):
+        total = replace(worst, amount=amount + step)
+        plane, _ = corrected(before, total)
+        trial = fit(with_measurements(before.network, plane), after.state)
+        if trial.solution.chi_squared >= after.solution.chi_squared:
+            step /= 2.0
+            continue
+        amount, after = total.amount, trial
+        rest = estimated_amount(after, worst.candidate)
+        if rest is None or abs(rest.amount) < _NEAR * rest.sigma:
+            break
+        step = rest.amount
+    if after is before:
+        return None
+    fall = before.solution.chi_squared - after.solution.chi_squared
+    outcome = judged(before, worst.candidate, amount, worst.sigma, fall)
+    return Round(replace(outcome, alike=worst.alike), before, after)
+
+
+def _same(one: Candidate, other: Candidate) -> bool:
+    return (one.kind, one.name, one.camera) == (other.kind, other.name, other.camera)
+
+
+def _map(last: Fit, camera: int, factor: float) -> ResidualMap | None:
+    mine = last.network.exposures.camera[last.network.rays.image] == camera
+    if not mine.any():
+        return None
+    own = last.network.cameras[camera]
+    down = np.array([1.0, -1.0])
+    pixel: Array = plane_to_pixel(own.size_px, own.pitch, last.network.rays.plane[mine])
+    residual = last.solution.residuals[mine] / np.array(own.pitch) * down
+    w = last.solution.standardised(last.network.rays.sigma)[mine] * down
+    return residual_map(own.size_px, pixel, residual, w, factor, LEVEL)

@@ -1,0 +1,154 @@
+"""A block's check as a JSON value (schema `photocal.block-check/1`)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from photocal.accuracy.as_json import to_json as assessment_json
+from photocal.accuracy.discrepancies import SIGN
+from photocal.georeferencing.comparison import BlockCheck, Judged
+from photocal.georeferencing.differences import CRITICAL_W, ELLIPSE_PROBABILITY, Differences
+from photocal.georeferencing.freed_groups import Estimate
+from photocal.georeferencing.hypotheses import Hypothesis
+from photocal.georeferencing.separation import Separation
+from photocal.georeferencing.systematic import SystematicErrors
+from photocal.georeferencing.wording import block_findings
+
+SCHEMA = "photocal.block-check/1"
+_AXES = ("X", "Y", "Z")
+_POSE = ("omega_deg", "phi_deg", "kappa_deg", "X_m", "Y_m", "Z_m")
+
+
+def to_json(check: BlockCheck) -> dict[str, Any]:
+    """Give a block's check as a JSON value.
+
+    Returns
+    -------
+    dict
+        Lengths in m; null where a figure does not exist.
+    """
+    exposures = check.exposures
+    scale = np.array([*np.degrees(np.ones(3)), 1.0, 1.0, 1.0])
+    return {
+        "schema": SCHEMA,
+        "block": check.block.name,
+        "sign": SIGN,
+        "methods": {one.found.method: _method(check, one) for one in check.judged},
+        "refused": [{"method": method, "reason": reason} for method, reason in check.refused],
+        "exposures_direct_less_indirect": None
+        if exposures is None
+        else {
+            "images": exposures.images,
+            "mean": dict(zip(_POSE, (exposures.mean * scale).tolist(), strict=True)),
+            "rmse": dict(zip(_POSE, (exposures.rmse * scale).tolist(), strict=True)),
+        },
+        "systematic_errors": None if check.systematic is None else _systematic(check.systematic),
+        "separation": None if check.separation is None else _separation(check.separation),
+        "mistyped": [
+            {
+                "point": one.point,
+                "d_m": one.d.tolist(),
+                "sigma_m": one.sigma.tolist(),
+                "slip": one.slip,
+            }
+            for one in check.mistyped
+        ],
+        "findings": [finding.to_json() for finding in block_findings(check)],
+    }
+
+
+def _method(check: BlockCheck, judged: Judged) -> dict[str, Any]:
+    found = judged.found
+    return {
+        "label": found.label,
+        "chi_squared": found.chi_squared,
+        "degrees_of_freedom": found.degrees_of_freedom,
+        "global_test": None if found.test is None else dict(vars(found.test)),
+        "control": _differences(judged.control),
+        "check": _differences(judged.check),
+        "images": [
+            {"image": name, "rays": n, "rms_x_px": x, "rms_y_px": y, "largest_w": w}
+            for name, n, (x, y), w in zip(
+                check.block.images.names,
+                found.images.rays.tolist(),
+                found.images.rms.tolist(),
+                found.images.largest.tolist(),
+                strict=True,
+            )
+        ],
+        "assessment": None if judged.assessment is None else assessment_json(judged.assessment),
+    }
+
+
+def _differences(found: Differences) -> dict[str, Any]:
+    rmse = np.sqrt(np.mean(found.d**2, axis=0)).tolist() if len(found.d) else [None] * 3
+    sigma = np.sqrt(np.mean(found.product_sigma**2, axis=0)).tolist() if len(found.d) else [None] * 3
+    return {
+        "n": len(found.names),
+        "rmse_m": dict(zip(_AXES, rmse, strict=True)),
+        "predicted_m": dict(zip(_AXES, sigma, strict=True)),
+        "errors_over_prediction": finite(found.ratio),
+        "critical_w": CRITICAL_W,
+        "ellipse_probability": ELLIPSE_PROBABILITY,
+        "points": [_point(found, k) for k in range(len(found.names))],
+    }
+
+
+def _point(found: Differences, k: int) -> dict[str, Any]:
+    keyed: dict[str, Any] = {"point": found.names[k]}
+    for a, axis in enumerate(_AXES):
+        keyed[f"d{axis}_m"] = float(found.d[k, a])
+        keyed[f"s{axis}_m"] = float(found.product_sigma[k, a])
+        keyed[f"w{axis}"] = finite(float(found.w[k, a]))
+    keyed["chi_squared"] = finite(float(found.distance[k]))
+    keyed["covariance_m2"] = found.covariance[k][np.tril_indices(3)].tolist()
+    keyed["ellipse"] = {
+        "semi_major_m": float(found.ellipses.semi_axes[k, 0]),
+        "semi_minor_m": float(found.ellipses.semi_axes[k, 1]),
+        "azimuth_deg": math.degrees(found.ellipses.azimuth[k]),
+    }
+    return keyed
+
+
+def _systematic(errors: SystematicErrors) -> dict[str, Any]:
+    return {
+        "tested": [_hypothesis(one) for one in errors.tested],
+        "found": [{**_hypothesis(one.found), "not_separated_from": list(one.same)} for one in errors.errors],
+        "together": [_estimate(one) for one in errors.estimates],
+        "untested": list(errors.untested),
+        "free_in_block": [_estimate(one) for one in errors.own],
+    }
+
+
+def _hypothesis(one: Hypothesis) -> dict[str, Any]:
+    return {
+        "name": one.name,
+        "gain": one.gain,
+        "factor": one.factor,
+        "unknowns": one.unknowns,
+        "f": one.f,
+        "critical": one.critical,
+        "significant": one.significant,
+        "estimates": [_estimate(e) for e in one.estimates],
+    }
+
+
+def _estimate(one: Estimate) -> dict[str, Any]:
+    return {key: (bool(v) if key == "significant" else v) for key, v in vars(one).items()}
+
+
+def _separation(found: Separation) -> dict[str, Any]:
+    return {
+        "names": list(found.names),
+        "sigma": found.sigma.tolist(),
+        "correlation": found.correlation.tolist(),
+        "not_separated": [list(group) for group in found.groups],
+    }
+
+
+def finite(value: float) -> float | None:
+    """Give a number that JSON knows, or None."""
+    return value if math.isfinite(value) else None

@@ -1,0 +1,213 @@
+"""The whole check of a block: three methods side by side, systematic errors, what cannot be separated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import IllPosedError, PhotocalError
+from photocal.accuracy.assessment import Assessment, Question, assess
+from photocal.accuracy.findings import Finding
+from photocal.accuracy.standard import Standard
+from photocal.block.model import Block, Role
+from photocal.georeferencing.calibrated import Calibration
+from photocal.georeferencing.differences import Differences, differences
+from photocal.georeferencing.local import in_local_frame
+from photocal.georeferencing.methods import (
+    METHODS,
+    Georeferenced,
+    Method,
+    checkable,
+    of_method,
+    without_weak_images,
+)
+from photocal.georeferencing.mistyped import Mistyped, mistyped_control
+from photocal.georeferencing.mounted import as_mounted, with_attitude_angles
+from photocal.georeferencing.plausible import ground_findings
+from photocal.georeferencing.separation import Separation, separation
+from photocal.georeferencing.simulated import Degradation, degraded
+from photocal.georeferencing.systematic import SystematicErrors, systematic_errors
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One method and what the ground points say about it.
+
+    Attributes
+    ----------
+    assessment : Assessment or None
+        Of the check points, by statistics and standards; None without check points.
+    """
+
+    found: Georeferenced
+    control: Differences
+    check: Differences
+    assessment: Assessment | None
+
+
+@dataclass(frozen=True)
+class ExposureDifference:
+    """Observed exterior orientation less that of the indirect method, over the images that have both.
+
+    Attributes
+    ----------
+    mean, rmse : ndarray, shape (6,)
+        omega, phi, kappa (rad), X, Y, Z (m).
+    """
+
+    images: int
+    mean: Floats
+    rmse: Floats
+
+
+@dataclass(frozen=True)
+class BlockCheck:
+    """Everything that is said about a block.
+
+    Attributes
+    ----------
+    judged : tuple of Judged
+        Those methods that the block allows, in the order of `METHODS`.
+    refused : tuple of (Method, str)
+        The others, with the reason.
+    exposures : ExposureDifference or None
+        None unless both the direct and the indirect method are there.
+    systematic : SystematicErrors or None
+        None without positions, or where they cannot be tested.
+    plausibility : tuple of Finding
+        Mistakes in the ground points.
+    mistyped : tuple of Mistyped
+        Control points that contradict the others; systematic errors were looked for without them.
+    """
+
+    block: Block
+    judged: tuple[Judged, ...]
+    refused: tuple[tuple[Method, str], ...]
+    exposures: ExposureDifference | None
+    systematic: SystematicErrors | None
+    separation: Separation | None
+    plausibility: tuple[Finding, ...]
+    mistyped: tuple[Mistyped, ...] = ()
+
+    def of(self, method: Method) -> Judged | None:
+        """Give one method's result; None where the block does not allow it."""
+        return next((one for one in self.judged if one.found.method == method), None)
+
+
+def check_block(
+    block: Block,
+    standards: tuple[Standard, ...],
+    question: Question,
+    simulate: tuple[Degradation, np.random.Generator] | None = None,
+    done: Callable[[str], None] = lambda _: None,
+    calibration: Calibration | None = None,
+) -> BlockCheck:
+    """Georeference a block three ways and judge it at its ground points.
+
+    Parameters
+    ----------
+    standards : tuple of Standard
+        Applied to the check points of each method.
+    simulate : (Degradation, Generator), optional
+        Direct georeferencing from the adjusted orientation with this noise, labelled as simulated.
+    done : callable
+        Called with the name of each stage that ended.
+    calibration : Calibration, optional
+        Camera and mounting for direct georeferencing; without it those that the block states.
+
+    Raises
+    ------
+    IllPosedError
+        When no method can be computed; the message has what was found in the ground points.
+    """
+    plausibility = ground_findings(block)
+    done("plausibility")
+    places = block.points.values
+    try:
+        block = with_attitude_angles(checkable(in_local_frame(block)))
+    except PhotocalError as refusal:
+        raise type(refusal)(_with_findings(str(refusal), plausibility), where=block.name) from refusal
+    judged, refused = [], []
+    for method in METHODS:
+        try:
+            source, note = block, ""
+            if method == "direct" and simulate is not None:
+                source, note = degraded(block, *simulate), simulate[0].note
+            judged.append(
+                _judge(source, places, of_method(source, method, note, calibration), standards, question)
+            )
+        except PhotocalError as refusal:
+            refused.append((method, str(refusal)))
+        done(method)
+    if not judged:
+        reasons = "; ".join(f"{method}: {reason}" for method, reason in refused)
+        said = _with_findings(f"no method can be computed: {reasons}", plausibility)
+        raise IllPosedError(said, where=block.name)
+    sound, mistyped = _sound(block, places, judged)
+    systematic, apart = _calibration(sound)
+    done("systematic errors")
+    return BlockCheck(
+        block,
+        tuple(judged),
+        tuple(refused),
+        _exposures(tuple(judged)),
+        systematic,
+        apart,
+        plausibility,
+        mistyped,
+    )
+
+
+def _sound(block: Block, places: Floats, judged: list[Judged]) -> tuple[Block, tuple[Mistyped, ...]]:
+    """The block without control points that contradict the others, where any point is suspected at all."""
+    if not any(one.control.suspected for one in judged):
+        return block, ()
+    return mistyped_control(without_weak_images(block)[0], places)
+
+
+def _with_findings(said: str, findings: tuple[Finding, ...]) -> str:
+    """A refusal together with what was found in the input: the cause stands there."""
+    return f"{said}. {' '.join(finding.text for finding in findings)}".strip()
+
+
+def _judge(
+    block: Block, places: Floats, found: Georeferenced, standards: tuple[Standard, ...], question: Question
+) -> Judged:
+    """Judge one method; maps show the points at their places as given."""
+    index = {name: k for k, name in enumerate(block.points.names)}
+
+    def at_given_places(role: Role) -> Differences:
+        one = differences(block, found, role)
+        rows = np.array([index[name] for name in one.names], dtype=np.int64)
+        return replace(one, xyz=places[rows])
+
+    check = at_given_places("check")
+    assessment = assess(check.discrepancies(), standards, question) if len(check.names) else None
+    return Judged(found, at_given_places("control"), check, assessment)
+
+
+def _calibration(block: Block) -> tuple[SystematicErrors | None, Separation | None]:
+    """Systematic errors and separation; None where the block gives no hold for them."""
+    mounted = as_mounted(without_weak_images(block)[0])
+    if not len(mounted.positions.image) or block.datum == "free":
+        return None, None
+    try:
+        return systematic_errors(mounted), separation(mounted)
+    except PhotocalError:
+        # The integrated method has failed for the same reason, which is said there.
+        return None, None
+
+
+def _exposures(judged: tuple[Judged, ...]) -> ExposureDifference | None:
+    by_method = {one.found.method: one.found for one in judged}
+    if "direct" not in by_method or "indirect" not in by_method:
+        return None
+    d = by_method["direct"].exposures - by_method["indirect"].exposures
+    d[:, :3] = (d[:, :3] + np.pi) % (2 * np.pi) - np.pi
+    d = d[np.isfinite(d).all(axis=1)]
+    return ExposureDifference(len(d), d.mean(axis=0), np.sqrt(np.mean(d**2, axis=0)))

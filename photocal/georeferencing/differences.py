@@ -1,0 +1,112 @@
+"""Differences at ground points with the standard deviations that the method predicts for them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from photocal.accuracy.discrepancies import Discrepancies
+from photocal.adjustment.ellipses import Ellipses, ellipses
+from photocal.adjustment.network import covariance_matrices
+from photocal.block.model import ROLES, Block, Role
+from photocal.georeferencing.methods import Georeferenced
+
+Floats = NDArray[np.float64]
+
+ELLIPSE_PROBABILITY = 0.95
+# Two-sided 0.1 %, Baarda's usual choice (1968) for single tests.
+CRITICAL_W = float(stats.norm.ppf(1.0 - 0.001 / 2.0))
+CRITICAL_POINT = float(stats.chi2(3).ppf(1.0 - 0.001))
+
+
+@dataclass(frozen=True)
+class Differences:
+    """Surveyed minus computed coordinates of the ground points of one role.
+
+    Attributes
+    ----------
+    role : {"control", "check"}
+    d : ndarray, shape (n, 3)
+        m.
+    xyz : ndarray, shape (n, 3)
+        Surveyed, m.
+    product_sigma : ndarray, shape (n, 3)
+        Predicted standard deviation of the computed coordinates, m.
+    covariance : ndarray, shape (n, 3, 3)
+        Predicted for d: of product and survey together; of a fitted point, of its residual.
+    w : ndarray, shape (n, 3)
+        d over its predicted standard deviation; NaN where that is zero.
+    distance : ndarray, shape (n,)
+        d' C^-1 d, chi-squared with 3 degrees of freedom when the prediction holds; NaN where C is singular.
+    ellipses : Ellipses
+        Of the computed position, in the X, Y plane.
+    """
+
+    role: Role
+    names: tuple[str, ...]
+    d: Floats
+    xyz: Floats
+    product_sigma: Floats
+    covariance: Floats
+    w: Floats
+    distance: Floats
+    ellipses: Ellipses
+
+    def discrepancies(self) -> Discrepancies:
+        """Give them to the statistics and the standards."""
+        return Discrepancies(self.names, self.d, self.xyz)
+
+    @property
+    def suspected(self) -> tuple[str, ...]:
+        """Points whose difference the prediction does not explain (0.1 % in space)."""
+        return tuple(n for n, q in zip(self.names, self.distance.tolist(), strict=True) if q > CRITICAL_POINT)
+
+    @property
+    def ratio(self) -> float:
+        """Root of the mean of d' C^-1 d / 3: 1 when errors are as large as predicted."""
+        known = self.distance[np.isfinite(self.distance)]
+        return float(np.sqrt(known.mean() / 3.0)) if len(known) else float("nan")
+
+
+def differences(block: Block, found: Georeferenced, role: Role) -> Differences:
+    """Compare the ground points of one role with their survey.
+
+    Parameters
+    ----------
+    role : {"control", "check"}
+    """
+    mine = block.points.role[found.points] == ROLES.index(role)
+    index, fitted = found.points[mine], found.fitted[mine]
+    surveyed = block.points.values[index]
+    d = surveyed - found.xyz[mine]
+    product = found.covariance[mine]
+    stated = np.where(np.isfinite(block.points.sigma[index]), block.points.sigma[index], 0.0)
+    cross = np.zeros((len(index), 3)) if block.points.cross is None else block.points.cross[index]
+    survey = covariance_matrices(stated, cross)
+    # The residual of a fitted observation: C_obs - C_adjusted (Mikhail 1976, eq. 7-17).
+    covariance = np.where(fitted[:, None, None], survey - product, survey + product)
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
+    # What is left of a held or hardly checked coordinate is rounding.
+    tested = variance > 1e-6 * (np.diagonal(product, axis1=1, axis2=2) + stated**2) + 1e-18
+    w = np.divide(d, np.sqrt(np.where(tested, variance, 1.0)), out=np.full_like(d, np.nan), where=tested)
+    distance = np.full(len(d), np.nan)
+    for k in np.flatnonzero(tested.all(axis=1)):
+        eigenvalues = np.linalg.eigvalsh(covariance[k])
+        if eigenvalues[0] > 1e-9 * eigenvalues[-1]:
+            distance[k] = float(d[k] @ np.linalg.solve(covariance[k], d[k]))
+    names = tuple(block.points.names[j] for j in index)
+    sigma = np.sqrt(np.diagonal(product, axis1=1, axis2=2))
+    return Differences(
+        role,
+        names,
+        d,
+        surveyed,
+        sigma,
+        covariance,
+        w,
+        distance,
+        ellipses(product, ELLIPSE_PROBABILITY) if len(d) else ellipses(np.zeros((0, 3, 3)), 0.95),
+    )

@@ -1,0 +1,284 @@
+"""Experiments: one block georeferenced with several interior orientations and control patterns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError, PhotocalError
+from photocal.accuracy.significance_tests import BiasTest, bias_test
+from photocal.accuracy.statistics import moments
+from photocal.accuracy.trend import rmse_after_trend_removal
+from photocal.block.model import Block
+from photocal.geometry.camera import Camera
+from photocal.georeferencing.differences import Differences, differences
+from photocal.georeferencing.local import in_local_frame
+from photocal.georeferencing.methods import Method, checkable, of_method, with_roles
+from photocal.georeferencing.mounted import with_attitude_angles
+from photocal.georeferencing.simulated import Degradation, degraded
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+Use = Literal["weighted", "fixed", "as-given"]
+
+
+@dataclass(frozen=True)
+class InteriorSet:
+    """One calibration of the block's camera.
+
+    Attributes
+    ----------
+    camera : Camera
+        Values.
+    sigma : ndarray, shape (13,)
+        Standard deviations; NaN where none is known.
+    correlation : ndarray, shape (13, 13), or None
+        Correlations of the parameters with a sigma; None where they are not known.
+    """
+
+    name: str
+    camera: Camera
+    sigma: Floats
+    correlation: Floats | None = None
+
+
+@dataclass(frozen=True)
+class ControlPattern:
+    """Which points are control; every other ground point is a check point."""
+
+    name: str
+    points: Integers
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What is to be run.
+
+    Attributes
+    ----------
+    interiors : tuple of InteriorSet
+        Empty: the block's own camera.
+    patterns : tuple of ControlPattern
+        Empty: the block's own roles.
+    noise : Degradation or None
+        Direct orientations are the adjusted ones with this noise.
+    seed : int
+        Of that noise.
+    confidence : float
+        Of the tests for bias.
+    camera : int
+        Which camera of the block the interior orientations are of; the others stay as they are.
+    """
+
+    block: Block
+    methods: tuple[Method, ...]
+    interiors: tuple[InteriorSet, ...] = ()
+    uses: tuple[Use, ...] = ("weighted", "fixed")
+    patterns: tuple[ControlPattern, ...] = ()
+    leave_one_out: bool = False
+    noise: Degradation | None = None
+    seed: int = 0
+    confidence: float = 0.95
+    camera: int = 0
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run.
+
+    Attributes
+    ----------
+    control : int
+        Number of control points.
+    check : Differences or None
+        At the check points; None when the run failed.
+    bias : tuple of BiasTest
+        In X, Y, Z; empty with fewer than two check points.
+    without_trend : tuple of float
+        RMSE after the mean of biased components is removed, m.
+    variance_factor : float
+        chi-squared over degrees of freedom; NaN when the run failed.
+    failure : str
+        Why it failed; empty otherwise.
+    """
+
+    interior: str
+    use: str
+    pattern: str
+    method: Method
+    control: int
+    check: Differences | None
+    bias: tuple[BiasTest, ...]
+    without_trend: tuple[float, ...]
+    variance_factor: float
+    failure: str
+
+    @property
+    def name(self) -> str:
+        """Short name for a plot."""
+        parts = (self.interior, "" if self.use == "as-given" else self.use, self.pattern, self.method)
+        return " ".join(part for part in parts if part)
+
+    def rmse(self) -> Floats:
+        """RMSE in X, Y, Z, shape (3,), m; NaN without check points."""
+        if self.check is None or not len(self.check.d):
+            return np.full(3, np.nan)
+        return np.asarray(np.sqrt(np.mean(self.check.d**2, axis=0)))
+
+    def predicted(self) -> Floats:
+        """Root mean square of the predicted sigmas of the check points, shape (3,), m."""
+        if self.check is None or not len(self.check.d):
+            return np.full(3, np.nan)
+        return np.asarray(np.sqrt(np.mean(self.check.product_sigma**2, axis=0)))
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A control point that was left out, so that the others judge it.
+
+    Attributes
+    ----------
+    d, sigma, w : ndarray, shape (3,)
+        Surveyed less computed, its predicted sigma, m; d over sigma.
+    """
+
+    method: Method
+    point: str
+    d: Floats
+    sigma: Floats
+    w: Floats
+    failure: str
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """All runs of an experiment."""
+
+    runs: tuple[Run, ...]
+    left_out: tuple[LeftOut, ...]
+
+
+def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: None) -> Outcome:
+    """Run an experiment.
+
+    Parameters
+    ----------
+    done : callable
+        Called after each run.
+
+    Returns
+    -------
+    Outcome
+        Runs that cannot be computed say why.
+    """
+    block = with_attitude_angles(checkable(in_local_frame(experiment.block)))
+    if experiment.noise is not None:
+        # One realisation for all runs, so that they differ by what is being compared only.
+        noisy = degraded(block, experiment.noise, np.random.default_rng(experiment.seed))
+        block = replace(block, images=noisy.images, positions=noisy.positions, attitudes=noisy.attitudes)
+        block = replace(block, mounting=noisy.mounting)
+    own = ControlPattern("", np.flatnonzero(block.points.of_role("control")))
+    runs = []
+    for method in experiment.methods:
+        for pattern in experiment.patterns or (own,):
+            for interior, use, camera in _cameras(experiment, block):
+                cameras = list(block.cameras)
+                cameras[experiment.camera] = camera
+                setup = with_roles(replace(block, cameras=tuple(cameras)), pattern.points)
+                runs.append(_run(setup, method, interior, use, pattern, experiment.confidence))
+                done()
+    left = _leave_one_out(block, experiment.methods, done) if experiment.leave_one_out else ()
+    return Outcome(tuple(runs), left)
+
+
+def spread_points(block: Block, candidates: Integers, count: int) -> Integers:
+    """Choose points far from each other: from the outermost always to the farthest one (Gonzalez 1985)."""
+    if not 0 < count <= len(candidates):
+        raise ConfigurationError(
+            f"{count} control points were asked for, the block has {len(candidates)}",
+            remedy="ask for as many as there are, or fewer",
+        )
+    plane = block.points.values[candidates, :2]
+    chosen = [int(np.argmax(np.hypot(*(plane - plane.mean(axis=0)).T)))]
+    while len(chosen) < count:
+        apart = np.min([np.hypot(*(plane - plane[k]).T) for k in chosen], axis=0)
+        chosen.append(int(np.argmax(apart)))
+    return np.asarray(candidates[chosen])
+
+
+def _cameras(experiment: Experiment, block: Block) -> list[tuple[str, Use, Camera]]:
+    own = block.cameras[experiment.camera]
+    if not experiment.interiors:
+        return [("", "as-given", own)]
+    made: list[tuple[str, Use, Camera]] = []
+    for interior in experiment.interiors:
+        given = replace(
+            interior.camera,
+            id=own.id,
+            estimated=np.zeros_like(own.estimated),
+            prior_sigma=np.full_like(own.prior_sigma, np.inf),
+        )
+        for use in experiment.uses:
+            if use == "weighted":
+                known = np.isfinite(interior.sigma) & (interior.sigma > 0)
+                sigma = np.where(known, interior.sigma, np.inf)
+                camera = replace(
+                    given, estimated=known, prior_sigma=sigma, prior_correlation=interior.correlation
+                )
+                made.append((interior.name, use, camera))
+            else:
+                made.append((interior.name, use, given))
+    return made
+
+
+def _run(
+    block: Block, method: Method, interior: str, use: Use, pattern: ControlPattern, confidence: float
+) -> Run:
+    head = (interior, use, pattern.name, method, len(pattern.points))
+    try:
+        found = of_method(block, method)
+    except PhotocalError as refusal:
+        return Run(*head, None, (), (), float("nan"), str(refusal))
+    check = differences(block, found, "check")
+    figures = [moments(column) for column in check.d.T] if len(check.d) else []
+    enough = len(check.d) > 1
+    return Run(
+        *head,
+        check,
+        tuple(bias_test(m, confidence) for m in figures) if enough else (),
+        tuple(rmse_after_trend_removal(m, confidence) for m in figures) if enough else (),
+        found.chi_squared / found.degrees_of_freedom if found.degrees_of_freedom > 0 else float("nan"),
+        "",
+    )
+
+
+def _leave_one_out(
+    block: Block, methods: tuple[Method, ...], done: Callable[[], None]
+) -> tuple[LeftOut, ...]:
+    control = np.flatnonzero(block.points.of_role("control"))
+    nothing = np.full(3, np.nan)
+    left = []
+    for method in methods:
+        for point in control:
+            name = block.points.names[point]
+            try:
+                setup = checkable(with_roles(block, control[control != point]))
+                check = differences(setup, of_method(setup, method), "check")
+            except PhotocalError as refusal:
+                left.append(LeftOut(method, name, nothing, nothing, nothing, str(refusal)))
+                continue
+            finally:
+                done()
+            if name in check.names:
+                k = check.names.index(name)
+                sigma = np.sqrt(np.diag(check.covariance[k]))
+                left.append(LeftOut(method, name, check.d[k], sigma, check.w[k], ""))
+            else:
+                why = "it has fewer than two rays"
+                left.append(LeftOut(method, name, nothing, nothing, nothing, why))
+    return tuple(left)

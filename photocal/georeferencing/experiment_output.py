@@ -1,0 +1,161 @@
+"""Results of an experiment: JSON, text, tables and plots of the RMSE at the check points."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from acquire.outputs import output_folder
+from photocal.accuracy.discrepancies import SIGN
+from photocal.georeferencing.as_json import finite
+from photocal.georeferencing.experiment import LeftOut, Outcome, Run
+from photocal.georeferencing.experiment_plots import control_plot, rmse_plot
+
+SCHEMA = "photocal.experiment/1"
+_AXES = ("x", "y", "z")
+
+
+def to_json(outcome: Outcome) -> dict[str, Any]:
+    """Give an experiment's results as a JSON value."""
+    return {
+        "schema": SCHEMA,
+        "sign": SIGN,
+        "runs": [_run(run) for run in outcome.runs],
+        "leave_one_out": [_left(one) for one in outcome.left_out],
+        "leave_one_out_rmse_m": {
+            method: _rmse([one for one in outcome.left_out if one.method == method])
+            for method in dict.fromkeys(one.method for one in outcome.left_out)
+        },
+    }
+
+
+def to_text(outcome: Outcome) -> str:
+    """Write an experiment's results for people."""
+    lines = [
+        f"check points, {SIGN}; RMSE and predicted sigma in m, t of the mean (* biased)",
+        f"{'run':<40}{'control':>8}{'check':>6}{'X':>9}{'Y':>9}{'Z':>9}   {'sX':>8}{'sY':>8}{'sZ':>8}   t",
+    ]
+    for run in outcome.runs:
+        if run.check is None:
+            lines.append(f"{run.name:<40}{run.control:>8}  failed: {run.failure}")
+            continue
+        t = " ".join(f"{b.t:.2f}{'*' if b.significant else ''}" for b in run.bias)
+        lines.append(
+            f"{run.name:<40}{run.control:>8}{len(run.check.names):>6}"
+            + "".join(f"{v:9.4f}" for v in run.rmse())
+            + "   "
+            + "".join(f"{v:8.4f}" for v in run.predicted())
+            + f"   {t}"
+        )
+    if outcome.left_out:
+        lines += ["", "leave one out: d, w"]
+    for one in outcome.left_out:
+        if one.failure:
+            lines.append(f"  {one.method:<12}{one.point:<12}{one.failure}")
+            continue
+        values = " ".join(f"{v:+.4f}" for v in one.d.tolist())
+        tested = " ".join(f"{v:.2f}" for v in one.w.tolist())
+        lines.append(f"  {one.method:<12}{one.point:<12}{values}   {tested}")
+    return "\n".join(lines)
+
+
+def write_experiment(outcome: Outcome, folder: Path) -> tuple[str, ...]:
+    """Write the results of an experiment.
+
+    Parameters
+    ----------
+    folder : Path
+        Gets `experiment.json`, `runs.csv`, `leave_one_out.csv`, `rmse.pdf` and, where the number of control
+        points differs, `rmse_by_control.pdf`.
+
+    Returns
+    -------
+    tuple of str
+        Names of the files.
+
+    Raises
+    ------
+    OutputError
+        When the folder cannot be written.
+    """
+    texts = {
+        "experiment.json": json.dumps(to_json(outcome), indent=1, allow_nan=False) + "\n",
+        "runs.csv": _csv([_flat(run) for run in outcome.runs]),
+    }
+    if outcome.left_out:
+        texts["leave_one_out.csv"] = _csv([_left(one) for one in outcome.left_out])
+    drawn = {"rmse.pdf": rmse_plot(outcome), "rmse_by_control.pdf": control_plot(outcome)}
+    figures = {name: figure for name, figure in drawn.items() if figure is not None}
+    with output_folder(folder) as aside:
+        for name, text in texts.items():
+            (aside / name).write_text(text, encoding="utf-8")
+        for name, figure in figures.items():
+            figure.savefig(aside / name, metadata={"CreationDate": None})
+    return (*texts, *figures)
+
+
+def _run(run: Run) -> dict[str, Any]:
+    return {
+        **_flat(run),
+        "points": []
+        if run.check is None
+        else [
+            {"point": name, "d_m": d, "sigma_m": s}
+            for name, d, s in zip(
+                run.check.names, run.check.d.tolist(), run.check.product_sigma.tolist(), strict=True
+            )
+        ],
+    }
+
+
+def _flat(run: Run) -> dict[str, Any]:
+    rmse, sigma = run.rmse(), run.predicted()
+    row: dict[str, Any] = {
+        "interior": run.interior,
+        "use": run.use,
+        "pattern": run.pattern,
+        "method": run.method,
+        "control": run.control,
+        "check": 0 if run.check is None else len(run.check.names),
+    }
+    row |= {f"rmse_{axis}_m": finite(float(v)) for axis, v in zip(_AXES, rmse, strict=True)}
+    row |= {
+        "rmse_plane_m": finite(float(np.hypot(*rmse[:2]))),
+        "rmse_3d_m": finite(float(np.sqrt(np.sum(rmse**2)))),
+    }
+    row |= {f"predicted_{axis}_m": finite(float(v)) for axis, v in zip(_AXES, sigma, strict=True)}
+    for k, axis in enumerate(_AXES):
+        bias = run.bias[k] if run.bias else None
+        row[f"t_{axis}"] = None if bias is None else finite(bias.t)
+        row[f"biased_{axis}"] = None if bias is None else bool(bias.significant)
+        row[f"rmse_without_trend_{axis}_m"] = run.without_trend[k] if run.without_trend else None
+    row["errors_over_prediction"] = None if run.check is None else finite(run.check.ratio)
+    row["variance_factor"] = finite(run.variance_factor)
+    row["failure"] = run.failure
+    return row
+
+
+def _left(one: LeftOut) -> dict[str, Any]:
+    row: dict[str, Any] = {"method": one.method, "point": one.point}
+    for prefix, values, unit in (("d", one.d, "_m"), ("s", one.sigma, "_m"), ("w", one.w, "")):
+        row |= {f"{prefix}{a}{unit}": finite(float(v)) for a, v in zip(_AXES, values, strict=True)}
+    row["failure"] = one.failure
+    return row
+
+
+def _rmse(left: list[LeftOut]) -> list[float | None]:
+    d = np.array([one.d for one in left if not one.failure]).reshape(-1, 3)
+    return [finite(float(v)) for v in np.sqrt(np.mean(d**2, axis=0))] if len(d) else [None] * 3
+
+
+def _csv(rows: list[dict[str, Any]]) -> str:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()

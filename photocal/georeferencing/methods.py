@@ -1,0 +1,290 @@
+"""One block georeferenced three ways: direct, integrated, indirect."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError, IllPosedError
+from photocal.adjustment.adjust import adjust
+from photocal.adjustment.mounting import NO_ATTITUDES, NO_MOUNTING, NO_POSITIONS, Attitudes, Positions
+from photocal.adjustment.solution import GlobalTest, Solution, global_test
+from photocal.block.model import ROLES, Block, Role
+from photocal.block.network import NetworkOfBlock, assemble, plane_per_unit
+from photocal.geometry.rotation import angles_from_matrix
+from photocal.georeferencing.calibrated import Calibration, joint_covariance, with_calibration
+from photocal.georeferencing.direct import direct_orientation
+from photocal.georeferencing.space_intersection import Intersected, intersect_points
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+Method = Literal["direct", "integrated", "indirect"]
+# Three points orient an image in up to four ways and nothing checks them.
+_FEWEST_RAYS = 4
+METHODS: tuple[Method, ...] = ("direct", "integrated", "indirect")
+
+
+@dataclass(frozen=True)
+class ImageResiduals:
+    """Residuals summed up by image, px.
+
+    Attributes
+    ----------
+    rays : ndarray of int, shape (n,)
+    rms : ndarray, shape (n, 2)
+    largest : ndarray, shape (n,)
+        Largest absolute standardised residual.
+    """
+
+    rays: Integers
+    rms: Floats
+    largest: Floats
+
+
+@dataclass(frozen=True)
+class Georeferenced:
+    """Ground points as one method gives them.
+
+    Attributes
+    ----------
+    label : str
+        What it is, with everything that a reader must know.
+    points : ndarray of int, shape (n,)
+        Ground points of the block.
+    xyz : ndarray, shape (n, 3)
+        m.
+    covariance : ndarray, shape (n, 3, 3)
+    fitted : ndarray of bool, shape (n,)
+        Whether the point's surveyed coordinates took part.
+    exposures : ndarray, shape (images, 6)
+        omega, phi, kappa (rad), X, Y, Z (m); NaN where the method has none.
+    solution : Solution or None
+        The adjustment; None for direct georeferencing.
+    """
+
+    method: Method
+    label: str
+    points: Integers
+    xyz: Floats
+    covariance: Floats
+    fitted: NDArray[np.bool_]
+    exposures: Floats
+    images: ImageResiduals
+    chi_squared: float
+    degrees_of_freedom: int
+    test: GlobalTest | None
+    solution: Solution | None
+
+
+def of_method(
+    block: Block, method: Method, note: str = "", calibration: Calibration | None = None
+) -> Georeferenced:
+    """Georeference a block by one method.
+
+    Parameters
+    ----------
+    method : {"direct", "integrated", "indirect"}
+    note : str
+        Added to the label, such as where simulated orientations come from.
+    calibration : Calibration, optional
+        Camera and mounting for the direct method; without it those that the block states.
+
+    Raises
+    ------
+    ConfigurationError
+        When the block lacks what the method needs.
+    PhotocalError
+        As the adjustment does.
+    """
+    if method == "direct":
+        return _direct(block, note, calibration)
+    return _adjusted(without_georeference(block) if method == "indirect" else block, method, note)
+
+
+def without_georeference(block: Block) -> Block:
+    """Return the block with control and image observations only."""
+    images = replace(block.images, sigma=np.full_like(block.images.sigma, np.inf))
+    return replace(block, images=images, positions=NO_POSITIONS, attitudes=NO_ATTITUDES, mounting=NO_MOUNTING)
+
+
+def without_weak_images(block: Block) -> tuple[Block, NDArray[np.bool_]]:
+    """Set images with fewer than four rays aside: they give the adjustment nothing.
+
+    Returns
+    -------
+    block : Block
+        Without the rays of those images; their exterior orientation is held, so that it has no effect.
+    weak : ndarray of bool, shape (images,)
+    """
+    weak = np.zeros(len(block.images.names), dtype=np.bool_)
+    while True:
+        rays = np.bincount(block.observations.image, minlength=len(weak))
+        more = (rays < _FEWEST_RAYS) & ~weak
+        if not more.any():
+            break
+        weak |= more
+        block = checkable(_keep(block, ~weak[block.observations.image]))
+    if not weak.any():
+        return block, weak
+    sigma = block.images.sigma.copy()
+    sigma[weak] = 0.0
+    positions, attitudes = block.positions, block.attitudes
+    kept = ~weak[positions.image], ~weak[attitudes.image]
+    return replace(
+        block,
+        images=replace(block.images, sigma=sigma),
+        positions=Positions(*(column[kept[0]] for column in vars(positions).values())),
+        attitudes=Attitudes(*(column[kept[1]] for column in vars(attitudes).values())),
+    ), weak
+
+
+def _keep(block: Block, keep: NDArray[np.bool_]) -> Block:
+    """Return the block with some of its observations."""
+    if keep.all():
+        return block
+    o = block.observations
+    chosen = replace(o, image=o.image[keep], point=o.point[keep], values=o.values[keep], sigma=o.sigma[keep])
+    return replace(block, observations=chosen)
+
+
+def ground_points(block: Block) -> Integers:
+    """Control and check points that have rays, as indices."""
+    rays = np.bincount(block.observations.point, minlength=len(block.points.names))
+    return np.flatnonzero((block.points.role != ROLES.index("tie")) & (rays > 0))
+
+
+def checkable(block: Block) -> Block:
+    """Return the block without observations of check and tie points that have a single ray."""
+    rays = np.bincount(block.observations.point, minlength=len(block.points.names))
+    alone = (rays == 1) & ~block.points.of_role("control")
+    return _keep(block, ~alone[block.observations.point])
+
+
+def with_roles(block: Block, control: Integers, role_of_rest: Role = "check") -> Block:
+    """Return the block with these control points; the other control points get another role."""
+    role = block.points.role.copy()
+    role[block.points.of_role("control")] = ROLES.index(role_of_rest)
+    role[control] = ROLES.index("control")
+    return replace(block, points=replace(block.points, role=role))
+
+
+def local_origin(assembly: NetworkOfBlock) -> Floats:
+    """Give what was subtracted from all coordinates of a block in a local frame, m."""
+    return np.asarray(assembly.frame.to_given(np.zeros((1, 3)))[0])
+
+
+def _direct(block: Block, note: str, calibration: Calibration | None) -> Georeferenced:
+    joint = None
+    if calibration is not None:
+        block = with_calibration(block, calibration)
+        joint = joint_covariance(calibration, len(block.mounting.values))
+    orientation = direct_orientation(block)
+    if not orientation.known.any():
+        raise ConfigurationError(
+            "direct georeferencing needs position and attitude of the exposures",
+            where=block.name,
+            remedy="give positions.csv and attitudes.csv, or all six sigmas in images.csv",
+        )
+    found = intersect_points(block, orientation, ground_points(block), joint)
+    if not len(found.points):
+        raise IllPosedError(
+            "no ground point has two rays from exposures with position and attitude that meet",
+            where=block.name,
+            remedy="measure the ground points in more images; do positions and images belong together?",
+        )
+    label = "direct: space intersection from GNSS and attitude alone"
+    if not orientation.known.all():
+        label += f"; {int((~orientation.known).sum())} images without position or attitude left out"
+    if joint is not None:
+        label += ", with camera and mounting of a calibration"
+    elif orientation.unstated:
+        label += "; the mounting is free in block.toml: its values are used, their uncertainty is unknown"
+    poses = np.hstack([angles_from_matrix(orientation.rotation), orientation.centre])
+    poses[~orientation.known] = np.nan
+    return Georeferenced(
+        "direct",
+        label + note,
+        found.points,
+        found.xyz,
+        found.covariance,
+        np.zeros(len(found.points), dtype=np.bool_),
+        poses,
+        _direct_residuals(block, found),
+        found.chi_squared,
+        found.degrees_of_freedom,
+        # The points of an image share its errors: their sum of squares is not chi-squared.
+        None,
+        None,
+    )
+
+
+def _direct_residuals(block: Block, found: Intersected) -> ImageResiduals:
+    image = block.observations.image[found.rays]
+    return _by_image(len(block.images.names), image, found.residuals, found.standardised)
+
+
+def _adjusted(block: Block, method: Method, note: str) -> Georeferenced:
+    if block.datum == "free":
+        raise ConfigurationError(
+            "a free network has no datum that check points could judge",
+            where="block.toml",
+            remedy='set datum = "control"',
+        )
+    has_georeference = len(block.positions.image) or np.isfinite(block.images.sigma).any()
+    if method == "integrated" and not has_georeference:
+        raise ConfigurationError(
+            "the integrated method needs observed positions or attitudes",
+            where=block.name,
+            remedy="give positions.csv, or sigmas in images.csv",
+        )
+    block, weak = without_weak_images(block)
+    assembly = assemble(block)
+    solution = adjust(assembly.network)
+    exposures = solution.exposures + np.concatenate([np.zeros(3), local_origin(assembly)])
+    exposures[weak] = np.nan
+    if weak.any():
+        note = f"; {int(weak.sum())} images with fewer than four rays set aside" + note
+    origin = local_origin(assembly)
+    control = block.points.of_role("control")
+    wanted = np.isin(assembly.points, ground_points(block))
+    points = assembly.points[wanted]
+    labels = {
+        "integrated": "integrated: positions, attitudes, control and image observations adjusted together",
+        "indirect": "indirect: control and image observations only",
+    }
+    return Georeferenced(
+        method,
+        labels[method] + note,
+        points,
+        solution.points[wanted] + origin,
+        solution.point_covariance[wanted],
+        control[points],
+        exposures,
+        _residuals(block, assembly, solution),
+        solution.chi_squared,
+        solution.degrees_of_freedom,
+        global_test(solution.chi_squared, solution.degrees_of_freedom),
+        solution,
+    )
+
+
+def _residuals(block: Block, assembly: NetworkOfBlock, solution: Solution) -> ImageResiduals:
+    rays = assembly.network.rays
+    camera = block.images.camera[rays.image]
+    pitch = np.array([own.pitch for own in block.cameras])[camera]
+    if block.observations.unit == "px":
+        pitch = plane_per_unit(block)[camera]
+    standardised = solution.standardised(rays.sigma)
+    return _by_image(len(block.images.names), rays.image, solution.residuals / pitch, standardised)
+
+
+def _by_image(count: int, image: Integers, residuals: Floats, standardised: Floats) -> ImageResiduals:
+    rays = np.bincount(image, minlength=count)
+    squares = np.column_stack([np.bincount(image, residuals[:, a] ** 2, count) for a in range(2)])
+    largest = np.zeros(count)
+    np.maximum.at(largest, image, np.nan_to_num(np.abs(standardised)).max(axis=1, initial=0.0))
+    return ImageResiduals(rays, np.sqrt(squares / np.maximum(rays, 1)[:, None]), largest)

@@ -1,0 +1,221 @@
+"""Space intersection with uncertain exterior orientation: each point alone, by generalised least squares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from photocal.adjustment.intersection import intersect
+from photocal.block.model import Block
+from photocal.block.network import observed_plane, plane_per_unit
+from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.geometry.distortion import undistorted
+from photocal.georeferencing.direct import DirectOrientation
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+_ITERATIONS = 20
+_ENOUGH_M = 1e-7
+
+
+@dataclass(frozen=True)
+class Intersected:
+    """Points intersected from given exterior orientations.
+
+    Attributes
+    ----------
+    points : ndarray of int, shape (n,)
+        Of the block.
+    xyz : ndarray, shape (n, 3)
+        m.
+    covariance : ndarray, shape (n, 3, 3)
+        From the image observations, the orientations, the mounting and the interior orientation.
+    rays : ndarray of int, shape (r,)
+        Rows of the block's observations that took part.
+    residuals, standardised : ndarray, shape (r, 2)
+        Computed minus measured, in the image plane without distortion, px; over its standard deviation.
+    """
+
+    points: Integers
+    xyz: Floats
+    covariance: Floats
+    rays: Integers
+    residuals: Floats
+    standardised: Floats
+    chi_squared: float
+    degrees_of_freedom: int
+
+
+@dataclass(frozen=True)
+class _Rays:
+    """Corrected image coordinates p = -c (u, v)/w and how they depend on measurement and camera."""
+
+    ideal: Floats
+    covariance: Floats
+    by_camera: Floats
+    camera: Integers
+    distance: Floats
+
+
+def intersect_points(
+    block: Block, orientation: DirectOrientation, wanted: Integers, joint: Floats | None = None
+) -> Intersected:
+    """Intersect points from all images that have an orientation.
+
+    The weights of a point's rays come from image observations and orientations together, with the
+    correlation that common errors (mounting, camera) give them: the best linear unbiased estimate.
+    """
+    if joint is None:
+        stated = [np.diag(camera_variance(own)) for own in block.cameras]
+        joint = block_diag(orientation.common_covariance, *stated)
+    corrected = _corrected(block, np.diag(joint)[len(orientation.common_covariance) :])
+    observations = block.observations
+    usable = orientation.known[observations.image]
+    chosen = np.flatnonzero(usable & np.isin(observations.point, wanted))
+    start = intersect(
+        observations.point[chosen],
+        len(block.points.names),
+        orientation.centre[observations.image[chosen]],
+        orientation.rotation[observations.image[chosen]],
+        corrected.ideal[chosen],
+        corrected.distance[chosen],
+    )
+    pitch = plane_per_unit(block) if block.observations.unit == "px" else _pitches(block)
+    found = []
+    for point in wanted:
+        rays = chosen[observations.point[chosen] == point]
+        if len(rays) < 2 or not np.isfinite(start[point]).all():
+            continue
+        one = _one_point(block, orientation, corrected, rays, start[point], joint)
+        if one is not None:
+            found.append((int(point), rays, *one))
+    rays = np.concatenate([f[1] for f in found]) if found else np.zeros(0, dtype=np.int64)
+    scale = pitch[block.images.camera[observations.image[rays]]]
+    stack = np.concatenate
+    return Intersected(
+        np.array([f[0] for f in found], dtype=np.int64),
+        np.array([f[2] for f in found]).reshape(-1, 3),
+        np.array([f[3] for f in found]).reshape(-1, 3, 3),
+        rays,
+        stack([f[4] for f in found]) / scale if found else np.zeros((0, 2)),
+        stack([f[5] for f in found]) if found else np.zeros((0, 2)),
+        float(sum(f[6] for f in found)),
+        2 * len(rays) - 3 * len(found),
+    )
+
+
+def _one_point(
+    block: Block,
+    orientation: DirectOrientation,
+    corrected: _Rays,
+    rays: Integers,
+    start: Floats,
+    joint: Floats,
+) -> tuple[Floats, Floats, Floats, Floats, float] | None:
+    """Coordinates, covariance, residuals, also standardised, and their sum; None where there is no place."""
+    image = block.observations.image[rays]
+    rotation, centre = orientation.rotation[image], orientation.centre[image]
+    c, ideal = corrected.distance[rays], corrected.ideal[rays]
+    xyz = start
+    for _ in range(_ITERATIONS):
+        q = np.einsum("nij,nj->ni", rotation, xyz - centre)
+        by_q = _by_camera_axes(q, c)
+        by_point = (by_q @ rotation).reshape(-1, 3)
+        miss = (-c[:, None] * q[:, :2] / q[:, 2:] - ideal).ravel()
+        try:
+            weight = np.linalg.inv(_misclosure(block, orientation, corrected, rays, q, by_q, joint))
+            covariance = np.linalg.inv(by_point.T @ weight @ by_point)
+        except np.linalg.LinAlgError:
+            return None
+        step = -covariance @ (by_point.T @ (weight @ miss))
+        xyz = xyz + step
+        if np.abs(step).max() < _ENOUGH_M:
+            break
+    else:
+        return None
+    q = np.einsum("nij,nj->ni", rotation, xyz - centre)
+    miss = (-c[:, None] * q[:, :2] / q[:, 2:] - ideal).ravel()
+    variance = np.diag(np.linalg.inv(weight) - by_point @ covariance @ by_point.T)
+    deviation = np.where(variance > 0, np.sqrt(np.maximum(variance, 1e-300)), np.nan)
+    standardised = (miss / deviation).reshape(-1, 2)
+    return xyz, np.asarray(covariance), miss.reshape(-1, 2), standardised, float(miss @ weight @ miss)
+
+
+def _by_camera_axes(q: Floats, c: Floats) -> Floats:
+    """Derivative of p = -c (u, v)/w with respect to (u, v, w), shape (n, 2, 3)."""
+    u, v, w = q.T
+    zero = np.zeros_like(u)
+    rows = [[-c / w, zero, c * u / w**2], [zero, -c / w, c * v / w**2]]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def _misclosure(
+    block: Block,
+    orientation: DirectOrientation,
+    corrected: _Rays,
+    rays: Integers,
+    q: Floats,
+    by_q: Floats,
+    joint: Floats,
+) -> Floats:
+    """Covariance of computed minus corrected coordinates of one point's rays, shape (2n, 2n)."""
+    n, image = len(rays), block.observations.image[rays]
+    x, y, z = q.T
+    zero = np.zeros(n)
+    # exp([t]x) q = q - [q]x t
+    turn = np.moveaxis(np.array([[zero, z, -y], [-z, zero, x], [y, -x, zero]]), (0, 1), (-2, -1))
+    by_pose = np.concatenate([by_q @ turn, -by_q @ orientation.rotation[image]], axis=2)
+    result = np.zeros((2 * n, 2 * n))
+    for k, i in enumerate(image):
+        for other in np.flatnonzero(image == i):
+            part = by_pose[k] @ orientation.covariance[i] @ by_pose[other].T
+            result[2 * k : 2 * k + 2, 2 * other : 2 * other + 2] += part
+        result[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += corrected.covariance[rays[k]]
+    shared = [(by_pose @ orientation.by_common[image]).reshape(2 * n, -1)]
+    for index in range(len(block.cameras)):
+        mine = corrected.camera[rays] == index
+        by_camera = -corrected.by_camera[rays] * mine[:, None, None]
+        by_camera[:, :, 0] += np.where(mine[:, None], -q[:, :2] / q[:, 2:], 0.0)
+        shared.append(by_camera.reshape(2 * n, -1))
+    by_shared = np.hstack(shared)
+    return np.asarray(result + by_shared @ joint @ by_shared.T)
+
+
+def camera_variance(camera: Camera) -> Floats:
+    """Variances of the interior orientation as the block states them, shape (13,); 0 where it states none."""
+    sigma = np.where(np.isfinite(camera.prior_sigma) & camera.estimated, camera.prior_sigma, 0.0)
+    return np.asarray(sigma**2)
+
+
+def _corrected(block: Block, variance: Floats) -> _Rays:
+    """Correct the observations; `variance` of all camera parameters tells which derivatives are needed."""
+    plane, sigma = observed_plane(block)
+    camera = block.images.camera[block.observations.image]
+    ideal, by_plane = np.empty(plane.shape), np.empty((len(plane), 2, 2))
+    by_camera = np.zeros((len(plane), 2, len(PARAMETERS)))
+    distance = np.empty(len(plane))
+    for index, own in enumerate(block.cameras):
+        mine = camera == index
+        at = plane[mine]
+        ideal[mine], distance[mine] = undistorted(own, at), own.value("c")
+        small = 0.1 * own.pitch[0]
+        for k in range(2):
+            step = small * np.eye(2)[k]
+            change = undistorted(own, at + step) - undistorted(own, at - step)
+            by_plane[mine, :, k] = change / (2 * small)
+        sigma_own = np.sqrt(variance.reshape(-1, len(PARAMETERS))[index])
+        for k in np.flatnonzero(sigma_own > 0).tolist():
+            move = np.eye(len(PARAMETERS))[k] * sigma_own[k] * 0.1
+            higher = undistorted(replace(own, values=own.values + move), at)
+            lower = undistorted(replace(own, values=own.values - move), at)
+            by_camera[mine, :, k] = (higher - lower) / (2 * move[k])
+    covariance = by_plane @ (sigma[:, :, None] ** 2 * np.swapaxes(by_plane, 1, 2))
+    return _Rays(ideal, covariance, by_camera, camera, distance)
+
+
+def _pitches(block: Block) -> Floats:
+    return np.array([camera.pitch for camera in block.cameras])

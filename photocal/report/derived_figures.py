@@ -1,0 +1,170 @@
+"""Figures of a calibration flight that the run and the particulars give together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from photocal.analysis.finding import Finding
+from photocal.analysis.plausibility import CalibrationRecord, plausibility
+from photocal.report.acceptance import Limit, expected_altimetric_error_cm, limits
+from photocal.report.certificate_metadata import Particulars
+from photocal.report.image_sections import rms_px
+from photocal.report.network_shape import network_shape
+from photocal.report.printed import offsets
+from photocal.report.run import CameraResult, Run
+from photocal.report.sensor import sensor_residuals
+
+# A block counts as flown when every camera looks down within so many degrees.
+NADIR_DEG = 30.0
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What is known of one camera and its flight; None is not determined.
+
+    Attributes
+    ----------
+    camera_id : str
+        The camera.
+    pixel_mm, focal_mm : float or None
+        Pixel size and calibrated principal distance, mm.
+    height_m, gsd_cm, base_m : float or None
+        Flying height over the object points, ground sampling distance, air base.
+    computed : frozenset of str
+        Which of those three were computed rather than given.
+    dz_cm : float or None
+        Expected altimetric accuracy.
+    limits : tuple of Limit
+        The ministry's limits.
+    findings : tuple of Finding
+        Contradictions.
+    """
+
+    camera_id: str
+    pixel_mm: float | None
+    focal_mm: float | None
+    height_m: float | None
+    gsd_cm: float | None
+    base_m: float | None
+    computed: frozenset[str]
+    dz_cm: float | None
+    limits: tuple[Limit, ...]
+    findings: tuple[Finding, ...]
+
+
+def facts(run: Run, camera_id: str, particulars: Particulars) -> Facts:
+    """Collect the figures and check them.
+
+    Parameters
+    ----------
+    run : Run
+        The adjustment.
+    camera_id : str
+        One of its cameras.
+    particulars : Particulars
+        What a person gave; given figures go before computed ones.
+    """
+    camera, campaign = run.result.cameras[camera_id], particulars.campaign
+    pixel = pixel_size_mm(camera, particulars)
+    focal = camera.value("c") if camera.unit == "mm" else camera.value("c") * pixel if pixel else None
+    height = campaign.flying_height_m or flying_height(run, camera_id)
+    gsd = campaign.gsd_cm or (100.0 * height * pixel / focal if height and pixel and focal else None)
+    base = campaign.air_base_m or (air_base(run, camera_id) if height else None)
+    given = {"height": campaign.flying_height_m, "gsd": campaign.gsd_cm, "base": campaign.air_base_m}
+    dz = None
+    if height and base and focal and pixel:
+        dz = expected_altimetric_error_cm(height, base, focal, pixel)
+    rms = rms_px(sensor_residuals(run, camera_id))
+    image = (rms[0] * pixel, rms[1] * pixel) if pixel else None
+    return Facts(
+        camera_id,
+        pixel,
+        focal,
+        height,
+        gsd,
+        base,
+        frozenset(name for name, value in given.items() if value is None),
+        dz,
+        limits(image, pixel, check_rmse_cm(run), gsd, dz),
+        plausibility(_record(run, camera_id, particulars)),
+    )
+
+
+def pixel_size_mm(camera: CameraResult, particulars: Particulars) -> float | None:
+    """Pixel size in mm: that of the adjustment, or the one given for a camera in pixels."""
+    if camera.unit == "mm" and camera.pitch_mm is not None:
+        return float(np.mean(camera.pitch_mm))
+    return particulars.camera.pixel_size_mm
+
+
+def check_rmse_cm(run: Run) -> tuple[float, float] | None:
+    """Planimetric and altimetric root mean square error of the check points, cm; None without any."""
+    rmse = [run.result.checks.rmse_m.get(axis) for axis in "xyz"]
+    x, y, z = (value if value is not None else np.nan for value in rmse)
+    if run.result.checks.n == 0 or not np.isfinite([x, y, z]).all():
+        return None
+    return 100.0 * float(np.hypot(x, y)), 100.0 * float(z)
+
+
+def flying_height(run: Run, camera_id: str) -> float | None:
+    """Mean height of the exposures over the object points, m; None unless the cameras look down."""
+    own = _own(run, camera_id)
+    if not own or not len(run.points.point):
+        return None
+    if np.abs(run.exposures.angles_deg[own, :2]).max() > NADIR_DEG:
+        return None
+    height = float(run.exposures.position_m[own, 2].mean() - run.points.position_m[:, 2].mean())
+    return height if height > 0.0 else None
+
+
+def air_base(run: Run, camera_id: str) -> float | None:
+    """Median distance of an exposure to its nearest neighbour, m; None for a single one."""
+    from scipy.spatial import cKDTree
+
+    own = _own(run, camera_id)
+    if len(own) < 2:
+        return None
+    places = run.exposures.position_m[own]
+    distance = np.asarray(cKDTree(places).query(places, k=2)[0], dtype=np.float64)
+    base = float(np.median(distance[:, 1]))
+    return base if base > 0.0 else None
+
+
+def _own(run: Run, camera_id: str) -> list[int]:
+    return [i for i, camera in enumerate(run.exposures.camera) if camera == camera_id]
+
+
+def _record(run: Run, camera_id: str, particulars: Particulars) -> CalibrationRecord:
+    camera = run.result.cameras[camera_id]
+    estimated = {name: p for name, p in camera.parameters.items() if p.estimated}
+    place = sensor_residuals(run, camera_id).place - [camera.value("x0"), camera.value("y0")]
+    given, campaign, system = particulars.camera, particulars.campaign, particulars.gnss_ins
+    shape = network_shape(run, camera_id)
+    return CalibrationRecord(
+        unit=camera.unit,
+        values={name: p.value for name, p in camera.parameters.items()},
+        sigmas={name: p.sigma for name, p in estimated.items()},
+        direction="observed" if camera.model == "brown-observed" else "ideal",
+        reference_radius=camera.reference_radius,
+        names=camera.correlation.names,
+        correlation=np.array(camera.correlation.matrix) if camera.correlation.names else None,
+        size_px=camera.size_px,
+        observed_radius=float(np.hypot(*place.T).max()) if len(place) else None,
+        pitch_mm=pixel_size_mm(camera, particulars),
+        pitch_ratio=camera.pitch[0] / camera.pitch[1],
+        sensor_mm=given.sensor_size_mm,
+        nominal_focal_mm=given.nominal_focal_length_mm,
+        height_m=campaign.flying_height_m,
+        gsd_cm=campaign.gsd_cm,
+        base_m=campaign.air_base_m,
+        forward_overlap=campaign.forward_overlap,
+        convergence_deg=shape.convergence_deg if shape else None,
+        depth_spread=shape.depth_spread if shape else None,
+        prior_sigmas={n: p.prior_sigma for n, p in estimated.items() if p.prior_sigma is not None},
+        lever_arm_cm=offsets(system.lever_arm_cm, system.lever_arm_sigma_cm),
+        boresight_deg=offsets(
+            system.boresight_deg, system.boresight_sigma_deg, system.boresight_prior_sigma_deg
+        ),
+    )

@@ -1,0 +1,113 @@
+"""The mistakes of a field day are called by their names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from photocal.accuracy.assessment import Question
+from photocal.block.folder import read_block
+from photocal.block.model import Block
+from photocal.georeferencing.comparison import check_block
+from photocal.georeferencing.mistyped import mistyped_control
+from photocal.georeferencing.mounted import with_attitude_angles
+from photocal.georeferencing.systematic import systematic_errors
+from photocal.georeferencing.wording import block_findings
+from tests.photocal.georeferencing.flights import Errors, Plan, fly
+
+PLAN = Plan(tie=50)
+Flown = Callable[[Errors, Plan], Block]
+
+
+@pytest.fixture
+def flown(tmp_path: Path) -> Flown:
+    def make(errors: Errors, plan: Plan) -> Block:
+        folder = fly(tmp_path / "flight", np.random.default_rng(31), errors, plan)
+        return with_attitude_angles(read_block(folder))
+
+    return make
+
+
+def findings(block: Block) -> dict[str, str]:
+    check = check_block(block, (), Question(None, None, 0.9, None, None))
+    return {finding.code: finding.text for finding in block_findings(check)}
+
+
+def test_an_antenna_height_is_named(flown: Flown) -> None:
+    said = findings(flown(Errors(datum_m=(0.0, 0.0, 1.8)), PLAN))
+    assert re.search(r"1\.(79|80|81)", said["antenna-height"])
+    assert "above what the control says" in said["antenna-height"]
+    assert {"base-position", "datum-shift", "lever-arm", "control-mistyped"}.isdisjoint(said)
+
+
+def test_a_wrong_base_is_named(flown: Flown) -> None:
+    said = findings(flown(Errors(datum_m=(0.8, -0.6, 0.0)), PLAN))
+    assert "coordinates of the base" in said["base-position"]
+    assert {"antenna-height", "datum-shift"}.isdisjoint(said)
+
+
+def test_swapped_axes_of_the_lever_arm_are_named(flown: Flown) -> None:
+    mounting = "lever_arm_m = [0.35, 0.10, -0.20]\nlever_arm_sigma_m = 0.01"
+    said = findings(flown(Errors(lever_arm_m=(0.10, 0.35, -0.20)), replace(PLAN, mounting=mounting)))
+    assert "forward and right have changed places" in said["lever-arm-axes"]
+
+
+def test_a_camera_that_changed_is_named_with_its_image(flown: Flown) -> None:
+    """The principal distance is longer by 1 % from the first cross strip on."""
+    found = systematic_errors(zoomed(flown(Errors(), PLAN), 1.01))
+    assert found.errors[0].found.name == "camera change"
+    before, after = found.errors[0].found.estimates
+    assert after.name == "c of cam from s4_0"
+    assert before.value == pytest.approx(12.0, abs=0.01)
+    assert after.value == pytest.approx(12.12, abs=0.02)
+
+
+def test_a_camera_that_changed_is_the_only_cause(flown: Flown) -> None:
+    """Strip shifts, heights and lever arms could imitate it where the camera is calibrated on the job."""
+    plan = replace(PLAN, heights_m=(80.0, 110.0), tie=100, estimate=("c", "x0", "y0", "K1", "K2"))
+    found = systematic_errors(zoomed(flown(Errors(), plan), 1.004))
+    assert [error.found.name for error in found.errors] == ["camera change"]
+    assert found.errors[0].found.unknowns == 5
+    before, after = found.errors[0].found.estimates
+    assert after.value / before.value == pytest.approx(1.004, abs=0.0005)
+
+
+def zoomed(block: Block, factor: float) -> Block:
+    """Enlarge the images from the first cross strip on."""
+    later = block.observations.image >= block.images.names.index("s4_0")
+    middle = (np.array(block.cameras[0].size_px) - 1) / 2
+    values = block.observations.values.copy()
+    values[later] = middle + factor * (values[later] - middle)
+    return replace(block, observations=replace(block.observations, values=values))
+
+
+@pytest.mark.parametrize(
+    ("axis", "given", "slip"),
+    [
+        (0, lambda x: x + 5.0, "one digit is wrong"),
+        (1, lambda y: -y, "the sign is wrong"),
+    ],
+)
+def test_a_mistyped_control_point_is_named(
+    flown: Flown, axis: int, given: Callable[[float], float], slip: str
+) -> None:
+    block = flown(Errors(), PLAN)
+    point = 2
+    values = block.points.values.copy()
+    values[point, axis] = given(float(values[point, axis]))
+    typed = replace(block, points=replace(block.points, values=values))
+    cleaned, (found,) = mistyped_control(typed, values)
+    assert found.point == block.points.names[point]
+    assert slip in found.slip
+    assert found.d[axis] == pytest.approx(values[point, axis] - block.points.values[point, axis], abs=0.15)
+    assert not cleaned.points.of_role("control")[point]
+
+
+def test_no_control_point_is_blamed_for_a_shift_of_the_datum(flown: Flown) -> None:
+    block = flown(Errors(datum_m=(0.8, -0.6, 0.0)), PLAN)
+    assert mistyped_control(block, block.points.values)[1] == ()

@@ -1,0 +1,138 @@
+"""Injected errors of mounting, time and datum are found, estimated and named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from photocal.block.folder import read_block
+from photocal.block.model import Block
+from photocal.georeferencing.mounted import with_attitude_angles
+from photocal.georeferencing.separation import separation, separation_findings
+from photocal.georeferencing.systematic import SystematicErrors, systematic_errors
+from tests.photocal.georeferencing.flights import Errors, Plan, fly
+
+SMALL = Plan(tie=50)
+Flown = Callable[[Errors, int], Block]
+
+
+@pytest.fixture
+def flown(tmp_path: Path) -> Flown:
+    def make(errors: Errors, seed: int) -> Block:
+        folder = fly(tmp_path / f"flight{seed}", np.random.default_rng(seed), errors, SMALL)
+        return with_attitude_angles(read_block(folder))
+
+    return make
+
+
+def within_three_sigma(found: SystematicErrors, truth: dict[str, float]) -> None:
+    values = {e.name: e for e in found.estimates}
+    for name, true in truth.items():
+        assert abs(values[name].value - true) < 3 * values[name].sigma, name
+
+
+@pytest.mark.parametrize(
+    ("errors", "name", "truth"),
+    [
+        (
+            Errors(lever_arm_m=(0.16, 0.12, 0.0)),
+            "lever arm",
+            {"lever_arm_x": 0.16, "lever_arm_y": 0.12, "lever_arm_z": 0.0},
+        ),
+        (
+            Errors(boresight_deg=(0.3, -0.4, 0.0)),
+            "boresight",
+            {"boresight_x": 0.3, "boresight_y": -0.4, "boresight_z": 0.0},
+        ),
+        (Errors(time_offset_s=0.017), "time offset", {"time_offset": 0.017}),
+        (
+            Errors(datum_m=(0.2, 0.1, 0.2)),
+            "datum shift",
+            {"shift_x": 0.2, "shift_y": 0.1, "shift_z": 0.2},
+        ),
+        (Errors(focal_mm=0.03), "principal distance", {"c of cam": 12.03}),
+    ],
+)
+def test_injected_error_is_found_estimated_and_named(
+    flown: Flown, errors: Errors, name: str, truth: dict[str, float]
+) -> None:
+    found = systematic_errors(flown(errors, 21))
+    assert [error.found.name for error in found.errors] == [name]
+    assert found.errors[0].same == ()
+    within_three_sigma(found, truth)
+
+
+def test_two_errors_at_once(flown: Flown) -> None:
+    found = systematic_errors(flown(Errors(boresight_deg=(0.0, 0.5, 0.0), datum_m=(0.3, 0.0, 0.0)), 23))
+    assert {error.found.name for error in found.errors} == {"boresight", "datum shift"}
+    within_three_sigma(found, {"boresight_y": 0.5, "shift_x": 0.3})
+
+
+def test_nothing_is_found_where_nothing_is(flown: Flown) -> None:
+    found = systematic_errors(flown(Errors(), 25))
+    assert found.errors == ()
+    assert {one.name for one in found.tested} == {
+        "lever arm",
+        "boresight",
+        "time offset",
+        "datum shift",
+        "strip shifts",
+        "principal distance",
+        "principal point",
+        "camera change",
+    }
+
+
+def test_vertical_lever_arm_is_said_to_be_like_a_height_datum(flown: Flown) -> None:
+    found = systematic_errors(flown(Errors(lever_arm_m=(0.0, 0.0, 0.3)), 27))
+    error = found.errors[0]
+    # Over two heights two principal distances look the same, too.
+    assert {error.found.name, *error.same} == {"lever arm", "datum shift", "camera change"}
+    assert error.found.name != "camera change"
+
+
+def test_one_height_does_not_separate_c_height_and_lever_arm(tmp_path: Path) -> None:
+    """One height over flat ground: c, height datum and vertical lever arm have the same effect."""
+    groups = {}
+    for name, heights, relief in (("one", (90.0, 90.0), 0.0), ("two", (90.0, 130.0), 0.0)):
+        plan = replace(SMALL, heights_m=heights, relief_m=relief, estimate=("c",), camera_sigma={"c": 0.05})
+        block = with_attitude_angles(read_block(fly(tmp_path / name, np.random.default_rng(3), plan=plan)))
+        found = separation(block)
+        assert found is not None
+        groups[name] = found
+    assert any({"c", "shift_z", "lever_arm_z"} <= set(group) for group in groups["one"].groups)
+    assert not any("c" in group for group in groups["two"].groups)
+    assert any({"shift_z", "lever_arm_z"} == set(group) for group in groups["two"].groups)
+    said = separation_findings(groups["one"])[0].text
+    assert "cannot separate" in said
+    assert "principal distance c" in said
+    assert "second height" in said
+
+
+def test_one_speed_does_not_separate_time_and_forward_lever_arm(tmp_path: Path) -> None:
+    plan = replace(SMALL, speeds_m_s=(10.0, 10.0))
+    block = with_attitude_angles(read_block(fly(tmp_path / "flight", np.random.default_rng(3), plan=plan)))
+    found = separation(block)
+    assert found is not None
+    assert any({"lever_arm_x", "time_offset"} == set(group) for group in found.groups)
+
+
+def test_values_left_free_in_the_block_are_estimated(tmp_path: Path) -> None:
+    plan = replace(SMALL, mounting='lever_arm_sigma_m = "free"\nboresight_sigma_deg = "free"')
+    errors = Errors(lever_arm_m=(0.16, 0.12, 0.0), boresight_deg=(0.3, -0.4, 0.0))
+    block = with_attitude_angles(
+        read_block(fly(tmp_path / "flight", np.random.default_rng(29), errors, plan))
+    )
+    found = systematic_errors(block)
+    assert found.errors == ()
+    values = {e.name: e for e in found.own}
+    truth = {"lever_arm_x": 0.16, "lever_arm_y": 0.12, "boresight_x": 0.3, "boresight_y": -0.4}
+    for name, true in truth.items():
+        assert abs(values[name].value - true) < 3 * values[name].sigma, name
+        assert values[name].significant
+    assert not values["boresight_z"].significant
+    assert {"lever arm", "boresight"}.isdisjoint(one.name for one in found.tested)
