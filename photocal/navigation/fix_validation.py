@@ -17,7 +17,9 @@ Flags = NDArray[np.bool_]
 # A claim of two runs to the same fix holds when they agree as well as two fixes do.
 _SAME_FIX_M = np.array([0.05, 0.05, 0.10])
 _SHORT_RUN = 5
+# Fixes belong to one run when no more than this lies between them, or two epochs of a slow receiver.
 _RUN_GAP_NS = 3_000_000_000
+_RUN_GAP_EPOCHS = 2.5
 _CODE_SIGMAS = 5.0
 _JUMP_SIGMAS = 5.0
 _WINDOW_NS = 30_000_000_000
@@ -144,10 +146,10 @@ def _runs(time: GpsTime, fixed: Flags, broken: Flags | None = None) -> list[tupl
     """Return begin and end of the runs of fixes without a gap (or a break)."""
     runs = []
     start = -1
+    usual_ns = float(np.median(np.diff(time.ns))) if len(time) > 1 else 0.0
+    gap_ns = max(_RUN_GAP_NS, _RUN_GAP_EPOCHS * usual_ns)
     for i in range(len(fixed)):
-        apart = i > 0 and (
-            time.ns[i] - time.ns[i - 1] > _RUN_GAP_NS or (broken is not None and broken[i - 1])
-        )
+        apart = i > 0 and (time.ns[i] - time.ns[i - 1] > gap_ns or (broken is not None and broken[i - 1]))
         if start >= 0 and (not fixed[i] or apart):
             runs.append((start, i))
             start = -1

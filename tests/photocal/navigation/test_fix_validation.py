@@ -1,0 +1,61 @@
+"""Fixes are judged by their neighbours, whatever the receiver's interval."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from photocal.navigation.engine_output import FIXED, FLOAT, EngineSolution
+from photocal.navigation.fix_validation import judge
+from photocal.navigation.time import GpsTime
+
+
+def still(interval_s: float, epochs: int, quality: int) -> EngineSolution:
+    """A receiver that stands, with a scatter of 5 mm."""
+    rng = np.random.default_rng(3)
+    scatter = rng.normal(0.0, 0.005, (epochs, 3))
+    return EngineSolution(
+        GpsTime(1_400_000_000 * 10**9 + (np.arange(epochs) * interval_s * 1e9).astype(np.int64)),
+        45.0 + scatter[:, 1] / 111_130,
+        9.0 + scatter[:, 0] / 78_850,
+        100.0 + scatter[:, 2],
+        np.full(epochs, quality, dtype=np.int64),
+        np.full(epochs, 9, dtype=np.int64),
+        np.broadcast_to(np.eye(3) * 0.005**2, (epochs, 3, 3)).copy(),
+        np.zeros(epochs),
+        np.full(epochs, 50.0),
+        np.zeros((epochs, 3)),
+    )
+
+
+@pytest.mark.parametrize("interval_s", [0.2, 1.0, 15.0, 30.0])
+def test_a_long_run_of_fixes_needs_no_second_direction(interval_s: float) -> None:
+    combined, one_way = still(interval_s, 60, FIXED), still(interval_s, 60, FLOAT)
+    judged = judge(combined, combined, one_way, replace(one_way), 3.0)
+    assert (judged.solution.quality == FIXED).all()
+
+
+@pytest.mark.parametrize("interval_s", [0.2, 1.0, 15.0, 30.0])
+def test_few_fixes_among_floats_need_one(interval_s: float) -> None:
+    one_way = still(interval_s, 60, FLOAT)
+    few = np.where((np.arange(60) >= 30) & (np.arange(60) < 33), FIXED, FLOAT)
+    combined = replace(one_way, quality=few)
+    judged = judge(combined, combined, one_way, one_way, 3.0)
+    assert (judged.solution.quality == FLOAT).all()
+    assert judged.demoted["few fixes in a row, not confirmed"].sum() == 3
+    confirmed = judge(combined, combined, combined, one_way, 3.0)
+    assert (confirmed.solution.quality == FIXED).sum() == 3
+
+
+def test_a_pause_ends_a_run() -> None:
+    """Four fixes before a pause of minutes and four after it are no eight in a row."""
+    whole = still(15.0, 60, FLOAT)
+    at = np.arange(60)
+    combined = replace(whole, quality=np.where((at >= 20) & (at < 28), FIXED, FLOAT))
+    kept = np.r_[0:24, 24 + 12 : 60]
+    late = combined.rows(kept)
+    moved = replace(late, quality=np.where((np.arange(48) >= 20) & (np.arange(48) < 28), FIXED, FLOAT))
+    judged = judge(moved, moved, whole, whole, 3.0)
+    assert (judged.solution.quality == FLOAT).all()
