@@ -39,12 +39,13 @@ def crc24q(data: bytes) -> int:
     (modulo 2) of what each byte contributes at its distance from the end.
     """
     values = np.frombuffer(data, np.uint8)
-    table = _crc24q_contributions()
+    table = crc24q_contributions()
     return int(np.bitwise_xor.reduce(table[np.arange(len(values) - 1, -1, -1), values], initial=0))
 
 
 @cache
-def _crc24q_contributions() -> NDArray[np.uint32]:
+def crc24q_contributions() -> NDArray[np.uint32]:
+    """Return what each value of a byte (column) adds to the CRC-24Q at each distance from the end (row)."""
     base = np.arange(256, dtype=np.uint32) << 16
     for _ in range(8):
         base = np.where(base & 0x800000, (base << 1) ^ 0x1864CFB, base << 1).astype(np.uint32)

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from drivers import mrk, nmea, ulog
 from drivers.checksums import x25
 from drivers.frames import Batch, Wire
-from drivers.mavlink.dialect import Dialect
-from drivers.mavlink.wire import SIGNATURE_BYTES, SIGNED, V2
+from drivers.mavlink.dialect import SIGNATURE_BYTES, SIGNED, V2, Dialect
 
 
 def batch_of_payloads(wire: Wire, payloads: list[bytes], dialect: Dialect) -> Batch:

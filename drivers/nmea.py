@@ -3,39 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from re import compile as pattern
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.frames import Batch, Wire
 from drivers.gnsstime import SECOND_NS, utc_date_ns
-from drivers.window import NOTHING, Examination, Window, need
-
-STARTS = pattern(rb"\$(?:[A-Z]|\Z)")
-
-# The standard allows 82 characters, receivers send longer ones of their own.
-LONGEST = 1024
-# The characters of a sentence: printable, without the start and checksum delimiters.
-_TEXT = rb"\$[A-Z][A-Z0-9]{1,7}(?:,[\x20-\x23\x25-\x29\x2b-\x7e]*)?"
-_WHOLE = pattern(_TEXT + rb"\*[0-9A-Fa-f]{2}\r\n")
-_BEGUN = pattern(
-    rb"\$[A-Z]?[A-Z0-9]{0,7}|" + _TEXT + rb"(?:\*(?:[0-9A-Fa-f]{1,2}\r?)?)?"
-)  # a sentence that more bytes can complete
-
-
-def examine(window: Window, at: int) -> Examination:
-    """Examine one place for an NMEA sentence, see `drivers.window.Examination`."""
-    data = window.data
-    match = _WHOLE.match(data, at, at + LONGEST)
-    if match is None:
-        rest = len(data) - at
-        begun = not window.closed and rest < LONGEST and _BEGUN.fullmatch(data, at)
-        return need(window, rest + 1) if begun else NOTHING
-    end = match.end()
-    if window.xor8(at + 1, end - 5) != int(data[end - 4 : end - 2], 16):
-        return NOTHING
-    return (end - at, kind_of(data[at + 1 : at + 9]), True)
 
 
 def kind_of(address: bytes) -> int:

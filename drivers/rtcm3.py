@@ -6,7 +6,6 @@ Source: RTCM standard 10403; field positions of 1005/1006 after its table for me
 from __future__ import annotations
 
 from dataclasses import dataclass
-from re import compile as pattern
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,26 +13,6 @@ from numpy.typing import NDArray
 from drivers.checksums import crc24q
 from drivers.frames import Batch, Wire
 from drivers.gnsstime import DAY_NS, SECOND_NS
-from drivers.window import NOTHING, Examination, Window, need
-
-STARTS = pattern(rb"\xd3(?:[\x00-\x03]|\Z)")
-LONGEST_PAYLOAD = 1023
-
-
-def examine(window: Window, at: int) -> Examination:
-    """Examine one place for an RTCM 3 frame, see `drivers.window.Examination`."""
-    data = window.data
-    if len(data) - at < 3:
-        return need(window, 3)
-    payload = (data[at + 1] << 8 | data[at + 2]) & 0x3FF
-    length = payload + 6
-    end = at + length
-    if end > len(data):
-        return need(window, length)
-    if crc24q(data[at : end - 3]) != int.from_bytes(data[end - 3 : end], "big"):
-        return NOTHING
-    kind = data[at + 3] << 4 | data[at + 4] >> 4 if payload >= 2 else 0
-    return (length, kind, True)
 
 
 def encode(payload: bytes) -> bytes:

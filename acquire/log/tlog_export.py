@@ -7,7 +7,7 @@ from pathlib import Path
 from acquire.log.replay import raw_frames
 from acquire.outputs import output_file
 from drivers.errors import InputMalformedError
-from drivers.mavlink.wire import V1, V2
+from drivers.mavlink.dialect import V1, V2
 
 _STARTS = (V1, V2)
 

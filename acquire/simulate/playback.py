@@ -14,7 +14,7 @@ from acquire.simulate.played_flight import Line
 from acquire.simulate.receiver import Receiver
 from drivers.checksums import x25
 from drivers.mavlink.dialect import ardupilotmega
-from drivers.mavlink.wire import V2
+from drivers.mavlink.dialect import V2
 
 _AUTOPILOT = bytes((1, 1))
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.frames import Batch, Wire, gather
-from drivers.mavlink.dialect import Dialect
-from drivers.mavlink.wire import V2
+from drivers.mavlink.dialect import V2, Dialect
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+# Start bytes of both versions; of the second, the flag of a signature and its length.
+V1, V2, SIGNED, SIGNATURE_BYTES = 0xFE, 0xFD, 0x01, 13
 _TYPES = {
     "char": "S1",
     "uint8_t": "u1",
@@ -26,7 +28,7 @@ _TYPES = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Dialect:
     """The messages that are known by their definition.
 

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from drivers.checksums import x25
-from drivers.mavlink.dialect import Dialect
-from drivers.mavlink.wire import V2
+from drivers.mavlink.dialect import V2, Dialect
 
 
 def encode(

@@ -7,7 +7,6 @@ from pyrtcm import calc_crc24q
 from pyubx2 import calc_checksum
 
 from drivers.checksums import crc24q, fletcher8, x25
-from drivers.window import Window
 
 
 @given(st.binary(max_size=300), st.integers(0, 255))
@@ -26,15 +25,3 @@ def test_fletcher_agrees_with_pyubx2(data: bytes) -> None:
 @given(st.binary(max_size=1026))
 def test_crc24q_agrees_with_pyrtcm(data: bytes) -> None:
     assert crc24q(data) == calc_crc24q(data)
-
-
-@given(st.binary(min_size=1, max_size=400), st.data())
-def test_running_sums_give_the_checksum_of_every_part(data: bytes, draw: st.DataObject) -> None:
-    begin = draw.draw(st.integers(0, len(data)))
-    end = draw.draw(st.integers(begin, len(data)))
-    window = Window(data, closed=True)
-    assert bytes(window.fletcher8(begin, end)) == calc_checksum(data[begin:end])
-    expected = 0
-    for value in data[begin:end]:
-        expected ^= value
-    assert window.xor8(begin, end) == expected

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gzip
+import random
+import time
 from collections import Counter
 from collections.abc import Callable
 from itertools import pairwise
@@ -13,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers import nmea, rtcm3
+from drivers.checksums import x25
 from drivers.frames import Batch, Frame, Wire
 from drivers.framing import GNSS, StreamFramer
 from drivers.mavlink.dialect import ardupilotmega
@@ -186,3 +189,43 @@ def test_the_end_of_a_recording_inside_a_frame_is_told() -> None:
     rest = framer.close()
     assert framer.cut == 50
     assert rest.damage.tolist() == [[len(frame), 50]]
+
+
+# Each place of these begins a frame whose checksum must be tested, or makes all that follows be looked at.
+DECEIVING = (b"\xd3\x03\xff", b"\xfd\xff", b"\xfd", b"\xfe", b"\xfe\x00", b"$A", b"\xb5\x62\x00\x00\x00\x20")
+
+
+@pytest.mark.parametrize("pattern", DECEIVING)
+def test_streams_made_to_deceive_are_searched_at_five_megabytes_a_second(pattern: bytes) -> None:
+    piece = (pattern * 65536)[:65536]
+    framer = StreamFramer(ALL)
+    framer.feed(piece)
+    start = time.thread_time()
+    for _ in range(16):
+        framer.feed(piece)
+    assert 16 * len(piece) / (time.thread_time() - start) > 5e6
+
+
+def test_plain_and_compiled_search_find_the_same() -> None:
+    chance = random.Random(3)  # noqa: S311 - no secrets
+    letters = b"\xfe\xfd\xb5\x62\xd3\x00\x03$GP*\r\n\x01\x09"
+    noise = bytes(chance.choice(letters) for _ in range(4000))
+    data = b"".join([noise[:2000], ubx.encode(0x0107, bytes(92)), noise[2000:], nmea.encode("GPGGA,1")])
+    pieces = [frames(batches(data, ALL, cuts)) for cuts in ([], list(range(0, len(data), 500)))]
+    assert pieces[0] == pieces[1]
+    assert len(pieces[0]) >= 2
+
+
+def test_a_flood_of_ever_new_unknown_messages_fills_no_memory() -> None:
+    known = set(DIALECT.seeds)
+    framer = StreamFramer((Wire.MAVLINK,))
+    before = framer._memory.nbytes
+    unknown = [kind for kind in range(100_000, 160_000) if kind not in known]
+    stream = []
+    for kind in unknown:
+        body = bytes((0, 0, 0, 0, 1, 1)) + kind.to_bytes(3, "little")
+        stream.append(b"\xfd" + body + x25(body, 7).to_bytes(2, "little"))
+    found = framer.feed(b"".join(stream))
+    assert not found.known.any()
+    assert len(found) > 0.99 * len(unknown)
+    assert framer._memory.nbytes == before
