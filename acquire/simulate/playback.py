@@ -13,8 +13,7 @@ from acquire.simulate.autopilot import Autopilot
 from acquire.simulate.played_flight import Line
 from acquire.simulate.receiver import Receiver
 from drivers.checksums import x25
-from drivers.mavlink.dialect import ardupilotmega
-from drivers.mavlink.dialect import V2
+from drivers.mavlink.dialect import V2, ardupilotmega
 
 _AUTOPILOT = bytes((1, 1))
 
