@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from photocal.analysis.estimates import Array, Estimates, positive_definite, quadratic_form, without
-from photocal.analysis.finding import Figure, Finding
+from photocal.findings.finding import Figure, Finding
 
 # The tank study neglects components with 0.74, 0.98 and 1.14 % of the variance together and keeps 3.15 %.
 NEGLIGIBLE_PERCENT = 2.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.analysis.finding import Finding
+from photocal.findings.finding import Finding
 
 Floats = NDArray[np.float64]
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 from photocal.adjustment.network import Network
 from photocal.analysis.camera_analysis import CameraAnalysis, analyse_camera
-from photocal.analysis.finding import Finding
 from photocal.analysis.method import METHODS, MethodCheck, Shape, check_method, shape
 from photocal.analysis.systematic_errors.findings import findings
 from photocal.analysis.systematic_errors.left_out import Checks
 from photocal.analysis.systematic_errors.refit import fit
 from photocal.analysis.systematic_errors.search import Search, search
+from photocal.findings.finding import Finding
 
 
 @dataclass(frozen=True)

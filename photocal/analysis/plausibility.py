@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.analysis.correlation_check import correlation_findings
-from photocal.analysis.finding import Finding
+from photocal.findings.finding import Finding
 
 Floats = NDArray[np.float64]
 Triple = tuple[float, float, float]

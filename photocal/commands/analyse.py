@@ -29,10 +29,10 @@ def analyse(
     Example: `photocal adjust configs/demo/dcs460 -o run && photocal analyse run`
     """
     from acquire.console import answer, progress
+    from photocal.findings.catalogue import catalogue
     from photocal.report.analysis_file import analyse_run
     from photocal.report.analysis_record import analysis_record
     from photocal.report.analysis_text import analysis_text
-    from photocal.report.catalogue import catalogue
 
     say = catalogue(language)
     with progress("adjusting again", None) as advance:

@@ -83,10 +83,10 @@ def verify(
 
 
 def _printed(path: Path, as_json: bool) -> None:
+    from photocal.findings.catalogue import catalogue
+    from photocal.findings.texts import finding_text
     from photocal.report.acceptance import verdict
-    from photocal.report.catalogue import catalogue
     from photocal.report.printed import check_printed
-    from photocal.report.words import finding_text
 
     checked = check_printed(path)
     say = catalogue("en")

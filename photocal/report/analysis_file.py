@@ -15,10 +15,10 @@ from photocal.analysis.systematic_errors.left_out import Checks
 from photocal.block.model import Block
 from photocal.block.network import NetworkOfBlock
 from photocal.exchange.any_block import read_any_block
+from photocal.findings.catalogue import Catalogue, catalogue
 from photocal.report.analysis_record import analysis_record, as_plain
 from photocal.report.as_adjusted import as_adjusted
 from photocal.report.block_files import block_of_run, digest
-from photocal.report.catalogue import Catalogue, catalogue
 from photocal.report.exterior_difference import exterior_difference
 from photocal.report.run import ANALYSIS, RESULT
 from photocal.report.run_reader import read_adjustment

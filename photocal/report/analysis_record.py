@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from photocal.analysis.camera_analysis import CameraAnalysis
-from photocal.analysis.finding import Finding
 from photocal.analysis.method import MethodCheck
 from photocal.analysis.outcome import Outcome
 from photocal.analysis.systematic_errors.search import Search
+from photocal.findings.catalogue import Catalogue
+from photocal.findings.finding import Finding
+from photocal.findings.texts import finding_json, finding_text, need_words, plain
 from photocal.geometry.camera import PARAMETERS
-from photocal.report.catalogue import Catalogue
 from photocal.report.run_reader import ANALYSIS_SCHEMA
-from photocal.report.words import finding_text, need_words, plain
 
 SCHEMA = ANALYSIS_SCHEMA
 
@@ -66,22 +66,15 @@ def analysis_record(outcome: Outcome, say: Catalogue) -> dict[str, Any]:
 
 
 def finding_record(finding: Finding, say: Catalogue) -> dict[str, Any]:
-    """Turn a finding into plain values."""
-    size = finding.size
+    """A finding as JSON value, with what schema 1 calls its figures beside."""
+    size = {} if finding.size is None else asdict(finding.size)
     return {
+        **finding_json(finding, say),
         "kind": finding.code,
         "sentence": finding_text(finding, say, plain),
-        "severity": finding.severity,
         "small": finding.small,
-        "subject": finding.subject,
-        "figure": None if size is None else as_plain(size.figure),
-        "sigma": None if size is None else as_plain(size.sigma),
-        "unit": None if size is None else size.unit,
-        "effect_c": None if size is None else as_plain(size.c),
-        "effect_ground_m": None if size is None else as_plain(size.ground_m),
-        "effect_px": None if size is None else as_plain(size.px),
-        "figures": as_plain(dict(finding.figures)),
-        "clauses": list(finding.clauses),
+        **{key: as_plain(size.get(key)) for key in ("figure", "sigma", "unit")},
+        **{f"effect_{key}": as_plain(size.get(key)) for key in ("c", "ground_m", "px")},
     }
 
 
@@ -116,7 +109,12 @@ def _method(one: MethodCheck, say: Catalogue) -> dict[str, Any]:
         "method": one.method,
         "met": one.met,
         "requirements": [
-            {"code": need.code, "met": need.met, "figures": dict(need.figures), **need_words(need, say)}
+            {
+                "code": need.code,
+                "met": need.met,
+                "figures": dict(need.figures),
+                **need_words(need.code, need.figures, say),
+            }
             for need in one.requirements
         ],
     }

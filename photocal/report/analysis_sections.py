@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from photocal.report.catalogue import Catalogue
-from photocal.report.digits import fixed, significant, symbol
+from photocal.findings.catalogue import Catalogue
+from photocal.findings.digits import fixed, significant, symbol
+from photocal.findings.texts import finding_text, need_words
 from photocal.report.document import Column, Paragraph, Piece, Section, Statement, Table
 from photocal.report.run import CameraResult, Run
 from photocal.report.stored_analysis import CameraRecord, JackknifeRecord, StoredAnalysis
-from photocal.report.words import finding_text, need_words
 
 
 def analysis_verdict(analysis: StoredAnalysis, say: Catalogue) -> list[Statement]:
     """Warn of hidden errors that are not small."""
-    large = [one for one in analysis.hidden if not one.small]
+    large = [one for one in analysis.findings if not one.small]
     if not large:
         return []
     text = say("analysis.verdict", count=len(large), worst=finding_text(large[0], say))
@@ -25,7 +25,7 @@ def hidden_errors(run: Run, say: Catalogue) -> Section:
     if run.analysis is None:
         return Section(title, (Paragraph(say("analysis.not_made")),))
     pieces: list[Piece] = [Paragraph(say("analysis.hidden_text"))]
-    found = run.analysis.hidden
+    found = run.analysis.findings
     if found:
         columns = (
             Column(say("analysis.grade"), align="left"),
@@ -148,7 +148,7 @@ def _components(record: CameraRecord, say: Catalogue) -> list[Piece]:
             zip(final.eigenvalues, final.percent, final.cumulative_percent, strict=True), start=1
         )
     )
-    said = " ".join(finding_text(remark.finding, say) for remark in record.components.remarks)
+    said = " ".join(finding_text(remark, say) for remark in record.components.remarks)
     return [Table(say("analysis.components"), columns, rows), Paragraph(said)]
 
 
@@ -210,7 +210,7 @@ def method_check(analysis: StoredAnalysis, say: Catalogue) -> Section:
     rows, advice = [], list[str]()
     for one in analysis.methods:
         for need in one.requirements:
-            words = need_words(need, say)
+            words = need_words(need.code, need.figures, say)
             name = say(f"calibration_method.{one.method}")
             met = say("word.yes" if need.met else "word.no")
             rows.append((name, words["name"], words["found"], words["needed"], met))

@@ -7,10 +7,10 @@ import math
 from photocal.analysis.camera_analysis import CameraAnalysis
 from photocal.analysis.method import MethodCheck
 from photocal.analysis.outcome import Outcome
+from photocal.findings.catalogue import Catalogue
+from photocal.findings.digits import Number
+from photocal.findings.texts import finding_text, need_words, plain
 from photocal.geometry.camera import PARAMETERS
-from photocal.report.catalogue import Catalogue
-from photocal.report.digits import Number
-from photocal.report.words import finding_text, need_words, plain
 
 
 def analysis_text(outcome: Outcome, say: Catalogue) -> str:
@@ -117,7 +117,11 @@ def _jackknife(k: int, outcome: Outcome, say: Catalogue) -> list[str]:
 
 def _method(one: MethodCheck, say: Catalogue) -> str:
     name = say(f"calibration_method.{one.method}")
-    missing = [say("console.needs", **need_words(need, say)) for need in one.requirements if not need.met]
+    missing = [
+        say("console.needs", **need_words(need.code, need.figures, say))
+        for need in one.requirements
+        if not need.met
+    ]
     if not missing:
         return f"  {name}: {say('analysis.satisfied')}"
     return f"  {name}: {say('analysis.not_satisfied')}: {'; '.join(missing)}"

@@ -8,9 +8,9 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.report.catalogue import Catalogue
+from photocal.findings.catalogue import Catalogue
+from photocal.findings.digits import decimals_of, fixed, probability, symbol
 from photocal.report.check_figures import difference_histograms, difference_map
-from photocal.report.digits import decimals_of, fixed, probability, symbol
 from photocal.report.distortion import RADIAL
 from photocal.report.document import Column, Figure, KeyValues, Paragraph, Piece, Section, Table
 from photocal.report.run import CheckPoint, InputFile, Run

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from photocal.report.catalogue import Catalogue
-from photocal.report.digits import fixed, measured, power_of_ten, significant, symbol, unit_power
+from photocal.findings.catalogue import Catalogue
+from photocal.findings.digits import fixed, measured, power_of_ten, significant, symbol, unit_power
 from photocal.report.document import (
     Column,
     Figure,

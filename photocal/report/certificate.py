@@ -6,6 +6,9 @@ import hashlib
 import math
 
 from drivers.errors import InputMalformedError
+from photocal.findings.catalogue import Catalogue
+from photocal.findings.digits import fixed, measured, relation
+from photocal.findings.texts import finding_text
 from photocal.report.acceptance import verdict
 from photocal.report.analysis_sections import analysis_verdict, hidden_errors, method_check, parameters
 from photocal.report.block_sections import (
@@ -17,10 +20,8 @@ from photocal.report.block_sections import (
     percent,
 )
 from photocal.report.camera_sections import camera_facts, correlations, interior_orientation
-from photocal.report.catalogue import Catalogue
 from photocal.report.certificate_metadata import Particulars
 from photocal.report.derived_figures import Facts, facts
-from photocal.report.digits import fixed, measured, relation
 from photocal.report.document import Document, Highlight, KeyValues, Piece, Section, Statement
 from photocal.report.image_sections import image_residuals, radial_distortion, rms_px
 from photocal.report.ministry_rows import Context
@@ -35,7 +36,6 @@ from photocal.report.ministry_sections import (
 from photocal.report.run import CameraResult, Run
 from photocal.report.sensor import sensor_residuals
 from photocal.report.warning_sections import NO_WARNINGS, ProcessingWarnings, warned, warning_sections
-from photocal.report.words import finding_text
 
 # Findings of the plausibility that a reader must see first.
 WEAK = "weak_principal_distance"

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.report.catalogue import Catalogue
-from photocal.report.digits import fixed
+from photocal.findings.catalogue import Catalogue
+from photocal.findings.digits import fixed
 from photocal.report.figures import INK, SHADE, WIDTH, drawing, localised
 
 Floats = NDArray[np.float64]

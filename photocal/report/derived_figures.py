@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from photocal.analysis.finding import Finding
 from photocal.analysis.plausibility import CalibrationRecord, plausibility
+from photocal.findings.finding import Finding
 from photocal.report.acceptance import Limit, expected_altimetric_error_cm, limits
 from photocal.report.certificate_metadata import Particulars
 from photocal.report.image_sections import rms_px

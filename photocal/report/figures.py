@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.report.catalogue import Catalogue
-from photocal.report.digits import MINUS, fixed, significant, symbol
+from photocal.findings.catalogue import Catalogue
+from photocal.findings.digits import MINUS, fixed, significant, symbol
 from photocal.report.distortion import RadialProfile
 from photocal.report.run import CameraResult, Correlation
 from photocal.report.sensor import Vectors

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from photocal.report.catalogue import Catalogue
-from photocal.report.digits import fixed
+from photocal.findings.catalogue import Catalogue
+from photocal.findings.digits import fixed
 from photocal.report.distortion import RADIAL, farthest_corner, radial_profile
 from photocal.report.document import Column, Figure, Paragraph, Piece, Section, Table
 from photocal.report.figures import radial_curve, residual_map

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from acquire.outputs import output_folder
 from drivers.errors import InputNotFoundError
+from photocal.findings.catalogue import catalogue
 from photocal.report.block_files import Source, block_of_run, carry
-from photocal.report.catalogue import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import read_particulars
 from photocal.report.document import Document

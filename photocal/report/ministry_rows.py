@@ -6,12 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from photocal.report.acceptance import verdict
-from photocal.report.camera_sections import POWERS
-from photocal.report.catalogue import Catalogue
-from photocal.report.certificate_metadata import Particulars
-from photocal.report.derived_figures import Facts
-from photocal.report.digits import (
+from photocal.findings.catalogue import Catalogue
+from photocal.findings.digits import (
     MINUS,
     as_given,
     fixed,
@@ -21,6 +17,10 @@ from photocal.report.digits import (
     symbol,
     unit_power,
 )
+from photocal.report.acceptance import verdict
+from photocal.report.camera_sections import POWERS
+from photocal.report.certificate_metadata import Particulars
+from photocal.report.derived_figures import Facts
 from photocal.report.run import CameraResult, Run
 
 Origin = Literal["computed", "given", "fixed", "not_determined"]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from photocal.analysis.finding import Finding
+from photocal.findings.catalogue import Catalogue
+from photocal.findings.digits import as_given, significant
+from photocal.findings.finding import Finding
+from photocal.findings.texts import finding_text
 from photocal.report.acceptance import Limit, verdict
-from photocal.report.catalogue import Catalogue
 from photocal.report.certificate_metadata import Particulars
 from photocal.report.derived_figures import Facts
-from photocal.report.digits import as_given, significant
 from photocal.report.document import (
     Column,
     KeyValues,
@@ -21,7 +22,6 @@ from photocal.report.document import (
 )
 from photocal.report.ministry import entries, read_layout
 from photocal.report.ministry_rows import Context, corners
-from photocal.report.words import finding_text
 
 TONES: dict[str, Tone] = {"acceptable": "good", "new_calibration": "bad", "not_determined": "note"}
 

@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import Field, FiniteFloat, PositiveFloat, PositiveInt, ValidationError
 
 from drivers.errors import ConfigurationError
-from photocal.analysis.finding import Finding
 from photocal.analysis.plausibility import CalibrationRecord, Offsets, effective_unit, plausibility
+from photocal.findings.finding import Finding
 from photocal.report.acceptance import Limit, expected_altimetric_error_cm, limits
 from photocal.report.certificate_metadata import GnssInsKeys, StrictKeys, load_toml
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.findings.catalogue import Catalogue
 from photocal.report.acceptance import verdict
-from photocal.report.catalogue import Catalogue
 from photocal.report.certificate import certificate_number
 from photocal.report.certificate_metadata import Particulars
 from photocal.report.derived_figures import Facts, facts

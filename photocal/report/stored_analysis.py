@@ -2,41 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from photocal.analysis.correlation import StrongCorrelation
 from photocal.analysis.exterior_correlation import ExteriorCorrelation
-from photocal.analysis.finding import Figure, Finding, Severity, Size
 from photocal.analysis.method import MethodCheck
 from photocal.analysis.systematic_errors.variance_components import AssumedSigma
-
-
-@dataclass(frozen=True)
-class FindingRecord:
-    """A finding as it is stored, see `analysis_record.finding_record`."""
-
-    kind: str
-    severity: Severity
-    subject: str
-    figures: dict[str, float | str | tuple[str, ...] | None]
-    clauses: tuple[str, ...]
-    figure: float | None = None
-    sigma: float | None = None
-    unit: str | None = None
-    effect_c: float | None = None
-    effect_ground_m: float | None = None
-    effect_px: float | None = None
-
-    @property
-    def finding(self) -> Finding:
-        """The finding that was stored; a figure that was no number is NaN again."""
-        figures: dict[str, Figure] = {k: math.nan if v is None else v for k, v in self.figures.items()}
-        size = None
-        if self.figure is not None and self.unit is not None:
-            effect = (self.effect_c, self.effect_ground_m, self.effect_px)
-            size = Size(self.figure, self.unit, self.sigma, *effect)
-        return Finding(self.kind, self.severity, self.subject, figures, self.clauses, size)
+from photocal.findings.finding import Finding
 
 
 @dataclass(frozen=True)
@@ -74,7 +46,7 @@ class ComponentsRecord:
     """Principal components and what is proposed."""
 
     final: FinalComponents
-    remarks: tuple[FindingRecord, ...]
+    remarks: tuple[Finding, ...]
 
 
 @dataclass(frozen=True)
@@ -150,7 +122,7 @@ class StoredAnalysis:
         Digest of the result.json that it belongs to.
     alpha, correlation_threshold : float
         Level of the F tests, and correlation from which pairs are named.
-    findings : tuple of FindingRecord
+    findings : tuple of Finding
         Hidden errors, worst first.
     cameras : dict
         By name; None for one without estimated parameters.
@@ -168,14 +140,9 @@ class StoredAnalysis:
     result_sha256: str
     alpha: float
     correlation_threshold: float
-    findings: tuple[FindingRecord, ...]
+    findings: tuple[Finding, ...]
     cameras: dict[str, CameraRecord | None]
     observation_sigma: AssumedSigma
     jackknife: dict[str, JackknifeRecord]
     methods: tuple[MethodCheck, ...]
     exterior_difference: ExteriorDifference | None = None
-
-    @property
-    def hidden(self) -> tuple[Finding, ...]:
-        """Hidden errors, worst first."""
-        return tuple(one.finding for one in self.findings)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from photocal.report.catalogue import Catalogue
+from photocal.findings.catalogue import Catalogue
 from photocal.report.document import Column, Section, Statement, Table
 
 

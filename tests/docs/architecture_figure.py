@@ -21,6 +21,7 @@ SHARED = (
     "acquire.web",
     "photocal.checked_toml",
     "photocal.compiled",
+    "photocal.findings",
     "photocal.geopackage",
     "photocal.tasks",
 )

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from photocal.analysis.estimates import Estimates, scaled
-from photocal.analysis.finding import Figure, Finding, Severity, Size
 from photocal.analysis.significance import f_test
 from photocal.analysis.systematic_errors.extra_parameter import ExtraParameter
 from photocal.analysis.systematic_errors.ground_effect import SMALL_PX, SMALL_SIGMAS, ground_effect
 from photocal.analysis.systematic_errors.refit import Fit
 from photocal.analysis.systematic_errors.search import LEVEL, Round, Search, camera_estimates
+from photocal.findings.finding import Figure, Finding, Severity, Size
 from photocal.geometry.camera import PARAMETERS, Camera
 
 # A jackknife error of a parameter this many times its formal one is worth a line.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from photocal.analysis.finding import Finding
 from photocal.analysis.systematic_errors.camera_findings import (
     of_bias,
     of_jackknife,
@@ -12,6 +11,7 @@ from photocal.analysis.systematic_errors.camera_findings import (
 )
 from photocal.analysis.systematic_errors.image_findings import of_groups, of_images, of_maps
 from photocal.analysis.systematic_errors.search import Search
+from photocal.findings.finding import Finding
 
 
 def findings(search: Search) -> tuple[Finding, ...]:

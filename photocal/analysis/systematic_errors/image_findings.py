@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from photocal.analysis.finding import Figure, Finding, Severity, Size
 from photocal.analysis.systematic_errors.ground_effect import SMALL_PX
 from photocal.analysis.systematic_errors.search import LEVEL, Search
 from photocal.analysis.systematic_errors.variance_components import VarianceComponent
+from photocal.findings.finding import Figure, Finding, Severity, Size
 
 # An image's own scale or principal point is listed when it moves a ray beyond the noise of single ones.
 VISIBLE_SIGMAS = 2.5

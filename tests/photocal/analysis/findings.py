@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from photocal.analysis.finding import Finding, Size
-from photocal.report.catalogue import catalogue
-from photocal.report.words import finding_text, plain
+from photocal.findings.catalogue import catalogue
+from photocal.findings.finding import Finding, Size
+from photocal.findings.texts import finding_text, plain
 
 ENGLISH = catalogue("en")
 

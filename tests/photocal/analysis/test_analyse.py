@@ -90,7 +90,7 @@ def test_an_analysis_of_another_run_is_refused(made: Path, tmp_path: Path) -> No
     assert done.exit_code == 0, done.output
     stored = read_run(run).analysis
     assert stored is not None
-    assert [one.code for one in stored.hidden][:3] == ["y-scale", "observation-sigma", "c-bias"]
+    assert [one.code for one in stored.findings][:3] == ["y-scale", "observation-sigma", "c-bias"]
     (run / "result.json").write_text((run / "result.json").read_text().replace('"timing_s"', '"timing_s" '))
     with pytest.raises(InputMalformedError, match="belongs to another run"):
         read_run(run)

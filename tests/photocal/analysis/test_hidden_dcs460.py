@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from photocal.analysis.finding import Finding
 from photocal.analysis.systematic_errors.findings import findings
 from photocal.analysis.systematic_errors.jackknife import jackknife
 from photocal.analysis.systematic_errors.refit import Fit, fit, with_measurements
 from photocal.analysis.systematic_errors.search import Search, search
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
+from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS
 from tests.photocal.analysis.findings import said, sized
 

@@ -10,7 +10,6 @@ from scipy import stats
 
 from photocal.adjustment.network import Relations
 from photocal.analysis.estimates import Array
-from photocal.analysis.finding import Finding
 from photocal.analysis.systematic_errors.candidates import candidates
 from photocal.analysis.systematic_errors.extra_parameter import estimated_amount
 from photocal.analysis.systematic_errors.findings import findings
@@ -18,6 +17,7 @@ from photocal.analysis.systematic_errors.image_shift import joint_shift
 from photocal.analysis.systematic_errors.jackknife import jackknife
 from photocal.analysis.systematic_errors.refit import fit, with_sigmas, without_images
 from photocal.analysis.systematic_errors.search import search
+from photocal.findings.finding import Finding
 from tests.photocal.analysis.findings import said, sized
 from tests.photocal.analysis.simulated import (
     CONTROL_M,

@@ -14,9 +14,9 @@ from photocal.analysis.estimates import Array
 from photocal.analysis.method import METHODS, Shape, check_method, shape
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
+from photocal.findings.catalogue import catalogue
+from photocal.findings.texts import need_words
 from photocal.geometry.camera import camera
-from photocal.report.catalogue import catalogue
-from photocal.report.words import need_words
 
 
 def network_of(
@@ -62,7 +62,7 @@ def test_a_single_strip_over_flat_ground_satisfies_nothing() -> None:
     assert not any(check.met for check in checks)
     say = catalogue("en")
     missing = [need for check in checks for need in check.requirements if not need.met]
-    advice = {need.code: need_words(need, say)["advice"] for need in missing}
+    advice = {need.code: need_words(need.code, need.figures, say)["advice"] for need in missing}
     assert "tilt the camera" in advice["convergence"]
     assert "cross line" in advice["roll"]
     assert "higher" in advice["mixed-ranges"]

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from photocal.analysis.correlation_check import correlation_findings
-from photocal.analysis.finding import Figure
 from photocal.analysis.plausibility import CalibrationRecord, Offsets, effective_unit, plausibility
+from photocal.findings.finding import Figure
 
 NAMES = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2")
 

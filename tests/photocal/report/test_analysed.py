@@ -11,8 +11,8 @@ import pytest
 
 from photocal.block.folder import read_block
 from photocal.block.process import adjust_block
+from photocal.findings.catalogue import catalogue
 from photocal.report.analysis_file import analyse_run
-from photocal.report.catalogue import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import read_particulars
 from photocal.report.derived_figures import facts

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser
 
-from photocal.report.catalogue import catalogue
+from photocal.findings.catalogue import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Particulars
 from photocal.report.html import html

@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 
 from drivers.errors import InputMalformedError
 from photocal.cli import app
-from photocal.report.catalogue import catalogue
+from photocal.findings.catalogue import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Particulars, read_particulars
 from photocal.report.document import Document, Figure, Table

@@ -1,4 +1,4 @@
-"""One thing that a check found: what, how grave, about what, with its figures."""
+"""One thing that a check found: what, how grave, about what, with its figures; catalogues have the words."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-Severity = Literal["refused", "doubtful", "note"]
-Figure = float | str | tuple[str, ...]
+# Refused: the figure cannot be right. Grave: what the client uses is wrong. Doubtful: it contradicts
+# another, or an error is large. Consequence: it follows from others that say what is wrong. Note: the reader
+# should know. Passed and untested: what was looked at in vain, and what could not be looked at.
+Severity = Literal["refused", "grave", "doubtful", "consequence", "note", "passed", "untested"]
+Figure = float | str | tuple[str, ...] | None
 
 
 @dataclass(frozen=True)
@@ -40,34 +43,40 @@ class Size:
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that a check found. Its words, in whatever language, are the reports' (`photocal.report`).
+    """One thing that a check found; `texts` says it, `hypotheses` knows what it means.
 
     Attributes
     ----------
     code : str
-        What it is; the key of its text.
-    severity : {"refused", "doubtful", "note"}
-        Refused: the figure cannot be right. Doubtful: it contradicts another, or an error is large. Note: the
-        reader should know.
+        What it is; the key of its text, and of its remedy where there is one.
+    severity : str
+        See above.
     subject : str
-        Parameter, pair, camera or image that is concerned.
+        Parameter, pair, camera, image or point that is concerned.
     figures : mapping
-        The figures behind it, with the unit in the name where it is not said by another; names of
-        parameters as text.
+        The figures behind it, SI where the name has no unit; names of points and images as tuples, terms by
+        their codes; None is no number.
     clauses : tuple of str
         Codes of what else is to be said, in order.
     size : Size or None
         Of an error that was found.
+    cause, remedy : str
+        Codes of why, and of what to do where it is not the remedy of the code itself.
+    stage : str
+        Stage of the processing that found it.
     """
 
     code: str
     severity: Severity
-    subject: str
+    subject: str = ""
     figures: Mapping[str, Figure] = field(default_factory=dict)
     clauses: tuple[str, ...] = ()
     size: Size | None = None
+    cause: str = ""
+    remedy: str = ""
+    stage: str = ""
 
     @property
     def small(self) -> bool:
         """Whether it may be left as it is."""
-        return self.severity == "note"
+        return self.severity in ("note", "passed", "untested")

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from photocal.report.digits import (
+from photocal.findings.digits import (
     Number,
     decimals_of,
     fixed,

@@ -11,8 +11,8 @@ from importlib import resources
 from drivers.errors import ConfigurationError
 
 LANGUAGES = ("en", "pt-BR")
-# One catalogue for each kind of report; their sections may add to each other, their keys are all different.
-CATALOGUES = ("messages", "analysis")
+# Their sections may add to each other, their keys are all different.
+CATALOGUES = ("findings", "report", "analysis")
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,150 @@
+"""Findings in words, in the language of a report, and as JSON values with those words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from typing import Any
+
+from drivers.errors import InputMalformedError
+from photocal.findings.catalogue import Catalogue
+from photocal.findings.digits import Number, symbol
+from photocal.findings.finding import Figure, Finding
+
+# Figures that name parameters of the camera model, and those that are terms of the catalogue.
+PARAMETERS = ("parameter", "names", "removed", "crowd")
+TERMS = ("method", "what", "role", "axis", "terms", "axes")
+# Longer lists of points and images end with a number.
+_NAMED = 8
+
+
+def plain(parameter: str) -> str:
+    """Write a parameter as programs do, "K1"."""
+    return parameter
+
+
+def finding_text(finding: Finding, say: Catalogue, name: Callable[[str], str] = symbol) -> str:
+    """Say a finding in words.
+
+    Parameters
+    ----------
+    say : Catalogue
+        Language.
+    name : callable
+        How parameters are written: `symbol` or `plain`.
+
+    Returns
+    -------
+    str
+        What was found, why, and what to do: one sentence or some.
+
+    Raises
+    ------
+    InputMalformedError
+        When a figure is missing that the words need: the finding was stored by another version.
+    """
+    figures = {key: _figure(key, value, say, name) for key, value in finding.figures.items()}
+    key = f"subject.{finding.subject}"
+    figures["subject"] = say(key) if key in say.messages else name(finding.subject)
+    try:
+        text = say(_head(finding), **figures)
+        text += "".join(say(f"clause.{clause}", **figures) for clause in finding.clauses)
+        if finding.cause and finding.severity != "untested":
+            text += say("join.cause") + say(f"cause.{finding.cause}", **figures)
+        text = text if text.endswith((".", "?")) else f"{text}."
+        remedy = remedy_text(finding, say, figures)
+    except KeyError as missing:
+        raise InputMalformedError(
+            f"finding {finding.code} lacks {missing}: it was stored by another version of photocal",
+            remedy="run `photocal analyse` again, or `photocal run` for a project",
+        ) from None
+    # Symbols and names keep their case at the head of a sentence; words do not.
+    first = say.messages[_head(finding)].partition("}")[0]
+    if first[1:] in TERMS or (first == "{subject" and key in say.messages):
+        text = text[0].upper() + text[1:]
+    return f"{text} {remedy}".rstrip()
+
+
+def remedy_text(finding: Finding, say: Catalogue, figures: Mapping[str, object]) -> str:
+    """Say what to do; nothing where there is nothing to say."""
+    if finding.severity in ("passed", "untested"):
+        return ""
+    key = f"remedy.{finding.remedy or finding.code}"
+    return say(key, **figures) if finding.remedy or key in say.messages else ""
+
+
+def finding_json(finding: Finding, say: Catalogue) -> dict[str, Any]:
+    """Give a finding as a JSON value; `Finding` can be validated from it.
+
+    Returns
+    -------
+    dict
+        Its attributes, and "text" in the language asked for.
+    """
+    record = {**asdict(finding), "text": finding_text(finding, say, plain)}
+    return {key: _plain(value) for key, value in record.items()}
+
+
+def findings_of(content: object, where: object) -> tuple[Finding, ...]:
+    """Read back a list of what `finding_json` gave.
+
+    Raises
+    ------
+    InputMalformedError
+        When it was stored by another version.
+    """
+    from pydantic import TypeAdapter, ValidationError
+
+    try:
+        return TypeAdapter(tuple[Finding, ...]).validate_python(content or ())
+    except ValidationError as refusal:
+        raise InputMalformedError(
+            f"its findings were stored by another version of photocal ({refusal.errors()[0]['msg']})",
+            where=where,
+            remedy="make the stage again",
+        ) from None
+
+
+def need_words(code: str, figures: Mapping[str, float], say: Catalogue) -> dict[str, str]:
+    """Say what a method of calibration asks for."""
+    numbers = {key: Number(value, say.mark) for key, value in figures.items()}
+    parts = ("name", "found", "needed", "advice")
+    return {part: say(f"requirement.{code}.{part}", **numbers) for part in parts}
+
+
+def _head(finding: Finding) -> str:
+    if finding.severity == "untested":
+        return f"untested.{finding.cause}"
+    return f"{'passed' if finding.severity == 'passed' else 'finding'}.{finding.code}"
+
+
+def _figure(key: str, value: Figure, say: Catalogue, name: Callable[[str], str]) -> object:
+    if isinstance(value, str):
+        if key in TERMS:
+            return say(f"term.{value}")
+        return name(value) if key in PARAMETERS else value
+    if not isinstance(value, tuple):
+        return Number(math.nan if value is None else float(value), say.mark)
+    if key == "alike":
+        return say("join.and").join(_candidate(one, say, name) for one in value)
+    if key in TERMS:
+        return say("join.and").join(say(f"term.{one}") for one in value)
+    if key in PARAMETERS:
+        return " ".join(name(one) for one in value)
+    more = say("join.more", count=len(value) - _NAMED) if len(value) > _NAMED else ""
+    return ", ".join(value[:_NAMED]) + more
+
+
+def _candidate(text: str, say: Catalogue, name: Callable[[str], str]) -> str:
+    """Say a hidden error that was not chosen, "radial K3"."""
+    kind, _, parameter = text.partition(" ")
+    return say(f"candidate.{kind}", parameter=name(parameter))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
