@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import numpy as np
+
 from photocal.analysis.estimates import Estimates, quadratic_form
 
 GROUPS = (("x0", "y0"), ("K1", "K2", "K3"), ("P1", "P2"), ("B1", "B2"))
@@ -55,8 +57,14 @@ def f_test(
     chosen = estimates.select(parameters)
     p = len(chosen.names)
     statistic = quadratic_form(chosen) / p
-    critical = float(stats.f.ppf(1.0 - alpha, p, degrees_of_freedom))
-    p_value = float(stats.f.sf(statistic, p, degrees_of_freedom))
+    # With sigmas that are known for sure p F is chi-squared; the library's F has no such limit.
+    known = np.isinf(degrees_of_freedom)
+    critical = float(
+        stats.chi2.ppf(1 - alpha, p) / p if known else stats.f.ppf(1 - alpha, p, degrees_of_freedom)
+    )
+    p_value = float(
+        stats.chi2.sf(p * statistic, p) if known else stats.f.sf(statistic, p, degrees_of_freedom)
+    )
     return FTest(kind, chosen.names, statistic, critical, p_value, statistic >= critical)
 
 

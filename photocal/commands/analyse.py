@@ -9,7 +9,12 @@ import typer
 
 
 def analyse(
-    run: Annotated[Path, typer.Argument(help="Folder that `photocal adjust` wrote.")],
+    run: Annotated[
+        Path,
+        typer.Argument(
+            help="Folder that `photocal adjust` wrote; or a CSV of published parameters or correlations."
+        ),
+    ],
     block: Annotated[
         Path | None, typer.Option(help="Block folder of the run, or its set-up file, when it is not found.")
     ] = None,
@@ -17,6 +22,15 @@ def analyse(
     correlation: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Correlations from here on are named.")
     ] = 0.8,
+    matrix: Annotated[
+        Path | None, typer.Option(help="CSV of the correlations or the covariance of published parameters.")
+    ] = None,
+    set_name: Annotated[
+        str | None, typer.Option("--set", help="Set of a published table; without, all of them.")
+    ] = None,
+    degrees_of_freedom: Annotated[
+        float, typer.Option(min=1.0, help="Redundancy behind published parameters.")
+    ] = float("inf"),
     language: Annotated[str, typer.Option(help="Language: en or pt-BR.")] = "en",
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
@@ -26,7 +40,12 @@ def analyse(
     says, beside the run and below the current folder, and recognised by its hashes. The answer is also
     written as analysis.json into the run, from where `photocal certificate` takes it.
 
-    Example: `photocal adjust configs/demo/dcs460 -o run && photocal analyse run`
+    A CSV with the columns parameter, value and std_dev (perhaps set), as publications and other programs
+    print them, is tested as it stands; with its correlations or covariance (--matrix), or of such a matrix
+    alone, strong correlations and principal components follow, too.
+
+    Example: `photocal adjust configs/demo/dcs460 -o run && photocal analyse run`, or
+    `photocal analyse iop.csv --matrix correlations.csv --degrees-of-freedom 2470`
     """
     from acquire.console import answer, progress
     from photocal.findings.catalogue import catalogue
@@ -35,6 +54,13 @@ def analyse(
     from photocal.report.analysis_text import analysis_text
 
     say = catalogue(language)
+    if run.is_file():
+        from photocal.analysis.published import analyse_published
+        from photocal.report.published import published_record, published_text
+
+        sets = analyse_published(run, matrix, set_name, degrees_of_freedom, alpha, correlation)
+        answer(as_json, lambda: published_record(sets), lambda: published_text(sets, say))
+        return
     with progress("adjusting again", None) as advance:
         outcome = analyse_run(run, block, alpha, correlation, lambda: advance(1), say)
     answer(as_json, lambda: analysis_record(outcome, say), lambda: analysis_text(outcome, say))

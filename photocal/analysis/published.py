@@ -1,0 +1,174 @@
+"""Parameters as a publication or another program prints them: tested, and their components analysed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.analysis.components import Components, principal_components
+from photocal.analysis.correlation import StrongCorrelation, strong_correlations
+from photocal.analysis.estimates import Array, Estimates, from_sigmas
+from photocal.analysis.significance import GROUPS, FTest, f_test
+from photocal.block.table import read_table, require_file
+
+# What the studies call the parameters of ours.
+_ALSO = {"f": "c", "xo": "x0", "yo": "y0", "A": "B1", "B": "B2"}
+_SIGMAS = ("std_dev", "sigma")
+_OPTIONAL = ("set", "unit", "degrees_of_freedom", *_SIGMAS)
+
+
+@dataclass(frozen=True)
+class PublishedSet:
+    """What follows from one printed set of parameters.
+
+    Attributes
+    ----------
+    tests : tuple of FTest
+        None where no values are known; of groups only where their correlations are.
+    components : Components or None
+        None without a matrix.
+    """
+
+    name: str
+    estimates: Estimates
+    degrees_of_freedom: float
+    tests: tuple[FTest, ...]
+    correlations: tuple[StrongCorrelation, ...]
+    components: Components | None
+
+
+def analyse_published(
+    table: Path,
+    matrix: Path | None = None,
+    set_name: str | None = None,
+    degrees_of_freedom: float = np.inf,
+    alpha: float = 0.10,
+    threshold: float = 0.8,
+) -> tuple[PublishedSet, ...]:
+    """Analyse a printed table of parameters, a printed matrix, or both.
+
+    Parameters
+    ----------
+    table : Path
+        CSV. Either parameter, value and std_dev (or sigma), perhaps set and degrees_of_freedom: each set is
+        analysed alone. Or a square matrix of correlations, or a covariance, with the names in its head and
+        its first column.
+    matrix : Path, optional
+        Such a matrix for the parameters of the table.
+    set_name : str, optional
+        The only set to be analysed.
+    degrees_of_freedom : float
+        Redundancy where the table does not state it; unknown: infinite.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError, ConfigurationError, IllPosedError
+        For what cannot be read, does not fit together, or is no covariance.
+    """
+    if "value" not in _head(table):
+        if matrix is not None or set_name is not None:
+            raise ConfigurationError("is itself a matrix", where=table, remedy="leave out --matrix and --set")
+        names, given = _matrix(table)
+        sigma = np.sqrt(np.diag(given))
+        estimates = from_sigmas(names, [0.0] * len(names), sigma.tolist(), given / np.outer(sigma, sigma))
+        components = principal_components(estimates)
+        return (
+            PublishedSet("", estimates, np.inf, (), strong_correlations(estimates, threshold), components),
+        )
+    sets = _sets(table, degrees_of_freedom)
+    if set_name is not None and set_name not in sets:
+        raise ConfigurationError(f"has no set {set_name}", where=table, remedy=f"it has {', '.join(sets)}")
+    chosen = sets if set_name is None else {set_name: sets[set_name]}
+    if matrix is None:
+        return tuple(
+            PublishedSet(name, own, freedom, tuple(_tests(own, freedom, alpha, ())), (), None)
+            for name, (own, freedom) in chosen.items()
+        )
+    if len(chosen) > 1:
+        raise ConfigurationError(
+            f"holds {len(chosen)} sets, but the matrix is of one", where=table, remedy="name it with --set"
+        )
+    ((name, (single, freedom)),) = chosen.items()
+    names, given = _matrix(matrix)
+    if names != single.names:
+        raise ConfigurationError(
+            f"the matrix is of {' '.join(names)}, the table of {' '.join(single.names)}",
+            where=matrix,
+            remedy="name the same parameters in the same order in both",
+        )
+    spread = np.sqrt(np.diag(given))
+    together = from_sigmas(
+        names, single.values.tolist(), single.sigmas.tolist(), given / np.outer(spread, spread)
+    )
+    tests = tuple(_tests(together, freedom, alpha, GROUPS))
+    strong = strong_correlations(together, threshold)
+    return (PublishedSet(name, together, freedom, tests, strong, principal_components(together)),)
+
+
+def _tests(
+    estimates: Estimates, freedom: float, alpha: float, groups: tuple[tuple[str, ...], ...]
+) -> list[FTest]:
+    """Test each parameter, and the groups of which two or more are there, by the names that the table has."""
+    known_as = {_ALSO.get(name, name): name for name in estimates.names}
+    tests = [f_test(estimates, (name,), freedom, alpha, "single") for name in estimates.names]
+    for group in groups:
+        members = tuple(known_as[name] for name in group if name in known_as)
+        if len(members) > 1:
+            tests.append(f_test(estimates, members, freedom, alpha))
+    return tests
+
+
+def _head(path: Path) -> tuple[str, ...]:
+    """Give the names of the columns."""
+    require_file(path)
+    with path.open(encoding="utf-8-sig", errors="replace") as text:
+        return tuple(name.strip() for name in text.readline().split(","))
+
+
+def _sets(path: Path, degrees_of_freedom: float) -> dict[str, tuple[Estimates, float]]:
+    """Read parameters with their standard deviations, set by set, and the redundancy of each."""
+    table = read_table(path, ("parameter", "value"), _OPTIONAL)
+    column = next((name for name in _SIGMAS if table.has(name)), None)
+    if column is None:
+        raise InputMalformedError(
+            "has no standard deviations", where=path, remedy="add a column std_dev beside value"
+        )
+    which, names = table.names("parameter")
+    of_set, sets = table.names("set") if table.has("set") else (np.zeros(len(table), dtype=np.int64), ("",))
+    values, sigmas = table.numbers("value"), table.numbers(column)
+    freedom = table.numbers("degrees_of_freedom", empty=degrees_of_freedom)
+    answer = {}
+    for k, name in enumerate(sets):
+        rows = np.flatnonzero(of_set == k)
+        own = tuple(names[j] for j in which[rows])
+        if len(set(own)) < len(own):
+            raise InputMalformedError(
+                f"a parameter comes twice{f' in set {name}' if name else ''}",
+                where=path,
+                remedy="give a column set",
+            )
+        estimates = from_sigmas(own, values[rows].tolist(), sigmas[rows].tolist())
+        answer[name] = (estimates, float(freedom[rows[0]]))
+    return answer
+
+
+def _matrix(path: Path) -> tuple[tuple[str, ...], Array]:
+    """Read a square matrix of correlations or a covariance, named in its head and its first column."""
+    head = _head(path)
+    table = read_table(path, head)
+    names = table.unique_names(head[0])
+    matrix = np.column_stack([table.numbers(name) for name in head[1:]])
+    if names != head[1:] or not np.allclose(matrix, matrix.T, rtol=1e-6, atol=0.0):
+        raise InputMalformedError(
+            "is no symmetric matrix with the same names in its head and its first column",
+            where=path,
+            remedy="give every row in full",
+        )
+    if not (np.diag(matrix) > 0.0).all():
+        raise InputMalformedError(
+            "has a variance that is not positive", where=path, remedy="leave out what was held fixed"
+        )
+    return names, matrix
