@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from acquire.operating_system import replace
 from drivers.errors import OutputError
 
 
@@ -43,7 +44,7 @@ def output_file(path: Path) -> Iterator[Path]:
         with _refusals(path):
             # mkstemp makes private files; a result is as readable as any file that the user makes.
             aside.chmod(0o666 & ~_umask())
-            aside.replace(path)
+            replace(aside, path)
     finally:
         aside.unlink(missing_ok=True)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import tempfile
@@ -10,6 +11,9 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+
+from acquire.operating_system import cache_folder, private_folder
+from drivers.errors import OutputError
 
 PACKAGE = Path(__file__).resolve().parent
 
@@ -30,16 +34,20 @@ def _fingerprint() -> str:
 
 
 def _cache_folder() -> Path:
-    """First folder that can be written: beside the package, the user's cache, a temporary one."""
+    """First folder that can be written: beside the package, the user's cache, a temporary one.
+
+    Compiled code is run as it lies there: outside the package only a folder of this user alone is taken.
+    """
     name = f"kernels-{_fingerprint()}"
-    user = Path(os.environ.get("XDG_CACHE_HOME", Path("~/.cache").expanduser())) / "photocal"
-    for parent in (PACKAGE / "__pycache__", user, Path(tempfile.gettempdir()) / f"photocal-{os.getuid()}"):
-        try:
-            (parent / name).mkdir(parents=True, exist_ok=True)
-        except OSError:
-            continue
-        if os.access(parent / name, os.W_OK):
-            return parent / name
+    beside = PACKAGE / "__pycache__" / name
+    with contextlib.suppress(OSError):
+        beside.mkdir(parents=True, exist_ok=True)
+        if os.access(beside, os.W_OK):
+            return beside
+    temporary = Path(tempfile.gettempdir()) / f"photocal-{getattr(os, 'getuid', int)()}"
+    for folder in (cache_folder() / name, temporary):
+        with contextlib.suppress(OutputError):
+            return private_folder(private_folder(folder) / name)
     return Path(tempfile.mkdtemp(prefix="photocal-"))
 
 

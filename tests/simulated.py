@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from acquire.importing.importer import import_recordings
-from acquire.simulate.world.configuration import read_configuration
+from acquire.simulate.world.configuration import FLIGHTS, read_configuration
 from acquire.simulate.world.site import simulate_flight
 
-PLANS = Path(__file__).parents[1] / "configs" / "demo" / "simulated"
-FLIGHT = PLANS / "flight.toml"
+PLANS = FLIGHTS
+FLIGHT = PLANS / "survey.toml"
 _LINKS = ("vehicle", "rover", "base")
 
 

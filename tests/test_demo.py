@@ -56,9 +56,3 @@ def test_the_flight_is_labelled_synthetic_and_readable(answer: Result, output: P
     }
     assert counts["/vehicle/raw"] == 810
     assert counts["/camera/exposure"] == 29
-
-
-def test_without_its_data_it_says_so(tmp_path: Path) -> None:
-    answer = CliRunner().invoke(app, ["dcs460", "-o", str(tmp_path / "out"), "--configs", str(tmp_path)])
-    assert "demonstration data are missing" in str(answer.exception)
-    assert not (tmp_path / "out").exists()

@@ -61,14 +61,10 @@ def monitor(
 
 def _show(tail: Tail, address: str | None, mute: bool, listen: Callable[[list[Messages]], None]) -> None:
     """Show a recording until Ctrl-C, on a page or here."""
-    import signal
-    import threading
-
     from acquire.monitor.live import follow
+    from acquire.operating_system import stopped_by_signals
 
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stopped_by_signals()
     if address is None:
         _in_terminal(tail, stop, mute, listen)
         return

@@ -20,16 +20,12 @@ def record(
 
     Example: `acquire record flight.toml`
     """
-    import signal
-    import threading
-
+    from acquire.operating_system import stopped_by_signals
     from acquire.recording.configuration import read_configuration
     from acquire.recording.recorder import record as recording
 
     chosen = read_configuration(configuration)
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stopped_by_signals()
     result = recording(chosen, configuration.parent, stop, lambda text: typer.echo(text, err=True))
     answer(
         as_json,

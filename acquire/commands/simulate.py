@@ -53,7 +53,9 @@ def simulate(
 
 @app.command()
 def flight(
-    configuration: Annotated[Path, typer.Argument(metavar="CONFIG.toml", help="The flight to simulate.")],
+    configuration: Annotated[
+        Path, typer.Argument(metavar="CONFIG.toml|NAME", help="Its plan; `small` and `survey` are known.")
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder to make: site/ and truth/.")],
     level: Annotated[
         str | None, typer.Option(help="pictures, observations or block, instead of the file's.")
@@ -67,7 +69,7 @@ def flight(
 ) -> None:
     """Simulate a survey flight: what a surveyor brings home in site/, the truth in truth/.
 
-    Example: `acquire simulate flight configs/demo/simulated/flight.toml -o flight`
+    Example: `acquire simulate flight survey -o flight`
     """
     from acquire.outputs import output_folder
     from acquire.simulate.world.configuration import read_configuration

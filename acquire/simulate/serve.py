@@ -8,9 +8,10 @@ import select
 import socket
 import threading
 import time
-import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Protocol
+
+from acquire.operating_system import pseudo_terminal
 
 _TICK_S = 0.005
 # A reader that was quick enough before is waited for; one that has taken nothing for so long is gone.
@@ -41,16 +42,15 @@ def on_udp(device: Device, host: str, port: int) -> Iterator[None]:
             for at in range(0, len(data), _DATAGRAM_BYTES):
                 line.sendto(data[at : at + _DATAGRAM_BYTES], (host, port))
 
-    with line, _serving(device, line.fileno(), send):
+    with line, _serving(device, line.fileno(), line.recv, send):
         yield
 
 
 @contextlib.contextmanager
 def on_pty(device: Device) -> Iterator[str]:
     """Let a device speak on a pseudo terminal; yields the path of the port."""
-    ours, theirs = os.openpty()
-    tty.setraw(theirs)
-    os.set_blocking(ours, False)
+    ours, theirs, path = pseudo_terminal()
+    os.set_blocking(ours, False)  # type: ignore[attr-defined, unused-ignore]
 
     gone = False
 
@@ -70,8 +70,8 @@ def on_pty(device: Device) -> Iterator[str]:
                     return
 
     try:
-        with _serving(device, ours, send):
-            yield os.ttyname(theirs)
+        with _serving(device, ours, lambda size: os.read(ours, size), send):
+            yield path
     finally:
         os.close(ours)
         os.close(theirs)
@@ -126,7 +126,7 @@ class _Send(Protocol):
 
 
 @contextlib.contextmanager
-def _serving(device: Device, descriptor: int, send: _Send) -> Iterator[None]:
+def _serving(device: Device, descriptor: int, read: Callable[[int], bytes], send: _Send) -> Iterator[None]:
     stop = threading.Event()
     start = time.monotonic()
 
@@ -137,7 +137,7 @@ def _serving(device: Device, descriptor: int, send: _Send) -> Iterator[None]:
             data = b""
             if ready:
                 with contextlib.suppress(OSError):
-                    data = os.read(descriptor, 65536)
+                    data = read(65536)
             out = (device.receive(data, now) if data else b"") + device.due(now)
             if out:
                 send(out, stop)

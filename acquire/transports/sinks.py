@@ -5,12 +5,12 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol
 from urllib.parse import urlsplit
 
+from acquire.operating_system import has_reader, pseudo_terminal, waiting_bytes
 from drivers.errors import ConfigurationError, DeviceError
 
 # A reader that takes nothing for so long is given up.
@@ -161,18 +161,14 @@ class _WaitingTcpSink:
 
 @contextmanager
 def _pty() -> Iterator[tuple[Sink, str]]:
-    import tty
-
-    ours, theirs = os.openpty()
-    path = os.ttyname(theirs)
-    tty.setraw(theirs)
+    ours, theirs, path = pseudo_terminal()
     # Only when nobody has it open can be seen that somebody opens it.
     os.close(theirs)
     try:
         sink = _WaitingPtySink(ours)
         yield sink, path
         if sink.read_by_someone:
-            theirs = os.open(path, os.O_RDWR | os.O_NOCTTY)
+            theirs = os.open(path, os.O_RDWR | getattr(os, "O_NOCTTY", 0))
             try:
                 _drain(theirs)
             finally:
@@ -198,13 +194,10 @@ class _WaitingPtySink:
 
 def _await_reader(descriptor: int) -> None:
     """Wait until a program has opened a terminal, and for a moment: many throw away what is there by then."""
-    import select
     import time
 
-    watch = select.poll()
-    watch.register(descriptor, 0)
     end = time.monotonic() + PATIENCE_S
-    while any(event & select.POLLHUP for _, event in watch.poll(0)):
+    while not has_reader(descriptor):
         if time.monotonic() > end:
             raise DeviceError(
                 f"no reader has opened the terminal within {PATIENCE_S:.0f} s", remedy="start the reader"
@@ -215,8 +208,6 @@ def _await_reader(descriptor: int) -> None:
 
 def _drain(theirs: int) -> None:
     """Wait until the reader has taken everything: closing a terminal throws away what it holds."""
-    import fcntl
-    import termios
     import time
 
     now = time.monotonic()
@@ -225,7 +216,7 @@ def _drain(theirs: int) -> None:
     while now < until and now - taken < _QUIET_S:
         time.sleep(0.01)
         now = time.monotonic()
-        if int.from_bytes(fcntl.ioctl(theirs, termios.FIONREAD, bytes(4)), sys.byteorder):
+        if waiting_bytes(theirs):
             taken = now
 
 

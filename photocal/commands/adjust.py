@@ -46,7 +46,7 @@ def adjust(
 ) -> None:
     """Adjust a block: camera, orientations and points with their complete statistics.
 
-    Example: `photocal adjust configs/demo/dcs460 -o run`
+    Example: `photocal adjust my-block -o run`
     """
     from photocal.block.more_tables import Wanted, parse_joint
     from photocal.block.process import adjust_block

@@ -44,7 +44,7 @@ def analyse(
     print them, is tested as it stands; with its correlations or covariance (--matrix), or of such a matrix
     alone, strong correlations and principal components follow, too.
 
-    Example: `photocal adjust configs/demo/dcs460 -o run && photocal analyse run`, or
+    Example: `photocal adjust my-block -o run && photocal analyse run`, or
     `photocal analyse iop.csv --matrix correlations.csv --degrees-of-freedom 2470`
     """
     from acquire.console import answer, progress

@@ -90,9 +90,9 @@ def exposures(
 
     import numpy as np
 
+    from acquire.operating_system import cache_folder
     from acquire.outputs import output_folder
     from drivers.errors import ConfigurationError
-    from photocal.measurement.cache import default_cache
     from photocal.measurement.match_images import MatchingPlan
     from photocal.navigation.engine import Rtklib
     from photocal.navigation.exposure_report import exposures_text
@@ -127,7 +127,7 @@ def exposures(
         choices = Choices(sources, images, mrk, edge, delay, delay_sigma, rig, clock_offset)
     choices = replace(choices, oriented=oriented)
     if check_images:
-        plan = MatchingPlan(default_cache(), os.cpu_count() or 1)
+        plan = MatchingPlan(cache_folder(), os.cpu_count() or 1)
         choices = replace(choices, ties=TieMatching(plan, progress))
     with tempfile.TemporaryDirectory() as scratch:
         run = run_exposures(choices, Rtklib(), Path(scratch))

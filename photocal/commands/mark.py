@@ -87,20 +87,15 @@ def _figures(scene: Scene, store: MarkStore) -> dict[str, object]:
 
 
 def _show(scene: Scene, store: MarkStore, address: str, cache: Path | None) -> None:
-    import signal
-    import threading
-
+    from acquire.operating_system import cache_folder, stopped_by_signals
     from acquire.web import read_address, serving
-    from photocal.measurement.cache import default_cache
     from photocal.measurement.marking.page import application
 
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stopped_by_signals()
     for name, own in scene.pictures.items():
         if own.reason:
             typer.echo(f"{name}: {own.reason}", err=True)
-    page = application(scene, store, cache or default_cache())
+    page = application(scene, store, cache or cache_folder())
     with serving(page, read_address(address)) as url:
         typer.echo(f"open {url} (Ctrl-C ends); marks: {store.path}")
         stop.wait()

@@ -222,11 +222,11 @@ def _crew(workers: int, cluster: str) -> Workers:
 
 
 def _plan(crew: Workers, cache: Path | None, images: Path) -> MatchingPlan:
-    from photocal.measurement.cache import default_cache
+    from acquire.operating_system import cache_folder
     from photocal.measurement.match_images import MatchingPlan
     from photocal.tasks.cluster import Cluster
 
-    folder = (cache or default_cache()).resolve()
+    folder = (cache or cache_folder()).resolve()
     if isinstance(crew, Cluster):
         crew.require_shared(images, folder)
     return MatchingPlan(folder, crew)

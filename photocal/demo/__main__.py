@@ -9,8 +9,6 @@ import typer
 
 from acquire.console import application, run
 
-CONFIGS = Path(__file__).resolve().parents[2] / "configs" / "demo"
-
 app = application("Demonstrations: a simulated flight with known truth, a camera of a published study.")
 
 
@@ -20,7 +18,7 @@ def flight(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
         "demo-output"
     ),
-    plan: Annotated[Path, typer.Option(help="Flight to simulate.")] = CONFIGS / "simulated" / "flight.toml",
+    plan: Annotated[Path, typer.Option(help="Flight to simulate.")] = Path("survey"),
     seed: Annotated[int | None, typer.Option(min=0, help="Instead of the plan's.")] = None,
     speed: Annotated[float, typer.Option(min=0.1, max=100.0, help="Speed of the recording.")] = 20.0,
 ) -> None:
@@ -39,7 +37,6 @@ def dcs460(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
         "demo-output"
     ),
-    configs: Annotated[Path, typer.Option(help="Folder with the demonstration data.")] = CONFIGS,
 ) -> None:
     """Calibrate a Kodak DCS460 from its published observations, import a small flight log.
 
@@ -47,7 +44,7 @@ def dcs460(
     """
     from photocal.demo.published import published
 
-    published(output, configs)
+    published(output)
 
 
 if __name__ == "__main__":

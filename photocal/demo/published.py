@@ -8,51 +8,23 @@ from typing import Any
 
 import typer
 
-from drivers.errors import InputNotFoundError
+_DATA = Path(__file__).parent
 
 
-def published(output: Path, configs: Path) -> None:
-    """Calibrate a Kodak DCS460, write its certificate, import a synthetic flight.
-
-    Parameters
-    ----------
-    output : Path
-        Folder for the results.
-    configs : Path
-        Folder with the demonstration data.
-
-    Raises
-    ------
-    InputNotFoundError
-        Without the demonstration data.
-    """
+def published(output: Path) -> None:
+    """Calibrate a Kodak DCS460 into a folder, write its certificate, import a synthetic flight."""
     began = time.monotonic()
-    for part in ("dcs460", "flight"):
-        if not (configs / part).is_dir():
-            raise InputNotFoundError(
-                "the demonstration data are missing",
-                where=configs / part,
-                remedy="run the demonstration in a copy of the project",
-            )
     typer.echo("Calibration of a Kodak DCS460 from its published observations\n")
-    calibrate(configs / "dcs460", output)
+    calibrate(_DATA / "dcs460", output)
     typer.echo("\nFlight log. The flight is SYNTHETIC, made by the project's own encoder\n")
-    typer.echo("\n".join(f"  {line}" for line in fly(configs / "flight" / "flight.tlog", output)))
+    typer.echo("\n".join(f"  {line}" for line in fly(_DATA / "flight" / "flight.tlog", output)))
     typer.echo(f"\nThe certificate: {output / 'certificate' / 'certificate.html'}, the same as .pdf")
     typer.echo(f"The flight log, for Foxglove or Lichtblick: {output / 'flight.mcap'}")
     typer.echo(f"Done in {time.monotonic() - began:.1f} s.")
 
 
 def calibrate(block: Path, output: Path) -> None:
-    """Adjust a block and write its certificate, which prints what it says.
-
-    Parameters
-    ----------
-    block : Path
-        Block folder.
-    output : Path
-        Receives the folders `run` and `certificate`.
-    """
+    """Adjust a block into `run` and write its `certificate`, which prints what it says."""
     from photocal.block.process import adjust_block
     from photocal.commands.certificate import certificate
 

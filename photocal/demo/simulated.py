@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime as dt
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -13,6 +12,7 @@ from pathlib import Path
 import typer
 
 from acquire.console import progress
+from acquire.operating_system import CHILD_FLAGS, interrupt
 from drivers.errors import DeviceError
 from photocal.demo.truth import against_truth, table
 
@@ -86,7 +86,7 @@ def record(flight: Path, speed: float) -> None:
                     _, said = devices.communicate()
                     _succeeded(devices, said)
                 finally:
-                    log.send_signal(signal.SIGINT)
+                    interrupt(log)
                     _, said = log.communicate(timeout=_STOP_S)
                 _succeeded(log, said)
         finally:
@@ -98,7 +98,9 @@ def record(flight: Path, speed: float) -> None:
 
 
 def _started(command: list[str]) -> subprocess.Popen[str]:
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)  # noqa: S603
+    return subprocess.Popen(  # noqa: S603 - our own command
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, creationflags=CHILD_FLAGS
+    )
 
 
 def _require(process: subprocess.Popen[str], limit: float, what: str) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -15,11 +14,6 @@ from numpy.typing import NDArray
 from acquire.outputs import output_file
 
 Arrays = dict[str, NDArray[Any]]
-
-
-def default_cache() -> Path:
-    """Folder for cached results: $XDG_CACHE_HOME/photocal, or ~/.cache/photocal."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "photocal"
 
 
 def content_key(path: Path) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.report.ministry_rows import FILLERS, Context, Origin
 
-LAYOUT = Path(__file__).resolve().parents[2] / "configs" / "certificates" / "ministry_aerial_survey.csv"
+LAYOUT = Path(__file__).with_name("ministry_aerial_survey.csv")
 COLUMNS = ("section", "item", "key", "en", "pt-BR", "unit", "obligation")
 
 
@@ -37,7 +37,7 @@ class Entry:
 def read_layout(path: Path = LAYOUT) -> tuple[LayoutRow, ...]:
     """Read the rows of the form."""
     if not path.is_file():
-        raise InputNotFoundError("no such file", where=path, remedy="reinstall with the folder configs/")
+        raise InputNotFoundError("no such file", where=path, remedy="install photocal again")
     with path.open(encoding="utf-8", newline="") as stream:
         reader = csv.DictReader(stream)
         if tuple(reader.fieldnames or ()) != COLUMNS:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import fcntl
 import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from acquire.operating_system import lock as take
 from drivers.errors import OutputError
 
 _ASIDE, _OLD = ".partial", ".old.partial"
@@ -52,12 +52,10 @@ def alone(work: Path) -> Iterator[None]:
         work.mkdir(parents=True, exist_ok=True)
         lock = (work / ".lock").open("w")
     with lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+        if not take(lock):
             raise OutputError(
                 "another run is working in this folder", where=work, remedy="wait for its end, or stop it"
-            ) from None
+            )
         yield
 
 

@@ -61,11 +61,11 @@ def _make(project: Project, exposures: Path, folder: Path, show: Progress) -> No
         block = given_block(project, starts, _without_exposure(exposures))
         write_block(folder, block, {"schema": "photocal.measurement/1", "kind": "given observations"})
         return
-    from photocal.measurement.cache import default_cache
+    from acquire.operating_system import cache_folder
     from photocal.measurement.match_images import MatchingPlan
     from photocal.measurement.orientation import of_exposures
     from photocal.measurement.project_block import measure_project
 
-    plan = MatchingPlan(default_cache(), os.cpu_count() or 1)
+    plan = MatchingPlan(cache_folder(), os.cpu_count() or 1)
     measured = measure_project(project, of_exposures(project, exposures), plan, show)
     write_block(folder, measured.block, measured.record)

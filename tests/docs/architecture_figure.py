@@ -17,6 +17,7 @@ FIGURE = Path(__file__).parents[2] / "docs" / "architecture.svg"
 # Small rooms that everybody may use, and the demonstration above all: arrows to and from them are not drawn.
 SHARED = (
     "acquire.console",
+    "acquire.operating_system",
     "acquire.outputs",
     "acquire.web",
     "photocal.checked_toml",

@@ -7,7 +7,6 @@ import glob
 import json
 import re
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
@@ -18,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from acquire.simulate.world.configuration import FLIGHTS
 from photocal.block.mounting import BODY_AXES
 from photocal.georeferencing.freed_groups import MEANING
 from photocal.project_tables import Rig
@@ -92,10 +92,9 @@ class Desk:
 def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Desk]:
     """The practice of the first page, and the chapter on planning."""
     folder = tmp_path_factory.mktemp("guide")
-    shutil.copytree(ROOT / "configs" / "demo" / "simulated", folder / "configs" / "demo" / "simulated")
-    # Fewer points than for practice: the evening of the test is shorter.
-    plan = folder / "configs" / "demo" / "simulated" / "small.toml"
-    plan.write_text(plan.read_text(encoding="utf-8").replace("ties = 150", "ties = 60"), encoding="utf-8")
+    # Fewer points than for practice: the evening of the test is shorter. A file goes before a known flight.
+    plan = (FLIGHTS / "small.toml").read_text(encoding="utf-8")
+    (folder / "small").write_text(plan.replace("ties = 150", "ties = 60"), encoding="utf-8")
     desk = Desk(folder)
     try:
         desk.follow_all("README")

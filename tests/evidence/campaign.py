@@ -114,7 +114,7 @@ def main() -> None:
         lines = [
             "# A campaign: seven flights of one camera, and an eighth after its lens was touched",
             "",
-            "Flights of `configs/demo/simulated/flight.toml` over one field with one rig, without pictures,",
+            "Flights of the plan `survey` over one field with one rig, without pictures,",
             "from raw GNSS and telemetry; before the eighth the focal length grows by a thousandth.",
             "`photocal compare` of the eight projects with `--exchange`.",
             "",

@@ -243,7 +243,7 @@ def page(loops: dict[Level, list[Loop]], processor_s: float) -> list[str]:
     return [
         "# The closed loop: what the processing finds against the simulated truth",
         "",
-        "Flights of `configs/demo/simulated/flight.toml` without pictures, each with its own terrain, wind,",
+        "Flights of the plan `survey` without pictures, each with its own terrain, wind,",
         "rig, survey and noise. z is estimate less truth over the estimate's own standard deviation; values",
         "of one flight are correlated, so the error of a share comes from the flights.",
         "",

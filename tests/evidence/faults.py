@@ -173,7 +173,7 @@ def page(rows: list[str], sized: list[str]) -> list[str]:
     return [
         "# Each fault alone",
         "",
-        "Flights of `configs/demo/simulated/flight.toml` with one fault each, from raw GNSS and",
+        "Flights of `acquire/simulate/flights/survey.toml` with one fault each, from raw GNSS and",
         f"telemetry to the certificate; observations instead of pictures, {TIES} tie points. Named: the",
         "code stands in the summary of `photocal run`, or before the error that ends it. Certified: of the",
         "certificates that were written, those that have the code in their JSON and on their page. Without",

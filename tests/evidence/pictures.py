@@ -144,7 +144,7 @@ def main(chosen: list[int]) -> None:
         "",
         "Made by `python -m tests.evidence.pictures`.",
         "",
-        "The flight of `configs/demo/simulated/flight.toml` (some forty pictures of 2 megapixels, eight",
+        "The flight of `acquire/simulate/flights/survey.toml` (some forty pictures of 2 megapixels, eight",
         "control and twelve check points), and others that differ from it as said. Deviations are in",
         "standard deviations of the estimate: those of c, x0, y0; the largest of the distortion and of the",
         "mounting; and together, d' C^-1 d of the interior orientation, which is expected to be as large as",

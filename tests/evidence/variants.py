@@ -153,7 +153,7 @@ def page(lines: list[str]) -> list[str]:
     return [
         "# Flights of other kinds",
         "",
-        "`configs/demo/simulated/flight.toml` with what the first column says changed, from raw GNSS and",
+        "`acquire/simulate/flights/survey.toml` with what the first column says changed, from raw GNSS and",
         f"telemetry to the certificate; observations instead of pictures, {TIES} tie points. Worst: the",
         "largest deviation of an estimate from the truth over its limit, which is 3 standard deviations for",
         "camera and mounting, 3 cm for antenna positions and 3 standard deviations of the ratio of errors to",

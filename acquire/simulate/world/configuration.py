@@ -22,6 +22,8 @@ from acquire.simulate.world.sections import (
 )
 from drivers.errors import ConfigurationError, InputNotFoundError
 
+# Flights that are known by name.
+FLIGHTS = Path(__file__).parents[1] / "flights"
 # GPS time less UTC, and how long that is known to hold (IERS Bulletin C).
 LEAP_S = 18
 LEAP_SECONDS_SINCE, LEAP_SECONDS_KNOWN_TO = dt.date(2017, 1, 1), dt.date(2027, 6, 28)
@@ -258,6 +260,8 @@ def read_configuration(path: Path, instead: dict[str, Any] | None = None) -> Con
 
     Parameters
     ----------
+    path : Path
+        The file, or the name of one of `FLIGHTS`.
     instead : dict, optional
         Keys of the top level that replace those of the file.
 
@@ -268,6 +272,8 @@ def read_configuration(path: Path, instead: dict[str, Any] | None = None) -> Con
     ConfigurationError
         When it is no TOML, has an unknown key or an impossible value.
     """
+    known = FLIGHTS / f"{path}.toml"
+    path = known if not path.exists() and known.is_file() else path
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
         return Configuration.model_validate({**content, **(instead or {})})

@@ -13,7 +13,7 @@ from photocal.block.folder import read_block
 from photocal.block.network import assemble
 from photocal.geometry.camera import PARAMETERS
 
-DEMO = Path(__file__).parents[3] / "configs/demo/dcs460"
+DEMO = Path(__file__).parents[3] / "photocal/demo/dcs460"
 
 
 @pytest.mark.parametrize("r", [0.0, 0.9])

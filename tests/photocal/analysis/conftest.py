@@ -63,7 +63,7 @@ def matrix(rows: Rows) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
 @pytest.fixture(scope="session")
 def dcs460_block(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Block folder of the convergent-camera study with all 12 photographs: the demo block and photo 2."""
-    demo = Path(__file__).parents[3] / "configs/demo/dcs460"
+    demo = Path(__file__).parents[3] / "photocal/demo/dcs460"
     block = tmp_path_factory.mktemp("dcs460")
     shutil.copytree(demo, block, dirs_exist_ok=True)
     with (block / "images.csv").open("a", encoding="utf-8") as stream:

@@ -17,7 +17,7 @@ from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.block.process import adjust_block
 
 Floats = NDArray[np.float64]
-DEMO = Path(__file__).resolve().parents[3] / "configs" / "demo" / "dcs460"
+DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"
 # Near Curitiba, far enough from the central meridian for a convergence of half a degree.
 ORIGIN = (-49.25, -25.44, 905.0)
 PIPELINE = (

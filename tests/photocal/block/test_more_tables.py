@@ -20,7 +20,7 @@ from photocal.block.process import adjust_block
 from photocal.exchange.reconstruction import read_run
 from photocal.products.oriented import oriented
 
-DEMO = Path(__file__).resolve().parents[3] / "configs" / "demo" / "dcs460"
+DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"
 
 
 def rows(path: Path) -> list[dict[str, str]]:

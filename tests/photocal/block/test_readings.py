@@ -14,7 +14,7 @@ from photocal.block.folder import read_block
 from photocal.block.process import adjust_block
 
 ROOT = Path(__file__).resolve().parents[3]
-DEMO = ROOT / "configs" / "demo" / "dcs460"
+DEMO = ROOT / "photocal" / "demo" / "dcs460"
 PUBLISHED = ROOT / "tests" / "reference" / "dcs460"
 CORNERS = {"1": (-13.8, 9.2), "2": (13.8, 9.2), "3": (13.8, -9.2), "4": (-13.8, -9.2)}
 

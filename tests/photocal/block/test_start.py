@@ -11,7 +11,7 @@ import pytest
 from drivers.errors import IllPosedError, InputMalformedError
 from photocal.block.process import adjust_block
 
-DEMO = Path(__file__).resolve().parents[3] / "configs" / "demo" / "dcs460"
+DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"
 
 
 def without_orientation(folder: Path, images: frozenset[str], extra: str = "") -> Path:

@@ -28,7 +28,7 @@ from photocal.report.warning_sections import ProcessingWarnings
 from tests.photocal.georeferencing.flights import Plan, fly
 from tests.photocal.report.conftest import DAY
 
-DEMO = Path(__file__).resolve().parents[3] / "configs" / "demo" / "dcs460"
+DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ from photocal.report.record import read_record
 from photocal.report.repetition import repeated
 from photocal.report.verification import differences
 
-DEMO = Path(__file__).resolve().parents[3] / "configs" / "demo" / "dcs460"
+DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"
 
 
 def call(*arguments: object) -> Result:

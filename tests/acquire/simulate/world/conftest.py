@@ -12,7 +12,7 @@ from acquire.simulate.world.configuration import Configuration, read_configurati
 from acquire.simulate.world.site import simulate_flight
 from acquire.simulate.world.world import World, make_world
 
-DEMO = Path(__file__).resolve().parents[4] / "configs" / "demo" / "simulated"
+DEMO = Path(__file__).resolve().parents[4] / "acquire" / "simulate" / "flights"
 
 
 def configured(name: str, **instead: Any) -> Configuration:

@@ -1,0 +1,167 @@
+"""What operating systems do differently: locks, private and user's folders, signals, pseudo terminals."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import IO, Any
+
+from drivers.errors import DeviceError, OutputError
+
+# Windows refuses to replace a file that another program, often a scanner, is looking at.
+_REPLACE_TRIES, _REPLACE_WAIT_S = 20, 0.05
+
+if sys.platform == "win32":
+    import msvcrt
+
+    # A process of its own group is the only one that can be asked to stop.
+    CHILD_FLAGS = subprocess.CREATE_NEW_PROCESS_GROUP
+    _INTERRUPT = signal.CTRL_BREAK_EVENT
+    _STOPS = (signal.SIGINT, signal.SIGBREAK)
+
+    def lock(stream: IO[Any]) -> bool:
+        """Take an open file for this process alone, without waiting; the lock ends with the process."""
+        try:
+            stream.seek(0)
+            msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        return True
+
+    def _is_private(_: Path) -> bool:
+        # A user's profile and temporary folder are closed to others by their access lists.
+        return True
+
+    def sync_folder(_: Path) -> None:
+        """Do nothing: folders are written with their files."""
+
+    def pseudo_terminal() -> tuple[int, int, str]:
+        """Refuse: there are none."""
+        raise DeviceError("Windows has no pseudo terminals", remedy="take tcp:// or udp://")
+
+    def has_reader(_: int) -> bool:
+        """Say that nobody reads a pseudo terminal."""
+        return False
+
+    def waiting_bytes(_: int) -> int:
+        """Say that no byte waits in a pseudo terminal."""
+        return 0
+
+else:
+    import fcntl
+    import select
+    import termios
+    import tty
+
+    CHILD_FLAGS = 0
+    _INTERRUPT = signal.SIGINT
+    _STOPS = (signal.SIGINT, signal.SIGTERM)
+
+    def lock(stream: IO[Any]) -> bool:
+        """Take an open file for this process alone, without waiting; the lock ends with the process."""
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        return True
+
+    def _is_private(path: Path) -> bool:
+        state = path.lstat()
+        return state.st_uid == os.getuid() and not state.st_mode & 0o077 and not path.is_symlink()
+
+    def sync_folder(folder: Path) -> None:
+        """Wait until the disk has the names of a folder's files."""
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+    def pseudo_terminal() -> tuple[int, int, str]:
+        """Open one in raw mode: our end, that of the reader, and its path."""
+        ours, theirs = os.openpty()
+        tty.setraw(theirs)
+        return ours, theirs, os.ttyname(theirs)
+
+    def has_reader(ours: int) -> bool:
+        """Whether a program has a pseudo terminal open."""
+        watch = select.poll()
+        watch.register(ours, 0)
+        return not any(event & select.POLLHUP for _, event in watch.poll(0))
+
+    def waiting_bytes(theirs: int) -> int:
+        """Count the bytes of a pseudo terminal that its reader has not taken."""
+        return int.from_bytes(fcntl.ioctl(theirs, termios.FIONREAD, bytes(4)), sys.byteorder)
+
+
+def private_folder(folder: Path) -> Path:
+    """Make a folder that only this user can open; one of somebody else is refused.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be made, belongs to another user or stands open to others.
+    """
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        private = _is_private(folder)
+    except OSError as refusal:
+        raise OutputError(f"cannot be made ({refusal.strerror})", where=folder) from refusal
+    if not private:
+        raise OutputError(
+            "belongs to another user or is open to others",
+            where=folder,
+            remedy=f"remove it, or run: chmod 700 {folder}",
+        )
+    return folder
+
+
+def replace(aside: Path, final: Path) -> None:
+    """Let a file that was written aside take its place, on the disk, too: whole or not at all."""
+    with aside.open("r+b") as stream:
+        os.fsync(stream.fileno())
+    for left in reversed(range(_REPLACE_TRIES)):
+        try:
+            aside.replace(final)
+            break
+        except PermissionError:
+            if os.name != "nt" or not left:
+                raise
+            time.sleep(_REPLACE_WAIT_S)
+    sync_folder(final.parent)
+
+
+def cache_folder() -> Path:
+    """Folder of this user for what can be made again."""
+    return _user_folder("XDG_CACHE_HOME", ".cache", "LOCALAPPDATA", "Caches")
+
+
+def settings_folder() -> Path:
+    """Folder of this user for keys and settings."""
+    return _user_folder("XDG_CONFIG_HOME", ".config", "APPDATA", "Application Support")
+
+
+def _user_folder(variable: str, hidden: str, windows: str, mac: str) -> Path:
+    if given := os.environ.get(variable):
+        return Path(given) / "photocal"
+    home = Path.home()
+    other = {"win32": Path(os.environ.get(windows, home)), "darwin": home / "Library" / mac}
+    return other.get(sys.platform, home / hidden) / "photocal"
+
+
+def stopped_by_signals() -> threading.Event:
+    """Give an event that Ctrl-C and a request to end the process set."""
+    stop = threading.Event()
+    for number in _STOPS:
+        signal.signal(number, lambda *_: stop.set())
+    return stop
+
+
+def interrupt(process: subprocess.Popen[Any]) -> None:
+    """Ask a process that was started with `CHILD_FLAGS` to stop, as Ctrl-C does."""
+    process.send_signal(_INTERRUPT)
