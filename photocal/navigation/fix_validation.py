@@ -42,6 +42,8 @@ class Judgement:
         Factor on the engine's float sigmas (east, north, up).
     separation_m : float64 (n, 3)
         Forward minus backward; NaN where one of them has no position.
+    directions : int64 (n, 2)
+        Quality of forward and backward, 0 where there is no position.
     velocity_sigma_m_s : float
         Robust standard deviation of the Doppler velocity, one component.
     """
@@ -50,6 +52,7 @@ class Judgement:
     demoted: dict[str, Flags]
     float_factor: Floats
     separation_m: Floats
+    directions: NDArray[np.int64]
     velocity_sigma_m_s: float
 
 
@@ -66,7 +69,8 @@ def judge(
     fore, back = forward.at(combined.time), backward.at(combined.time)
     separation = _difference(forward, fore, backward, back, origin)
     fixed = combined.quality == FIXED
-    both = (_quality(forward, fore) == FIXED) & (_quality(backward, back) == FIXED)
+    directions = np.column_stack([_quality(forward, fore), _quality(backward, back)])
+    both = (directions == FIXED).all(axis=1)
     velocity, sigma = _velocity(combined.time, here, fixed, code)
     disagree = both & (np.abs(separation) > _SAME_FIX_M).any(axis=1)
     demoted = {
@@ -81,7 +85,8 @@ def judge(
     quality = np.where(fixed & ~left, FLOAT, combined.quality)
     factor = _float_factor(forward, fore, backward, back, separation)
     covariance = _covariance(combined, quality, factor, separation)
-    return Judgement(combined.with_quality(quality, covariance), demoted, factor, separation, sigma)
+    judged = combined.with_quality(quality, covariance)
+    return Judgement(judged, demoted, factor, separation, directions, sigma)
 
 
 def _enu(solution: EngineSolution, origin: Floats) -> Floats:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.navigation.common_errors import common_text
+from photocal.navigation.engine_output import FIXED
 from photocal.navigation.ppk import PpkResult
 from photocal.navigation.trajectory import enu_offsets, geodetic
 
@@ -18,6 +19,9 @@ _GOOD_SHARE = 90.0
 _SUSPECT_BASE_M = 5.0
 # The engine uses older observations of the base no more.
 _LONG_GAP_S = 30.0
+# Directions this far apart where one is taken as fixed are told, with the reason: two fixes agree better.
+_APART_M = 0.10
+_LISTED_PLACES = 10
 
 
 def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
@@ -116,12 +120,39 @@ def _validation(result: PpkResult) -> dict[str, Any]:
         "median_ratio_of_fixes": _median(result.combined.ratio[fixed]),
         "float_sigma_factor_enu": [float(v) for v in judgement.float_factor],
         "combinations_replaced": result.replaced,
+        "directions_apart": _directions_apart(result),
         "doppler_velocity_sigma_m_s": judgement.velocity_sigma_m_s,
         "forward_minus_backward_rms_enu_m": {
             "fixed": _rms(apart[known & fixed & (np.abs(apart) < 0.2).all(axis=1)]),
             "others": _rms(apart[known & ~fixed]),
         },
     }
+
+
+def _directions_apart(result: PpkResult) -> list[dict[str, Any]]:
+    """List where a position counts as fixed though the directions are apart, and which was taken.
+
+    The engine takes the direction with the better status; where both are fixed and differ, neither counts.
+    """
+    judgement = result.judgement
+    if judgement is None:
+        return []
+    apart = np.linalg.norm(judgement.separation_m, axis=1)
+    rows = np.flatnonzero((judgement.solution.quality == FIXED) & (apart > _APART_M))
+    places = []
+    for place in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if len(rows) else ():
+        fixed = (judgement.directions[place] == FIXED).all(axis=0)
+        time = result.trajectory.time
+        places.append(
+            {
+                "from_gps": time[place[:1]].iso()[0],
+                "to_gps": time[place[-1:]].iso()[0],
+                "epochs": len(place),
+                "largest_m": float(apart[place].max()),
+                "taken": "forward" if fixed[0] else "backward" if fixed[1] else "by turns",
+            }
+        )
+    return places
 
 
 def _median(values: NDArray[np.float64]) -> float | None:
@@ -179,6 +210,15 @@ def _validation_text(validation: dict[str, Any]) -> list[str]:
         if rms is not None:
             told = " ".join(f"{v:.3f}" for v in rms)
             lines.append(f"forward less backward, {kind}: {told} m rms (E N U)")
+    places = validation["directions_apart"]
+    for place in places[:_LISTED_PLACES]:
+        other = {"forward": "backward", "backward": "forward"}.get(place["taken"], "the other")
+        lines.append(
+            f"directions {place['largest_m']:.2f} m apart from {place['from_gps']} on, {place['epochs']} "
+            f"epochs: {place['taken']} was taken, {other} has no fix there"
+        )
+    if len(places) > _LISTED_PLACES:
+        lines.append(f"and {len(places) - _LISTED_PLACES} more places")
     factors = ", ".join(f"{v:.0f}" for v in validation["float_sigma_factor_enu"])
     lines.append(f"the engine's float sigmas are too small by {factors} (E, N, U)")
     return lines
@@ -201,17 +241,32 @@ def plot_ppk(result: PpkResult, path: Path) -> None:
         rows = t.status == name
         track.plot(east[rows], north[rows], ".", ms=3, color=colour, label=f"{name} {int(rows.sum())}")
         height.plot(minutes[rows], t.height_m[rows], ".", ms=3, color=colour)
-    track.set(xlabel="east / m", ylabel="north / m", title="Track", aspect="equal")
+    track.set(
+        xlabel="east / m",
+        ylabel="north / m",
+        title="Track\n(fixed: centimetres; float: decimetres; single: metres)",
+        aspect="equal",
+    )
     track.legend()
-    height.set(xlabel="time / min", ylabel="ellipsoidal height / m", title="Height")
+    height.set(
+        xlabel="time / min", ylabel="ellipsoidal height / m", title="Height\n(colours as in the track)"
+    )
     if result.judgement is not None:
         for column, letter in enumerate("ENU"):
             distance = np.abs(result.judgement.separation_m[:, column])
             apart.semilogy(minutes, np.maximum(distance, 1e-4), ".", ms=2, label=letter)
         apart.legend()
-    apart.set(xlabel="time / min", ylabel="|forward - backward| / m", title="Separation of the directions")
+    apart.set(
+        xlabel="time / min",
+        ylabel="|forward - backward| / m",
+        title="Separation of the directions\n(millimetres where both are fixed; more where one is float)",
+    )
     ratio.semilogy(minutes, np.maximum(result.combined.ratio, 1.0), ".", ms=2)
     ratio.axhline(result.options.ratio, color="k", lw=0.8, label=f"least for a fix: {result.options.ratio:g}")
     ratio.legend()
-    ratio.set(xlabel="time / min", ylabel="ratio", title="Ratio test")
+    ratio.set(
+        xlabel="time / min",
+        ylabel="ratio",
+        title="Ratio test of the ambiguities\n(second best to best; fixes lie above the line)",
+    )
     figure.savefig(path, dpi=120)

@@ -59,3 +59,11 @@ def test_a_pause_ends_a_run() -> None:
     moved = replace(late, quality=np.where((np.arange(48) >= 20) & (np.arange(48) < 28), FIXED, FLOAT))
     judged = judge(moved, moved, whole, whole, 3.0)
     assert (judged.solution.quality == FLOAT).all()
+
+
+def test_it_is_told_which_direction_had_the_fix() -> None:
+    fixed, floating = still(1.0, 60, FIXED), still(1.0, 60, FLOAT)
+    judged = judge(fixed, floating, fixed.rows(np.arange(5, 60)), floating, 3.0)
+    assert (judged.directions[:, 0] == FLOAT).all()
+    assert (judged.directions[:5, 1] == 0).all()
+    assert (judged.directions[5:, 1] == FIXED).all()
