@@ -66,6 +66,57 @@ def along(
 
 
 @compiled
+def across_piece(
+    design: Design,
+    values: Values,
+    structure: Structure,
+    piece: int,
+    change: Floats,
+    room: Scratch,
+    reduced: Floats,
+    points: Floats,
+) -> None:
+    """What one thread's rays give to the right-hand side, see `across`."""
+    by_image, by_point, by_camera = room.by_image, room.by_point, room.by_camera
+    for j in range(design.pieces[piece], design.pieces[piece + 1]):
+        for r in range(design.ray_start[j], design.ray_start[j + 1]):
+            if change[r, 0] == 0.0 and change[r, 1] == 0.0:
+                continue
+            i = design.ray_image[r]
+            k = design.image_lens[i]
+            ray_rows(design, values, r, i, j, room)
+            px, py = design.weight[r, 0] * change[r, 0], design.weight[r, 1] * change[r, 1]
+            column, border = design.image_column[i], structure.band + design.active_column[k]
+            for b in range(columns(design)):
+                reduced[piece, column + b] += by_image[0, b] * px + by_image[1, b] * py
+            for b in range(3):
+                points[j, b] += by_point[0, b] * px + by_point[1, b] * py
+            for s in range(design.active_count[k]):
+                n = design.active[k, s]
+                reduced[piece, border + s] += by_camera[0, n] * px + by_camera[1, n] * py
+
+
+@compiled_parallel
+def across(
+    design: Design, values: Values, structure: Structure, change: Floats, reduced: Floats, points: Floats
+) -> None:
+    """Right-hand side A'P d of the normal equations for a change d of all image coordinates.
+
+    Parameters
+    ----------
+    design, values, structure
+        As in `kernels.accumulate`.
+    change : ndarray, shape (rays, 2)
+    reduced : ndarray, shape (threads, n)
+        Receives, for each thread, the part of images and cameras, added to what is there.
+    points : ndarray, shape (points, 3)
+        Receives the part of the points.
+    """
+    for piece in numba.prange(len(design.pieces) - 1):
+        across_piece(design, values, structure, piece, change, scratch(columns(design)), reduced, points)
+
+
+@compiled
 def cross_covariance(
     design: Design,
     structure: Structure,

@@ -42,6 +42,8 @@ def of_round(one: Round) -> Finding:
         "px": parameter.effect_px,
         "left_px": left,
         "f": parameter.statistic,
+        "fall": parameter.fall,
+        "tested": float(parameter.tested),
         "shift_c": change,
         "unit": camera.unit,
         "ground_m": ground,

@@ -10,6 +10,7 @@ from photocal.adjustment.network import Network
 from photocal.adjustment.state import State
 from photocal.analysis.estimates import Array
 from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.geometry.distortion import undistorted
 
 # Exposures are a flight when this share of the steps from one to the next has the usual length, this nearly.
 REGULAR_SHARE = 0.6
@@ -30,7 +31,8 @@ class Candidate:
         The camera concerned.
     displacement : (n, 2) array
         What must be added to the measured image plane coordinates for an amount of 1; zero for rays of
-        other cameras.
+        other cameras. It is a function of the computed coordinates: of the measured ones, a field that
+        shrinks the image would shrink the errors of measurement, too, and explain something in every block.
     """
 
     kind: str
@@ -44,38 +46,28 @@ class Candidate:
         return f"{self.kind} {self.parameter}".strip()
 
 
-def candidates(network: Network, state: State) -> tuple[Candidate, ...]:
-    """List what the model of each camera does not already estimate.
-
-    Parameters
-    ----------
-    network : Network
-        The network.
-    state : State
-        Its current values.
-
-    Returns
-    -------
-    tuple of Candidate
-        Suspicions that can be tested.
-    """
+def candidates(network: Network, state: State, computed: Array) -> tuple[Candidate, ...]:
+    """List what the model of each camera does not already estimate, at the computed image coordinates."""
     camera_of_ray = network.exposures.camera[network.rays.image]
     found = []
     for k, camera in enumerate(network.cameras):
         mine = (camera_of_ray == k)[:, None]
         if not mine.any():
             continue
-        found += [Candidate(kind, term, k, field * mine) for kind, term, field in _of_camera(camera, network)]
-        motion = _rolling_shutter(network, state, k)
+        current = camera.with_values(state.cameras[k])
+        found += [
+            Candidate(kind, term, k, field * mine) for kind, term, field in _of_camera(current, computed)
+        ]
+        motion = _rolling_shutter(network, state, computed, k)
         if motion is not None:
             found.append(Candidate("rolling-shutter", "", k, motion * mine))
     return tuple(found)
 
 
-def _of_camera(camera: Camera, network: Network) -> list[tuple[str, str, Array]]:
-    plane = network.rays.plane
+def _of_camera(camera: Camera, plane: Array) -> list[tuple[str, str, Array]]:
     zero = np.zeros(len(plane))
-    x, y = (plane - camera.values[1:3]).T
+    ideal = camera.model == "brown-ideal"
+    x, y = (undistorted(camera, plane) if ideal else plane - camera.values[1:3]).T
     estimated = {name for name, is_so in zip(PARAMETERS, camera.estimated, strict=True) if is_so}
     scale_term, shear_term = ("B2", "B1") if camera.affinity_form == "tank" else ("B1", "B2")
     found = []
@@ -94,7 +86,7 @@ def _of_camera(camera: Camera, network: Network) -> list[tuple[str, str, Array]]
     return found
 
 
-def _rolling_shutter(network: Network, state: State, camera: int) -> Array | None:
+def _rolling_shutter(network: Network, state: State, computed: Array, camera: int) -> Array | None:
     """Give minus the image motion while the rows are read, for a readout as long as the exposure interval.
 
     Only for exposures that follow one another at regular distances, in the order of the images: then
@@ -115,7 +107,7 @@ def _rolling_shutter(network: Network, state: State, camera: int) -> Array | Non
     c = state.cameras[camera, 0]
     dp = -c * (dq[:, :2] / q[:, 2:] - q[:, :2] * dq[:, 2:] / q[:, 2:] ** 2)
     # Rows are read from the top; the middle row is the reference.
-    late = -network.rays.plane[:, 1] / (own.size_px[1] * own.pitch[1])
+    late = -computed[:, 1] / (own.size_px[1] * own.pitch[1])
     return np.asarray(-dp * late[:, None])
 
 

@@ -7,20 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.errors import IllPosedError, NotConvergedError
+from photocal.adjustment.score import score
 from photocal.adjustment.state import State
 from photocal.analysis.estimates import Array
-from photocal.analysis.systematic_errors.refit import Fit, lowest, residuals_of, with_measurements
+from photocal.analysis.systematic_errors.refit import Fit
 from photocal.geometry.rotation import turned
 
 # Less of a column than this, beside the exterior orientation, is not determined.
 INDEPENDENT = 1e-2
 # So many images are adjusted with a scale and a principal point of their own.
 MOST_JOINT = 12
-# A displacement of this many standard deviations, over all rays of an image, is a step small enough.
-STEP = 2.0
-# Above the minimum, see `minimise`: so much is a sum of squares too large.
-NEAR = 1e-7
 
 
 @dataclass(frozen=True)
@@ -73,67 +69,42 @@ def image_shifts(
 
 
 def joint_shift(fit: Fit, image: str) -> ImageShift | None:
-    """Estimate scale and principal point of one image as further unknowns of the adjustment.
-
-    The minimum of the sum of squares is a paraboloid in the three amounts; it is found from nine more
-    adjustments.
-    """
+    """Estimate scale and principal point of one image as further unknowns, to first order."""
     from scipy import stats
 
     network = fit.network
     i = network.image_names.index(image)
     mine = network.rays.image == i
-    plane, sigma = network.rays.plane[mine], network.rays.sigma[mine]
-    columns = _own_geometry(plane)
-    step = STEP / np.linalg.norm((columns / sigma[:, :, None]).reshape(-1, 3), axis=0)
-
-    def chi_squared(amount: Array) -> float:
-        moved = network.rays.plane.copy()
-        moved[mine] += columns @ (step * amount)
-        return lowest(with_measurements(network, moved), fit.state, NEAR).chi_squared
-
-    try:
-        slope, curvature = _paraboloid(chi_squared, fit.solution.chi_squared)
-    except (IllPosedError, NotConvergedError):
-        return None
-    values, vectors = np.linalg.eigh(curvature)
-    seen = values > 2.0 * STEP**2 * INDEPENDENT**2
-    if not seen.any():
+    sigma = network.rays.sigma[mine]
+    columns = _own_geometry(fit.computed[mine])
+    step = 1.0 / np.linalg.norm((columns / sigma[:, :, None]).reshape(-1, 3), axis=0)
+    fields = np.zeros((3, *network.rays.plane.shape))
+    fields[:, mine] = -np.moveaxis(columns * step, -1, 0)
+    joint = score(fit.factored, fit.solution.residuals, fields)
+    values, vectors = np.linalg.eigh(joint.information)
+    seen = values > INDEPENDENT**2
+    k = int(seen.sum())
+    if k == 0:
         return None
     inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
-    amount = -inverse @ slope
-    fall = float(slope @ inverse @ slope) / 2.0
-    freedom = fit.solution.degrees_of_freedom - int(seen.sum())
-    statistic = fall / seen.sum() / (max(fit.solution.chi_squared - fall, 1e-300) / freedom)
-    p_value = float(stats.f.sf(statistic, int(seen.sum()), freedom))
+    amount = -inverse @ joint.slope
+    fall = float(joint.slope @ inverse @ joint.slope)
+    freedom = fit.solution.degrees_of_freedom - k
+    statistic = fall / k / (max(fit.solution.chi_squared - fall, 1e-300) / freedom)
     pitch = np.array(network.cameras[network.exposures.camera[i]].pitch)
     unit = step / np.array([1.0, *pitch])
     # What other unknowns take up has no variance to speak of here: it is not determined.
     hidden = np.linalg.norm(vectors[:, ~seen], axis=1) > 0.5
-    spread = np.where(hidden, np.nan, np.sqrt(2.0 * np.diag(inverse))) * unit
-    corrected = network.rays.plane.copy()
-    corrected[mine] += columns @ (step * amount)
-    changed = with_measurements(network, corrected)
-    after = residuals_of(changed, lowest(changed, fit.state).state)
-    seen_px = (after - fit.solution.residuals)[mine] / pitch
+    spread = np.where(hidden, np.nan, np.sqrt(np.diag(inverse))) * unit
+    moved = np.einsum("t,trk->rk", amount, joint.visible[:, mine]) / pitch
     return ImageShift(
         image,
         float(amount[0] * unit[0]),
         amount[1:] * unit[1:],
-        float(np.linalg.norm(seen_px, axis=1).max()),
-        min(1.0, len(network.image_names) * p_value),
+        float(np.linalg.norm(moved, axis=1).max()),
+        min(1.0, len(network.image_names) * float(stats.f.sf(statistic, k, freedom))),
         spread,
     )
-
-
-def _paraboloid(function: Callable[[Array], float], base: float) -> tuple[Array, Array]:
-    """Slope (3,) and curvature (3, 3) of a function of three amounts at 0, from unit steps."""
-    unit = np.eye(3)
-    above, below = (np.array([function(sign * axis) for axis in unit]) for sign in (1.0, -1.0))
-    curvature = np.diag(above + below - 2.0 * base)
-    for a, b in ((0, 1), (0, 2), (1, 2)):
-        curvature[a, b] = curvature[b, a] = function(unit[a] + unit[b]) - above[a] - above[b] + base
-    return (above - below) / 2.0, curvature
 
 
 def _own_geometry(plane: Array) -> Array:
@@ -154,7 +125,7 @@ def screened_shifts(fit: Fit, variance_factor: float) -> tuple[ImageShift, ...]:
     network, state = fit.network, fit.state
     rays = network.rays
     poses = pose_derivatives(fit, state)
-    shapes = _own_geometry(rays.plane)
+    shapes = _own_geometry(fit.computed)
     images = len(network.image_names)
     found = []
     for i, name in enumerate(network.image_names):

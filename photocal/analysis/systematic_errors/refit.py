@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -10,10 +11,10 @@ from numpy.typing import NDArray
 
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
-from photocal.adjustment.kernels.residuals import evaluate
+from photocal.adjustment.factored import Factored, factored
 from photocal.adjustment.mounting import Attitudes, Positions
 from photocal.adjustment.network import Network
-from photocal.adjustment.normal import prepare, values_of
+from photocal.adjustment.normal import prepare
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import CONVERGED, minimise
 from photocal.adjustment.state import State, start_state
@@ -39,6 +40,16 @@ class Fit:
     network: Network
     state: State
     solution: Solution
+
+    @property
+    def computed(self) -> Array:
+        """Image coordinates as the unknowns give them."""
+        return self.network.rays.plane + self.solution.residuals
+
+    @cached_property
+    def factored(self) -> Factored:
+        """The normal equations at the minimum."""
+        return factored(self.network, self.state)
 
 
 @dataclass(frozen=True)
@@ -87,14 +98,6 @@ def lowest(network: Network, state: State, near: float = CONVERGED) -> Lowest:
     """Adjust a network without statistics."""
     minimum = minimise(with_datum(prepare(network), state), state, near=near)
     return Lowest(minimum.state, minimum.iterations[-1].chi_squared)
-
-
-def residuals_of(network: Network, state: State) -> Array:
-    """Give the residuals of the rays at a state."""
-    residuals, depth = np.empty_like(network.rays.plane), np.empty(len(network.rays.plane))
-    problem = prepare(network)
-    evaluate(problem.design, values_of(problem, state), residuals, depth)
-    return residuals
 
 
 def with_measurements(network: Network, plane: Array) -> Network:

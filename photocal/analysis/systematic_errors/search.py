@@ -9,12 +9,7 @@ import numpy as np
 
 from photocal.analysis.estimates import Array, Estimates
 from photocal.analysis.systematic_errors.candidates import Candidate, candidates
-from photocal.analysis.systematic_errors.extra_parameter import (
-    ExtraParameter,
-    corrected,
-    estimated_amount,
-    judged,
-)
+from photocal.analysis.systematic_errors.extra_parameter import ExtraParameter, estimated_amount, judged
 from photocal.analysis.systematic_errors.image_shift import ImageShift, image_shifts
 from photocal.analysis.systematic_errors.jackknife import Jackknife, jackknife
 from photocal.analysis.systematic_errors.refit import Fit, fit, with_measurements
@@ -151,7 +146,7 @@ def camera_estimates(fitted: Fit, camera: int) -> Estimates:
 def _worst(last: Fit, found: tuple[Candidate, ...], done: Callable[[], None]) -> ExtraParameter | None:
     """Test every candidate that was not yet found; give the most significant one, or None."""
     tested = []
-    for candidate in candidates(last.network, last.state):
+    for candidate in candidates(last.network, last.state, last.computed):
         if any(_same(candidate, one) for one in found):
             continue
         outcome = estimated_amount(last, candidate)
@@ -167,7 +162,7 @@ def _worst(last: Fit, found: tuple[Candidate, ...], done: Callable[[], None]) ->
         for one in significant
         if one is not worst and one.statistic > ALIKE * worst.statistic and _parallel(last, one, worst)
     )
-    return replace(worst, alike=alike)
+    return replace(worst, alike=alike, tested=len(tested))
 
 
 def _parallel(last: Fit, one: ExtraParameter, other: ExtraParameter) -> bool:
@@ -176,28 +171,27 @@ def _parallel(last: Fit, one: ExtraParameter, other: ExtraParameter) -> bool:
 
 
 def _corrected(before: Fit, worst: ExtraParameter) -> Round | None:
-    """Correct an error step by step, as large ones are not linear; None when that does not lower v'Pv.
+    """Correct an error step by step, as large ones are not linear; None when it then is not significant.
 
-    A step that does not lower it is halved.
+    A step that does not lower v'Pv is halved. What is claimed is what the last adjustment shows.
     """
     amount, step, after = 0.0, worst.amount, before
     for _ in range(_STEPS):
-        total = replace(worst, amount=amount + step)
-        plane, _ = corrected(before, total)
+        plane = before.network.rays.plane + (amount + step) * worst.candidate.displacement
         trial = fit(with_measurements(before.network, plane), after.state)
         if trial.solution.chi_squared >= after.solution.chi_squared:
             step /= 2.0
             continue
-        amount, after = total.amount, trial
+        amount, after = amount + step, trial
         rest = estimated_amount(after, worst.candidate)
         if rest is None or abs(rest.amount) < _NEAR * rest.sigma:
             break
         step = rest.amount
-    if after is before:
-        return None
     fall = before.solution.chi_squared - after.solution.chi_squared
     outcome = judged(before, worst.candidate, amount, worst.sigma, fall)
-    return Round(replace(outcome, alike=worst.alike), before, after)
+    if outcome.p_value >= LEVEL / worst.tested:
+        return None
+    return Round(replace(outcome, alike=worst.alike, tested=worst.tested), before, after)
 
 
 def _same(one: Candidate, other: Candidate) -> bool:

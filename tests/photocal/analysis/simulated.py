@@ -8,7 +8,7 @@ import numpy as np
 
 from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
 from photocal.analysis.estimates import Array
-from photocal.geometry.camera import Camera, camera
+from photocal.geometry.camera import Camera, Model, camera
 from photocal.geometry.distortion import projected
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 
@@ -24,14 +24,16 @@ class Simulated:
     exact: Array
 
 
-def a_camera(estimate: tuple[str, ...], **changed: float) -> Camera:
+def a_camera(estimate: tuple[str, ...], model: Model = "brown-observed", **changed: float) -> Camera:
     values = {"c": 3500.0, "x0": 12.0, "y0": -8.0, "K1": -7e-9, "K2": 4e-16, "P1": 3e-8, **changed}
-    return camera("sim", "brown-observed", "px", (4000, 3000), (1.0, 1.0), values, estimate=estimate)
+    return camera("sim", model, "px", (4000, 3000), (1.0, 1.0), values, estimate=estimate)
 
 
-def convergent(estimate: tuple[str, ...] = ("c", "x0", "y0", "K1", "K2", "P1", "P2")) -> Simulated:
+def convergent(
+    estimate: tuple[str, ...] = ("c", "x0", "y0", "K1", "K2", "P1", "P2"), model: Model = "brown-observed"
+) -> Simulated:
     """Eight convergent photos, rolled by quarters, of 36 control points with relief."""
-    own = a_camera(estimate)
+    own = a_camera(estimate, model)
     generator = np.random.default_rng(1)
     points = np.column_stack(
         [
