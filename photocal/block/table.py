@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,11 @@ from drivers.errors import InputMalformedError, InputNotFoundError
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+# As spreadsheets of half the world write them: 1234,5 and 1.234,5.
+_COMMA = r"[+-]?(\d+|\d{1,3}(\.\d{3})+)(,\d+)?([eE][+-]?\d+)?"
+_HEAD_BYTES = 1 << 20
+MARKS = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
+
 
 @dataclass(frozen=True)
 class Table:
@@ -28,11 +34,14 @@ class Table:
     ----------
     lines : bool
         Whether rows can be named by their line.
+    separator : str
+        Of the cells; where it is no comma, numbers may have a decimal comma.
     """
 
     path: Path
     columns: Any
     lines: bool
+    separator: str = ","
 
     def __len__(self) -> int:
         return int(self.columns.num_rows)
@@ -98,6 +107,8 @@ class Table:
         return np.where(blank, empty, values)
 
     def _parsed(self, column: str, cells: Any) -> Floats:
+        if self.separator != "," and pc.any(pc.match_substring(cells, ",")).as_py():
+            cells = self._with_points(column, cells)
         try:
             return np.asarray(cells.cast(pa.float64()).fill_null(0.0))
         except pa.ArrowInvalid:
@@ -106,13 +117,27 @@ class Table:
             try:
                 float(cell or 0)
             except ValueError:
+                comma = re.fullmatch(_COMMA, cell) is not None
                 raise InputMalformedError(
-                    f"{column} is {cell!r}, not a number",
+                    f"{column} is {cell!r}, " + ("with a decimal comma" if comma else "not a number"),
                     where=self.place(row),
-                    remedy="write numbers with a decimal point and without unit",
+                    remedy="write a decimal point, or separate the cells by semicolons"
+                    if comma
+                    else "write numbers with a decimal point and without unit",
                 ) from None
         # Spellings that only one of the two readers takes, such as "+1.5".
         return np.array([float(cell or 0) for cell in cells.to_pylist()])
+
+    def _with_points(self, column: str, cells: Any) -> Any:
+        """Cells of a column with decimal commas; a point stands before groups of three digits only."""
+        for row, cell in enumerate(cells.to_pylist()):
+            if cell and not re.fullmatch(_COMMA, cell):
+                raise InputMalformedError(
+                    f"{column} is {cell!r} where other rows have decimal commas",
+                    where=self.place(row),
+                    remedy="write all numbers in one way",
+                )
+        return pc.replace_substring(pc.replace_substring(cells, ".", ""), ",", ".")
 
 
 def read_table(path: Path, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> Table:
@@ -173,25 +198,39 @@ def _read_parquet(path: Path) -> Table:
 
 
 def _read_csv(path: Path) -> Table:
-    with path.open("rb") as text:
-        header = text.readline().decode("utf-8", errors="replace")
-    if ";" in header and "," not in header:
-        raise InputMalformedError(
-            "is separated by semicolons", where=path, remedy="separate by commas, with decimal points"
-        )
-    names = header.lstrip("\ufeff").rstrip("\r\n").split(",")
+    encoding, header = _head(path)
+    separator = max(",;\t", key=header.count)
+    names = [name.strip().strip('"') for name in header.split(separator)]
     texts = pyarrow.csv.ConvertOptions(
-        column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=False
+        column_types=dict.fromkeys(header.split(separator), pa.string()), strings_can_be_null=False
     )
     try:
         columns = pyarrow.csv.read_csv(
-            path, read_options=pyarrow.csv.ReadOptions(use_threads=False), convert_options=texts
+            path,
+            read_options=pyarrow.csv.ReadOptions(
+                use_threads=False, encoding=encoding, column_names=names, skip_rows=1
+            ),
+            parse_options=pyarrow.csv.ParseOptions(delimiter=separator),
+            convert_options=texts,
         )
     except pa.ArrowInvalid as failure:
         raise _cut(path, str(failure)) from failure
-    table = Table(path, columns.rename_columns([name.strip() for name in columns.column_names]), lines=True)
+    table = Table(path, columns, lines=True, separator=separator)
     _refuse_cut_end(table)
     return table
+
+
+def _head(path: Path) -> tuple[str, str]:
+    """Encoding of a text, by its mark or its first million bytes, and its first line."""
+    with path.open("rb") as text:
+        start = text.read(_HEAD_BYTES)
+    encoding = next((name for mark, name in MARKS if start.startswith(mark)), "utf-8")
+    try:
+        # A character may be cut at the end of what was read.
+        head = codecs.getincrementaldecoder(encoding)().decode(start)
+    except UnicodeDecodeError:
+        encoding, head = "cp1252", start.decode("cp1252", "replace")
+    return encoding, head.lstrip("\ufeff").replace("\r", "\n").split("\n", 1)[0]
 
 
 def _cut(path: Path, message: str) -> InputMalformedError:
@@ -199,10 +238,13 @@ def _cut(path: Path, message: str) -> InputMalformedError:
     found = re.search(r"Row #(\d+): Expected (\d+) columns, got (\d+)", message)
     if found:
         row, expected, got = found.groups()
+        comma = int(got) > int(expected)
         return InputMalformedError(
             f"has {got} cells where the header has {expected}",
             where=f"{path}, row {row}",
-            remedy="complete the row, or is the table cut?",
+            remedy="are these decimal commas? Then separate the cells by semicolons"
+            if comma
+            else "complete the row, or is the table cut?",
         )
     return InputMalformedError(
         f"is no readable table ({message.splitlines()[0]})", where=path, remedy="write it as UTF-8 text"
@@ -216,8 +258,8 @@ def _refuse_cut_end(table: Table) -> None:
     fewer decimals, or fewer digits, than every other number of its column, or ends where no number ends.
     """
     with table.path.open("rb") as text:
-        text.seek(-1, 2)
-        if text.read(1) in b"\r\n":
+        text.seek(-2, 2)
+        if text.read(2).rstrip(b"\0")[-1:] in b"\r\n":
             return
     cells = [str(cell).strip() for cell in table.columns.columns[-1].to_pylist()]
     if not cells or not re.fullmatch(r"[-+0-9.eE]+", cells[-1]):

@@ -178,12 +178,11 @@ BAD: dict[str, tuple[Spoiler, int, tuple[str, ...]]] = {
         MALFORMED,
         ("line 2", "'4,8157'", "decimal point"),
     ),
-    "semicolons": (
-        lambda b: edit("points.csv", ",", ";", 1000)(b),
+    "points and commas mixed": (
+        lambda b: (edit("points.csv", ",", ";", 1000)(b), edit("points.csv", ".", ",")(b)),
         MALFORMED,
-        ("points.csv", "semicolons", "commas"),
+        ("points.csv", "decimal commas", "one way"),
     ),
-    "tabs": (lambda b: edit("points.csv", ",", "\t", 1000)(b), MALFORMED, ("points.csv",)),
     "column missing": (edit("points.csv", ",role", ",rolle"), MALFORMED, ("points.csv", "role")),
     "column unknown": (edit("points.csv", "sX,", "sigmaX,"), MALFORMED, ("points.csv", "sigmaX", "sX")),
     "column twice": (duplicate_header, MALFORMED, ("points.csv", "sX", "twice")),
