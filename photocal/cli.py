@@ -14,6 +14,7 @@ from photocal.commands import (
     exposures,
     mark,
     measure,
+    new,
     ortho,
     plan,
     ppk,
@@ -25,6 +26,7 @@ from photocal.commands import (
 )
 
 app = application("From flight log, images and control points to a calibrated camera and its certificate.")
+app.command()(new.new)
 app.command()(run.run)
 app.command()(mark.mark)
 app.command()(measure.measure)

@@ -75,8 +75,8 @@ class Project:
 
     @property
     def control(self) -> Control:
-        """`[control]`."""
-        return self._needed(self.contents.control, "[control]")
+        """`[control]`; empty without it."""
+        return self.contents.control or Control()
 
     @property
     def camera(self) -> Camera:

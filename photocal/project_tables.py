@@ -34,6 +34,10 @@ def _beside(path: Path, info: ValidationInfo) -> Path:
 Beside = Annotated[Path, AfterValidator(_beside)]
 
 
+# What `photocal new` writes where it does not know.
+ASKED = "?"
+
+
 class ProjectKeys(Table):
     """`[project]`: name, the coordinates of results and of the control table, the work folder."""
 
@@ -41,6 +45,14 @@ class ProjectKeys(Table):
     crs: str
     height: Literal["ellipsoidal", "orthometric", "local"]
     output: Beside
+
+    @model_validator(mode="before")
+    @classmethod
+    def _said(cls, given: Any) -> Any:
+        open_keys = [key for key, value in given.items() if value == ASKED] if isinstance(given, dict) else []
+        if open_keys:
+            raise ValueError(f"{open_keys[0]} = {ASKED!r} is still to be filled in")
+        return given
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -104,10 +116,18 @@ class Flight(Table):
 
 
 class Images(Table):
-    """`[images]`: a folder of pictures, or without pictures a table of their names and times."""
+    """`[images]`: a folder of pictures, or without pictures a table of their names and times.
+
+    Parameters
+    ----------
+    position_sigma_m : (float, float, float), "free" or None
+        Without a flight: east, north, up, of positions whose pictures do not state it; "free" takes them as
+        start values only, None assumes what a receiver without corrections reaches.
+    """
 
     folder: Beside | None = None
     times: Beside | None = None
+    position_sigma_m: Sigmas | Literal["free"] | None = None
 
     @model_validator(mode="after")
     def _one(self) -> Self:
@@ -208,10 +228,11 @@ Targets = Annotated[
 
 
 class Control(Table):
-    """`[control]`: surveyed points, marks made by hand, targets that are found by themselves."""
+    """`[control]`: surveyed points, marks made by hand, distances, targets that are found by themselves."""
 
-    points: Beside
+    points: Beside | None = None
     marks: Beside | None = None
+    distances: Beside | None = None
     targets: Annotated[tuple[Targets, ...], BeforeValidator(_several)] = ()
 
     @property
@@ -287,6 +308,8 @@ class Contents(Table):
         given = [name for name in sections if getattr(self, name)]
         if self.measurements is not None and self.measurements.block is not None and given:
             raise ValueError(f"[{given[0]}] stands beside a ready block, which has all of this: remove one")
+        if self.measurements is not None and self.measurements.observations and self.flight is None:
+            raise ValueError("observations in [measurements] need [flight]: add it, or give a block folder")
         if len({one.id for one in self.camera}) < len(self.camera):
             raise ValueError("two cameras have the same id: rename one")
         return self

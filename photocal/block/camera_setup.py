@@ -51,6 +51,7 @@ class CameraKeys(Table):
     affinity_form: AffinityForm = "fraser"
     photo_variant: dict[str, PositiveFloat | Literal["free"]] = Field(default={})
     focus: FocusKeys | None = None
+    guessed: bool = False
 
 
 def make_camera(keys: CameraKeys, where: object) -> Camera:
@@ -108,7 +109,7 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
                 where=place,
                 remedy="take it out of estimate, or give photo_variant a standard deviation",
             )
-    return _focused(
+    made = _focused(
         keys,
         place,
         camera(
@@ -130,6 +131,7 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
             focus_m=0.0 if keys.focus is None else keys.focus.distance_m,
         ),
     )
+    return replace(made, guessed=keys.guessed)
 
 
 def _focused(keys: CameraKeys, place: str, own: Camera) -> Camera:

@@ -130,10 +130,12 @@ def _cameras(block: Block, solution: Solution) -> dict[str, Any]:
             "affinity": camera.affinity,
             "affinity_form": camera.affinity_form,
             "focus_m": camera.focus_m or None,
+            "c_is_a_guess": camera.guessed and not camera.estimated[0],
             "photo_variant": [PARAMETERS[n] for n in np.flatnonzero(camera.deviation_sigma > 0)],
             "parameters": {
                 name: {
                     "value": float(values[k]),
+                    "given": float(camera.values[k]),
                     "sigma": float(sigma[k]),
                     "estimated": bool(camera.estimated[k]),
                     "prior_sigma": float(camera.prior_sigma[k])

@@ -155,11 +155,8 @@ def read_table(path: Path, required: tuple[str, ...], optional: tuple[str, ...] 
     InputMalformedError
         When it cannot be read as a table, is cut, or has other columns.
     """
-    require_file(path)
-    table = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
+    table = read_columns(path)
     found = list(table.columns.column_names)
-    if not len(table):
-        raise InputMalformedError("has no rows", where=path, remedy="was it written completely?")
     for name in required:
         if name not in found:
             raise InputMalformedError(
@@ -173,6 +170,15 @@ def read_table(path: Path, required: tuple[str, ...], optional: tuple[str, ...] 
             raise InputMalformedError(
                 f"column {name} {what}", where=path, remedy=f"allowed are {', '.join(required + optional)}"
             )
+    return table
+
+
+def read_columns(path: Path) -> Table:
+    """Read a table whatever its columns are called; errors as of `read_table`."""
+    require_file(path)
+    table = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
+    if not len(table):
+        raise InputMalformedError("has no rows", where=path, remedy="was it written completely?")
     return table
 
 

@@ -24,6 +24,8 @@ def run(
 ) -> None:
     """Process a flight: PPK, exposures, image points, calibration, check points, analysis, certificate.
 
+    Without a flight log the pictures and their control points, positions, or neither, take its place.
+
     Each stage has its folder in the project's work folder and is kept while nothing that it depends on
     changes. The project file is described in docs/project-file.md.
 

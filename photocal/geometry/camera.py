@@ -66,6 +66,8 @@ class Camera:
         the distance of the object; 0 where it is the same at all distances.
     prior_correlation : ndarray, shape (13, 13), or None
         Correlations of the values as observations; None when they are independent.
+    guessed : bool
+        Whether c is a guess: good to start from, and nothing to hold.
     """
 
     id: str
@@ -82,6 +84,7 @@ class Camera:
     deviation_sigma: Floats = field(default_factory=lambda: np.zeros(len(PARAMETERS)))
     focus_m: float = 0.0
     prior_correlation: Floats | None = None
+    guessed: bool = False
 
     def value(self, name: str) -> float:
         """Value of one parameter by its name."""

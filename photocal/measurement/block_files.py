@@ -105,6 +105,8 @@ def _camera(own: Camera) -> Iterable[str]:
     yield f"affinity = {json.dumps(own.affinity)}"
     yield f"estimate = {json.dumps(estimate)}"
     yield "parameters = { " + ", ".join(f"{n} = {float(v)!r}" for n, v in used.items()) + " }"
+    if own.guessed:
+        yield "guessed = true"
     if prior:
         yield "prior_sigma = { " + ", ".join(f"{n} = {float(s)!r}" for n, s in prior.items()) + " }"
 

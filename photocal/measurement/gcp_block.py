@@ -13,6 +13,7 @@ from drivers.errors import ConfigurationError
 from photocal.measurement.control_files import ControlMarks, in_map_system, read_control_marks
 from photocal.measurement.georeferenced import map_places
 from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.maker_camera import stated_camera
 from photocal.measurement.marks import with_marks
 from photocal.measurement.marks_files import named_after
 from photocal.measurement.match_images import MatchingPlan
@@ -20,7 +21,6 @@ from photocal.measurement.measure_ties import TieBlock, sight, stated_footprints
 from photocal.measurement.oriented_ties import Progress, orient_ties
 from photocal.measurement.project_block import FEWEST_CONTROL, OTHER_SURFACE_M, suspected_marks, warnings_of
 from photocal.measurement.start_block import start_block
-from photocal.measurement.start_camera import principal_distance_px
 
 
 def measure_gcp(
@@ -84,7 +84,7 @@ def measure_gcp(
     record = {
         **tie_record(sighted, found),
         "kind": "tie and control points",
-        "principal_distance_from": sorted({principal_distance_px(f)[1] for f in sighted.facts}),
+        "principal_distance_from": sorted({stated_camera("", f).source for f in sighted.facts}),
         "system": {"crs": given.crs, "height": height},
         "control": {"file": control_file.name, "sigma_assumed_m": list(sigma_m), "marks": len(given.marks)},
         "unknown_marks": [f"{mark.point} in {mark.image}" for mark in unknown],

@@ -7,7 +7,7 @@ import re
 import struct
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,18 @@ Triple = tuple[float, float, float]
 
 _EXIF_IFD, _GPS_IFD = 0x8769, 0x8825
 _NOT_GIVEN: Triple = (math.nan, math.nan, math.nan)
+# Resolution units of EXIF: inch, cm, and two of other standards.
+_MM_OF_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
+_CAMERA_TAGS = (
+    "DewarpData",
+    "DewarpFlag",
+    "CalibratedFocalLength",
+    "PerspectiveFocalLength",
+    "PerspectiveDistortion",
+    "PrincipalPoint",
+    "FisheyeAffineMatrix",
+    "RigCameraIndex",
+)
 # A value as attribute (name="value") or as element (<name>value</name>) of the XMP packet.
 _XMP = re.compile(r"(?<=[\s<])([A-Za-z][\w.-]*):(\w+)(?:=\"([^\"<>]{0,200})\"|>([^<>]{0,200})</)")
 
@@ -54,6 +66,12 @@ class ImageFacts:
         Roll, pitch, yaw of the camera and of the vehicle (XMP); pitch -90 looks down. NaN when not given.
     position_sigma_m : tuple of float
         East, north, up, where the receiver wrote them (DJI RTK); NaN when not given.
+    pitch_mm : float
+        Of the stored pixels, from the FocalPlane tags; NaN when not given.
+    altitude_kind : str
+        What the maker calls the altitude ("RtkAlt"); empty when not given.
+    maker_camera : mapping of str to str
+        XMP tags about the camera, for `maker_camera.stated_camera`.
     """
 
     name: str
@@ -73,6 +91,9 @@ class ImageFacts:
     gimbal_deg: Triple = _NOT_GIVEN
     vehicle_deg: Triple = _NOT_GIVEN
     position_sigma_m: Triple = _NOT_GIVEN
+    pitch_mm: float = math.nan
+    altitude_kind: str = ""
+    maker_camera: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def has_position(self) -> bool:
@@ -115,8 +136,25 @@ def read_facts(path: Path) -> ImageFacts:
         _number(xmp.get("RelativeAltitude")),
         _triple(xmp, "GimbalRollDegree", "GimbalPitchDegree", "GimbalYawDegree"),
         _triple(xmp, "FlightRollDegree", "FlightPitchDegree", "FlightYawDegree"),
-        _triple(xmp, "RtkStdLon", "RtkStdLat", "RtkStdHgt"),
+        _accuracy(xmp),
+        _pitch_mm(exif, size[0]),
+        xmp.get("AltitudeType", ""),
+        {key: value for key, value in xmp.items() if key in _CAMERA_TAGS},
     )
+
+
+def _accuracy(xmp: Mapping[str, str]) -> Triple:
+    """Sigmas of the position by DJI's tags, else by those of Parrot and MicaSense."""
+    stated = _triple(xmp, "RtkStdLon", "RtkStdLat", "RtkStdHgt")
+    others = _triple(xmp, "GPSXYAccuracy", "GPSXYAccuracy", "GPSZAccuracy")
+    return stated if math.isfinite(stated[0]) else others
+
+
+def _pitch_mm(exif: Mapping[int, Any], width: int) -> float:
+    """Pitch of the stored pixels: the tags are of the picture that the camera wrote, of that width."""
+    unit = _MM_OF_UNIT.get(int(_number(exif.get(0xA210, 2)) or 2), math.nan)
+    written = _number(exif.get(0xA002, width))
+    return unit / _positive(exif.get(0xA20E)) * (written / width if written > 0 else 1.0)
 
 
 def _tags(image: Image) -> tuple[Mapping[int, Any], Mapping[int, Any], Mapping[int, Any]]:

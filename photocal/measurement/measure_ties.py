@@ -14,13 +14,13 @@ from drivers.errors import InputNotFoundError, PhotocalError
 from photocal.block.model import Block
 from photocal.measurement.geographic import local_places
 from photocal.measurement.image_facts import ImageFacts, read_facts
+from photocal.measurement.maker_camera import stated_camera
 from photocal.measurement.match_images import MatchingPlan, detect_all, match_all
 from photocal.measurement.oriented_ties import Oriented, Progress, figures, orient_ties
 from photocal.measurement.pair_selection import Footprints, footprints, select_pairs
 from photocal.measurement.refine import Source
 from photocal.measurement.released import camera_figures
-from photocal.measurement.start_block import POSITION_SIGMA_M, position_sigma, start_block
-from photocal.measurement.start_camera import principal_distance_px
+from photocal.measurement.start_block import position_sigma, start_block
 from photocal.measurement.tracks import Tracks, of_images
 
 
@@ -100,8 +100,8 @@ def measure_ties(paths: Sequence[Path], name: str, plan: MatchingPlan, progress:
     record = {
         **tie_record(sighted, found),
         "kind": "tie points",
-        "principal_distance_from": sorted({principal_distance_px(f)[1] for f in sighted.facts}),
-        "positions": _positions(sighted.facts),
+        "principal_distance_from": sorted({stated_camera("", f).source for f in sighted.facts}),
+        "positions": position_figures(sighted.facts, position_sigma(sighted.facts)),
         "origin": {"latitude_deg": origin[0], "longitude_deg": origin[1], "height_m": origin[2]}
         if known
         else None,
@@ -170,15 +170,19 @@ def tie_record(sighted: Sighted, found: Oriented) -> dict[str, Any]:
     }
 
 
-def _positions(facts: Sequence[ImageFacts]) -> dict[str, Any]:
-    """How well the positions were taken to be known, and who said so."""
+def position_figures(facts: Sequence[ImageFacts], sigma: NDArray[np.float64]) -> dict[str, Any]:
+    """How well the positions were taken to be known, and who said so.
+
+    Parameters
+    ----------
+    sigma : ndarray, shape (images, 3)
+    """
     stated = [bool(np.isfinite(f.position_sigma_m).all()) for f in facts if f.has_position]
-    sigma = position_sigma(facts)[[f.has_position for f in facts]]
+    known = sigma[np.isfinite(sigma).all(axis=1)]
     return {
         "images": len(stated),
         "sigma_stated_by_image": sum(stated),
-        "sigma_assumed_m": list(POSITION_SIGMA_M) if not all(stated) else None,
-        "sigma_m": np.sqrt(np.mean(sigma**2, axis=0)).tolist() if len(stated) else None,
+        "sigma_m": np.sqrt(np.mean(known**2, axis=0)).tolist() if len(known) else None,
     }
 
 
@@ -201,5 +205,5 @@ def stated_footprints(facts: Sequence[ImageFacts]) -> Footprints:
         np.array([f.relative_altitude_m for f in facts]),
         np.radians([[f.gimbal_deg[2], f.gimbal_deg[1]] for f in facts]),
         np.array([f.size_px for f in facts], dtype=float),
-        np.array([principal_distance_px(f)[0] for f in facts]),
+        np.array([stated_camera("", f).camera.value("c") for f in facts]),
     )

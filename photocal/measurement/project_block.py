@@ -24,14 +24,27 @@ from photocal.measurement.image_file import list_images
 from photocal.measurement.marks import read_marks, with_marks
 from photocal.measurement.marks_files import read_any_marks
 from photocal.measurement.match_images import MatchingPlan
-from photocal.measurement.measure_ties import Sighted, TieBlock, sight, stated_footprints, tie_record
+from photocal.measurement.measure_ties import (
+    Sighted,
+    TieBlock,
+    position_figures,
+    sight,
+    stated_footprints,
+    tie_record,
+)
 from photocal.measurement.orientation import Orientation
 from photocal.measurement.oriented_ties import Progress, figures, orient_ties
 from photocal.measurement.pair_selection import Footprints, footprints
 from photocal.measurement.project_targets import targets_of_project
 from photocal.measurement.ray_sigmas import GROSS
 from photocal.measurement.released import camera_figures
-from photocal.measurement.start_block import NO_OBSERVATIONS, POSITION_SIGMA_M, without_images
+from photocal.measurement.start_block import (
+    NO_OBSERVATIONS,
+    NO_POINTS,
+    POSITION_SIGMA_M,
+    position_sigma,
+    without_images,
+)
 from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, pixel_residuals
 from photocal.measurement.tie_block import place, with_ties
 from photocal.measurement.views import local_poses
@@ -77,13 +90,14 @@ def measure_project(
     PhotocalError
         When too few images can be read, fit a camera, or are oriented.
     """
-    control = read_points(project.control.points)
+    control = control_points(project)
     by_hand = _marks_by_hand(project, marks_files)
     # What was observed of them stands elsewhere: in the block they are start values.
     starts = None
     if exposures is not None:
         starts = replace(exposures.images, sigma=np.full_like(exposures.images.sigma, np.inf))
-    if starts is None and project.crs == "local" and not by_hand and not project.control.coded_targets:
+    unmarked = not by_hand and not project.control.coded_targets
+    if starts is None and project.crs == "local" and unmarked and control.of_role("control").any():
         raise _nowhere(project.name)
     looking = stated_footprints if starts is None else partial(_footprints, project, starts, control)
     sighted = sight(list_images(project.picture_folder), plan, progress, looking)
@@ -103,6 +117,10 @@ def measure_project(
     )
     found = targets_of_project(project, sighted.sources, exposures, control, plan.processes, progress)
     block, unknown = with_marks(block, (*by_hand, *found.marks))
+    if not len(_marked_control(block)) and not np.isfinite(given.values[:, 3:]).all(axis=1).any():
+        if project.crs != "local" or control.of_role("control").any():
+            raise _nowhere(project.name)
+        block = replace(block, datum="free")
     soft = _softened(block)
     oriented = orient_ties(soft, sighted.sources, sighted.tracks, sighted.pairs, plan.processes, progress)
     released = _released(oriented.adjusted, soft, block)
@@ -118,6 +136,7 @@ def measure_project(
             "used": _marked(released, control),
         },
         "targets": found.record,
+        "positions": None if starts is not None else position_figures(sighted.facts, given.sigma[:, 3:]),
         "unknown_marks": [f"{mark.point} in {mark.image}" for mark in unknown],
         "unknown_targets": list(found.strangers),
         "suspected_marks": suspects,
@@ -155,11 +174,33 @@ def _starts(
     if starts is None:
         if project.crs != "local":
             values[:, 3:] = map_places(facts, project.crs)
+            sigma[:, 3:] = _position_sigma(project, facts)
+            sigma[np.isnan(values[:, 3:]).any(axis=1)] = np.inf
     else:
         place = {name: k for k, name in enumerate(starts.names)}
         rows = np.array([place.get(own.name, -1) for own in facts])
         values[rows >= 0], sigma[rows >= 0] = starts.values[rows[rows >= 0]], starts.sigma[rows[rows >= 0]]
     return Images(tuple(own.name for own in facts), camera, values, sigma)
+
+
+def control_points(project: Project) -> ObjectPoints:
+    """Surveyed points of a project; none without a table."""
+    path = project.control.points
+    return NO_POINTS if path is None else read_points(path)
+
+
+def _position_sigma(project: Project, facts: Sequence[ImageFacts]) -> Floats:
+    """Sigma of the positions that images state: theirs, the project's, or what is assumed."""
+    given = project.images.position_sigma_m
+    if given == "free":
+        return np.full((len(facts), 3), np.inf)
+    return position_sigma(facts, given or POSITION_SIGMA_M)
+
+
+def _marked_control(block: Block) -> NDArray[np.int64]:
+    """Control points that some image shows."""
+    seen = block.observations.point
+    return np.unique(seen[block.points.of_role("control")[seen]])
 
 
 def _footprints(
@@ -218,7 +259,7 @@ def _nowhere(name: str) -> InputNotFoundError:
 def _softened(block: Block) -> Block:
     """Block for finding gross errors: positions without sigma are loosely observed, c is held."""
     known: Flags = np.asarray(np.isfinite(block.images.values[:, 3:]).all(axis=1))
-    marked = np.unique(block.observations.point[block.points.of_role("control")[block.observations.point]])
+    marked = _marked_control(block)
     loosely = (
         *POSITION_SIGMA_M[:2],
         OTHER_SURFACE_M if len(marked) >= FEWEST_CONTROL else POSITION_SIGMA_M[2],
@@ -228,8 +269,6 @@ def _softened(block: Block) -> Block:
     sigma[:, 3:] = np.where(loose, loosely, sigma[:, 3:])
     estimated = np.array([name not in HELD for name in PARAMETERS])
     cameras = tuple(replace(own, estimated=own.estimated & estimated) for own in block.cameras)
-    if not known.any() and not len(block.observations.image):
-        raise _nowhere(block.name)
     return replace(block, cameras=cameras, images=replace(block.images, sigma=sigma))
 
 

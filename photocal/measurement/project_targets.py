@@ -82,7 +82,7 @@ def _require_points(project: Project, control: ObjectPoints) -> None:
         for name in own.points:
             if name not in control.names:
                 raise ConfigurationError(
-                    f"targets ({own.kind}) name point {name}, which {project.control.points.name} lacks",
+                    f"targets ({own.kind}) name point {name}, which the control points lack",
                     where=project.path,
                     remedy="correct the name or add the point",
                 )

@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.block.model import Block, Images, ObjectPoints, Observations
+from photocal.geometry.camera import PARAMETERS
 from photocal.measurement.image_facts import ImageFacts
-from photocal.measurement.start_camera import group_cameras, principal_distance_px, start_camera
+from photocal.measurement.maker_camera import stated_camera
+from photocal.measurement.start_camera import group_cameras
 
 Floats = NDArray[np.float64]
 
@@ -38,8 +40,9 @@ def start_block(facts: Sequence[ImageFacts], places: Floats, name: str) -> Block
     cameras = []
     for k, camera_name in enumerate(names):
         one = facts[int(np.flatnonzero(member == k)[0])]
-        c, _ = principal_distance_px(one)
-        cameras.append(start_camera(camera_name, one, c, ESTIMATE))
+        stated = stated_camera(camera_name, one)
+        estimated = np.array([name in ESTIMATE for name in PARAMETERS])
+        cameras.append(replace(stated.camera, estimated=estimated, guessed=stated.guessed))
     poses = np.full((len(facts), 6), np.nan)
     poses[:, 3:] = places
     sigma = np.full((len(facts), 6), np.inf)
@@ -60,10 +63,12 @@ def start_block(facts: Sequence[ImageFacts], places: Floats, name: str) -> Block
     )
 
 
-def position_sigma(facts: Sequence[ImageFacts]) -> Floats:
+def position_sigma(
+    facts: Sequence[ImageFacts], assumed: tuple[float, float, float] = POSITION_SIGMA_M
+) -> Floats:
     """Sigma of the positions, east, north, up, shape (n, 3): as stated, else assumed."""
     stated = np.array([f.position_sigma_m for f in facts])
-    return np.where(np.isfinite(stated) & (stated > 0), stated, POSITION_SIGMA_M)
+    return np.where(np.isfinite(stated) & (stated > 0), stated, assumed)
 
 
 def without_images(block: Block, gone: NDArray[np.bool_]) -> Block:

@@ -26,7 +26,8 @@ def group_cameras(facts: Sequence[ImageFacts]) -> tuple[tuple[str, ...], NDArray
     members = np.zeros(len(facts), dtype=np.int64)
     for k, image in enumerate(facts):
         focal = -1.0 if math.isnan(image.focal_mm) else image.focal_mm
-        key = (image.make, image.model, image.serial, focal, image.size_px)
+        band = image.maker_camera.get("RigCameraIndex", "")
+        key = (image.make, image.model, image.serial, focal, image.size_px, band)
         if key not in keys:
             keys[key] = len(keys)
             plain = re.sub(r"[^A-Za-z0-9]+", "-", image.model or image.make or "camera").strip("-").lower()

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import datetime as dt
+import json
 from collections.abc import Callable
 from pathlib import Path
 
 from acquire.outputs import output_folder
-from drivers.errors import InputNotFoundError
+from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.findings.catalogue import catalogue
 from photocal.report.block_files import Source, block_of_run, carry
 from photocal.report.certificate import certificate
@@ -72,6 +73,7 @@ def issue(
     say = catalogue(language)
     given = read_particulars(particulars, day, client=client, operator=operator)
     results = read_run(run)
+    _refuse_a_guess(run)
     source = _source(run, results, block)
     done()
     document = certificate(results, given, say, told)
@@ -86,6 +88,18 @@ def issue(
         if source is not None:
             carry(results.result.inputs, source, folder)
     return document
+
+
+def _refuse_a_guess(run: Path) -> None:
+    """Refuse cameras whose c was neither given nor estimated; older runs do not say it."""
+    cameras = json.loads((run / "result.json").read_text(encoding="utf-8"))["cameras"]
+    guessed = [name for name, camera in cameras.items() if camera.get("c_is_a_guess")]
+    if guessed:
+        raise ConfigurationError(
+            f"the principal distance of camera {guessed[0]} is a guess that was held",
+            where=run,
+            remedy="name c under estimate, or give its calibrated value and remove guessed = true",
+        )
 
 
 def _source(folder: Path, run: Run, block: Path | None) -> Source | None:

@@ -16,13 +16,18 @@ from photocal.run.stage import Progress, Stage
 _FROM_EXPOSURES = ("positions.csv", "attitudes.csv")
 
 
-def block_stage(project: Project, exposures: Path, measurements: Path) -> Stage:
-    """Describe the stage, which follows the two whose folders are given."""
+def block_stage(project: Project, exposures: Path | None, measurements: Path) -> Stage:
+    """Describe the stage, which follows those whose folders are given; exposures None without a flight."""
+    distances = project.control.distances
 
     def make(folder: Path, _: Progress) -> None:
         for path in sorted(measurements.iterdir()):
             if path.name != "stage.json":
                 shutil.copyfile(path, folder / path.name)
+        if distances is not None:
+            shutil.copyfile(distances, folder / "distances.csv")
+        if exposures is None:
+            return
         with (folder / "images.csv").open(newline="", encoding="utf-8") as stream:
             images = {row["image"] for row in csv.DictReader(stream)}
         for name in _FROM_EXPOSURES:
@@ -32,8 +37,11 @@ def block_stage(project: Project, exposures: Path, measurements: Path) -> Stage:
         text = setup.read_text(encoding="utf-8") + "\n" + mounting_text(keys)
         setup.write_text(text, encoding="utf-8")
 
+    inputs = {} if distances is None else {"distances": distances}
+    if exposures is None:
+        return Stage("block", "the block", make, inputs, {}, (measurements,))
     settings = {"rig": project.rig.mounting().model_dump(mode="json")}
-    return Stage("block", "the block", make, {}, settings, (exposures, measurements))
+    return Stage("block", "the block", make, inputs, settings, (exposures, measurements))
 
 
 def _shared_by_the_flight(exposures: Path) -> dict[str, Any]:

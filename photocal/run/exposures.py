@@ -8,6 +8,7 @@ from pathlib import Path
 
 from drivers.errors import ConfigurationError, IllPosedError
 from photocal.project import Project
+from photocal.run.measurements import pictures_of
 from photocal.run.ppk import FIGURES as PPK_FIGURES
 from photocal.run.ppk import TRAJECTORY
 from photocal.run.stage import Progress, Stage
@@ -19,7 +20,7 @@ def exposures_stage(project: Project, ppk: Path) -> Stage:
     """Describe the stage, which follows the one whose folder is `ppk`."""
     flight, images = project.flight, project.images
     inputs = {f"log {k + 1}": path for k, path in enumerate(flight.logs)}
-    inputs["images"] = images.folder or images.times or Path()
+    inputs |= {"images": images.times} if images.times is not None else pictures_of(project)
     settings = {
         "flight": flight.model_dump(
             mode="json", include={"vehicle", "rover", "base", "edge", "delay_s", "clock_offset_s"}

@@ -23,7 +23,7 @@ def given_block(project: Project, images: Images, without_exposure: Collection[s
     """Make the block of given observations: points that the control table does not have are tie points."""
     given = project.contents.measurements
     path = given.observations if given is not None and given.observations is not None else Path()
-    control = read_points(project.control.points)
+    control = read_points(project.control.points or Path())
     table = read_table(path, ("image", "point", "x", "y"), ("sx", "sy"))
     named = table.names("point")[1]
     ties = tuple(sorted(set(named) - set(control.names)))

@@ -17,14 +17,14 @@ RECORD = "measurement.json"
 _UNMATCHED = ("unmatched_images", "ambiguous_images")
 
 
-def measurements_stage(project: Project, exposures: Path) -> Stage:
-    """Describe the stage, which follows the one whose folder is `exposures`."""
+def measurements_stage(project: Project, exposures: Path | None) -> Stage:
+    """Describe the stage, which follows the one whose folder is `exposures`; None without a flight."""
     control, given = project.control, project.contents.measurements
-    inputs = {"control points": control.points}
+    inputs = {} if control.points is None else {"control points": control.points}
     if given is not None and given.observations is not None:
         inputs["observations"] = given.observations
     else:
-        inputs["images"] = project.picture_folder
+        inputs |= pictures_of(project)
         if control.marks is not None and control.marks.exists():
             inputs["marks"] = control.marks
     settings = {
@@ -33,6 +33,7 @@ def measurements_stage(project: Project, exposures: Path) -> Stage:
         "camera": [keys.model_dump(mode="json") for keys in project.contents.camera],
         "targets": [own.model_dump(mode="json") for own in control.targets],
         "sigma_px": None if given is None else given.sigma_px,
+        "position_sigma_m": project.images.position_sigma_m,
     }
     return Stage(
         "measurements",
@@ -40,8 +41,15 @@ def measurements_stage(project: Project, exposures: Path) -> Stage:
         lambda out, show: _make(project, exposures, out, show),
         inputs,
         settings,
-        (exposures,),
+        () if exposures is None else (exposures,),
     )
+
+
+def pictures_of(project: Project) -> dict[str, Path]:
+    """The pictures as inputs of a stage; their folder may hold the project, too."""
+    from photocal.measurement.image_file import list_images
+
+    return {f"image {path.name}": path for path in list_images(project.picture_folder)}
 
 
 def _without_exposure(exposures: Path) -> list[str]:
@@ -50,11 +58,11 @@ def _without_exposure(exposures: Path) -> list[str]:
     return [name for own in cameras for kind in _UNMATCHED for name in own[kind]]
 
 
-def _make(project: Project, exposures: Path, folder: Path, show: Progress) -> None:
+def _make(project: Project, exposures: Path | None, folder: Path, show: Progress) -> None:
     from photocal.measurement.block_files import write_block
     from photocal.run.given_observations import given_block
 
-    if project.contents.measurements is not None:
+    if project.contents.measurements is not None and exposures is not None:
         starts = read_images(exposures / "images.csv", project.cameras)
         # The orientations are start values: what was observed stands in positions.csv and attitudes.csv.
         starts = replace(starts, sigma=np.full_like(starts.sigma, np.inf))
@@ -67,5 +75,6 @@ def _make(project: Project, exposures: Path, folder: Path, show: Progress) -> No
     from photocal.measurement.project_block import measure_project
 
     plan = MatchingPlan(cache_folder(), os.cpu_count() or 1)
-    measured = measure_project(project, of_exposures(project, exposures), plan, show)
+    oriented = None if exposures is None else of_exposures(project, exposures)
+    measured = measure_project(project, oriented, plan, show)
     write_block(folder, measured.block, measured.record)

@@ -12,6 +12,8 @@ from photocal.run.doubt import Doubt
 from photocal.run.root_causes import causes_first
 
 LEAST_FIXED_PERCENT = 95.0
+# A parameter that goes so many of its prior sigmas away.
+CONTRADICTED = 4.0
 # Findings of the exposures that are told image by image.
 _SAID_ABOVE = ("unmatched-images", "exposures-without-position")
 _NAMED = 5
@@ -139,6 +141,21 @@ def _of_measurements(record: dict[str, Any]) -> Iterator[tuple[str, str]]:
         yield "measurement", str(text)
 
 
+def _of_calibration(result: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Parameters that left what was known of them: something else went into them."""
+    for name, camera in result["cameras"].items():
+        for key, one in camera["parameters"].items():
+            prior, given = one["prior_sigma"], one.get("given")
+            if not prior or given is None or abs(one["value"] - given) <= CONTRADICTED * prior:
+                continue
+            text = (
+                f"{key} of camera {name} became {one['value']:.6g} {camera['unit']}, "
+                f"{abs(one['value'] - given) / prior:.1f} prior sigmas from the {given:.6g} that was given: "
+                "this flight hardly determines it, and what the model lacks goes into it."
+            )
+            yield "prior-contradicted", text
+
+
 def _of_analysis(figures: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """What the other stages cannot see; the rest of the analysis has its own part of the certificate."""
     for finding in figures["findings"]:
@@ -161,6 +178,7 @@ _SOURCES: tuple[tuple[str, str, Callable[[dict[str, Any]], Iterator[tuple[str, s
     ("ppk", "ppk.json", _of_ppk),
     ("exposures", "exposures.json", _of_exposures),
     ("measurements", "measurement.json", _of_measurements),
+    ("calibration", "result.json", _of_calibration),
     ("georeferencing", "check.json", _told),
     ("analysis", "analysis.json", _of_analysis),
 )

@@ -31,11 +31,12 @@ def stages(project: Project, day: dt.date) -> tuple[Stage, ...]:
         first: tuple[Stage, ...] = (given_block_stage(given.block),)
     else:
         ppk, exposures, measurements = (work / name for name in ("ppk", "exposures", "measurements"))
+        flown = project.contents.flight is not None
+        placed = exposures if flown else None
         first = (
-            ppk_stage(project),
-            exposures_stage(project, ppk),
-            measurements_stage(project, exposures),
-            block_stage(project, exposures, measurements),
+            *((ppk_stage(project), exposures_stage(project, ppk)) if flown else ()),
+            measurements_stage(project, placed),
+            block_stage(project, placed, measurements),
         )
     made = (
         *first,

@@ -124,7 +124,7 @@ def test_mistakes_are_named(old: str, new: str, said: str, tmp_path: Path) -> No
 def test_a_missing_section_is_named_when_it_is_needed(tmp_path: Path) -> None:
     (tmp_path / "project.toml").write_text(WHOLE.split("[flight]")[0], encoding="utf-8")
     project = read_project(tmp_path / "project.toml")
-    for section in ("flight", "images", "rig", "control", "camera"):
+    for section in ("flight", "images", "rig", "camera"):
         with pytest.raises(ConfigurationError, match=rf"\[{section}\]+ is missing"):
             getattr(project, section)
 

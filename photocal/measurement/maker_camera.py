@@ -1,0 +1,103 @@
+"""The camera that a picture states: parameters that its maker wrote, as prior values with a stated sigma.
+
+DJI's `DewarpData` ("date;fx,fy,cx,cy,k1,k2,p1,p2,k3", px, cx and cy from the middle of the picture) and
+`CalibratedFocalLength` (designed, px), and the tags of Pix4D's XMP that Parrot and MicaSense write: the focal
+length in mm goes with the pitch of the FocalPlane tags; of a fisheye the scale at its middle is taken.
+Sources: DJI Matrice 4 manual; Pix4D, "XMP tags of cameras".
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from photocal.exchange.pinhole import Pinhole, from_pinhole
+from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.start_camera import principal_distance_px, start_camera
+
+# What a parameter may be wrong by, as the shift of a point in the corner of the picture over c: measured for
+# each specimen, designed by its maker, read of tags of the lens, and guessed.
+MEASURED, DESIGNED, STATED, GUESSED = 0.003, 0.01, 0.03, 0.2
+_RADIAL = {"K1": 3, "K2": 5, "K3": 7}
+
+
+@dataclass(frozen=True)
+class StatedCamera:
+    """A camera to start from.
+
+    Attributes
+    ----------
+    camera : Camera
+        In px; without what is estimated.
+    source : str
+        Where it comes from, for people.
+    share : float
+        Prior sigma: the shift in the corner that a wrong parameter may make, over c.
+    """
+
+    camera: Camera
+    source: str
+    share: float
+
+    @property
+    def guessed(self) -> bool:
+        """Whether nothing tells the principal distance."""
+        return self.share >= GUESSED
+
+    def prior_sigma(self) -> dict[str, float]:
+        """Prior sigmas of c, x0, y0, and of the distortion where it was stated; px in their powers."""
+        c = self.camera.value("c")
+        corner = math.hypot(*self.camera.size_px) / 2
+        shift = self.share * c
+        # A principal point lies where the lens is mounted, whatever is known of c.
+        sigma = {"c": shift, "x0": min(self.share, STATED) * c, "y0": min(self.share, STATED) * c}
+        if self.camera.values[PARAMETERS.index("K1")]:
+            sigma |= {name: shift / corner**power for name, power in _RADIAL.items()}
+            sigma |= dict.fromkeys(("P1", "P2"), shift / (3 * corner**2))
+        return sigma
+
+
+def stated_camera(name: str, facts: ImageFacts) -> StatedCamera:
+    """Give the best camera that a picture tells of."""
+    width, height = facts.size_px
+    middle = (width - 1) / 2, (height - 1) / 2
+    xmp = facts.maker_camera
+    dewarp = _numbers(xmp.get("DewarpData", "").partition(";")[2])
+    flat = Pinhole(facts.size_px, 1.0, 1.0, *middle)
+    if len(dewarp) == 9 and min(dewarp[:2]) > 0 and xmp.get("DewarpFlag", "0") != "1":
+        fx, fy, cx, cy, k1, k2, p1, p2, k3 = dewarp
+        given = Pinhole(facts.size_px, fx, fy, middle[0] + cx, middle[1] + cy, k1, k2, k3, p1, p2)
+        return StatedCamera(from_pinhole(given, name, facts.name), "DewarpData of its maker", MEASURED)
+    pitch = facts.pitch_mm
+    focal = _numbers(xmp.get("PerspectiveFocalLength", ""))
+    place, terms = (_numbers(xmp.get(key, "")) for key in ("PrincipalPoint", "PerspectiveDistortion"))
+    if len(focal) == 1 and focal[0] > 0 and len(place) == 2 and len(terms) == 5 and pitch > 0:
+        k1, k2, k3, p1, p2 = terms
+        c, x, y = focal[0] / pitch, place[0] / pitch - 0.5, place[1] / pitch - 0.5
+        given = Pinhole(facts.size_px, c, c, x, y, k1, k2, k3, p1, p2)
+        return StatedCamera(from_pinhole(given, name, facts.name), "XMP calibration of its maker", DESIGNED)
+    fisheye = _numbers(xmp.get("FisheyeAffineMatrix", ""))
+    if len(fisheye) == 4 and fisheye[0] > 0:
+        # Pixels for a quarter turn: what the picture shows is wider than that of a perspective.
+        c = fisheye[0] / (math.pi / 2)
+        return StatedCamera(
+            start_camera(name, facts, c, ()), "XMP fisheye of its maker, at the middle of the picture", STATED
+        )
+    designed = _numbers(xmp.get("CalibratedFocalLength", ""))
+    if len(designed) == 1 and 0.2 < designed[0] / max(facts.size_px) < 50:
+        own = from_pinhole(Pinhole(flat.size_px, designed[0], designed[0], *middle), name, facts.name)
+        return StatedCamera(own, "CalibratedFocalLength of its maker", DESIGNED)
+    c, source = principal_distance_px(facts)
+    guessed = source.startswith(("assumed", "guess"))
+    return StatedCamera(start_camera(name, facts, c, ()), source, GUESSED if guessed else STATED)
+
+
+def _numbers(text: str) -> list[float]:
+    """Numbers of a list with commas; none where one is not finite."""
+    found = re.findall(r"[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?", text)
+    values = [float(one) for one in found]
+    return values if np.isfinite(values).all() else []

@@ -1,0 +1,246 @@
+"""What lies in the folder of a flight: pictures, control, marks, logs, and projects of other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from drivers.errors import InputNotFoundError, PhotocalError
+from photocal.block.model import ROLES, Block, ObjectPoints
+from photocal.block.table import Table, read_columns
+from photocal.exchange.parts import Mark, PointEntry, object_points
+from photocal.geometry.camera import Camera
+from photocal.measurement.control_files import ControlMarks, read_control_marks
+from photocal.measurement.image_facts import ImageFacts, read_facts
+from photocal.measurement.image_file import SUFFIXES
+from photocal.measurement.marks_files import read_any_marks
+
+# Sigma of control points whose file has none, horizontal and vertical, m: a network RTK of short occupation.
+ASSUMED_M = (0.02, 0.03)
+# Heads of columns as people write them.
+HEADS = {
+    "point": ("point", "ponto", "name", "nome", "id", "label", "gcp", "marco", "vertice", "vértice"),
+    "X": ("x", "e", "east", "easting", "este", "leste", "lon", "long", "longitude"),
+    "Y": ("y", "n", "north", "northing", "norte", "lat", "latitude"),
+    "Z": ("z", "h", "height", "elevation", "altitude", "alt", "elev", "cota", "elevação"),
+    "sX": ("sx", "se", "sigma_x", "sigma_e", "accuracy_x_(m)"),
+    "sY": ("sy", "sn", "sigma_y", "sigma_n", "accuracy_y_(m)"),
+    "sZ": ("sz", "sh", "su", "sigma_z", "sigma_h", "accuracy_z_(m)"),
+    "role": ("role", "tipo", "type", "uso"),
+}
+CHECKS = ("check", "checagem", "verificação", "verificacao", "checkpoint", "check point")
+_LOGS, _RAW_LOGS = (".mcap",), (".tlog", ".bin", ".ulg", ".ubx")
+_RINEX = (".obs", ".nav", ".rnx")
+_DEPTH = 3
+
+
+@dataclass(frozen=True)
+class Found:
+    """Control points and marks of one file.
+
+    Attributes
+    ----------
+    crs : str
+        "local" without one; empty when the file does not say.
+    points : ObjectPoints or None
+        None of a file with marks only.
+    assumed : bool
+        Whether their sigmas are `ASSUMED_M`.
+    cameras : tuple of Camera
+        Where another program's set-up has them.
+    """
+
+    file: Path
+    crs: str = ""
+    points: ObjectPoints | None = None
+    marks: tuple[Mark, ...] = ()
+    assumed: bool = False
+    cameras: tuple[Camera, ...] = ()
+
+
+@dataclass
+class Survey:
+    """What a folder has, in the order of its names.
+
+    Attributes
+    ----------
+    pictures : dict of Path to tuple of ImageFacts
+        Of each folder with pictures that can be read.
+    unread : list of str
+        Pictures and tables that cannot be used, with the reason.
+    """
+
+    folder: Path
+    pictures: dict[Path, tuple[ImageFacts, ...]] = field(default_factory=dict)
+    control: list[Found] = field(default_factory=list)
+    marks: list[Found] = field(default_factory=list)
+    logs: list[Path] = field(default_factory=list)
+    raw_logs: list[Path] = field(default_factory=list)
+    events: list[Path] = field(default_factory=list)
+    rinex: list[Path] = field(default_factory=list)
+    unread: list[str] = field(default_factory=list)
+
+
+def survey(folder: Path) -> Survey:
+    """Look at everything in a folder.
+
+    Raises
+    ------
+    InputNotFoundError
+        When it is no folder.
+    """
+    if not folder.is_dir():
+        raise InputNotFoundError("is no folder", where=folder, remedy="name the folder of the flight")
+    seen = Survey(folder)
+    files = sorted(_files(folder, _DEPTH))
+    pictures: dict[Path, list[ImageFacts]] = {}
+    for path in files:
+        if path.suffix.lower() in SUFFIXES:
+            try:
+                pictures.setdefault(path.parent, []).append(read_facts(path))
+            except PhotocalError as refusal:
+                seen.unread.append(str(refusal))
+    seen.pictures = {where: tuple(facts) for where, facts in pictures.items()}
+    sizes = {own.name: own.size_px for facts in pictures.values() for own in facts}
+    for path in files:
+        kind = path.suffix.lower()
+        if kind in _LOGS:
+            seen.logs.append(path)
+        elif kind in _RAW_LOGS and path.stem not in ("cameras", "images", "points3D"):
+            seen.raw_logs.append(path)
+        elif kind == ".mrk":
+            seen.events.append(path)
+        elif kind in _RINEX or (len(kind) == 4 and kind[1:3].isdigit() and kind[3] in "ong"):
+            seen.rinex.append(path)
+        elif kind in (".xml", ".json", ".csv", ".txt", ".psz"):
+            found = _control(path, sizes, seen.unread)
+            if found is not None:
+                (seen.marks if found.points is None else seen.control).append(found)
+    return seen
+
+
+def _files(folder: Path, depth: int) -> Iterator[Path]:
+    """Files of a folder and those below it; neither hidden ones nor what a run has made."""
+    for path in folder.iterdir():
+        if path.name.startswith("."):
+            continue
+        if path.is_file():
+            yield path
+        elif depth and path.is_dir() and not (path / ".digests.json").exists():
+            yield from _files(path, depth - 1)
+
+
+Sizes = dict[str, tuple[int, int]]
+
+
+def _control(path: Path, sizes: Sizes, unread: list[str]) -> Found | None:
+    """Control or marks of a file; None for one that has neither. What looks like them tells why not."""
+    refusals = []
+    for read in _READERS[path.suffix.lower()]:
+        try:
+            return read(path, sizes)
+        except PhotocalError as refusal:
+            refusals.append(refusal)
+    words = ("gcp", "control", "controle", "pontos", "points", "marks", "apoio", "check")
+    if any(word in path.stem.lower() for word in words) and refusals:
+        unread.append(str(refusals[0]))
+    return None
+
+
+def _one_file(path: Path, sizes: Sizes) -> Found:
+    given: ControlMarks = read_control_marks(path, ASSUMED_M, sizes)
+    return Found(path, given.crs, given.points, given.marks, assumed=path.suffix.lower() != ".xml")
+
+
+def _other_program(path: Path, _: Sizes) -> Found:
+    from photocal.exchange.format_detection import read_foreign_block
+
+    return of_foreign(path, read_foreign_block(path))
+
+
+def of_foreign(path: Path, block: Block) -> Found:
+    """Control, its marks and the cameras of another program's block."""
+    from photocal.exchange.reconstruction import of_block
+
+    surveyed = ~block.points.of_role("tie")
+    if not surveyed.any():
+        raise InputNotFoundError("has no control points", where=path)
+    given = of_block(block)
+    names = block.points.names
+    marks = tuple(
+        Mark(given.image_names[i], names[j], x, y, (float(sx), float(sy)), path)
+        for i, j, (x, y), (sx, sy) in zip(
+            given.image, given.point, given.pixels.tolist(), block.observations.sigma, strict=True
+        )
+        if surveyed[j]
+    )
+    rows = np.flatnonzero(surveyed)
+    points = ObjectPoints(
+        tuple(names[k] for k in rows),
+        block.points.values[rows],
+        block.points.sigma[rows],
+        block.points.role[rows],
+    )
+    return Found(path, block.frame, points, marks, cameras=block.cameras)
+
+
+def _micmac(path: Path, _: Sizes) -> Found:
+    from photocal.exchange.micmac import read_ground_points, read_measures
+
+    try:
+        ground = read_ground_points(path)
+    except PhotocalError:
+        return Found(path, marks=read_measures(path))
+    entries = [PointEntry(own.name, "control", own.xyz, own.sigma) for own in ground]
+    return Found(path, "local", object_points(entries))
+
+
+def _table(path: Path, _: Sizes) -> Found:
+    """A table of points under any heads that people write."""
+    table = renamed(path)
+    x, y, z = (table.numbers(column) for column in "XYZ")
+    sigma = np.column_stack(
+        [
+            table.numbers(name, empty=assumed)
+            for name, assumed in zip(("sX", "sY", "sZ"), (ASSUMED_M[0], *ASSUMED_M), strict=True)
+        ]
+    )
+    names = table.unique_names("point")
+    roles = ["control"] * len(names)
+    if table.has("role"):
+        index, found = table.names("role")
+        roles = ["check" if found[k].lower() in CHECKS else "control" for k in index]
+    places = np.column_stack([x, y, z])
+    heads = [name.lower() for name in read_columns(path).columns.column_names]
+    geographic = any(word in heads for word in HEADS["X"][6:]) and bool((np.abs(x) <= 180).all())
+    sigma[np.array(roles) == "check"] = np.where(table.has("sX"), sigma[np.array(roles) == "check"], np.inf)
+    role = np.array([ROLES.index(one) for one in roles], dtype=np.int64)
+    points = ObjectPoints(names, places, sigma, role)
+    return Found(path, "EPSG:4326" if geographic else "", points, assumed=not table.has("sX"))
+
+
+def renamed(path: Path) -> Table:
+    """Read a table of points with the names of its columns as ours; others are left out."""
+    table = read_columns(path)
+    names = [name.lower().strip() for name in table.columns.column_names]
+    place = {own: names.index(word) for own, words in HEADS.items() for word in words[::-1] if word in names}
+    missing = [own for own in ("point", "X", "Y", "Z") if own not in place]
+    if missing:
+        raise InputNotFoundError(f"has no column {missing[0]} (found {', '.join(names)})", where=path)
+    return replace(table, columns=table.columns.select(list(place.values())).rename_columns(list(place)))
+
+
+def _marks(path: Path, sizes: Sizes) -> Found:
+    return Found(path, marks=read_any_marks(path, sizes))
+
+
+_READERS: dict[str, tuple[Callable[[Path, Sizes], Found], ...]] = {
+    ".xml": (_one_file, _micmac, _other_program),
+    ".json": (_one_file,),
+    ".psz": (_other_program,),
+    ".csv": (_table, _marks),
+    ".txt": (_one_file, _table, _marks),
+}

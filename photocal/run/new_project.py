@@ -1,0 +1,357 @@
+"""`photocal new`: a commented project file of what a folder has, and what is missing."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from drivers.errors import InputNotFoundError, OutputError, PhotocalError
+from photocal.block.model import ROLES, ObjectPoints
+from photocal.exchange.parts import Mark
+from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.measurement.control_files import ControlMarks, in_map_system
+from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.maker_camera import StatedCamera, stated_camera
+from photocal.measurement.marks_files import named_after
+from photocal.measurement.start_camera import group_cameras
+from photocal.project_tables import ASKED
+from photocal.run.folder_survey import ASSUMED_M, Found, Survey, survey
+
+NAME = "project.toml"
+# Positions of a receiver without corrections; their heights count from another surface than those of control.
+CODE_LEVEL_M, OTHER_SURFACE_M = (1.5, 1.5, 3.0), 50.0
+# Fewer points leave the block turned, or without scale.
+FEWEST_CONTROL = 3
+_ESTIMATE = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
+
+
+@dataclass(frozen=True)
+class NewProject:
+    """A project that was written.
+
+    Attributes
+    ----------
+    found, missing, asked : tuple of str
+        What the folder has, what would help, and what must be said before it can be run.
+    """
+
+    path: Path
+    found: tuple[str, ...]
+    missing: tuple[str, ...]
+    asked: tuple[str, ...]
+
+
+def new_project(folder: Path, crs: str = "", height: str = "") -> NewProject:
+    """Write `project.toml` and, where control stands in another form, `control.csv` and `marks.csv`.
+
+    Parameters
+    ----------
+    crs, height : str
+        Of the control points, where their file does not say it; empty: unknown.
+
+    Raises
+    ------
+    InputNotFoundError
+        When the folder has neither pictures nor a log.
+    OutputError
+        When one of the files is there already.
+    """
+    seen = survey(folder)
+    if not seen.pictures and not seen.logs:
+        raise InputNotFoundError(
+            "has neither pictures nor a flight log",
+            where=folder,
+            remedy="; ".join(seen.unread[:3]) or "name the folder of a flight",
+        )
+    pictures = max(seen.pictures, key=lambda where: len(seen.pictures[where]), default=None)
+    facts = seen.pictures[pictures] if pictures is not None else ()
+    control = _chosen(seen, facts)
+    if crs and control is not None:
+        control = replace(control, crs=crs)
+    text = _Text(folder, seen, facts, pictures, control, crs, height)
+    files = {NAME: "\n".join(text.lines()) + "\n"}
+    if control is not None and control.points is not None:
+        files["control.csv"] = _points_table(text.control_points)
+        if text.marks:
+            files["marks.csv"] = _marks_table(text.marks)
+    for name in files:
+        if (folder / name).exists() and not (name != NAME and (folder / name) == getattr(control, "file", 0)):
+            raise OutputError("is there already", where=folder / name, remedy="move it away, or use it")
+    for name, content in files.items():
+        (folder / name).write_text(content, encoding="utf-8", newline="\n")
+    return NewProject(folder / NAME, tuple(text.found), tuple(text.missing), tuple(text.asked))
+
+
+def _chosen(seen: Survey, facts: Sequence[ImageFacts]) -> Found | None:
+    """The control of the folder: with marks in its pictures if there is such a file, else the first."""
+    names = [own.name for own in facts]
+    if not seen.control:
+        return None
+
+    def shown(one: Found) -> int:
+        return sum(mark.image in names for mark in named_after(one.marks, names))
+
+    best = max(seen.control, key=shown)
+    if shown(best):
+        return best
+    tables = sorted(seen.marks, key=shown, reverse=True)
+    points = (best.points or _NONE).names
+    # Programs leave the same marks in several files.
+    every = {(m.image, m.point): m for one in tables[::-1] for m in one.marks if m.point in points}
+    return replace(best, marks=tuple(every.values()))
+
+
+_NONE = ObjectPoints((), np.empty((0, 3)), np.empty((0, 3)), np.empty(0, dtype=np.int64))
+
+
+class _Text:
+    """The lines of a project file, and what they find, miss and ask on the way."""
+
+    def __init__(
+        self,
+        folder: Path,
+        seen: Survey,
+        facts: Sequence[ImageFacts],
+        pictures: Path | None,
+        control: Found | None,
+        crs: str,
+        height: str,
+    ) -> None:
+        self.folder, self.seen, self.facts, self.pictures, self.given = folder, seen, facts, pictures, control
+        self.crs, self.height = crs, height
+        self.found: list[str] = []
+        self.missing: list[str] = []
+        self.asked: list[str] = []
+        self.placed = [own for own in facts if own.has_position]
+        self.control_points = _NONE
+        self.marks: tuple[Mark, ...] = ()
+        self._systems()
+
+    def _systems(self) -> None:
+        """Coordinate system and kind of heights, of the control if there is any, else of the pictures."""
+        if self.given is not None and self.given.points is not None:
+            points, crs = self.given.points, self.crs or self.given.crs
+            if crs:
+                mapped = in_map_system(ControlMarks(crs, points, ()))
+                points, crs = mapped.points, mapped.crs
+            elif self.placed:
+                crs = _system_of(points, self.placed)
+            self.control_points, self.crs = points, crs
+            self.marks = named_after(self.given.marks, [own.name for own in self.facts])
+            if not crs:
+                self.asked.append('crs: the system of the control points ("EPSG:31982"), or "local"')
+        elif self.placed and not self.crs:
+            self.crs = _zone_of(self.placed)
+        local = self.crs == "local" or not (self.crs or self.placed or self.control_points.names)
+        if local:
+            self.crs, self.height = "local", "local"
+        elif not self.height and not self.control_points.names:
+            self.height = "ellipsoidal"
+        elif not self.height:
+            self.asked.append("height: whether the control points' heights are ellipsoidal or orthometric")
+
+    def lines(self) -> Iterator[str]:
+        """Give the whole file."""
+        name = self.folder.resolve().name
+        yield f"# Written by photocal new; docs/project-file.md has the keys. {ASKED!r}: to be filled in."
+        yield "[project]"
+        yield f"name = {_quoted(name)}"
+        yield f"crs = {_quoted(self.crs or ASKED)}"
+        yield f"height = {_quoted(self.height or ASKED)}{self._height_comment()}"
+        yield 'output = "work"'
+        yield from self._flight()
+        if self.pictures is not None:
+            yield from self._images()
+            yield from self._cameras()
+        yield from self._control()
+        for left in self.seen.unread[:10]:
+            self.missing.append(f"not used: {left}")
+
+    def _height_comment(self) -> str:
+        if self.crs == "local" or self.control_points.names:
+            return ""
+        if any(own.altitude_kind.lower().startswith("rtk") for own in self.placed):
+            return "  # RTK positions are"
+        text = "pictures do not say from where their altitudes count: heights may be off by the geoid"
+        self.missing.append(text)
+        return f"  # taken as such: {text}"
+
+    def _flight(self) -> Iterator[str]:
+        seen = self.seen
+        for path in seen.raw_logs:
+            self.missing.append(f"{self._beside(path)} is a raw log: acquire import takes several into one")
+        for path in seen.events:
+            self.found.append(f"list of exposures {self._beside(path)}: import it with its RINEX files")
+        if not seen.logs:
+            return
+        self.found.append(f"{len(seen.logs)} flight log(s)")
+        yield ""
+        yield "[flight]"
+        yield f"logs = {json.dumps([self._beside(path) for path in seen.logs])}"
+        yield "# base_position = [-22.7, -43.2, 30.0]   # latitude, longitude (deg), ellipsoidal height (m)"
+        yield ""
+        yield "[rig]  # body axes forward, right, down"
+        yield f"camera_to_antenna_m = {_quoted(ASKED)}"
+        yield "camera_to_antenna_sigma_m = [0.01, 0.01, 0.01]"
+        yield "boresight_sigma_deg = [1.0, 1.0, 1.0]"
+        yield "attitude_sigma_deg = [0.5, 0.5, 1.0]"
+        yield "time_offset_sigma_s = 0.005"
+        self.asked.append("camera_to_antenna_m in [rig]: from the projection centre to the antenna")
+
+    def _images(self) -> Iterator[str]:
+        count, stated = len(self.facts), sum(np.isfinite(own.position_sigma_m).all() for own in self.placed)
+        others = [where for where in self.seen.pictures if where != self.pictures]
+        said = f"{count} pictures in {self._beside(self.pictures)}, {len(self.placed)} with a position"
+        self.found.append(said + (f", {stated} with its sigma" if stated else ""))
+        self.found += [
+            f"{len(self.seen.pictures[w])} pictures in {self._beside(w)}: not used" for w in others
+        ]
+        yield ""
+        yield f"[images]  # {said}"
+        yield f"folder = {_quoted(self._beside(self.pictures))}"
+        if self.seen.logs or not self.placed or self.crs == "local":
+            return
+        if stated < len(self.placed):
+            sigma = CODE_LEVEL_M if not self.marks else (*CODE_LEVEL_M[:2], OTHER_SURFACE_M)
+            yield f"position_sigma_m = {list(sigma)}  # east, north, up: assumed, the pictures do not say it"
+
+    def _cameras(self) -> Iterator[str]:
+        known = {own.size_px: own for own in (self.given.cameras if self.given is not None else ())}
+        names, member = group_cameras(self.facts)
+        for k, name in enumerate(names):
+            own = stated_camera(name, self.facts[int(np.flatnonzero(member == k)[0])])
+            yield ""
+            taken = int((member == k).sum())
+            if own.camera.size_px in known:
+                source = f"of {self._beside(self.given.file)}" if self.given is not None else ""
+                yield f"[[camera]]  # {taken} pictures; {source}"
+                yield from _given_camera(replace(known[own.camera.size_px], id=name))
+                self.found.append(f"camera {name}: {source}")
+                continue
+            kind = "a guess" if own.guessed else f"prior, {100 * own.share:g} %"
+            said = f"c = {own.camera.value('c'):.1f} px ({own.source}; {kind})"
+            self.found.append(f"camera {name}: {taken} pictures, {said}")
+            yield f"[[camera]]  # {taken} pictures; {said}"
+            yield from _camera(own)
+            if own.guessed:
+                self.missing.append(f"nothing tells the c of camera {name}: it is a guess, to be estimated")
+
+    def _control(self) -> Iterator[str]:
+        given, points = self.given, self.control_points
+        if given is None or not points.names:
+            if not self.placed and not self.seen.logs:
+                self.missing.append(
+                    "neither positions nor control: the block will be relative, without scale. Mark both "
+                    "ends of a known distance (points, marks and distances in [control])"
+                )
+            elif self.pictures is not None:
+                self.missing.append("no control points: nothing independent checks the result")
+            return
+        images = len({mark.image for mark in self.marks})
+        said = f"{len(points.names)} points of {self._beside(given.file)}, "
+        said += f"{len(self.marks)} marks in {images} images"
+        self.found.append(f"control: {said}")
+        yield ""
+        yield f"[control]  # {said}"
+        yield 'points = "control.csv"' + (
+            f"  # sigmas of {ASSUMED_M[0]} m, in height {ASSUMED_M[1]} m, are assumed"
+            if given.assumed
+            else ""
+        )
+        yield 'marks = "marks.csv"'
+        marked = len({mark.point for mark in self.marks})
+        if not self.marks:
+            self.missing.append("no marks of the control points: photocal mark project.toml")
+        elif marked < FEWEST_CONTROL:
+            self.missing.append(f"{marked} control points are marked; {FEWEST_CONTROL} fix a block")
+        if not points.of_role("check").any():
+            self.missing.append("no check points: give some points of control.csv the role check")
+
+    def _beside(self, path: Path | None) -> str:
+        return "" if path is None else Path(os.path.relpath(path, self.folder)).as_posix()
+
+
+def _camera(own: StatedCamera) -> Iterator[str]:
+    """Keys of a camera of the pictures: all is estimated that has a prior, or that rays determine."""
+    prior = own.prior_sigma()
+    estimate = [name for name in PARAMETERS if name in _ESTIMATE or name in prior]
+    yield from _given_camera(own.camera)
+    yield f"estimate = {json.dumps(estimate)}"
+    yield "prior_sigma = { " + ", ".join(f"{n} = {s:.3g}" for n, s in prior.items()) + " }"
+    if own.guessed:
+        yield "guessed = true"
+
+
+def _given_camera(own: Camera) -> Iterator[str]:
+    """Keys of a camera that somebody else has calibrated: held."""
+    values = {n: float(v) for n, v in zip(PARAMETERS, own.values, strict=True) if v or n == "c"}
+    yield f"id = {_quoted(own.id)}"
+    yield f"model = {_quoted(own.model)}"
+    yield f"unit = {_quoted(own.unit)}"
+    yield f"size_px = {list(own.size_px)}"
+    if own.unit == "mm":
+        yield f"pitch_mm = {list(own.pitch)}"
+    yield f"affinity = {_quoted(own.affinity)}"
+    yield "parameters = { " + ", ".join(f"{n} = {v!r}" for n, v in values.items()) + " }"
+
+
+def _zone_of(placed: Sequence[ImageFacts]) -> str:
+    """UTM zone of the middle of the pictures."""
+    middle = np.mean([(own.longitude_deg, own.latitude_deg, 0.0) for own in placed], axis=0)
+    points = ObjectPoints(("middle",), middle[None], np.zeros((1, 3)), np.zeros(1, dtype=np.int64))
+    return in_map_system(ControlMarks("EPSG:4326", points, ())).crs
+
+
+def _system_of(points: ObjectPoints, placed: Sequence[ImageFacts]) -> str:
+    """The zone of the pictures, when the control points lie among them in it; else empty."""
+    from photocal.measurement.georeferenced import map_places
+
+    zone = _zone_of(placed)
+    try:
+        places = map_places(placed, zone)
+    except PhotocalError:
+        return ""
+    low, high = places[:, :2].min(axis=0), places[:, :2].max(axis=0)
+    reach = np.linalg.norm(high - low) + 200.0
+    away = np.linalg.norm(np.median(points.values[:, :2], axis=0) - (low + high) / 2)
+    return zone if away < reach else ""
+
+
+def _points_table(points: ObjectPoints) -> str:
+    rows = [["point", "X", "Y", "Z", "sX", "sY", "sZ", "role"]]
+    rows += [
+        [
+            name,
+            *(f"{v:.4f}" for v in value),
+            *(f"{s:.4f}" if np.isfinite(s) else "" for s in sigma),
+            ROLES[role],
+        ]
+        for name, value, sigma, role in zip(
+            points.names, points.values, points.sigma, points.role, strict=True
+        )
+    ]
+    return _csv(rows)
+
+
+def _marks_table(marks: Sequence[Mark]) -> str:
+    rows = [["image", "point", "x", "y", "sx", "sy"]]
+    rows += [[m.image, m.point, f"{m.x:.3f}", f"{m.y:.3f}", *(f"{s:.3f}" for s in m.sigma)] for m in marks]
+    return _csv(rows)
+
+
+def _csv(rows: Sequence[Sequence[str]]) -> str:
+    import io
+
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows(rows)
+    return out.getvalue()
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
