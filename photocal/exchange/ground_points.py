@@ -91,7 +91,7 @@ def read_gcp_list(path: Path) -> tuple[str, tuple[GroundMark, ...]]:
     marks = []
     names: dict[tuple[float, float, float], str] = {}
     for line in lines:
-        cells = line.text.split()
+        cells = _cells(line.text)
         if len(cells) < 6:
             raise InputMalformedError(
                 f"has {len(cells)} cells where X Y Z column row image were expected",
@@ -108,6 +108,14 @@ def read_gcp_list(path: Path) -> tuple[str, tuple[GroundMark, ...]]:
     require_unique(list(names.values()), "a point with other coordinates,", path)
     require_unique([f"{mark.point} in image {mark.image}" for mark in marks], "point", path)
     return crs, tuple(marks)
+
+
+def _cells(text: str) -> list[str]:
+    """Cells between blanks, semicolons, or commas; where it is none of those, a comma is decimal."""
+    if len(text.split()) == 1 and ";" not in text:
+        return text.split(",")
+    cells = text.replace(";", " ").split()
+    return [*(cell.replace(",", ".") for cell in cells[:5]), *cells[5:]]
 
 
 def write_gcp_list(path: Path, crs: str, marks: Sequence[GroundMark]) -> None:

@@ -70,7 +70,7 @@ def _text(path: Path) -> tuple[Mark, ...]:
         # Blanks between coordinates, and the system in the first line.
         return read_control_marks(path, (1.0, 1.0), {}).marks
     head = [cell.strip().strip('"').lower().replace(" ", "_") for cell in first.split(delimiter)]
-    if tuple(head[:4]) == _OWN and delimiter == ",":
+    if tuple(head[:4]) == _OWN:
         return read_marks(path)
     order = _order(head, path)
     body = lines if order is None else lines[1:]
@@ -96,7 +96,7 @@ def _order(head: Sequence[str], path: Path) -> tuple[int, ...] | None:
 
 def _is_number(cell: str) -> bool:
     try:
-        float(cell)
+        float(cell.replace(",", "."))
     except ValueError:
         return False
     return True
@@ -108,5 +108,7 @@ def _mark(line: Line, delimiter: str, order: Sequence[int]) -> Mark:
         raise InputMalformedError(
             f"has {len(cells)} cells where image, point, x, y were expected", where=line.place
         )
+    if delimiter != ",":
+        cells = [cell.replace(",", ".") for cell in cells]
     x, y = (number(cells[k], line.place, "mark") - _HALF for k in order[2:])
     return Mark(cells[order[0]], cells[order[1]], x, y, (BY_HAND_PX, BY_HAND_PX), line.place)

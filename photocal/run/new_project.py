@@ -97,7 +97,10 @@ def _chosen(seen: Survey, facts: Sequence[ImageFacts]) -> Found | None:
     def shown(one: Found) -> int:
         return sum(mark.image in names for mark in named_after(one.marks, names))
 
-    best = max(seen.control, key=shown)
+    def checks(one: Found) -> int:
+        return 0 if one.points is None else int(one.points.of_role("check").sum())
+
+    best = max(seen.control, key=lambda one: (shown(one), checks(one)))
     if shown(best):
         return best
     tables = sorted(seen.marks, key=shown, reverse=True)

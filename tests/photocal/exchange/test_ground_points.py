@@ -58,7 +58,6 @@ def test_recorded_gcp_list(shared: Path) -> None:
     [
         ("1 2 3 4 5 a.jpg\n", "not with a coordinate system"),
         ("EPSG:4326\n1 2 3 4 a.jpg\n", "has 5 cells"),
-        ("EPSG:4326\n1,5 2 3 4 5 a.jpg\n", "decimal comma"),
         ("EPSG:4326\n1 2 nan 4 5 a.jpg\n", "not finite"),
         ("EPSG:4326\n1 2 3 4 5 a.jpg p\n1 2 3 4 5 b.jpg q\n", "same coordinates"),
         ("EPSG:4326\n1 2 3 4 5 a.jpg p\n1 2 4 4 5 b.jpg p\n", "listed twice"),
@@ -95,3 +94,19 @@ def test_angles_are_those_of_a_body_whose_camera_looks_down() -> None:
     # Looks down, the upper edge of the image to the east.
     assert to_camera[1] @ [1.0, 0.0, 0.0] == pytest.approx([0.0, 1.0, 0.0])
     assert np.isnan(angles_of_geo(np.full((1, 3, 3), np.nan))).all()
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        "1.5 2.5 3 10 20 a.jpg p",
+        "1,5 2,5 3 10 20 a.jpg p",
+        "1,5;2,5;3;10;20;a.jpg;p",
+        "1.5,2.5,3,10,20,a.jpg,p",
+    ],
+)
+def test_separators_of_gcp_lists(tmp_path: Path, row: str) -> None:
+    path = tmp_path / "gcp_list.txt"
+    path.write_text(f"EPSG:32722\n{row}\n")
+    mark = read_gcp_list(path)[1][0]
+    assert (mark.xyz, mark.column, mark.row, mark.image, mark.point) == ((1.5, 2.5, 3), 10, 20, "a.jpg", "p")

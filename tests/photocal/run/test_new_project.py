@@ -1,0 +1,110 @@
+"""`photocal new` on small folders, and the stages of projects without a flight log."""
+
+from __future__ import annotations
+
+import datetime as dt
+import tomllib
+from pathlib import Path
+
+import pytest
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
+
+from drivers.errors import ConfigurationError, OutputError
+from photocal.block.folder import read_points
+from photocal.measurement.image_facts import read_facts
+from photocal.measurement.maker_camera import stated_camera
+from photocal.measurement.marks import read_marks
+from photocal.project import read_project
+from photocal.run.new_project import new_project
+from photocal.run.workflow import stages
+
+# Curitiba, in the zone EPSG:32722: east 677864, north 7184231.
+LATITUDE, LONGITUDE = -25.4483, -49.2311
+DEWARP = "2023-05-01;3666.67,3668.25,-12.3,8.4,-0.26572,0.11107,0.00035,-0.00021,-0.02812"
+
+
+def picture(path: Path, north: float | None = 0.0, xmp: str = "") -> None:
+    """Write a small picture, with a position unless `north` (m) is None."""
+    exif = Image.Exif()
+    exif[0x0110] = "TestCam"
+    if north is not None:
+        gps = exif.get_ifd(0x8825)
+        for key, value in ((2, -LATITUDE - north / 111e3), (4, -LONGITUDE)):
+            gps[key] = (IFDRational(int(value)), IFDRational(0), IFDRational(value % 1 * 3600))
+        gps[1], gps[3], gps[6] = "S", "W", IFDRational(1000)
+    packet = f"<x:xmpmeta><rdf:Description {xmp}/></x:xmpmeta>".encode() if xmp else b""
+    Image.new("L", (160, 120)).save(path, exif=exif, xmp=packet)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for k in range(3):
+        picture(tmp_path / f"a{k}.jpg", 20.0 * k)
+    return tmp_path
+
+
+def test_pictures_alone(folder: Path) -> None:
+    made = new_project(folder)
+    assert made.asked == ()
+    assert any("no control points" in line for line in made.missing)
+    project = read_project(made.path)
+    assert project.crs == "EPSG:32722"
+    assert project.images.position_sigma_m == (1.5, 1.5, 3.0)
+    assert project.cameras[0].guessed
+    assert [one.name for one in stages(project, dt.date(2026, 1, 1))][:2] == ["measurements", "block"]
+    with pytest.raises(OutputError, match="is there already"):
+        new_project(folder)
+
+
+def test_a_brazilian_table_and_marks_beside_it(folder: Path) -> None:
+    table = "Ponto;Este;Norte;Cota;Tipo\r\nÁgua;677864,5;7184231,25;912,4;controle\r\n"
+    table += "P2;677870,0;7184240,0;911,9;checagem\r\n"
+    (folder / "pontos.csv").write_bytes(table.encode("cp1252"))
+    (folder / "marcas.csv").write_text("image;point;x;y\na0;Água;10,5;20\na1.jpg;Água;30;40\n")
+    made = new_project(folder)
+    assert made.asked == ("height: whether the control points' heights are ellipsoidal or orthometric",)
+    with pytest.raises(ConfigurationError, match="height = '\\?' is still to be filled in"):
+        read_project(made.path)
+    made.path.write_text(made.path.read_text().replace('height = "?"', 'height = "ellipsoidal"'))
+    project = read_project(made.path)
+    assert project.crs == "EPSG:32722"
+    points = read_points(project.control.points or folder)
+    assert points.names == ("Água", "P2")
+    assert points.values[0].tolist() == [677864.5, 7184231.25, 912.4]
+    assert points.of_role("check").tolist() == [False, True]
+    marks = read_marks(project.control.marks or folder)
+    assert [(m.image, m.x, m.y) for m in marks] == [("a0.jpg", 10.5, 20.0), ("a1.jpg", 30.0, 40.0)]
+
+
+def test_nothing_says_where(tmp_path: Path) -> None:
+    picture(tmp_path / "a.jpg", None)
+    made = new_project(tmp_path)
+    assert read_project(made.path).crs == "local"
+    assert any("without scale" in line for line in made.missing)
+
+
+def test_control_of_an_unknown_system_is_asked_for(folder: Path) -> None:
+    (folder / "points.csv").write_text("point,X,Y,Z\n1,1000,2000,30\n2,1010,2000,30\n")
+    made = new_project(folder)
+    assert [line.split(":")[0] for line in made.asked] == ["crs", "height"]
+    assert tomllib.loads(made.path.read_text())["project"]["crs"] == "?"
+
+
+def test_the_camera_of_dewarp_data(tmp_path: Path) -> None:
+    # Expected: OpenCV's model, whose cx and cy DJI counts from the middle of the picture.
+    picture(tmp_path / "a.jpg", xmp=f'drone-dji:DewarpData="{DEWARP}" drone-dji:DewarpFlag="0"')
+    stated = stated_camera("a", read_facts(tmp_path / "a.jpg"))
+    own = stated.camera
+    assert not stated.guessed
+    assert own.value("c") == 3668.25
+    assert (own.value("x0"), own.value("y0")) == pytest.approx((-12.3, -8.4))
+    assert own.value("K1") == pytest.approx(-0.26572 / 3668.25**2)
+    assert own.value("B1") == pytest.approx(3666.67 / 3668.25 - 1)
+    assert stated.prior_sigma()["c"] == pytest.approx(0.003 * 3668.25)
+
+
+def test_sigmas_of_dji_rtk(tmp_path: Path) -> None:
+    names = zip(("Lon", "Lat", "Hgt"), ("0.012", "0.011", "0.025"), strict=True)
+    picture(tmp_path / "a.jpg", xmp=" ".join(f'drone-dji:RtkStd{n}="{v}"' for n, v in names))
+    assert read_facts(tmp_path / "a.jpg").position_sigma_m == (0.012, 0.011, 0.025)
