@@ -37,6 +37,11 @@ def application(help_text: str) -> typer.Typer:
     )
 
 
+def printable(text: str) -> str:
+    """Return a text from outside without what would steer a terminal: control characters become dots."""
+    return "".join(c if c.isprintable() else "·" for c in text)
+
+
 def run(app: typer.Typer) -> None:
     """Run an application; failures that we know become one line and their exit code.
 

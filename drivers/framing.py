@@ -17,6 +17,11 @@ _FIRST = {Wire.MAVLINK: (V1, V2), Wire.UBX: (0xB5,), Wire.RTCM3: (0xD3,), Wire.N
 _LARGE = 2048
 
 
+def wires_of(protocol: str) -> tuple[Wire, ...]:
+    """Return the protocols that are looked for on a link of one: those of receivers may share a line."""
+    return (Wire.MAVLINK,) if protocol == Wire.MAVLINK.encoding else GNSS
+
+
 class StreamFramer:
     """Frames of any mixture of protocols on one stream of bytes; a `Framer`.
 
@@ -49,6 +54,11 @@ class StreamFramer:
     def cut(self) -> int:
         """Number of bytes of a frame that the end of the stream cut off; 0 until `close`."""
         return self._cut
+
+    @property
+    def pending(self) -> bytes:
+        """The last bytes of the stream, which may be the beginning of a frame."""
+        return self._pending
 
     def feed(self, data: bytes) -> Batch:
         """Take the next bytes of the stream and return the frames that are complete."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.channels.decoded import Decoder
-from acquire.log.records import DAMAGE_ENCODING, Channel, Payloads, Pieces
+from acquire.log.records import ARRIVED_ENCODING, DAMAGE_ENCODING, Channel, Payloads, Pieces
 from drivers.frames import Batch, Wire
 
 LISTED_RUNS = 200
@@ -24,6 +24,11 @@ def raw_channel(link: str, wire: Wire) -> Channel:
 def damage_channel(link: str) -> Channel:
     """Return the channel of the bytes of a link that belong to no frame."""
     return Channel(f"/{link}/damage", DAMAGE_ENCODING)
+
+
+def arrived_channel(link: str, protocol: str) -> Channel:
+    """Return the channel of what has come over a link and could not be framed in time, see `arrived_head`."""
+    return Channel(f"/{link}/arrived", ARRIVED_ENCODING, None, {"protocol": protocol})
 
 
 @dataclass
@@ -47,6 +52,11 @@ class Tally:
     damage: list[list[int]] = field(default_factory=list)
     damage_runs: int = 0
     _damage_end: int = -1
+
+    @property
+    def octets(self) -> int:
+        """Number of bytes of the stream that have been framed."""
+        return self.frame_bytes + self.stamp_bytes + self.damage_bytes
 
     def add(self, batch: Batch) -> None:
         """Count the frames and the damage of a batch."""
@@ -97,15 +107,17 @@ class LinkLog:
         Name of the link.
     decoders : sequence of Decoder
         What decodes the frames.
+    first : int
+        The number of the first frame.
 
     `last_ns` is the time of receipt of the last frame.
     """
 
-    def __init__(self, writer: MessageWriter, link: str, decoders: Sequence[Decoder]) -> None:
+    def __init__(self, writer: MessageWriter, link: str, decoders: Sequence[Decoder], first: int = 0) -> None:
         self._writer = writer
         self._link = link
         self._decoders = tuple(decoders)
-        self._next = 0
+        self._next = first
         self.last_ns = 0
         self.tally = Tally()
 

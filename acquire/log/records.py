@@ -31,6 +31,10 @@ INDEX_ROW = np.dtype([("log_ns", "<u8"), ("offset", "<u8")])
 
 # Encoding of the bytes of a link that belong to no frame.
 DAMAGE_ENCODING = "octets"
+# Encoding of bytes that were written before they were framed: `ARRIVED_HEAD`, then the bytes.
+ARRIVED_ENCODING = "arrived"
+# Where in the stream of the link they begin, and up to where it was framed when they were written.
+ARRIVED_HEAD = struct.Struct("<QQ")
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import defaultdict
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from acquire.log.reader import LogReader
+import numpy as np
+
+from acquire.channels.link import LinkLog
+from acquire.log.reader import LogReader, Messages
+from acquire.log.records import ARRIVED_ENCODING, ARRIVED_HEAD
 from acquire.log.writer import LogWriter
 from acquire.outputs import output_file
 from drivers.errors import InputMalformedError
+from drivers.framing import StreamFramer, wires_of
 
 
 @dataclass(frozen=True)
@@ -36,6 +42,38 @@ class Recovered:
         return self.complete and not self.damaged
 
 
+@dataclass
+class _Unframed:
+    """What came over a link and was written before it was framed, see `acquire.log.records.ARRIVED_HEAD`."""
+
+    protocol: str = ""
+    framed: int = 0
+    next: int = 0
+    pieces: list[tuple[int, int, bytes]] = field(default_factory=list)
+
+    def take(self, part: Messages) -> None:
+        """Take messages of the link."""
+        if part.channel.encoding == ARRIVED_ENCODING:
+            self.protocol = part.channel.metadata.get("protocol", "")
+            for payload, time_ns in zip(part.payloads, part.log_ns.tolist(), strict=True):
+                offset, self.framed = ARRIVED_HEAD.unpack_from(payload)
+                self.pieces.append((offset, time_ns, payload[ARRIVED_HEAD.size :]))
+        else:
+            self.framed += sum(map(len, part.payloads))
+            self.next = max(self.next, int(part.sequence[-1]) + 1)
+        self.pieces = [piece for piece in self.pieces if piece[0] + len(piece[2]) > self.framed]
+
+    def write(self, writer: LogWriter, link: str) -> int:
+        """Frame what is left; return the number of frames."""
+        framer, log = StreamFramer(wires_of(self.protocol)), LinkLog(writer, link, [], self.next)
+        for offset, time_ns, data in self.pieces:
+            batch = framer.feed(data[max(0, self.framed - offset) :])
+            log.write(batch, np.full(len(batch), time_ns))
+        batch = framer.close()
+        log.write(batch, np.full(len(batch), log.last_ns))
+        return log.tally.frames
+
+
 def recover(path: Path, output: Path) -> Recovered:
     """Write what is whole in a log to a new one with all indexes.
 
@@ -60,13 +98,17 @@ def recover(path: Path, output: Path) -> Recovered:
         writer = LogWriter(stream)
         tables: set[str] = set()
         files: set[str] = set()
+        links: defaultdict[str, _Unframed] = defaultdict(_Unframed)
         for chunk in reader.chunks(lambda refusal: damage.append(refusal.what)):
             _copy_notes(reader, writer, tables, files)
             for part in chunk:
                 writer.messages(part.channel, part.payloads, part.log_ns, part.publish_ns, part.sequence)
                 messages += len(part.payloads)
+                if part.channel.schema is None:
+                    links[part.channel.topic.split("/")[1]].take(part)
             writer.end_chunk()
             chunks += 1
+        messages += sum(link.write(writer, name) for name, link in links.items() if link.pieces)
         _copy_notes(reader, writer, tables, files)
         if not chunks and not tables and not files:
             raise InputMalformedError(

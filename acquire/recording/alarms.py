@@ -11,15 +11,18 @@ import numpy as np
 from acquire.channels.decoded import TIME, JsonLayout, Times, words
 from acquire.channels.link import MessageWriter
 from acquire.log.records import Channel
+from acquire.recording.reader import MOST_BYTES_S, Inbox
 
 LEAST_JUMP_S = 0.5
+FLOOD_TOLD_S = 10.0
 
 ALARM = JsonLayout(
     "photocal.Alarm",
     "Something that a person at the field laptop was told.",
     {
         "kind": words(
-            "lost, back, source_changed, clock_jump, silent, heard_again, disk_low, disk_full, device or note"
+            "lost, back, source_changed, clock_jump, silent, heard_again, flood, disk_low, disk_full, "
+            "device or note"
         ),
         "link": words("link that is concerned; empty when none is"),
         "text": words("what happened"),
@@ -71,6 +74,37 @@ class ClockWatch:
             return []
         text = f"the clock of this computer jumped by {offset - last:+.1f} s: times of receipt jump with it"
         return [Alarm("clock_jump", "", text, clock_ns)]
+
+
+@dataclass
+class FloodWatch:
+    """Tells links over which more comes than is taken, at once and then every so often with figures."""
+
+    _told: dict[str, tuple[float, tuple[int, int, bool]]] = field(default_factory=dict)
+
+    def look(self, inboxes: dict[str, Inbox], steady_s: float, time_ns: int) -> list[Alarm]:
+        """Return the alarms of links that flood."""
+        found = []
+        for link, inbox in inboxes.items():
+            state = (inbox.dropped, inbox.missed, inbox.slowed)
+            last_s, last = self._told.get(link, (-np.inf, (0, 0, False)))
+            if state != last and steady_s - last_s >= FLOOD_TOLD_S:
+                self._told[link] = (steady_s, state)
+                found.append(Alarm("flood", link, flood_text(inbox), time_ns))
+        return found
+
+    def end(self, inboxes: dict[str, Inbox], time_ns: int) -> list[Alarm]:
+        """Return the last figures."""
+        return self.look(inboxes, np.inf, time_ns)
+
+
+def flood_text(inbox: Inbox) -> str:
+    """Return in words what became of a flood."""
+    limit = f"more comes than the {MOST_BYTES_S / 1e6:g} MB/s that are taken"
+    if inbox.slowed:
+        return f"{limit}: the sender has to wait"
+    missed = f", and {inbox.missed} datagrams that the system could not hold" if inbox.missed else ""
+    return f"{limit}: {inbox.dropped} bytes were not kept so far{missed}"
 
 
 @dataclass

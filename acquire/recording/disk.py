@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime as dt
 import io
+import itertools
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 from acquire.log import records
-from drivers.errors import OutputError
 
 
 class WholeWrites(io.RawIOBase):
@@ -57,22 +59,26 @@ def new_file(path: Path) -> WholeWrites:
     return WholeWrites(io.FileIO(path, "xb"))
 
 
-def new_path(folder: Path, time_ns: int) -> Path:
-    """Return the path of a file that does not exist yet; the folder is made."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as failure:
-        raise OutputError(
-            f"cannot be made ({failure.strerror or failure})", where=folder, remedy="choose another folder"
-        ) from failure
+def new_log(
+    folder: Path, time_ns: int, make: Callable[[Path], WholeWrites] = new_file
+) -> tuple[Path, WholeWrites]:
+    """Make the file of a log under a name that is free; the folder is made.
+
+    Whoever makes the file has it: a name that another recorder takes at the same moment is passed over.
+
+    Raises
+    ------
+    OSError
+        When it cannot be made.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
     moment = dt.datetime.fromtimestamp(time_ns / 1e9, dt.UTC).strftime("%Y%m%dT%H%M%SZ")
-    path = folder / f"flight-{moment}.mcap"
-    number = 1
-    while path.exists():
-        number += 1
+    for number in itertools.count(1):
         # Sorted by their names the files of a second stand in their order, too.
-        path = folder / f"flight-{moment}_{number:02d}.mcap"
-    return path
+        path = folder / (f"flight-{moment}.mcap" if number == 1 else f"flight-{moment}_{number:02d}.mcap")
+        with contextlib.suppress(FileExistsError):
+            return path, make(path)
+    raise AssertionError
 
 
 def unclosed(folder: Path) -> list[Path]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from acquire.log import records
 from acquire.log.records import Channel
 from acquire.log.writer import LogWriter
-from acquire.recording.disk import WholeWrites, new_file, new_path
+from acquire.recording.disk import WholeWrites, new_file, new_log
 from drivers.errors import OutputError
 
 # What is held in memory while no disk takes anything, and how often it is tried again.
@@ -76,14 +76,16 @@ class LogFiles:
         self._waiter = ThreadPoolExecutor(1, "disk")
         self._safe: Future[None] | None = None
         self.paths: list[Path] = []
-        path = new_path(self._folders[0], clock_ns())
+        path = self._folders[0]
         try:
-            self._stream = make(path)
+            path, self._stream = new_log(path, clock_ns(), make)
             self._writer = LogWriter(_binary(self._stream))
             begin(self._writer)
         except OSError as failure:
             raise OutputError(
-                f"cannot be written ({failure.strerror or failure})", where=path, remedy="make room"
+                f"cannot be written ({failure.strerror or failure})",
+                where=path,
+                remedy="make room, or choose another folder",
             ) from failure
         self._begun_ns = clock_ns()
         self.paths.append(path)
@@ -185,9 +187,8 @@ class LogFiles:
         return []
 
     def _rotate(self) -> list[Told]:
-        path = new_path(self._folders[self._place], self._clock_ns())
         try:
-            stream = self._make(path)
+            path, stream = new_log(self._folders[self._place], self._clock_ns(), self._make)
         except OSError as failure:
             return self._move(failure)
         following = self._writer.continued(_binary(stream))
@@ -210,17 +211,17 @@ class LogFiles:
         # After waiting, room may have come anywhere.
         first = 0 if self._again_ns is not None else self._place
         for place in range(first, len(self._folders)):
-            path = None
+            made = None
             try:
-                path = new_path(self._folders[place], self._clock_ns())
-                stream = self._make(path)
+                made = path, stream = new_log(self._folders[place], self._clock_ns(), self._make)
                 self._writer = self._writer.continued(_binary(stream))
                 self._begin(self._writer)
                 self._writer.end_chunk()
-                stream.make_safe()
-            except (OSError, OutputError):
-                if path is not None:
-                    path.unlink(missing_ok=True)
+            except OSError:
+                if made is not None:
+                    # We have made it, and nothing that was taken is in it alone.
+                    made[1].close()
+                    made[0].unlink(missing_ok=True)
                 continue
             self._stream, self._place = stream, place
             self.paths.append(path)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 
 import numpy as np
+from numpy.typing import NDArray
 
-from acquire.channels.decoded import Decoder
-from acquire.channels.link import LinkLog, MessageWriter
+from acquire.channels.decoded import Decoded, Decoder
+from acquire.channels.link import LinkLog, MessageWriter, arrived_channel
 from acquire.channels.receiver import ReceiverDecoder
 from acquire.channels.vehicle import VehicleDecoder
-from acquire.log.records import Channel
+from acquire.console import printable
+from acquire.log.records import ARRIVED_HEAD, Channel
 from acquire.recording.alarms import Alarm
 from acquire.recording.caster_position import CasterPosition
 from acquire.recording.configuration import Configuration, Link
@@ -22,7 +24,7 @@ from acquire.recording.vehicle_dialogue import VehicleDialogue
 from acquire.transports.sources import LinkLostError, Source
 from drivers.errors import ConfigurationError
 from drivers.frames import Batch, Wire
-from drivers.framing import GNSS, StreamFramer
+from drivers.framing import StreamFramer, wires_of
 from drivers.mavlink.dialect import Dialect
 
 
@@ -45,9 +47,26 @@ def link_sessions(
     return sessions
 
 
-def wires_of(link: Link) -> tuple[Wire, ...]:
-    """Return the protocols that are looked for on a link."""
-    return (Wire.MAVLINK,) if link.protocol == "mavlink" else GNSS
+class ShieldedDecoder:
+    """Decodes as long as the decoder does: whatever it stumbles over, the frames themselves are kept.
+
+    `failure` tells its first failure in words, until it is taken away.
+    """
+
+    def __init__(self, decoder: Decoder) -> None:
+        self._decoder = decoder
+        self._failed = False
+        self.failure = ""
+
+    def feed(self, batch: Batch, log_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[Decoded]]:
+        """Decode a batch, see `Decoder`."""
+        try:
+            return self._decoder.feed(batch, log_ns)
+        except Exception as failure:
+            if not self._failed:
+                self.failure = printable(f"{type(failure).__name__}: {failure}")
+            self._failed = True
+            return log_ns, []
 
 
 class LinkSession:
@@ -66,11 +85,12 @@ class LinkSession:
     """
 
     def __init__(self, link: Link, writer: MessageWriter, source: Source, dialect: Dialect) -> None:
-        wires = wires_of(link)
+        wires = wires_of(link.protocol)
         mavlink = Wire.MAVLINK in wires
         decoder: Decoder = VehicleDecoder(link.name, dialect) if mavlink else ReceiverDecoder(link.name)
         self.name = link.name
-        self.log = LinkLog(writer, link.name, [decoder])
+        self._decoder = ShieldedDecoder(decoder)
+        self.log = LinkLog(writer, link.name, [self._decoder])
         self.listeners: list[LinkSession] = []
         # Where this link's device is told to be, and who wants to know where this link's device is.
         self.position: CasterPosition | None = None
@@ -82,7 +102,7 @@ class LinkSession:
         self._dialogue: Dialogue | None = None
         self._corrections: VehicleCorrections | None = None
         self._sent = 0
-        self._received = 0
+        self._received = self._kept = 0
         # Where in the stream each arrival ended, and when it came: as long as a frame may still end in it.
         self._ends: list[int] = []
         self._times_ns: list[int] = []
@@ -115,6 +135,24 @@ class LinkSession:
             self._times_ns.append(arrival.time_ns)
         return self._write(self._framer.feed(b"".join(arrival.data for arrival in arrivals)))
 
+    def keep(self, arrivals: list[Arrival]) -> None:
+        """Write bytes that wait for being framed as they are: a busy computer must not lose them."""
+        if not arrivals:
+            return
+        framed = self.log.tally.octets
+        offset = max(self._kept, framed)
+        begun = self._framer.pending[offset - framed :] if offset < self._received else b""
+        pieces = [(self._times_ns[0], begun)] if begun else []
+        payloads = []
+        pieces += [(arrival.time_ns, arrival.data) for arrival in arrivals]
+        for _, data in pieces:
+            payloads.append(ARRIVED_HEAD.pack(offset, framed) + data)
+            offset += len(data)
+        times = np.array([time_ns for time_ns, _ in pieces], np.int64)
+        channel = arrived_channel(self.name, self._encoding)
+        self._writer.messages(channel, payloads, times, times, np.arange(len(payloads)))
+        self._kept = offset
+
     def close(self) -> None:
         """Write what is left of the stream."""
         if self._ends:
@@ -127,13 +165,18 @@ class LinkSession:
                 position.hear(batch)
         if self.position is not None:
             self.send(self.position.due(steady_s, clock_ns), clock_ns, "nmea")
+        alarms = []
+        if failure := self._decoder.failure:
+            self._decoder.failure = ""
+            alarms.append(
+                Alarm("device", self.name, f"cannot be decoded, it is kept raw: {failure}", clock_ns)
+            )
         if self._dialogue is None:
-            return []
+            return alarms
         said = self._dialogue.step(batch, steady_s, clock_ns)
         self.send(said.frames, clock_ns)
-        return [Alarm("note", self.name, text, clock_ns) for text in said.notes] + [
-            Alarm("device", self.name, text, clock_ns) for text in said.alarms
-        ]
+        alarms += [Alarm("note", self.name, text, clock_ns) for text in said.notes]
+        return alarms + [Alarm("device", self.name, text, clock_ns) for text in said.alarms]
 
     def forward(self, batch: Batch, clock_ns: int) -> list[Alarm]:
         """Pass the corrections of a batch on to those who listen."""

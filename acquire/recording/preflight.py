@@ -7,19 +7,17 @@ import math
 import threading
 from dataclasses import dataclass, field
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from typing import Any
 
 import numpy as np
 
 from acquire.recording.caster_position import CasterPosition
 from acquire.recording.configuration import Configuration, Link
-from acquire.recording.link_session import wires_of
-from acquire.recording.reader import Arrival, read_link
+from acquire.recording.reader import MOST_AT_ONCE, left_behind, start_readers
 from acquire.recording.recorder import Host
 from acquire.transports.sources import LinkLostError, Source
 from drivers.frames import Batch, Wire
-from drivers.framing import StreamFramer
+from drivers.framing import StreamFramer, wires_of
 from drivers.gnsstime import utc_date_ns
 from drivers.mavlink.decode import decode
 from drivers.mavlink.dialect import Dialect
@@ -87,33 +85,25 @@ def check(
         The known MAVLink messages.
     """
     stop = threading.Event()
-    arrivals: SimpleQueue[Arrival] = SimpleQueue()
-    readers = [
-        threading.Thread(target=read_link, args=(name, source, arrivals, stop, host.clock_ns), daemon=True)
-        for name, source in sources.items()
-    ]
-    framers = {link.name: StreamFramer(wires_of(link), dialect) for link in configuration.link}
+    framers = {link.name: StreamFramer(wires_of(link.protocol), dialect) for link in configuration.link}
     heard = {link.name: _Heard() for link in configuration.link}
-    for reader in readers:
-        reader.start()
     until = host.steady_s() + seconds
-    while (left := until - host.steady_s()) > 0:
-        try:
-            arrival = arrivals.get(timeout=left)
-        except Empty:
-            break
-        if arrival.event:
-            heard[arrival.link].event = arrival.event
-        else:
-            heard[arrival.link].first_s = min(heard[arrival.link].first_s, host.steady_s())
-            batch = framers[arrival.link].feed(arrival.data)
-            _hear(heard[arrival.link], batch, arrival.time_ns, dialect)
-            for link in configuration.link:
-                if link.position_from == arrival.link:
-                    _tell(positions[link.name], sources[link.name], batch, host)
+    inboxes, readers = start_readers(sources, stop, host.clock_ns)
+    while host.steady_s() < until:
+        for name, inbox in inboxes.items():
+            for arrival in inbox.take(MOST_AT_ONCE):
+                if arrival.event:
+                    heard[name].event = arrival.event
+                    continue
+                heard[name].first_s = min(heard[name].first_s, host.steady_s())
+                batch = framers[name].feed(arrival.data)
+                _hear(heard[name], batch, arrival.time_ns, dialect)
+                for link in configuration.link:
+                    if link.position_from == name:
+                        _tell(positions[link.name], sources[link.name], batch, host)
+        stop.wait(0.02)
     stop.set()
-    for reader in readers:
-        reader.join()
+    left_behind(readers, 0.5)
     # A port may take a while to open: rates count from the first byte, but over half of the time at least.
     found = [
         finding

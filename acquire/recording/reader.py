@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
+import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from queue import SimpleQueue
 
+from acquire.console import printable
 from acquire.transports.sources import LinkLostError, Source
 
+# What a link is kept to, bytes a second and at once: some forty times what a receiver or an autopilot sends.
+MOST_BYTES_S, MOST_AT_ONCE = 4_000_000, 4 << 20
+# What may wait for being framed. More comes only where the computer is too slow for what arrives.
+MOST_WAITING = 16 << 20
 _POLL_S = 0.05
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 5.0
-# What a port holds when the recording is stopped belongs to the flight. No port holds more than this.
-_LAST_POLL_S, _LAST_BYTES = 0.001, 4 << 20
+# What a port holds when the recording is stopped belongs to the flight; to read it takes no longer.
+_LAST_POLL_S, _LAST_S = 0.001, 0.3
 
 
 @dataclass(frozen=True)
@@ -26,42 +33,155 @@ class Arrival:
     kind: str = ""
 
 
-def read_link(
-    link: str,
-    source: Source,
-    arrivals: SimpleQueue[Arrival],
-    stop: threading.Event,
-    clock_ns: Callable[[], int],
-) -> None:
-    """Read a link until told to stop, and then what has arrived by then; to be run in a thread of its own."""
+class Inbox:
+    """What has arrived over a link and waits for being framed; it is kept to a rate and to a size.
+
+    Parameters
+    ----------
+    link : str
+        Its name.
+    clock_ns : callable
+        The clock of the host, UTC nanoseconds since 1970.
+
+    `dropped` counts the bytes that came above the rate and were not kept, `missed` the datagrams that the
+    system threw away before they could be read, `slowed` whether a sender was made to wait.
+    """
+
+    def __init__(self, link: str, clock_ns: Callable[[], int]) -> None:
+        self.link = link
+        self.dropped = self.missed = 0
+        self.slowed = False
+        self._clock_ns = clock_ns
+        self._lock = threading.Lock()
+        self._waiting: deque[Arrival] = deque()
+        self._unsaved: deque[Arrival] = deque()
+        self._size = 0
+        self._room, self._filled_s = float(MOST_AT_ONCE), time.monotonic()
+
+    def has_room(self) -> bool:
+        """Tell whether more may be put in now."""
+        now = time.monotonic()
+        self._room = min(MOST_AT_ONCE, self._room + (now - self._filled_s) * MOST_BYTES_S)
+        self._filled_s = now
+        return self._room > 0 and self._size < MOST_WAITING
+
+    def put(self, data: bytes) -> None:
+        """Take bytes that have arrived now."""
+        self._room -= len(data)
+        self._append(Arrival(self.link, self._clock_ns(), data))
+
+    def tell(self, kind: str, text: str) -> None:
+        """Take note of something that happened to the link now."""
+        self._append(Arrival(self.link, self._clock_ns(), b"", printable(text), kind))
+
+    def take(self, most: int) -> list[Arrival]:
+        """Return what has arrived first, at least one arrival and not much more than so many bytes."""
+        found: list[Arrival] = []
+        with self._lock:
+            while self._waiting and most > 0:
+                arrival = self._waiting.popleft()
+                found.append(arrival)
+                most -= len(arrival.data)
+                self._size -= len(arrival.data)
+                if self._unsaved and self._unsaved[0] is arrival:
+                    self._unsaved.popleft()
+        return found
+
+    def unsaved(self) -> list[Arrival]:
+        """Return what waits and has not been returned by this before."""
+        with self._lock:
+            found = [arrival for arrival in self._unsaved if arrival.data]
+            self._unsaved.clear()
+        return found
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def _append(self, arrival: Arrival) -> None:
+        with self._lock:
+            self._waiting.append(arrival)
+            self._unsaved.append(arrival)
+            self._size += len(arrival.data)
+
+
+def start_readers(
+    sources: dict[str, Source], stop: threading.Event, clock_ns: Callable[[], int]
+) -> tuple[dict[str, Inbox], list[threading.Thread]]:
+    """Begin to read all links, each in a thread of its own."""
+    inboxes = {name: Inbox(name, clock_ns) for name in sources}
+    readers = [
+        threading.Thread(target=read_link, args=(source, inboxes[name], stop), name=name, daemon=True)
+        for name, source in sources.items()
+    ]
+    for reader in readers:
+        reader.start()
+    return inboxes, readers
+
+
+def left_behind(readers: list[threading.Thread], patience_s: float) -> list[str]:
+    """Wait for the readers to end; return the names of those whose port hangs. They end with the process."""
+    until = time.monotonic() + patience_s
+    for reader in readers:
+        reader.join(max(0.0, until - time.monotonic()))
+    return [reader.name for reader in readers if reader.is_alive()]
+
+
+def read_link(source: Source, inbox: Inbox, stop: threading.Event) -> None:
+    """Read a link until told to stop, and then what has arrived by then; to be run in a thread of its own.
+
+    Whatever goes wrong is told, and the port is opened anew.
+    """
     pause = _FIRST_PAUSE_S
-    told = peer = ""
+    lost = False
+    peer = ""
     while not stop.is_set():
         try:
-            source.open()
-            if told:
-                arrivals.put(Arrival(link, clock_ns(), b"", "is back", "back"))
-            told = ""
+            source.open(stop)
+            if lost:
+                inbox.tell("back", "is back")
+            lost = False
             while not stop.is_set():
-                data = source.read(_POLL_S)
+                if _read(source, inbox, _POLL_S, stop):
+                    pause = _FIRST_PAUSE_S
                 if source.peer != peer:
                     if peer:
-                        text = f"comes from another place: {source.peer}, before {peer}"
-                        arrivals.put(Arrival(link, clock_ns(), b"", text, "source_changed"))
+                        inbox.tell(
+                            "source_changed", f"comes from another place: {source.peer}, before {peer}"
+                        )
                     peer = source.peer
-                if data:
-                    arrivals.put(Arrival(link, clock_ns(), data))
-                    pause = _FIRST_PAUSE_S
-            left = _LAST_BYTES
-            while left > 0 and (data := source.read(_LAST_POLL_S)):
-                arrivals.put(Arrival(link, clock_ns(), data))
-                left -= len(data)
-        except LinkLostError as loss:
-            source.close()
+            until = time.monotonic() + _LAST_S
+            while time.monotonic() < until and inbox.has_room() and _read(source, inbox, _LAST_POLL_S, stop):
+                pass
+        except Exception as loss:
             # Told once, not with every attempt.
-            if not told:
-                told = f"is lost: {loss}"
-                arrivals.put(Arrival(link, clock_ns(), b"", told, "lost"))
+            if not lost and not stop.is_set():
+                kind = "" if isinstance(loss, LinkLostError) else f"{type(loss).__name__}: "
+                inbox.tell("lost", f"is lost: {kind}{loss}")
+                lost = True
+            _close(source)
             stop.wait(pause)
             pause = min(2 * pause, _LONGEST_PAUSE_S)
-    source.close()
+    _close(source)
+
+
+def _read(source: Source, inbox: Inbox, timeout_s: float, stop: threading.Event) -> bool:
+    """Take what has arrived; above the rate datagrams are counted, and the sender of a stream has to wait."""
+    if not inbox.has_room() and not source.datagrams:
+        inbox.slowed = True
+        stop.wait(timeout_s)
+        return False
+    data = source.read(timeout_s)
+    inbox.missed = source.missed
+    if not data:
+        return False
+    if inbox.has_room():
+        inbox.put(data)
+    else:
+        inbox.dropped += len(data)
+    return True
+
+
+def _close(source: Source) -> None:
+    # A port that is gone may refuse even that.
+    with contextlib.suppress(Exception):
+        source.close()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import mimetypes
 import shutil
 import threading
@@ -10,26 +9,30 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from queue import Empty, SimpleQueue
 
 from acquire import __version__
 from acquire.channels.link import Tally
 from acquire.log.writer import LogWriter
-from acquire.recording.alarms import LEAST_JUMP_S, Alarm, ClockWatch, SilenceWatch, write_alarms
+from acquire.recording.alarms import LEAST_JUMP_S, Alarm, ClockWatch, FloodWatch, SilenceWatch, write_alarms
 from acquire.recording.caster_position import CasterPosition, caster_positions
 from acquire.recording.configuration import Configuration
 from acquire.recording.disk import WholeWrites, new_file, unclosed
 from acquire.recording.files import Limits, LogFiles, Told
 from acquire.recording.link_session import LinkSession, link_sessions
-from acquire.recording.reader import Arrival, read_link
+from acquire.recording.reader import Inbox, left_behind, start_readers
 from acquire.transports.of_link import source_of_link
 from acquire.transports.sources import Source
 from drivers.errors import InputNotFoundError
 from drivers.gnsstime import expiry_warning
 from drivers.mavlink.dialect import ardupilotmega
+from drivers.scan import compile_search
 
 CHUNK_BYTES = 1 << 20
+# How much of a link is framed before it is the turn of the next.
+BUDGET_BYTES = 1 << 17
 GATHER_S = 0.02
+# How long a stop may wait for ports that hang, and for what waits for being framed.
+_PATIENCE_S = 0.8
 _LOOK_AT_DISK_EVERY_S = 5.0
 _MB = 1_000_000
 
@@ -123,28 +126,21 @@ def record(
         tell(f"{path} has no end: if it is of this flight, name both in [flight] logs of the project")
     if warning := expiry_warning(host.clock_ns()):
         tell(f"warning: {warning}")
+    compile_search()
     sessions = link_sessions(configuration, files, opened, positions, dialect)
     flight = _Flight(configuration, files, sessions, host, tell)
-    arrivals: SimpleQueue[Arrival] = SimpleQueue()
-    readers = [
-        threading.Thread(target=read_link, args=(name, source, arrivals, stop, host.clock_ns), daemon=True)
-        for name, source in opened.items()
-    ]
-    for reader in readers:
-        reader.start()
+    inboxes, readers = start_readers(opened, stop, host.clock_ns)
     try:
         while not stop.is_set():
             # Many small arrivals are framed together: that is what makes high rates cheap.
-            stop.wait(GATHER_S)
-            flight.step(_waiting(arrivals))
-        for reader in readers:
-            reader.join()
+            stop.wait(0.0 if flight.step(inboxes) else GATHER_S)
+        for name in left_behind(readers, _PATIENCE_S / 2):
+            tell(f"{name} hangs and was left behind")
         # What arrived between the order to stop and the end of the readers belongs to the flight, too.
-        flight.close(_waiting(arrivals))
+        flight.close(inboxes, _PATIENCE_S)
     finally:
         stop.set()
-        for reader in readers:
-            reader.join()
+        left_behind(readers, _PATIENCE_S / 2)
     tallies = {name: session.log.tally for name, session in flight.sessions.items()}
     return Recorded(tuple(files.paths), tallies, tuple(flight.alarms))
 
@@ -182,40 +178,64 @@ class _Flight:
         self._tell = tell
         now = host.steady_s()
         self._clock = ClockWatch()
+        self._flood = FloodWatch()
         self._silence = SilenceWatch({link.name: link.silent_s for link in configuration.link}, now)
         self._safe_at = now + self._recording.flush_s
         self._disk_at = now
         self._disk_told = False
 
-    def step(self, arrivals: list[Arrival]) -> None:
-        """Take arrivals and do what is due."""
+    def step(self, inboxes: dict[str, Inbox]) -> bool:
+        """Take of each link what the budget allows and do what is due; tell whether something is left."""
         now = self._host.steady_s()
-        self._take(arrivals, now)
+        self._take(inboxes, now)
         clock_ns = self._host.clock_ns()
-        self._raise([*self._jump(), *self._silence.look(now, clock_ns), *self._disk(now)])
+        self._raise(
+            [
+                *self._jump(),
+                *self._silence.look(now, clock_ns),
+                *self._disk(now),
+                *self._flood.look(inboxes, now, clock_ns),
+            ]
+        )
         if self._files.open_bytes > CHUNK_BYTES:
             self._report(self._files.end_chunk())
         if now >= self._safe_at:
             self._safe_at = now + self._recording.flush_s
+            self._keep(inboxes)
             self._report(self._files.make_safe())
+        return any(map(len, inboxes.values()))
 
-    def close(self, arrivals: list[Arrival]) -> None:
-        """Take the last arrivals and close the files."""
-        self._take(arrivals, self._host.steady_s())
-        for session in self.sessions.values():
-            session.close()
+    def close(self, inboxes: dict[str, Inbox], patience_s: float) -> None:
+        """Take the last arrivals, as long as there is time, and close the files."""
+        until = time.monotonic() + patience_s
+        while any(map(len, inboxes.values())) and time.monotonic() < until:
+            self._take(inboxes, self._host.steady_s())
+        self._raise(self._flood.end(inboxes, self._host.clock_ns()))
+        for name, session in self.sessions.items():
+            if len(inboxes[name]):
+                text = "not all of it was framed before the end: acquire recover frames the rest"
+                self._raise([Alarm("flood", name, text, self._host.clock_ns())])
+            else:
+                session.close()
+        self._keep(inboxes)
         self._report(self._files.close(), final=True)
 
-    def _take(self, arrivals: list[Arrival], now: float) -> None:
-        by_link: dict[str, list[Arrival]] = {}
-        for arrival in arrivals:
-            if arrival.event:
-                self._raise([Alarm(arrival.kind, arrival.link, arrival.event, arrival.time_ns)])
-            else:
-                by_link.setdefault(arrival.link, []).append(arrival)
+    def _keep(self, inboxes: dict[str, Inbox]) -> None:
+        """Write what waits for being framed as it is, in a chunk of its own."""
+        waiting = {name: inbox.unsaved() for name, inbox in inboxes.items()}
+        if any(waiting.values()):
+            self._report(self._files.end_chunk())
+            for name, arrivals in waiting.items():
+                self.sessions[name].keep(arrivals)
+            self._report(self._files.end_chunk())
+
+    def _take(self, inboxes: dict[str, Inbox], now: float) -> None:
         clock_ns = self._host.clock_ns()
         for name, session in self.sessions.items():
-            batch = session.take(by_link[name]) if name in by_link else None
+            arrivals = inboxes[name].take(BUDGET_BYTES)
+            self._raise([Alarm(a.kind, a.link, a.event, a.time_ns) for a in arrivals if a.event])
+            taken = [arrival for arrival in arrivals if arrival.data]
+            batch = session.take(taken) if taken else None
             if batch is not None and len(batch):
                 self._raise(self._silence.hear(name, now, clock_ns))
                 self._raise(session.forward(batch, clock_ns))
@@ -266,12 +286,4 @@ def _attachments(configuration: Configuration, base: Path) -> list[tuple[str, by
             raise InputNotFoundError(
                 f"cannot be attached ({reason})", where=base / path, remedy="check the name in [site]"
             ) from refusal
-    return found
-
-
-def _waiting(arrivals: SimpleQueue[Arrival]) -> list[Arrival]:
-    found: list[Arrival] = []
-    with contextlib.suppress(Empty):
-        while True:
-            found.append(arrivals.get_nowait())
     return found

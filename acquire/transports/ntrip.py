@@ -6,18 +6,25 @@ Source: RTCM 10410.1, Networked Transport of RTCM via Internet Protocol, version
 from __future__ import annotations
 
 import base64
+import re
 import socket
 import ssl
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 from urllib.parse import urlsplit
 
-from acquire.transports.sources import PIECE_BYTES, LinkLostError
+from acquire.transports.sources import PIECE_BYTES, LinkLostError, Patience, connect
 from drivers.errors import ConfigurationError
+
+Result = TypeVar("Result")
 
 _AGENT = "NTRIP photocal"
 _LONGEST_HEAD = 1 << 16
 _CONNECT_S = 10.0
+_LONGEST_CHUNK_LINE = 64
+_CHUNK_SIZE = re.compile(rb"([0-9A-Fa-f]{1,8})[ \t]*(?:;.*)?")
 
 
 @dataclass(frozen=True)
@@ -74,7 +81,7 @@ class NtripSource:
         known. Version 2 takes it in the request (``Ntrip-GGA``), version 1 as the first line after that.
     """
 
-    peer = ""
+    peer, datagrams, missed = "", False, 0
 
     def __init__(
         self,
@@ -92,26 +99,28 @@ class NtripSource:
         self._body: _Plain | _Chunked = _Plain()
         self._ready = b""
 
-    def open(self) -> None:
+    def open(self, stop: threading.Event) -> None:
         """Connect and ask for the stream."""
         address = self._address
+        patience = Patience(stop, _CONNECT_S)
+        line = connect(address.host, address.port, patience)
         try:
-            line = socket.create_connection((address.host, address.port), timeout=_CONNECT_S)
-            try:
-                if address.encrypted:
-                    context = self._context or ssl.create_default_context()
-                    line = context.wrap_socket(line, server_hostname=address.host)
-                sentence = self._position()
-                line.sendall(self._request(sentence))
-                head, rest = _head(line)
-                self._body = _body_of(head)
-                if address.version == 1 and sentence:
-                    line.sendall(sentence)
-            except BaseException:
-                line.close()
-                raise
-        except OSError as failure:
+            if address.encrypted:
+                context = self._context or ssl.create_default_context()
+                line = context.wrap_socket(line, server_hostname=address.host, do_handshake_on_connect=False)
+                _patiently(line, line.do_handshake, patience)
+            sentence = self._position()
+            line.sendall(self._request(sentence))
+            head, rest = _head(line, patience)
+            self._body = _body_of(head)
+            if address.version == 1 and sentence:
+                line.sendall(sentence)
+        except (OSError, ValueError) as failure:
+            line.close()
             raise LinkLostError(f"{address.host}: {failure}") from failure
+        except BaseException:
+            line.close()
+            raise
         self._port = line
         self._ready = self._body.take(rest)
 
@@ -177,30 +186,40 @@ class _Chunked:
         self.ended = False
 
     def take(self, data: bytes) -> bytes:
-        self._pending += data
-        out = b""
-        while self._pending and not self.ended:
+        data = self._pending + data
+        at, out = 0, []
+        while at < len(data) and not self.ended:
             if self._left > 2:
-                piece = self._pending[: self._left - 2]
-                self._pending = self._pending[len(piece) :]
-                self._left -= len(piece)
-                out += piece
+                out.append(data[at : at + self._left - 2])
+                at, self._left = at + len(out[-1]), self._left - len(out[-1])
             elif self._left:
-                skipped = min(self._left, len(self._pending))
-                self._pending, self._left = self._pending[skipped:], self._left - skipped
+                skipped = min(self._left, len(data) - at)
+                at, self._left = at + skipped, self._left - skipped
             else:
-                line, found, rest = self._pending.partition(b"\r\n")
-                if not found and len(line) < 64:
+                end = data.find(b"\r\n", at, at + _LONGEST_CHUNK_LINE)
+                if end < 0 and len(data) - at < _LONGEST_CHUNK_LINE:
                     break
-                try:
-                    size = int(line.split(b";")[0], 16)
-                except ValueError:
-                    raise LinkLostError("the caster's answer is damaged") from None
-                self._pending, self._left, self.ended = rest, size + 2, size == 0
-        return out
+                size = _CHUNK_SIZE.fullmatch(data, at, max(end, at))
+                if size is None:
+                    raise LinkLostError("the caster's answer is damaged")
+                at, self._left = end + 2, int(size[1], 16) + 2
+                self.ended = self._left == 2
+        self._pending = data[at:]
+        return b"".join(out)
 
 
-def _head(line: socket.socket) -> tuple[bytes, bytes]:
+def _patiently(line: socket.socket, action: Callable[[], Result], patience: Patience) -> Result:
+    """Do what a socket without blocking may refuse for now."""
+    while True:
+        try:
+            return action()
+        except ssl.SSLWantWriteError:
+            patience.wait(line, writing=True)
+        except (ssl.SSLWantReadError, BlockingIOError):
+            patience.wait(line)
+
+
+def _head(line: socket.socket, patience: Patience) -> tuple[bytes, bytes]:
     data = b""
     while True:
         # A caster of version 1 ends its head with one line, or with an empty one after it.
@@ -212,7 +231,7 @@ def _head(line: socket.socket) -> tuple[bytes, bytes]:
             return head, rest
         if first.startswith(b"ERROR") and b"\n" in data:
             return first, b""
-        piece = line.recv(PIECE_BYTES)
+        piece = _patiently(line, lambda: line.recv(PIECE_BYTES), patience)
         if not piece or len(data) > _LONGEST_HEAD:
             raise LinkLostError("the caster does not answer as a caster does")
         data += piece

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import select
 import socket
+import struct
+import sys
+import threading
+import time
 from pathlib import Path
 from typing import Any, Protocol
 from urllib.parse import urlsplit
@@ -11,6 +17,9 @@ from drivers.errors import ConfigurationError
 
 PIECE_BYTES = 65536
 _WRITE_LIMIT_S = 0.5
+_CONNECT_S = 5.0
+# Linux counts the datagrams of a socket that it threw away (socket(7), SO_RXQ_OVFL).
+_COUNT_OVERFLOW = 40
 _SERIAL = ("serial", "socket", "loop", "rfc2217")
 
 
@@ -26,8 +35,18 @@ class Source(Protocol):
         """Who sent last, where that can change; otherwise empty."""
         ...
 
-    def open(self) -> None:
-        """Open the port; raises `LinkLostError` when that is not possible now."""
+    @property
+    def datagrams(self) -> bool:
+        """Whether what is not read is lost; otherwise its sender waits."""
+        ...
+
+    @property
+    def missed(self) -> int:
+        """Number of datagrams that the system threw away before they could be read."""
+        ...
+
+    def open(self, stop: threading.Event, /) -> None:
+        """Open the port; raises `LinkLostError` when that is not possible now, or `stop` is set."""
         ...
 
     def read(self, timeout_s: float) -> bytes:
@@ -43,6 +62,45 @@ class Source(Protocol):
         ...
 
 
+class Patience:
+    """How long an opening may take: so many seconds, and until somebody stops it."""
+
+    def __init__(self, stop: threading.Event, seconds: float) -> None:
+        self._stop = stop
+        self._until = time.monotonic() + seconds
+        self._seconds = seconds
+
+    def wait(self, port: socket.socket, *, writing: bool = False) -> None:
+        """Wait until a socket can be read or written; raises `LinkLostError` when the time is over."""
+        while not self._stop.is_set() and time.monotonic() < self._until:
+            if any(select.select([] if writing else [port], [port] if writing else [], [], 0.1)):
+                return
+        raise LinkLostError(f"no answer within {self._seconds:g} s")
+
+
+def connect(host: str, port: int, patience: Patience) -> socket.socket:
+    """Return a connection that does not block."""
+    try:
+        addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    except (OSError, UnicodeError) as failure:
+        raise LinkLostError(f"{host}: {failure}") from failure
+    reason = "has no address"
+    for family, kind, protocol, _, address in addresses:
+        line = socket.socket(family, kind, protocol)
+        try:
+            line.setblocking(False)
+            if line.connect_ex(address):
+                patience.wait(line, writing=True)
+            code = line.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+            if not code:
+                return line
+            reason = os.strerror(code)
+        except (OSError, LinkLostError) as failure:
+            reason = str(failure)
+        line.close()
+    raise LinkLostError(f"{host}: {reason}")
+
+
 class UdpSource:
     """Datagrams that arrive at a local address; answers go to whoever sent last.
 
@@ -54,19 +112,24 @@ class UdpSource:
         The local address.
     """
 
+    datagrams = True
+
     def __init__(self, host: str, port: int) -> None:
         self._address = host, port
         self._port: socket.socket | None = None
         self._sender: Any = None
+        self.missed = 0
 
-    def open(self) -> None:
+    def open(self, _stop: threading.Event) -> None:
         """Bind the local address."""
         port = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             # Room for a second of a fast link while the disk is busy.
             port.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+            if sys.platform == "linux":
+                port.setsockopt(socket.SOL_SOCKET, _COUNT_OVERFLOW, 1)
             port.bind(self._address)
-        except OSError as failure:
+        except (OSError, UnicodeError, OverflowError) as failure:
             port.close()
             raise LinkLostError(str(failure)) from failure
         self._port = port
@@ -76,11 +139,17 @@ class UdpSource:
         port = self._opened()
         port.settimeout(timeout_s)
         try:
-            data, self._sender = port.recvfrom(PIECE_BYTES)
+            if sys.platform != "linux":
+                data, self._sender = port.recvfrom(PIECE_BYTES)
+                return data
+            data, notes, _, self._sender = port.recvmsg(PIECE_BYTES, socket.CMSG_SPACE(4))
         except TimeoutError:
             return b""
         except OSError as failure:
             raise LinkLostError(str(failure)) from failure
+        for _, kind, note in notes:
+            if kind == _COUNT_OVERFLOW:
+                (self.missed,) = struct.unpack("I", note)
         return data
 
     def write(self, data: bytes) -> None:
@@ -122,18 +191,15 @@ class TcpSource:
         The server.
     """
 
-    peer = ""
+    peer, datagrams, missed = "", False, 0
 
     def __init__(self, host: str, port: int) -> None:
         self._address = host, port
         self._port: socket.socket | None = None
 
-    def open(self) -> None:
+    def open(self, stop: threading.Event) -> None:
         """Connect."""
-        try:
-            self._port = socket.create_connection(self._address, timeout=5)
-        except OSError as failure:
-            raise LinkLostError(str(failure)) from failure
+        self._port = connect(*self._address, Patience(stop, _CONNECT_S))
 
     def read(self, timeout_s: float) -> bytes:
         """Return what has arrived."""
@@ -177,25 +243,29 @@ class SerialSource:
         Speed of the line.
     """
 
-    peer = ""
+    peer, datagrams, missed = "", False, 0
 
     def __init__(self, url: str, baud: int) -> None:
         self._url = url
         self._baud = baud
         self._port: Any = None
 
-    def open(self) -> None:
-        """Open the port for us alone."""
+    def open(self, _stop: threading.Event) -> None:
+        """Open the port for us alone: of two readers each would get a part of the bytes."""
         import serial
 
         # pySerial knows no time limit of writing to a port behind RFC 2217.
         limit_s = None if self._url.startswith("rfc2217:") else _WRITE_LIMIT_S
+        alone: Any = {} if "://" in self._url else {"exclusive": True}
         try:
             self._port = serial.serial_for_url(
-                self._url, baudrate=self._baud, timeout=0.1, write_timeout=limit_s
+                self._url, baudrate=self._baud, timeout=0.1, write_timeout=limit_s, **alone
             )
-        except (OSError, ValueError) as failure:
+        except (OSError, ValueError, UnicodeError) as failure:
             raise LinkLostError(str(failure)) from failure
+        line = getattr(self._port, "_socket", None)
+        if limit_s is None and line is not None:
+            line.settimeout(_WRITE_LIMIT_S)
 
     def read(self, timeout_s: float) -> bytes:
         """Return what has arrived."""
@@ -235,13 +305,13 @@ class FileSource:
         The file.
     """
 
-    peer = ""
+    peer, datagrams, missed = "", False, 0
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._stream: Any = None
 
-    def open(self) -> None:
+    def open(self, _stop: threading.Event) -> None:
         """Open the file, the first time only."""
         try:
             self._stream = self._stream or self._path.open("rb")
@@ -250,8 +320,6 @@ class FileSource:
 
     def read(self, timeout_s: float) -> bytes:
         """Return the next bytes."""
-        import time
-
         data = bytes(self._stream.read(PIECE_BYTES))
         if not data:
             time.sleep(timeout_s)

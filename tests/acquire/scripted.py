@@ -21,11 +21,11 @@ class Script:
     """The twin of a port: gives what it is told to give, and keeps what was written."""
 
     def __init__(self, pieces: list[bytes | str]) -> None:
-        self.peer = ""
+        self.peer, self.datagrams, self.missed = "", False, 0
         self.written: list[bytes] = []
         self._pieces = pieces
 
-    def open(self) -> None:
+    def open(self, _stop: threading.Event) -> None:
         pass
 
     def read(self, timeout_s: float) -> bytes:
@@ -39,6 +39,11 @@ class Script:
             raise LinkLostError("unplugged")
         self.peer = piece
         return b""
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether all was given."""
+        return not self._pieces
 
     def write(self, data: bytes) -> None:
         self.written.append(data)

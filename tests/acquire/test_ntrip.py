@@ -72,7 +72,7 @@ def caster(
 
 
 def read_all(source: NtripSource) -> bytes:
-    source.open()
+    source.open(threading.Event())
     data = b""
     with contextlib.suppress(LinkLostError):
         while len(data) < len(STREAM):
@@ -161,7 +161,7 @@ def test_without_a_position_nothing_is_told() -> None:
 )
 def test_refusals_are_told_without_the_password(answer: bytes, words: str) -> None:
     with caster(lambda _: [answer]) as (port, _), pytest.raises(LinkLostError) as failure:
-        source(port).open()
+        source(port).open(threading.Event())
     assert words in str(failure.value)
     assert "hunter2" not in str(failure.value)
     assert LOGIN.split()[1] not in str(failure.value)
@@ -187,7 +187,7 @@ def test_tls_is_verified(tmp_path: Path) -> None:
         caster(lambda _: [b""], server) as (port, requests),
         pytest.raises(LinkLostError, match="certificate"),
     ):
-        source(port, 2, "ntrips").open()
+        source(port, 2, "ntrips").open(threading.Event())
     assert not requests
 
 

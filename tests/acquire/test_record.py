@@ -14,16 +14,15 @@ import tty
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from queue import SimpleQueue
 
 import pytest
 from mcap.reader import make_reader
 
 from acquire.log.recovery import recover
-from acquire.recording.reader import Arrival, read_link
+from acquire.recording.reader import Arrival, Inbox, read_link
 from acquire.transports.sources import LinkLostError
 from drivers.ubx import wire as ubx
-from tests.acquire.live import PATIENCE_S, Recorder, await_frame, frames_in, free_port, is_bound, until
+from tests.acquire.live import Recorder, await_frame, frames_in, free_port, is_bound, until
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]
 Start = Callable[..., Recorder]
@@ -174,13 +173,13 @@ def test_a_file_that_cannot_grow_is_followed_by_the_next_and_nothing_is_lost(
 class FlakySource:
     """The twin of a port that vanishes and returns."""
 
-    peer = ""
+    peer, datagrams, missed = "", False, 0
 
     def __init__(self, script: list[bytes | None]) -> None:
         self._script = script
         self.opened = 0
 
-    def open(self) -> None:
+    def open(self, _stop: threading.Event) -> None:
         self.opened += 1
         if self.opened % 2 == 0:
             raise LinkLostError("no such port")
@@ -203,13 +202,16 @@ class FlakySource:
 
 def test_a_port_that_vanishes_and_returns_is_opened_again() -> None:
     source = FlakySource([b"one", None, b"two", None, b"three"])
-    arrivals: SimpleQueue[Arrival] = SimpleQueue()
-    stop = threading.Event()
-    thread = threading.Thread(target=read_link, args=("rover", source, arrivals, stop, time.time_ns))
+    inbox, stop = Inbox("rover", time.time_ns), threading.Event()
+    thread = threading.Thread(target=read_link, args=(source, inbox, stop))
     thread.start()
     seen: list[Arrival] = []
-    while b"three" not in [a.data for a in seen]:
-        seen.append(arrivals.get(timeout=PATIENCE_S))
+
+    def three() -> bool:
+        seen.extend(inbox.take(1 << 20))
+        return b"three" in [a.data for a in seen]
+
+    until(three, "the third piece")
     stop.set()
     thread.join()
     assert [a.data for a in seen if a.data] == [b"one", b"two", b"three"]
@@ -219,8 +221,7 @@ def test_a_port_that_vanishes_and_returns_is_opened_again() -> None:
 
 def test_what_has_arrived_before_the_stop_is_taken() -> None:
     pieces = [bytes([number]) for number in range(50)]
-    arrivals: SimpleQueue[Arrival] = SimpleQueue()
-    stop = threading.Event()
+    inbox, stop = Inbox("rover", time.time_ns), threading.Event()
 
     class Full(FlakySource):
         """Told to stop while it still holds something."""
@@ -229,8 +230,8 @@ def test_what_has_arrived_before_the_stop_is_taken() -> None:
             stop.set()
             return super().read(timeout_s)
 
-    read_link("rover", Full(list(pieces)), arrivals, stop, time.time_ns)
-    assert [arrivals.get_nowait().data for _ in pieces] == pieces
+    read_link(Full(list(pieces)), inbox, stop)
+    assert [arrival.data for arrival in inbox.take(1 << 20)] == pieces
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ FIRST, SECOND, ANSWER = b"from the device\r\n", b"\x00\xff\xfe once more", b"\xf
 @contextlib.contextmanager
 def opened(url: str) -> Iterator[Source]:
     source = source_of(url, 57_600)
-    source.open()
+    source.open(threading.Event())
     try:
         yield source
     finally:
@@ -84,14 +84,14 @@ def test_a_stream_of_a_server(scheme: str, server: Server) -> None:
         with pytest.raises(LinkLostError):
             until(lambda: source.read(0.05) and False, "the end of the stream")
         source.close()
-        source.open()
+        source.open(threading.Event())
         server.accept().sendall(SECOND)
         assert heard(source, len(SECOND)) == SECOND
 
 
 def test_datagrams_of_a_sender_that_moves() -> None:
     source = UdpSource("127.0.0.1", 0)
-    source.open()
+    source.open(threading.Event())
     there = "127.0.0.1", source.local_port
     assert source.read(0.01) == b""
     source.write(ANSWER)  # to nobody yet
@@ -191,7 +191,7 @@ def test_a_file_is_read_once(tmp_path: Path) -> None:
         source.write(ANSWER)
         assert heard(source, len(FIRST)) == FIRST
         assert source.read(0.001) == b""
-        source.open()
+        source.open(threading.Event())
         assert source.read(0.001) == b""
     assert path.read_bytes() == FIRST
 
@@ -207,7 +207,7 @@ def test_a_file_is_read_once(tmp_path: Path) -> None:
 )
 def test_what_is_not_there_is_a_lost_link(make: Callable[[], Source]) -> None:
     with pytest.raises(LinkLostError):
-        make().open()
+        make().open(threading.Event())
 
 
 @pytest.mark.parametrize(

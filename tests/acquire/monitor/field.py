@@ -29,13 +29,13 @@ class Line:
     """The twin of a port: gives what was put on it."""
 
     def __init__(self) -> None:
-        self.peer = ""
+        self.peer, self.datagrams, self.missed = "", False, 0
         self._pieces: Queue[bytes] = Queue()
 
     def put(self, data: bytes) -> None:
         self._pieces.put(data)
 
-    def open(self) -> None:
+    def open(self, _stop: threading.Event) -> None:
         pass
 
     def read(self, timeout_s: float) -> bytes:

@@ -1,0 +1,71 @@
+"""Ports and servers that hang: what a recorder must be able to leave behind."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+
+
+class HangingServer:
+    """A server that gives one byte in 50 ms and never comes to an end.
+
+    Parameters
+    ----------
+    head : bytes
+        What it gives, after that always the same byte; when it is empty it gives nothing.
+    """
+
+    def __init__(self, head: bytes) -> None:
+        self._head = head
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self._server.settimeout(0.1)
+        self.port = int(self._server.getsockname()[1])
+        self._ended = threading.Event()
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def end(self) -> None:
+        """Close the server and its connections."""
+        self._ended.set()
+
+    def _serve(self) -> None:
+        with self._server:
+            while not self._ended.is_set():
+                with contextlib.suppress(TimeoutError):
+                    connection, _ = self._server.accept()
+                    threading.Thread(target=self._drip, args=(connection,), daemon=True).start()
+
+    def _drip(self, connection: socket.socket) -> None:
+        given = 0
+        with connection, contextlib.suppress(OSError):
+            while not self._ended.wait(0.05):
+                if self._head:
+                    connection.send(self._head[given : given + 1] or self._head[-1:])
+                    given += 1
+
+
+class DeadPort:
+    """A port whose driver does not come back for seconds."""
+
+    peer, datagrams, missed = "", False, 0
+
+    def open(self, _stop: threading.Event) -> None:
+        pass
+
+    def read(self, _timeout_s: float) -> bytes:
+        time.sleep(5)
+        return b""
+
+    def write(self, data: bytes) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+class FailingPort(DeadPort):
+    """A port that fails in a way that nobody thought of, with words that would steer a terminal."""
+
+    def read(self, _timeout_s: float) -> bytes:
+        raise UnicodeError("label empty or too long\x1b]0;owned\x07")
