@@ -245,7 +245,7 @@ def main() -> None:
         "",
         f"{stops} recordings, {AT_ONCE} at a time, each with seven ports: casters that send nothing or one",
         "byte of their head or body in 50 ms, also in the middle of TLS, an address that does not answer,",
-        "a port whose driver does not come back, one that fails in unforeseen ways. Stopped after up to one second.",
+        "a port whose driver does not come back, one that fails in unforeseen ways. Stopped within a second.",
         "",
         "| | |",
         "|---|---|",
