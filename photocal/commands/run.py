@@ -16,6 +16,9 @@ def run(
     again: Annotated[
         str | None, typer.Option(help="Stage to be made again although nothing has changed.")
     ] = None,
+    rehash: Annotated[
+        bool, typer.Option("--rehash", help="Read all files again, whatever their size and times say.")
+    ] = False,
     workers: Annotated[int, typer.Option(min=1, help="Projects at a time.")] = 1,
     cluster: Annotated[
         str | None, typer.Option(help="Dask scheduler that runs the projects: tcp://HOST:PORT.")
@@ -26,8 +29,9 @@ def run(
 
     Without a flight log the pictures and their control points, positions, or neither, take its place.
 
-    Each stage has its folder in the project's work folder and is kept while nothing that it depends on
-    changes. The project file is described in docs/project-file.md.
+    Each stage has its folder in the project's work folder and is kept while neither its inputs nor the code
+    that it runs change. Files of yours in these folders stay, and are named. The project file is described in
+    docs/project-file.md.
 
     Example: `photocal run PROJECT.toml`
     """
@@ -37,7 +41,7 @@ def run(
     from photocal.run.summary import summary_text
 
     day = dt.datetime.now().astimezone().date()
-    figures = run_projects(projects, day, progress, until, again, workers, cluster)
+    figures = run_projects(projects, day, progress, until, again, rehash, workers, cluster)
     answer(
         as_json,
         lambda: figures[0] if len(projects) == 1 else figures,

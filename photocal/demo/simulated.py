@@ -121,4 +121,4 @@ def process(project: Path) -> str:
     from photocal.run.summary import summary_text
 
     day = dt.datetime.now().astimezone().date()
-    return summary_text(run_one(project, day, None, None, progress))
+    return summary_text(run_one(project, day, progress=progress))

@@ -13,7 +13,7 @@ from photocal.report.run import InputFile, Result
 
 # Where a certificate carries them.
 CARRIED = "inputs"
-# Folders below the current one that are looked into: `configs/demo/NAME` is three deep.
+# Folders below the current one that are looked into: `practice/site/work` is three deep.
 DEPTH = 3
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from photocal.run.stage import RECORD, Progress, Stage
+from photocal.run.folders import RECORD
+from photocal.run.stage import Progress, Stage
 
 
 def calibration_stage(block: Path) -> Stage:

@@ -12,12 +12,12 @@ from typing import Any
 
 from drivers.errors import ConfigurationError, PhotocalError
 from photocal.project import read_project
-from photocal.run.stage import Made, Progress
+from photocal.run.stage import Progress, StageResult
 from photocal.run.summary import summary
 from photocal.run.warnings import gather
 from photocal.run.workflow import run_project
 
-Task = tuple[Path, dt.date, str | None, str | None]
+Task = tuple[Path, dt.date, str | None, str | None, bool]
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,7 @@ def run_projects(
     progress: Progress,
     until: str | None = None,
     again: str | None = None,
+    rehash: bool = False,
     workers: int = 1,
     cluster: str | None = None,
 ) -> list[dict[str, Any]]:
@@ -56,7 +57,7 @@ def run_projects(
         Of certificates that are made now.
     progress : callable
         Shows what goes on, where it goes on here.
-    until, again : str, optional
+    until, again, rehash
         As in `workflow.run_project`.
     workers : int
         Processes.
@@ -80,7 +81,7 @@ def run_projects(
             raise ConfigurationError(
                 "two projects have the same output", where=paths[k], remedy="give each its own folder"
             )
-    tasks: list[Task] = [(path.resolve(), day, until, again) for path in paths]
+    tasks: list[Task] = [(path.resolve(), day, until, again, rehash) for path in paths]
     if cluster is None and (workers == 1 or len(tasks) == 1):
         outcomes = [_outcome(task, progress, _say) for task in tasks]
     else:
@@ -128,6 +129,7 @@ def run_one(
     day: dt.date,
     until: str | None = None,
     again: str | None = None,
+    rehash: bool = False,
     progress: Progress = quiet,
     say: Callable[[str], None] = _say,
 ) -> dict[str, Any]:
@@ -137,7 +139,7 @@ def run_one(
     ----------
     path : Path
         Project file.
-    day, until, again, progress
+    day, until, again, rehash, progress
         As in `workflow.run_project`.
     say : callable
         Is told of each stage that is done and, when the run fails, of what was found doubtful.
@@ -153,14 +155,16 @@ def run_one(
         As `workflow.run_project` does.
     """
     project = read_project(path)
-    made: list[Made] = []
+    made: list[StageResult] = []
 
-    def told(one: Made) -> None:
+    def told(one: StageResult) -> None:
         made.append(one)
         say(f"{project.name}: {one.name}: " + ("kept" if one.kept else f"{one.seconds:.1f} s"))
+        for line in one.foreign:
+            say(f"{project.name}: {one.name}: {line}")
 
     try:
-        run_project(project, day, progress, until, again, told)
+        run_project(project, day, progress, until, again, rehash, told)
     except PhotocalError:
         # What other stages found doubtful is often why one cannot go on.
         for warning in gather(project.output, {one.name for one in made}):

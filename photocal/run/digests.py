@@ -1,4 +1,4 @@
-"""Digests of files, remembered by size and time of change, so that a hundred gigabytes are read once."""
+"""Digests of files: content decides; those of large files are remembered, so that they are read once."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from pathlib import Path
 
 from acquire.outputs import output_file
 
-# A file that changes twice within the clock's step keeps its time: so young ones are not remembered.
+# Smaller files are read each time: nothing deceives that, and it takes no time.
+_SMALL_BYTES = 1 << 22
+# A file that changes twice within the clock's step keeps its times: so young ones are not remembered.
 _YOUNG_NS = 2_000_000_000
 
 
@@ -20,30 +22,32 @@ class Digests:
     ----------
     memory : Path
         File in which digests are kept between runs; without meaning for any result.
+    again : bool
+        Whether every file is read, whatever is remembered.
     """
 
-    def __init__(self, memory: Path) -> None:
+    def __init__(self, memory: Path, *, again: bool = False) -> None:
         self._memory = memory
         try:
-            known = json.loads(memory.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+            known = {} if again else json.loads(memory.read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError):
             known = {}
         self._known: dict[str, list[str | int]] = known if isinstance(known, dict) else {}
 
     def of_file(self, path: Path) -> str:
         """Give the digest of a file."""
         state = path.stat()
+        large = state.st_size > _SMALL_BYTES
         name = str(path.resolve())
-        match self._known.get(name):
-            case [int(size), int(changed), str(digest)] if (size, changed) == (
-                state.st_size,
-                state.st_mtime_ns,
-            ):
+        # The time of the change of its entry cannot be set back by those who set back that of its content.
+        hint = [state.st_size, state.st_mtime_ns, state.st_ctime_ns, state.st_ino]
+        match self._known.get(name) if large else None:
+            case [*remembered, str(digest)] if remembered == hint:
                 return digest
         with path.open("rb") as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
-        if time.time_ns() - state.st_mtime_ns > _YOUNG_NS:
-            self._known[name] = [state.st_size, state.st_mtime_ns, digest]
+        if large and time.time_ns() - max(state.st_mtime_ns, state.st_ctime_ns) > _YOUNG_NS:
+            self._known[name] = [*hint, digest]
         return digest
 
     def of_folder(self, folder: Path, leave_out: str = "") -> dict[str, str]:

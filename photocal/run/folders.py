@@ -1,16 +1,23 @@
-"""Folders that are replaced as a whole, and one run at a time in a work folder."""
+"""Folders of stages: replaced as a whole, published beside what others put there; one run at a time."""
 
 from __future__ import annotations
 
+import hashlib
+import itertools
+import json
+import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from contextlib import contextmanager, suppress
+from pathlib import Path, PurePosixPath
 
 from acquire.operating_system import lock as take
+from acquire.outputs import output_file
 from drivers.errors import OutputError
 
+# What a stage was made from and what it wrote.
+RECORD = "stage.json"
 _ASIDE, _OLD = ".partial", ".old.partial"
 
 
@@ -43,6 +50,99 @@ def sweep(folder: Path) -> None:
     """
     for left in folder.parent.glob(f".{folder.name}.*{_ASIDE}"):
         shutil.rmtree(left, ignore_errors=True)
+
+
+def publish(made: Path, public: Path, record: Path) -> tuple[str, ...]:
+    """Bring the public copy of a stage's files up to date; what the stages have not written stays.
+
+    Parameters
+    ----------
+    made : Path
+        Folder with nothing but the files of the stage.
+    public : Path
+        Where people find them, and put files of their own beside them.
+    record : Path
+        File that remembers what was published.
+
+    Returns
+    -------
+    tuple of str
+        What is not of the stage, one phrase each.
+    """
+    new = {path.relative_to(made).as_posix(): _digest(path) for path in _files(made) if path != made / RECORD}
+    owned = _published(record)
+    with _refusals(public):
+        # A run that is killed from here on knows both its old and its new files.
+        both = {name: owned.get(name, []) for name in owned.keys() | new.keys()}
+        _remember(record, {name: [*old, new[name]] if name in new else old for name, old in both.items()})
+        said = _set_aside(public) if public.is_symlink() or (public.exists() and not public.is_dir()) else []
+        for name in owned.keys() - new.keys():
+            if _digest(public / name) in owned[name]:
+                (public / name).unlink()
+                with suppress(OSError):
+                    (public / name).parent.rmdir()
+        for name, digest in new.items():
+            own = (digest, *owned.get(name, ()))
+            said += _place(made / name, public, name, own, record.with_suffix(".partial"))
+        _remember(record, {name: [digest] for name, digest in new.items()})
+        foreign = (path.relative_to(public).as_posix() for path in _files(public))
+        return (*said, *(f"{name} is not of this run and stays" for name in foreign if name not in new))
+
+
+def _place(source: Path, public: Path, name: str, own: tuple[str, ...], aside: Path) -> list[str]:
+    """Put a file in its place, unless it is there; what stands there and is not ours is renamed."""
+    place, said = public / name, []
+    for parent in reversed(PurePosixPath(name).parents[:-1]):
+        if (public / parent).is_symlink() or (public / parent).is_file():
+            said += _set_aside(public / parent)
+    there = _digest(place)
+    if there == own[0]:
+        return said
+    if os.path.lexists(place) and there not in own:
+        said += _set_aside(place)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    aside.unlink(missing_ok=True)
+    try:
+        os.link(source, aside)
+    except OSError:
+        shutil.copyfile(source, aside)
+    aside.replace(place)
+    return said
+
+
+def _set_aside(path: Path) -> list[str]:
+    kept = next(
+        free
+        for k in itertools.count(1)
+        if not os.path.lexists(free := path.with_name(f"{path.stem}.kept-{k}{path.suffix}"))
+    )
+    path.rename(kept)
+    return [f"{path.name} was not as this run had written it and is kept as {kept.name}"]
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir())
+
+
+def _digest(path: Path) -> str:
+    """Digest of a regular file; nothing for all else."""
+    if path.is_symlink() or not path.is_file():
+        return ""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _published(record: Path) -> dict[str, list[str]]:
+    try:
+        content = json.loads(record.read_text(encoding="utf-8"))
+        return {str(name): [str(digest) for digest in digests] for name, digests in content.items()}
+    except (OSError, ValueError, AttributeError, TypeError, RecursionError):
+        return {}
+
+
+def _remember(record: Path, content: dict[str, list[str]]) -> None:
+    with output_file(record) as aside:
+        aside.write_text(json.dumps(content, indent=1), encoding="utf-8")
 
 
 @contextmanager

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import functools
 import hashlib
-import importlib.metadata
-import importlib.util
 import json
 import time
 from collections.abc import Callable, Mapping
@@ -16,11 +13,10 @@ from typing import Any
 
 from drivers.errors import InputNotFoundError
 from photocal.run.digests import Digests
-from photocal.run.folders import replaced_folder, sweep
+from photocal.run.folders import RECORD, publish, replaced_folder, sweep
+from photocal.run.source import program
 
 Progress = Callable[[str, float | None], AbstractContextManager[Callable[[float], None]]]
-RECORD = "stage.json"
-_PACKAGES = ("drivers", "acquire", "photocal")
 
 
 @dataclass(frozen=True)
@@ -52,7 +48,7 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class Made:
+class StageResult:
     """A stage that is done.
 
     Attributes
@@ -61,22 +57,44 @@ class Made:
         Whether it was there already.
     seconds : float
         That it took when it was made.
+    foreign : tuple of str
+        What lies in its folder and is not of it, one phrase each.
     """
 
     name: str
     folder: Path
     kept: bool
     seconds: float
+    foreign: tuple[str, ...] = ()
 
 
-def bring(stage: Stage, work: Path, digests: Digests, progress: Progress, *, again: bool = False) -> Made:
-    """Make a stage, or keep it when its inputs, settings and program are those of its last making."""
-    folder = work / stage.name
+def update_stage(
+    stage: Stage, work: Path, digests: Digests, progress: Progress, *, again: bool = False
+) -> StageResult:
+    """Make a stage, or keep it while its inputs, settings and code do not change, and publish it.
+
+    It is made and kept in `made_in(work)`, where later stages read it; people find it in `work`.
+    """
+    kept, seconds = _made(stage, made_in(work) / stage.name, digests, progress, again=again)
+    public = work / stage.name
+    record = made_in(work) / f"{stage.name}.published.json"
+    return StageResult(stage.name, public, kept, seconds, publish(made_in(work) / stage.name, public, record))
+
+
+def made_in(work: Path) -> Path:
+    """Folder of the stages of a work folder in which nobody else writes."""
+    return work / ".stages"
+
+
+def _made(
+    stage: Stage, folder: Path, digests: Digests, progress: Progress, *, again: bool
+) -> tuple[bool, float]:
+    """Make a stage or keep it: which of both, and the seconds that it took."""
     sweep(folder)
     key = _key(stage, digests)
     record = _record(folder)
     if not again and record.get("key") == key and _whole(folder, record, digests):
-        return Made(stage.name, folder, True, float(record.get("seconds", 0.0)))
+        return True, float(record.get("seconds", 0.0))
     began = time.monotonic()
     with replaced_folder(folder) as aside:
         stage.make(aside, progress)
@@ -86,14 +104,14 @@ def bring(stage: Stage, work: Path, digests: Digests, progress: Progress, *, aga
             "stage": stage.name,
             "key": key,
             "seconds": round(seconds, 3),
-            "program": program(),
+            "program": program(stage.make),
             "settings": stage.settings,
             "inputs": {name: digests.of_any(path) for name, path in stage.inputs.items()},
             "outputs": digests.of_folder(aside),
         }
         text = json.dumps(content, indent=1, allow_nan=False) + "\n"
         (aside / RECORD).write_text(text, encoding="utf-8")
-    return Made(stage.name, folder, False, seconds)
+    return False, seconds
 
 
 def _key(stage: Stage, digests: Digests) -> str:
@@ -102,7 +120,7 @@ def _key(stage: Stage, digests: Digests) -> str:
             raise InputNotFoundError(f"{name} does not exist", where=path, remedy="check the project file")
     content = {
         "stage": stage.name,
-        "program": program(),
+        "program": program(stage.make),
         "settings": stage.settings,
         "inputs": {name: digests.of_any(path) for name, path in stage.inputs.items()},
         "after": {folder.name: digests.of_folder(folder, leave_out=RECORD) for folder in stage.after},
@@ -110,23 +128,10 @@ def _key(stage: Stage, digests: Digests) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-@functools.cache
-def program() -> dict[str, str]:
-    """Version of the program and digest of its source: a changed program may give other results."""
-    digest = hashlib.sha256()
-    for package in _PACKAGES:
-        spec = importlib.util.find_spec(package)
-        root = Path(spec.origin).parent if spec is not None and spec.origin else Path()
-        for path in sorted(root.rglob("*.py")):
-            digest.update(path.relative_to(root).as_posix().encode())
-            digest.update(path.read_bytes())
-    return {"version": importlib.metadata.version("photocal"), "source": digest.hexdigest()}
-
-
 def _record(folder: Path) -> dict[str, Any]:
     try:
         content = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}
 

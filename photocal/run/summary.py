@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from photocal.run.stage import Made
+from photocal.run.stage import StageResult
 from photocal.run.warnings import gather, read_json
 
 SCHEMA = "photocal.run/1"
@@ -16,7 +16,7 @@ _LEVER = ("lever_arm_x", "lever_arm_y", "lever_arm_z")
 _BORESIGHT = ("boresight_x", "boresight_y", "boresight_z")
 
 
-def summary(name: str, work: Path, made: Sequence[Made]) -> dict[str, Any]:
+def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any]:
     """Collect the figures of the stages.
 
     Parameters
@@ -25,7 +25,7 @@ def summary(name: str, work: Path, made: Sequence[Made]) -> dict[str, Any]:
         Of the project.
     work : Path
         Work folder.
-    made : sequence of Made
+    made : sequence of StageResult
         The stages of this run.
 
     Returns

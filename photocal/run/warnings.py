@@ -10,6 +10,7 @@ from typing import Any
 from photocal.report.warning_sections import NO_WARNINGS, ProcessingWarnings
 from photocal.run.doubt import Doubt
 from photocal.run.root_causes import causes_first
+from photocal.run.stage import made_in
 
 LEAST_FIXED_PERCENT = 95.0
 # A parameter that goes so many of its prior sigmas away.
@@ -79,9 +80,9 @@ def told_beside(run: Path) -> ProcessingWarnings:
     ProcessingWarnings
         Nothing for a folder of `photocal adjust`, which has no stages beside it.
     """
-    if not (run / "stage.json").is_file():
-        return NO_WARNINGS
     work = run.resolve().parent
+    if not (made_in(work) / run.resolve().name).is_dir():
+        return NO_WARNINGS
     found = gather(work)
     if not (work / "georeferencing").is_dir():
         found += (_NOT_CHECKED,)

@@ -17,14 +17,14 @@ from photocal.run.folders import alone
 from photocal.run.georeferencing import georeferencing_stage
 from photocal.run.measurements import measurements_stage
 from photocal.run.ppk import ppk_stage
-from photocal.run.stage import Made, Progress, Stage, bring
+from photocal.run.stage import Progress, Stage, StageResult, made_in, update_stage
 
 _MEMORY = ".digests.json"
 
 
 def stages(project: Project, day: dt.date) -> tuple[Stage, ...]:
     """List the stages of a project."""
-    work = project.output
+    work = made_in(project.output)
     block, calibration = work / "block", work / "calibration"
     given = project.contents.measurements
     if given is not None and given.block is not None:
@@ -53,8 +53,9 @@ def run_project(
     progress: Progress,
     until: str | None = None,
     again: str | None = None,
-    told: Callable[[Made], None] = lambda _: None,
-) -> tuple[Made, ...]:
+    rehash: bool = False,
+    told: Callable[[StageResult], None] = lambda _: None,
+) -> tuple[StageResult, ...]:
     """Bring the stages of a project up to date.
 
     Parameters
@@ -67,6 +68,8 @@ def run_project(
         Last stage.
     again : str, optional
         A stage that is made even when nothing has changed.
+    rehash : bool
+        Whether every file is read again, also large ones that look unchanged.
     told : callable
         ProcessingWarnings of each stage that is done.
 
@@ -84,8 +87,8 @@ def run_project(
                 f"{name!r} is no stage of this project", where=option, remedy=f"take {', '.join(names)}"
             )
     with alone(project.output):
-        digests = Digests(project.output / _MEMORY)
-        made: list[Made] = []
+        digests = Digests(project.output / _MEMORY, again=rehash)
+        made: list[StageResult] = []
         missing: set[Path] = set()
         failure: PhotocalError | None = None
         try:
@@ -93,13 +96,13 @@ def run_project(
                 try:
                     if missing.isdisjoint(stage.after):
                         made.append(
-                            bring(stage, project.output, digests, progress, again=stage.name == again)
+                            update_stage(stage, project.output, digests, progress, again=stage.name == again)
                         )
                         told(made[-1])
                         continue
                 except PhotocalError as refusal:
                     failure = failure or refusal
-                missing.add(project.output / stage.name)
+                missing.add(made_in(project.output) / stage.name)
         finally:
             digests.keep()
     if failure is not None:

@@ -16,12 +16,12 @@ from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Particulars, read_particulars
 from photocal.report.derived_figures import facts
 from photocal.report.document import Signature, Table
-from photocal.report.ministry import LAYOUT, entries, read_layout
+from photocal.report.ministry import entries, read_layout
 from photocal.report.ministry_rows import Context, corners
 from photocal.report.run import Run
 
 DAY = dt.date(2026, 11, 21)
-EXAMPLE = LAYOUT.parent / "example_particulars.toml"
+EXAMPLE = Path(__file__).parents[3] / "configs" / "certificates" / "example_particulars.toml"
 
 # The example, made to fit the invented camera: 4000 x 3000 px, c = 3412.5 px.
 FITTING = {

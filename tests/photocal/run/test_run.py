@@ -82,6 +82,7 @@ def test_a_certificate_before_the_check_says_so(shifted: tuple[Path, Result], tm
     work = shifted[0].parent / "work"
     for name in ("block", "calibration"):
         shutil.copytree(work / name, tmp_path / "work" / name)
+        shutil.copytree(work / ".stages" / name, tmp_path / "work" / ".stages" / name)
     calibration = str(tmp_path / "work" / "calibration")
     said = CliRunner().invoke(app, ["certificate", calibration, "-o", str(tmp_path / "c")])
     assert said.exit_code == 0, said.output

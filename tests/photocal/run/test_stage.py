@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -18,7 +19,9 @@ import pytest
 from drivers.errors import InputNotFoundError, OutputError
 from photocal.run.digests import Digests
 from photocal.run.folders import alone
-from photocal.run.stage import Progress, Stage, bring
+from photocal.run.source import needed_modules
+from photocal.run.stage import Progress, Stage, made_in, update_stage
+from tests.photocal.run.toy_stages import sequence
 
 
 @contextmanager
@@ -42,7 +45,7 @@ class Shouting:
 
     def bring(self, stage: Stage | None = None, *, again: bool = False) -> bool:
         digests = Digests(self.work / "digests.json")
-        return bring(stage or self.stage, self.work, digests, quiet, again=again).kept
+        return update_stage(stage or self.stage, self.work, digests, quiet, again=again).kept
 
 
 @pytest.fixture
@@ -69,16 +72,59 @@ def test_content_settings_and_request_make_it_again(shouting: Shouting) -> None:
     assert shouting.made == 4
 
 
-def test_a_changed_result_is_not_kept(shouting: Shouting) -> None:
+def test_a_changed_result_is_set_aside(shouting: Shouting) -> None:
     shouting.bring()
-    (shouting.work / "shout" / "loud.txt").write_text("FORGED", encoding="utf-8")
-    assert not shouting.bring()
-    assert (shouting.work / "shout" / "loud.txt").read_text(encoding="utf-8") == "ONE"
+    loud = shouting.work / "shout" / "loud.txt"
+    loud.write_text("FORGED", encoding="utf-8")
+    result = update_stage(shouting.stage, shouting.work, Digests(shouting.work / "digests.json"), quiet)
+    assert loud.read_text(encoding="utf-8") == "ONE"
+    assert loud.with_name("loud.kept-1.txt").read_text(encoding="utf-8") == "FORGED"
+    assert "kept as loud.kept-1.txt" in result.foreign[0]
+
+
+def test_what_others_put_there_stays_and_is_named(shouting: Shouting) -> None:
+    shouting.bring()
+    signed = shouting.work / "shout" / "loud-signed.txt"
+    signed.write_text("signed", encoding="utf-8")
+    shouting.source.write_text("two", encoding="utf-8")
+    result = update_stage(shouting.stage, shouting.work, Digests(shouting.work / "digests.json"), quiet)
+    assert signed.read_text(encoding="utf-8") == "signed"
+    assert result.foreign == ("loud-signed.txt is not of this run and stays",)
+
+
+def test_random_edits_end_as_a_run_from_nothing(tmp_path: Path) -> None:
+    for seed in range(24):
+        assert sequence(tmp_path / str(seed), seed) == []
+
+
+def test_only_imported_code_counts(tmp_path: Path) -> None:
+    sources = {
+        "p.a": "def f():\n    from p.b import g\n",
+        "p.b": "TABLE = {'x': 'p.c:read'}\n",
+        "p.c": "import os\n",
+        "p.d": "from p import a\n",
+        "p": "",
+    }
+    known = {}
+    for name, text in sources.items():
+        known[name] = tmp_path / f"{name}.py"
+        known[name].write_text(text, encoding="utf-8")
+    assert needed_modules("p.a", known) == {"p", "p.a", "p.b", "p.c"}
+
+
+def test_a_stage_does_not_depend_on_rooms_that_it_does_not_use() -> None:
+    from photocal.run.source import _modules
+
+    ppk = needed_modules("photocal.run.ppk", _modules())
+    assert "photocal.navigation.engine" in ppk
+    assert not [
+        name for name in ppk if name.startswith(("acquire.monitor", "photocal.products", "photocal.planning"))
+    ]
 
 
 def test_a_later_stage_follows_the_results_of_the_earlier(shouting: Shouting) -> None:
     shouting.bring()
-    later = Stage("later", "", lambda out, _: (out / "x").touch(), after=(shouting.work / "shout",))
+    later = Stage("later", "", lambda out, _: (out / "x").touch(), after=(made_in(shouting.work) / "shout",))
     assert not shouting.bring(later)
     # Made again with the same result: what follows is kept.
     shouting.bring(again=True)
@@ -97,7 +143,7 @@ def test_a_failing_stage_leaves_the_old_result(shouting: Shouting) -> None:
 
     with pytest.raises(OutputError):
         shouting.bring(replace(shouting.stage, make=fail), again=True)
-    assert sorted(p.name for p in shouting.work.iterdir() if p.is_dir()) == ["shout"]
+    assert sorted(p.name for p in made_in(shouting.work).iterdir() if p.is_dir()) == ["shout"]
     assert shouting.bring()
 
 
@@ -112,7 +158,7 @@ import sys, time
 from pathlib import Path
 from tests.photocal.run.test_stage import quiet
 from photocal.run.digests import Digests
-from photocal.run.stage import Stage, bring
+from photocal.run.stage import Stage, update_stage
 
 def make(out, _):
     (out / "half").write_text("half")
@@ -120,7 +166,7 @@ def make(out, _):
     time.sleep(600)
 
 work = Path(sys.argv[1]) / "work"
-bring(Stage("shout", "", make), work, Digests(work / "digests.json"), quiet)
+update_stage(Stage("shout", "", make), work, Digests(work / "digests.json"), quiet)
 """
 
 
@@ -135,10 +181,10 @@ def test_a_killed_run_leaves_no_half_stage(shouting: Shouting, tmp_path: Path) -
     process.send_signal(signal.SIGKILL)
     process.wait()
     assert not (shouting.work / "shout").exists()
-    assert len(list(shouting.work.glob(".shout.*"))) == 1
+    assert len(list(made_in(shouting.work).glob(".shout.*"))) == 1
     assert not shouting.bring()
-    assert not list(shouting.work.glob(".shout.*"))
-    assert sorted(p.name for p in (shouting.work / "shout").iterdir()) == ["loud.txt", "stage.json"]
+    assert not list(made_in(shouting.work).glob(".shout.*"))
+    assert sorted(p.name for p in (shouting.work / "shout").iterdir()) == ["loud.txt"]
 
 
 def test_one_run_at_a_time(tmp_path: Path) -> None:
@@ -152,16 +198,28 @@ def test_one_run_at_a_time(tmp_path: Path) -> None:
         pass
 
 
-def test_digests_are_remembered_by_size_and_time(tmp_path: Path) -> None:
+def test_content_decides_whatever_size_and_time_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, memory = tmp_path / "a", tmp_path / "memory.json"
-    path.write_text("first", encoding="utf-8")
+    path.write_text("point 5.0", encoding="utf-8")
     os.utime(path, (1, 1))
     before = Digests(memory)
     digest = before.of_file(path)
     before.keep()
-    path.write_text("other", encoding="utf-8")
+    path.write_text("point 8.0", encoding="utf-8")
     os.utime(path, (1, 1))
-    # Same size and time, and old: the memory answers. This is what makes large folders fast.
-    assert Digests(memory).of_file(path) == digest
-    path.write_text("other", encoding="utf-8")
     assert Digests(memory).of_file(path) != digest
+    # Of large files the memory answers, which makes folders of pictures fast ...
+    monkeypatch.setattr("photocal.run.digests._SMALL_BYTES", 4)
+    monkeypatch.setattr("photocal.run.digests.time.time_ns", lambda: path.stat().st_ctime_ns + 10**11)
+    large = Digests(memory)
+    digest = large.of_file(path)
+    large.keep()
+    content = json.loads(memory.read_text(encoding="utf-8"))
+    content[str(path)][-1] = "remembered"
+    memory.write_text(json.dumps(content), encoding="utf-8")
+    assert Digests(memory).of_file(path) == "remembered"
+    # ... unless all is to be read again, or the file was changed and its times set back.
+    assert Digests(memory, again=True).of_file(path) == digest
+    path.write_text("point 9.0", encoding="utf-8")
+    os.utime(path, (1, 1))
+    assert Digests(memory).of_file(path) not in ("remembered", digest)
