@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.errors import IllPosedError, NotConvergedError
-from photocal.adjustment.state import State
+from photocal.adjustment.factored import covariance_column
+from photocal.adjustment.state import turn_basis
 from photocal.analysis.correlation import cause
 from photocal.analysis.estimates import Array
-from photocal.analysis.systematic_errors.refit import Fit, lowest
+from photocal.analysis.systematic_errors.refit import Fit
 from photocal.geometry.camera import PARAMETERS
-from photocal.geometry.rotation import angles_from_matrix
+from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
 
 ELEMENTS = ("omega", "phi", "kappa", "X0", "Y0", "Z0")
 
@@ -47,62 +47,35 @@ class ExteriorCorrelation:
 def exterior_correlations(
     fit: Fit, camera: int, threshold: float, done: Callable[[], None] = lambda: None
 ) -> tuple[ExteriorCorrelation, ...]:
-    """List camera parameters that are strongly correlated with exterior orientations.
-
-    A parameter is held one standard deviation away from its estimate and everything is adjusted anew: the
-    others follow by their covariance with it, so their change over their own standard deviation is the
-    correlation.
-    """
+    """List camera parameters that are strongly correlated with exterior orientations."""
     found = []
     for at in np.flatnonzero(fit.network.cameras[camera].estimated):
-        try:
-            r = correlation_with(fit, camera, int(at))
-        except (IllPosedError, NotConvergedError):
-            continue
-        finally:
-            done()
+        r = correlation_with(fit, camera, int(at))
         for k, element in enumerate(ELEMENTS):
             strong = np.abs(r[:, k]) >= threshold
             if strong.any():
                 i = int(np.argmax(np.abs(r[:, k])))
-                name = PARAMETERS[at]
+                name, image = PARAMETERS[at], fit.network.image_names[i]
+                why = cause(name, element)
                 found.append(
-                    ExteriorCorrelation(
-                        name,
-                        element,
-                        fit.network.image_names[i],
-                        float(r[i, k]),
-                        int(strong.sum()),
-                        cause(name, element),
-                    )
+                    ExteriorCorrelation(name, element, image, float(r[i, k]), int(strong.sum()), why)
                 )
+        done()
     return tuple(sorted(found, key=lambda one: -abs(one.value)))
 
 
 def correlation_with(fit: Fit, camera: int, parameter: int) -> Array:
-    """Give the correlation of one camera parameter with every exterior orientation."""
-    moved = moved_by_one_sigma(fit, camera, parameter)
-    change = np.hstack(
-        [
-            angles_from_matrix(moved.rotation) - angles_from_matrix(fit.state.rotation),
-            moved.centre - fit.state.centre,
-        ]
-    )
-    change[:, :3] = (change[:, :3] + np.pi) % (2.0 * np.pi) - np.pi
+    """Give the correlation of one camera parameter with every exterior orientation, from its column."""
+    layout = fit.factored.problem.layout
+    active, columns = layout.camera_columns[camera]
+    right = np.zeros(layout.size)
+    right[columns[active == parameter]] = 1.0
+    column, _ = covariance_column(fit.factored, right, np.zeros_like(fit.state.points))
+    covariance = np.where(fit.network.exposures.sigma == 0, 0.0, column[layout.image_columns])
+    angles = turn_per_angle(angles_from_matrix(fit.state.rotation))
+    turns = np.einsum("nab,nb->na", turn_basis(fit.network, fit.state), covariance[:, :3])
+    covariance[:, :3] = np.linalg.solve(angles, turns[:, :, None])[:, :, 0]
     sigma = np.sqrt(np.diagonal(fit.solution.exposure_covariance, axis1=1, axis2=2))
-    return np.clip(np.divide(change, sigma, out=np.zeros_like(change), where=sigma > 0.0), -1.0, 1.0)
-
-
-def moved_by_one_sigma(fit: Fit, camera: int, parameter: int) -> State:
-    """Hold one camera parameter a standard deviation away from its estimate and adjust."""
-    own = fit.network.cameras[camera]
-    sigma = float(np.sqrt(fit.solution.camera_covariance[camera, parameter, parameter]))
-    estimated = own.estimated.copy()
-    estimated[parameter] = False
-    values = own.values.copy()
-    values[parameter] = fit.state.cameras[camera, parameter] + sigma
-    cameras = list(fit.network.cameras)
-    cameras[camera] = replace(own, estimated=estimated, values=values)
-    current = fit.state.cameras.copy()
-    current[camera, parameter] = values[parameter]
-    return lowest(replace(fit.network, cameras=tuple(cameras)), replace(fit.state, cameras=current)).state
+    own = float(np.sqrt(fit.solution.camera_covariance[camera, parameter, parameter]))
+    r = np.divide(covariance, sigma * own, out=np.zeros_like(covariance), where=sigma > 0.0)
+    return np.asarray(np.clip(r, -1.0, 1.0))

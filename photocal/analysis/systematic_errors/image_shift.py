@@ -59,6 +59,8 @@ def image_shifts(
     """
     screened = screened_shifts(fit, variance_factor)
     suspicious = sorted(screened, key=lambda one: one.p_value)[:MOST_JOINT]
+    if len(screened) > MOST_JOINT:
+        suspicious = [one for one in suspicious if one.p_value < 1.0]
     jointly = dict[str, ImageShift]()
     for one in suspicious:
         estimated = joint_shift(fit, one.image)

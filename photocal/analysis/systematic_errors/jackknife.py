@@ -6,15 +6,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.errors import IllPosedError, NotConvergedError
+from photocal.adjustment.near import Removals
+from photocal.adjustment.state import State
 from photocal.analysis.estimates import Array
 from photocal.analysis.systematic_errors.refit import Fit, lowest, without_images
 
-# Beyond this many images, neighbours are left out together.
-MOST_REMOVALS = 30
-# Left of each adjustment, see `minimise`: some 1e-5 standard deviations.
-NEAR = 1e-9
+# Beyond this many images, neighbours are left out together, in so many groups.
+MOST_REMOVALS, GROUPS = 30, 15
+# Left of each adjustment, see `minimise`: some 1e-4 standard deviations.
+NEAR = 1e-8
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ class Jackknife:
 
 
 def jackknife(fit: Fit, done: Callable[[], None] = lambda: None) -> Jackknife:
-    """Adjust again without each image, or without each group of neighbours in a large network.
+    """Take each image out of the minimum, or each group of neighbours in a large network.
 
     Parameters
     ----------
@@ -59,13 +62,15 @@ def jackknife(fit: Fit, done: Callable[[], None] = lambda: None) -> Jackknife:
     Efron, The jackknife, the bootstrap and other resampling plans, 1982.
     """
     names = fit.network.image_names
-    groups = np.array_split(np.arange(len(names)), min(len(names), MOST_REMOVALS))
+    count = len(names) if len(names) <= MOST_REMOVALS else GROUPS
     left_out, cameras, not_possible = [], [], []
-    for group in groups:
+    removals = Removals(fit.factored.problem, fit.state)
+    for group in np.array_split(np.arange(len(names)), count):
         out = np.isin(np.arange(len(names)), group)
         try:
-            network, state = without_images(fit.network, fit.state, out)
-            cameras.append(lowest(network, state, NEAR).state.cameras)
+            nearby = removals.without(out, NEAR)
+            state = _anew(fit, out) if nearby is None else nearby.state
+            cameras.append(state.cameras)
             left_out.append(tuple(names[i] for i in group))
         except (IllPosedError, NotConvergedError):
             not_possible += [names[i] for i in group]
@@ -76,3 +81,8 @@ def jackknife(fit: Fit, done: Callable[[], None] = lambda: None) -> Jackknife:
     if m >= 3:
         error = np.sqrt((m - 1) / m * np.sum((values - values.mean(axis=0)) ** 2, axis=0))
     return Jackknife(tuple(left_out), values, error, tuple(not_possible))
+
+
+def _anew(fit: Fit, out: NDArray[np.bool_]) -> State:
+    network, state = without_images(fit.network, fit.state, out)
+    return lowest(network, state, NEAR).state

@@ -9,9 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import IllPosedError, NotConvergedError
+from photocal.adjustment.near import Near, with_held
 from photocal.analysis.estimates import Array
-from photocal.analysis.systematic_errors.refit import Fit, lowest
+from photocal.analysis.systematic_errors.refit import Fit, Lowest, lowest
 from photocal.geometry.camera import PARAMETERS
+
+# Left of each adjustment, see `minimise`: some 1e-5 standard deviations.
+NEAR = 1e-10
 
 
 @dataclass(frozen=True)
@@ -60,10 +64,27 @@ class LeftOut:
     check_rmse_m: Array | None
 
 
+def without_parameter(fit: Fit, camera: int, parameter: int) -> Lowest | Near:
+    """Find the minimum with a parameter at zero: near the one with it, or from anew."""
+    own, current = fit.network.cameras[camera], fit.state.cameras
+    if not np.isfinite(own.prior_sigma[parameter]):
+        active, columns = fit.factored.problem.layout.camera_columns[camera]
+        column = int(columns[active == parameter][0])
+        try:
+            return with_held(fit.factored, column, -float(current[camera, parameter]), NEAR)
+        except NotConvergedError:
+            pass
+    estimated, values, start = own.estimated.copy(), own.values.copy(), current.copy()
+    estimated[parameter], values[parameter], start[camera, parameter] = False, 0.0, 0.0
+    cameras = list(fit.network.cameras)
+    cameras[camera] = replace(own, estimated=estimated, values=values)
+    return lowest(replace(fit.network, cameras=tuple(cameras)), replace(fit.state, cameras=start))
+
+
 def left_out(
     fit: Fit, camera: int, checks: Checks, done: Callable[[], None] = lambda: None
 ) -> tuple[LeftOut, ...]:
-    """Adjust without each estimated parameter but c, one at a time.
+    """Find the minimum without each estimated parameter but c, one at a time.
 
     Parameters
     ----------
@@ -86,15 +107,8 @@ def left_out(
     for at in np.flatnonzero(own.estimated):
         if PARAMETERS[at] == "c":
             continue
-        estimated, values = own.estimated.copy(), own.values.copy()
-        estimated[at], values[at] = False, 0.0
-        cameras = list(fit.network.cameras)
-        cameras[camera] = replace(own, estimated=estimated, values=values)
-        current = fit.state.cameras.copy()
-        current[camera, at] = 0.0
         try:
-            state = replace(fit.state, cameras=current)
-            minimum = lowest(replace(fit.network, cameras=tuple(cameras)), state)
+            minimum = without_parameter(fit, camera, int(at))
         except (IllPosedError, NotConvergedError):
             continue
         finally:

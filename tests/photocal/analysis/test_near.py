@@ -1,0 +1,65 @@
+"""Minima near a known one against adjustments anew, and what an analysis costs."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from photocal.adjustment.near import Removals
+from photocal.analysis.outcome import analyse_network
+from photocal.analysis.systematic_errors.left_out import Checks, without_parameter
+from photocal.analysis.systematic_errors.refit import Fit, fit, lowest, without_images
+from photocal.geometry.camera import PARAMETERS
+from tests.photocal.analysis.aerial import Flight, fly
+
+
+@pytest.fixture(scope="module")
+def flown() -> Fit:
+    return fit(fly(Flight(50, 12_000), 3).network)
+
+
+def test_images_taken_out_of_the_minimum_are_images_never_flown(flown: Fit) -> None:
+    """Camera parameters to 1e-3 of their standard deviations, for single images and for groups."""
+    sigma = np.sqrt(np.diag(flown.solution.camera_covariance[0]))
+    removals = Removals(flown.factored.problem, flown.state)
+    for group in ([0], [31], [7, 8, 9, 10, 11]):
+        out = np.isin(np.arange(50), group)
+        nearby = removals.without(out, 1e-8)
+        assert nearby is not None
+        anew = lowest(*without_images(flown.network, flown.state, out)).state.cameras[0]
+        moved = anew - flown.state.cameras[0]
+        assert np.abs(moved).max() > 0.0
+        assert (np.abs(nearby.state.cameras[0] - anew) <= 1e-3 * sigma).all()
+        assert nearby.left < 1e-8
+
+
+@pytest.mark.parametrize("name", ["K1", "K3", "P1"])
+def test_a_parameter_at_zero_is_a_parameter_never_estimated(flown: Fit, name: str) -> None:
+    at, own = PARAMETERS.index(name), flown.network.cameras[0]
+    nearby = without_parameter(flown, 0, at)
+    estimated, values = own.estimated.copy(), own.values.copy()
+    estimated[at], values[at] = False, 0.0
+    held = replace(flown.network, cameras=(replace(own, estimated=estimated, values=values),))
+    start = flown.state.cameras.copy()
+    start[0, at] = 0.0
+    anew = lowest(held, replace(flown.state, cameras=start))
+    sigma = np.sqrt(np.diag(flown.solution.camera_covariance[0]))
+    assert (np.abs(nearby.state.cameras[0] - anew.state.cameras[0]) <= 1e-3 * sigma).all()
+    assert nearby.chi_squared == pytest.approx(anew.chi_squared, abs=1e-4)
+
+
+def test_analysis_grows_with_the_block() -> None:
+    """Processor time of an analysis over that of the adjustment, at 60 and at 240 images."""
+    ratios = []
+    for images in (60, 240):
+        network = fly(Flight(images, 60 * images), 4).network
+        fit(network)
+        began = time.process_time()
+        fit(network)
+        own = time.process_time() - began
+        analyse_network(network, Checks(np.zeros(0, dtype=np.int64), np.zeros((0, 3))), 0.1, 0.8)
+        ratios.append((time.process_time() - began - own) / own)
+    assert ratios[1] < 1.5 * ratios[0]
