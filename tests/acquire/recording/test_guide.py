@@ -21,7 +21,7 @@ from acquire.recording.configuration import Configuration, Section, Site, read_c
 from acquire.transports.of_link import source_of_link
 from tests.acquire.live import Process, free_port, is_bound, until
 
-GUIDE = Path(__file__).parents[2] / "docs" / "recording.md"
+GUIDE = Path(__file__).parents[3] / "docs" / "recording.md"
 TEXT = GUIDE.read_text(encoding="utf-8")
 
 

@@ -29,7 +29,7 @@ from drivers.ubx import wire as ubx
 from tests.acquire.live import Recorder, frames_in, free_port, is_bound, until
 from tests.acquire.recording.hanging import DeadPort, FailingPort, HangingServer
 from tests.acquire.scripted import Script, configured, run, said
-from tests.acquire.test_transports import Server
+from tests.acquire.transports.test_transports import Server
 
 
 def numbered(number: int) -> bytes:
