@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import gc
 import json
 import sys
 from collections.abc import Callable, Iterator
@@ -50,12 +52,13 @@ def run(app: typer.Typer) -> None:
     app : typer.Typer
         The application to run on the arguments of the process.
     """
+    # At its end the interpreter would look at every object for half a second; nothing is left to be freed.
+    atexit.register(gc.freeze)
     try:
         app()
     except PhotocalError as failure:
-        sys.stderr.write(
-            "".join(f"{line}\n" for line in (f"error: {failure}", *map("  ".__add__, failure.details)))
-        )
+        lines = (f"error: {failure}", *map("  ".__add__, failure.details))
+        sys.stderr.write("".join(f"{printable(line)}\n" for line in lines))
         sys.exit(failure.exit_code)
     except BrokenPipeError:
         # The reader of our output went away (`| head`): nothing is left to say.
@@ -76,7 +79,7 @@ def answer(as_json: bool, figures: Callable[[], Any], text: Callable[[], str]) -
     if as_json:
         typer.echo(json.dumps(figures(), indent=2, allow_nan=False))
     else:
-        typer.echo(text())
+        typer.echo("\n".join(map(printable, text().split("\n"))))
 
 
 @contextmanager

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+import io
+import json
 import struct
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from mcap import records as mcap
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
+from acquire.console import printable
 from acquire.log import records
 from acquire.log.records import Channel, Schema
 from drivers.errors import InputMalformedError, InputNotFoundError
+
+# What is unpacked or read at once; chunks of our own and of other programs have one to some megabytes.
+LONGEST_CHUNK, LONGEST_RECORD = 64 << 20, 256 << 20
 
 
 @dataclass(frozen=True)
@@ -102,9 +113,10 @@ class LogReader:
                     raise
                 damaged(refusal)
                 continue
-            except (struct.error, UnicodeDecodeError, LookupError, ValueError) as damage:
+            except (struct.error, EndOfFile, LookupError, ValueError) as damage:
+                reason = printable(str(damage)) or "it ends early"
                 unreadable = InputMalformedError(
-                    f"a record cannot be read ({damage})", where=self.path, remedy="run acquire recover"
+                    f"a record cannot be read ({reason})", where=self.path, remedy="run acquire recover"
                 )
                 if damaged is None:
                     raise unreadable from damage
@@ -114,19 +126,18 @@ class LogReader:
                 yield found
 
     def _take(self, opcode: int, body: bytes) -> list[Messages] | None:
-        if opcode == records.CHUNK:
-            return self._chunk(body)
-        if opcode == records.METADATA:
-            cursor = _Cursor(body)
-            name = cursor.text()
-            self.metadata[name] = cursor.table()
-        elif opcode == records.ATTACHMENT:
-            cursor = _Cursor(body)
-            times = cursor.number("<Q"), cursor.number("<Q")
-            name, media_type = cursor.text(), cursor.text()
-            data = cursor.bytes(cursor.number("<Q"))
-            self.attachments[name] = Attachment(media_type, data, *times)
-        elif opcode == records.FOOTER:
+        stream = ReadDataStream(io.BytesIO(body))
+        if opcode == Opcode.CHUNK:
+            return self._chunk(mcap.Chunk.read(stream))
+        if opcode == Opcode.METADATA:
+            table = mcap.Metadata.read(stream)
+            self.metadata[table.name] = table.metadata
+        elif opcode == Opcode.ATTACHMENT:
+            file = mcap.Attachment.read(stream)
+            self.attachments[file.name] = Attachment(
+                file.media_type, file.data, file.log_time, file.create_time
+            )
+        elif opcode == Opcode.FOOTER:
             self.complete = True
         return None
 
@@ -153,22 +164,24 @@ class LogReader:
                 opcode, size = struct.unpack("<BQ", head)
                 if size > total - stream.tell():
                     return
+                if size > LONGEST_RECORD:
+                    raise InputMalformedError(
+                        f"holds a record of {size} bytes, more than {LONGEST_RECORD}",
+                        where=self.path,
+                        remedy="leave attached files of such a size out",
+                    )
                 body = stream.read(size)
                 self.position = stream.tell()
                 yield opcode, body
 
-    def _chunk(self, body: bytes) -> list[Messages]:
-        cursor = _Cursor(body, 16)
-        size, check = cursor.number("<Q"), cursor.number("<I")
-        compression = cursor.text()
-        packed = cursor.bytes(cursor.number("<Q"))
+    def _chunk(self, chunk: mcap.Chunk) -> list[Messages]:
         try:
-            content = _unpack(compression, packed, size)
+            content = _unpacked(chunk)
         except (RuntimeError, ValueError, EOFError, MemoryError) as damage:
             raise InputMalformedError(
                 f"a chunk cannot be unpacked ({damage})", where=self.path, remedy="run acquire recover"
             ) from damage
-        if check and zlib.crc32(content) != check:
+        if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
             raise InputMalformedError(
                 "the checksum of a chunk disagrees", where=self.path, remedy="run acquire recover"
             )
@@ -181,13 +194,15 @@ class LogReader:
         at, end = 0, len(content)
         while at + 9 <= end:
             opcode, size = content[at], int.from_bytes(content[at + 1 : at + 9], "little")
-            if opcode == records.MESSAGE:
+            if opcode == Opcode.MESSAGE:
                 number = content[at + 9] | content[at + 10] << 8
                 places.setdefault(number, []).append(at)
                 sizes.setdefault(number, []).append(size)
-            elif opcode in (records.SCHEMA, records.CHANNEL):
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self._define(opcode, content[at + 9 : at + 9 + size])
             at += 9 + size
+        if at != end:
+            raise ValueError("a message reaches over the end of its chunk")
         found = []
         for number, starts in places.items():
             place = np.array(starts, np.int64)
@@ -205,52 +220,51 @@ class LogReader:
         return found
 
     def _define(self, opcode: int, body: bytes) -> None:
-        cursor = _Cursor(body)
-        number = cursor.number("<H")
-        if opcode == records.SCHEMA:
-            name, encoding = cursor.text(), cursor.text()
-            self._schemas[number] = Schema(name, encoding, cursor.bytes(cursor.number("<I")))
+        stream = ReadDataStream(io.BytesIO(body))
+        if opcode == Opcode.SCHEMA:
+            schema = mcap.Schema.read(stream)
+            self._schemas[schema.id] = Schema(schema.name, schema.encoding, schema.data)
             return
-        schema = self._schemas.get(cursor.number("<H"))
-        self._channels[number] = Channel(cursor.text(), cursor.text(), schema, cursor.table())
+        told = mcap.Channel.read(stream)
+        known = self._schemas.get(told.schema_id)
+        self._channels[told.id] = Channel(told.topic, told.message_encoding, known, told.metadata)
 
 
-def _unpack(compression: str, packed: bytes, size: int) -> bytes:
-    if compression == "lz4":
+def _unpacked(chunk: mcap.Chunk) -> bytes:
+    """Return the content of a chunk: as much as it claims to be, which is bounded, and no more."""
+    size = chunk.uncompressed_size
+    if size > LONGEST_CHUNK:
+        raise ValueError(f"it claims {size} bytes, more than {LONGEST_CHUNK}")
+    if chunk.compression == "lz4":
         import lz4.frame
 
-        return bytes(lz4.frame.decompress(packed))
-    if compression == "zstd":
+        content = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+    elif chunk.compression == "zstd":
         import zstandard
 
-        return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
-    if compression:
-        raise ValueError(f"compression {compression!r}")
-    return packed
+        unpacker = zstandard.ZstdDecompressor(max_window_size=LONGEST_CHUNK)
+        with unpacker.stream_reader(chunk.data, read_across_frames=True) as stream:
+            content = stream.read(size + 1)
+    elif chunk.compression:
+        raise ValueError(f"compression {printable(chunk.compression)!r}")
+    else:
+        content = chunk.data
+    if len(content) != size:
+        raise ValueError(f"it claims {size} bytes and has {'more' if len(content) > size else len(content)}")
+    return bytes(content)
 
 
-class _Cursor:
-    def __init__(self, data: bytes, at: int = 0) -> None:
-        self._data = data
-        self._at = at
+def link_of(channel: Channel) -> str:
+    """Return the link that a channel belongs to: the first part of its topic."""
+    return channel.topic.lstrip("/").partition("/")[0]
 
-    def number(self, form: str) -> int:
-        (value,) = struct.unpack_from(form, self._data, self._at)
-        self._at += struct.calcsize(form)
-        return int(value)
 
-    def bytes(self, count: int) -> bytes:
-        piece = self._data[self._at : self._at + count]
-        self._at += count
-        return piece
-
-    def text(self) -> str:
-        return self.bytes(self.number("<I")).decode()
-
-    def table(self) -> dict[str, str]:
-        end = self.number("<I") + self._at
-        values = {}
-        while self._at < end:
-            key = self.text()
-            values[key] = self.text()
-        return values
+def read_json(payload: bytes, path: Path) -> dict[str, Any]:
+    """Return the object of a message in JSON."""
+    try:
+        value = json.loads(payload)
+    except (ValueError, RecursionError) as damage:
+        raise InputMalformedError(
+            f"a message is no JSON ({type(damage).__name__})", where=path, remedy="run acquire recover"
+        ) from damage
+    return value if isinstance(value, dict) else {}

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from acquire.channels.link import LinkLog
-from acquire.log.reader import LogReader, Messages
+from acquire.log.reader import LogReader, Messages, link_of
 from acquire.log.records import ARRIVED_ENCODING, ARRIVED_HEAD
 from acquire.log.writer import LogWriter
 from acquire.outputs import output_file
@@ -105,7 +105,7 @@ def recover(path: Path, output: Path) -> Recovered:
                 writer.messages(part.channel, part.payloads, part.log_ns, part.publish_ns, part.sequence)
                 messages += len(part.payloads)
                 if part.channel.schema is None:
-                    links[part.channel.topic.split("/")[1]].take(part)
+                    links[link_of(part.channel)].take(part)
             writer.end_chunk()
             chunks += 1
         messages += sum(link.write(writer, name) for name, link in links.items() if link.pieces)

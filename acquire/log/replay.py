@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from acquire.log.reader import LogReader, Messages
+from acquire.log.reader import LogReader, Messages, link_of
 from acquire.log.records import DAMAGE_ENCODING
 from acquire.transports.sinks import Sink
 from drivers.errors import ConfigurationError, InputMalformedError
@@ -27,7 +27,7 @@ def links_of(path: Path) -> list[str]:
     """Return the names of the links with raw frames in a log."""
     names: set[str] = set()
     for chunk in LogReader(path).chunks():
-        names |= {part.channel.topic.split("/")[1] for part in chunk if _is_raw(part)}
+        names |= {link_of(part.channel) for part in chunk if _is_raw(part)}
     return sorted(names)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.log.clock_offset import ClockOffset
-from acquire.log.reader import LogReader, Messages
+from acquire.log.reader import LogReader, Messages, link_of, read_json
 from acquire.log.records import DAMAGE_ENCODING
 from drivers.frames import Batch, Wire
 from drivers.identify import batch_of_payloads
@@ -153,9 +152,9 @@ def summarise(path: Path, dialect: Dialect) -> LogSummary:
             if schema == "photocal.GnssStatus":
                 receiver = channel.topic.removeprefix("/gnss/").removesuffix("/status")
                 counts = fixes.setdefault(receiver, Counter())
-                counts.update(json.loads(payload)["fix"] for payload in messages.payloads)
+                counts.update(str(read_json(payload, path).get("fix")) for payload in messages.payloads)
             elif channel.schema is None:
-                link = channel.topic.split("/")[1]
+                link = link_of(channel)
                 _add(links.setdefault(link, LinkSummary(link, dialect)), messages)
     return LogSummary(path, reader.complete, links, fixes, topics, reader.metadata)
 

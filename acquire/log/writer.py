@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import struct
 import zlib
 from collections import defaultdict
 from collections.abc import Mapping
 from typing import BinaryIO
 
 import numpy as np
+from mcap import records as mcap
+from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from acquire.log import records
-from acquire.log.records import Channel, Payloads, Pieces, Schema
+from acquire.log.records import Channel, Payloads, Pieces, Schema, encoded
 
 LIBRARY = "photocal"
 COMPRESSION = "lz4"
@@ -50,7 +51,7 @@ class LogWriter:
         self._metadata: list[bytes] = []
         self._span: tuple[int, int] | None = None
         self._put(records.MAGIC)
-        self._put(records.record(records.HEADER, records.text("") + records.text(library)))
+        self._put(encoded(mcap.Header("", library)))
 
     def continued(self, stream: BinaryIO) -> LogWriter:
         """Return the writer of a next file, which takes over what is not in this one yet.
@@ -101,8 +102,10 @@ class LogWriter:
                 schema = self._schemas.get(channel.schema, 0)
                 if not schema:
                     schema = self._schemas[channel.schema] = len(self._schemas) + 1
-                    self._define(records.schema_record(schema, channel.schema))
-            self._define(records.channel_record(number, schema, channel))
+                    told = channel.schema
+                    self._define(encoded(mcap.Schema(schema, told.data, told.encoding, told.name)))
+            metadata = dict(channel.metadata)
+            self._define(encoded(mcap.Channel(number, channel.topic, channel.encoding, metadata, schema)))
         return number
 
     def messages(
@@ -134,7 +137,7 @@ class LogWriter:
         else:
             size = np.fromiter(map(len, payloads), np.int64, len(payloads))
         head = np.empty(len(payloads), records.MESSAGE_ROW)
-        head["opcode"] = records.MESSAGE
+        head["opcode"] = Opcode.MESSAGE
         head["size"] = size + (records.MESSAGE_ROW.itemsize - 9)
         head["channel"] = number
         head["sequence"] = sequence & 0xFFFFFFFF
@@ -161,27 +164,31 @@ class LogWriter:
         rows = {number: np.concatenate(parts) for number, parts in sorted(self._index.items())}
         begin = min((int(r["log_ns"].min()) for r in rows.values()), default=0)
         end = max((int(r["log_ns"].max()) for r in rows.values()), default=0)
-        head = struct.pack("<QQQI", begin, end, len(content), zlib.crc32(content))
-        body = head + records.text(COMPRESSION) + struct.pack("<Q", len(packed)) + packed
+        check = zlib.crc32(content)
+        chunk = encoded(mcap.Chunk(COMPRESSION, packed, end, begin, check, len(content)))
         start = self._position
-        chunk = records.record(records.CHUNK, body)
-        offsets = b""
+        offsets = {}
         after = start + len(chunk)
         indexes = []
         for number, row in rows.items():
-            offsets += struct.pack("<HQ", number, after)
+            offsets[number] = after
             indexes.append(records.index_record(number, row))
             after += len(indexes[-1])
         # One write: a crash leaves either a whole chunk or a torn last one, never a hole.
         self._put(b"".join([chunk, *indexes]))
         self._chunks.append(
-            records.record(
-                records.CHUNK_INDEX,
-                struct.pack("<QQQQI", begin, end, start, len(chunk), len(offsets))
-                + offsets
-                + struct.pack("<Q", after - start - len(chunk))
-                + records.text(COMPRESSION)
-                + struct.pack("<QQ", len(packed), len(content)),
+            encoded(
+                mcap.ChunkIndex(
+                    chunk_length=len(chunk),
+                    chunk_start_offset=start,
+                    compression=COMPRESSION,
+                    compressed_size=len(packed),
+                    message_end_time=end,
+                    message_index_length=after - start - len(chunk),
+                    message_index_offsets=offsets,
+                    message_start_time=begin,
+                    uncompressed_size=len(content),
+                )
             )
         )
         if rows:
@@ -194,46 +201,42 @@ class LogWriter:
         """Attach a file."""
         self.end_chunk()
         start = self._position
-        record = records.attachment_record(name, media_type, data, log_ns, create_ns)
+        record = encoded(mcap.Attachment(create_ns, log_ns, name, media_type, data))
         self._put(record)
-        place = struct.pack("<QQQQQ", start, len(record), log_ns, create_ns, len(data))
-        names = records.text(name) + records.text(media_type)
-        self._attachments.append(records.record(records.ATTACHMENT_INDEX, place + names))
+        place = mcap.AttachmentIndex(start, len(record), log_ns, create_ns, len(data), name, media_type)
+        self._attachments.append(encoded(place))
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add a named table of texts."""
         self.end_chunk()
         start = self._position
-        record = records.record(records.METADATA, records.text(name) + records.table(values))
+        record = encoded(mcap.Metadata(name, dict(values)))
         self._put(record)
-        place = struct.pack("<QQ", start, len(record)) + records.text(name)
-        self._metadata.append(records.record(records.METADATA_INDEX, place))
+        self._metadata.append(encoded(mcap.MetadataIndex(start, len(record), name)))
 
     def close(self) -> None:
         """Write the last chunk, the summary and the footer; the stream stays open."""
         self.end_chunk()
-        self._put(records.record(records.DATA_END, struct.pack("<I", self._crc)))
+        self._put(encoded(mcap.DataEnd(self._crc)))
         begin, end = self._span or (0, 0)
-        counts = b"".join(struct.pack("<HQ", *pair) for pair in sorted(self._counts.items()))
-        statistics = struct.pack(
-            "<QHIIIIQQI",
-            sum(self._counts.values()),
-            len(self._schemas),
-            len(self._channels),
-            len(self._attachments),
-            len(self._metadata),
-            len(self._chunks),
-            begin,
-            end,
-            len(counts),
+        statistics = mcap.Statistics(
+            attachment_count=len(self._attachments),
+            channel_count=len(self._channels),
+            channel_message_counts=dict(sorted(self._counts.items())),
+            chunk_count=len(self._chunks),
+            message_count=sum(self._counts.values()),
+            message_end_time=end,
+            message_start_time=begin,
+            metadata_count=len(self._metadata),
+            schema_count=len(self._schemas),
         )
         groups = {
-            records.SCHEMA: [d for d in self._definitions if d[0] == records.SCHEMA],
-            records.CHANNEL: [d for d in self._definitions if d[0] == records.CHANNEL],
-            records.STATISTICS: [records.record(records.STATISTICS, statistics + counts)],
-            records.CHUNK_INDEX: self._chunks,
-            records.ATTACHMENT_INDEX: self._attachments,
-            records.METADATA_INDEX: self._metadata,
+            Opcode.SCHEMA: [d for d in self._definitions if d[0] == Opcode.SCHEMA],
+            Opcode.CHANNEL: [d for d in self._definitions if d[0] == Opcode.CHANNEL],
+            Opcode.STATISTICS: [encoded(statistics)],
+            Opcode.CHUNK_INDEX: self._chunks,
+            Opcode.ATTACHMENT_INDEX: self._attachments,
+            Opcode.METADATA_INDEX: self._metadata,
         }
         start = self._position
         summary = b""
@@ -241,10 +244,11 @@ class LogWriter:
         for opcode, group in groups.items():
             body = b"".join(group)
             if body:
-                place = struct.pack("<BQQ", opcode, start + len(summary), len(body))
-                offsets += records.record(records.SUMMARY_OFFSET, place)
+                offsets += encoded(mcap.SummaryOffset(opcode, start + len(summary), len(body)))
                 summary += body
-        self._put(summary + offsets + records.footer(summary + offsets, start, start + len(summary)))
+        footer = encoded(mcap.Footer(start, start + len(summary), 0))[:-4]
+        check = zlib.crc32(summary + offsets + footer)
+        self._put(summary + offsets + footer + check.to_bytes(4, "little") + records.MAGIC)
 
     def _define(self, record: bytes) -> None:
         self._definitions.append(record)

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import gzip
+import io
 import json
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import lz4.frame
+import numpy as np
 import pytest
+import zstandard
+from mcap.records import Chunk
 
 from acquire.importing.importer import import_recordings
 from acquire.log.reader import LogReader
+from acquire.log.records import Channel, Schema, encoded
+from acquire.log.writer import LogWriter
 from drivers.errors import InputMalformedError
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]
@@ -143,3 +150,70 @@ def test_help_imports_nothing_heavy(command: list[str]) -> None:
         [sys.executable, "-c", script, *command, "--help"], capture_output=True, text=True, check=False
     )
     assert done.stdout.endswith("imported: []\n"), done.stdout + done.stderr
+
+
+def _log_with_chunk(path: Path, compression: str, packed: bytes, size: int) -> None:
+    stream = io.BytesIO()
+    LogWriter(stream)
+    chunk = encoded(Chunk(compression, packed, 1, 1, 0, size))
+    path.write_bytes(stream.getvalue() + chunk)
+
+
+def _zstd_bomb(frames: int, megabytes: int) -> bytes:
+    packer = zstandard.ZstdCompressor(write_content_size=False)
+    one = packer.compress(bytes(megabytes << 20))
+    return one * frames
+
+
+BOMBS: dict[str, Callable[[], tuple[str, bytes, int]]] = {
+    "zstd, one frame": lambda: ("zstd", _zstd_bomb(1, 256), 1000),
+    "zstd, many frames": lambda: ("zstd", _zstd_bomb(4096, 1), 1000),
+    "zstd that says so": lambda: ("zstd", _zstd_bomb(4096, 1), 1 << 32),
+    "lz4": lambda: ("lz4", lz4.frame.compress(bytes(256 << 20)), 1000),
+    "lz4 that says so": lambda: ("lz4", lz4.frame.compress(bytes(1 << 20)), 1 << 40),
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_what_unpacks_to_gigabytes_is_refused_in_little_memory(name: str, tmp_path: Path) -> None:
+    log = tmp_path / "bomb.mcap"
+    _log_with_chunk(log, *BOMBS[name]())
+    code = (
+        "import sys\nfrom acquire.cli import main\n"
+        f"sys.argv = ['acquire', 'info', {str(log)!r}]\n"
+        "try:\n    main()\nexcept SystemExit as end:\n"
+        "    lines = open('/proc/self/status').read().splitlines()\n"
+        "    print(end.code, next(line.split()[1] for line in lines if line.startswith('VmHWM')))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    exit_code, memory_kb = map(int, done.stdout.split())
+    assert exit_code == 4
+    assert "cannot be unpacked" in done.stderr
+    assert memory_kb < 300_000
+
+
+def test_texts_of_a_log_do_not_steer_the_terminal(acquire: Acquire, tmp_path: Path) -> None:
+    log = tmp_path / "escape.mcap"
+    one = np.array([1], np.int64)
+    with log.open("wb") as stream:
+        writer = LogWriter(stream)
+        writer.messages(Channel("evil\x1b[2J", "\x1b]0;x\x07"), [b"x"], one, one, one)
+        writer.messages(Channel("bare", "nmea"), [b"$GPGGA,1*5B\r\n"], one, one, one)
+        writer.close()
+    done = acquire("info", log)
+    assert done.returncode == 0, done.stderr
+    assert "\x1b" not in done.stdout
+    assert "evil·[2J" in done.stdout
+
+
+def test_a_status_that_nests_without_end_is_no_traceback(acquire: Acquire, tmp_path: Path) -> None:
+    log = tmp_path / "deep.mcap"
+    one = np.array([1], np.int64)
+    schema = Schema("photocal.GnssStatus", "jsonschema", b"{}")
+    with log.open("wb") as stream:
+        writer = LogWriter(stream)
+        writer.messages(Channel("/gnss/a/status", "json", schema), [b"[" * 200_000], one, one, one)
+        writer.close()
+    done = acquire("info", log)
+    assert done.returncode == 4
+    assert "no JSON" in done.stderr
