@@ -8,13 +8,15 @@ from typing import Any
 from photocal.accuracy.assessment import Assessment, ComponentResult, TableResult, VectorResult
 from photocal.accuracy.classes import AdmittedSize, ClassDecision, smallest_listed
 from photocal.accuracy.discrepancies import SIGN
+from photocal.accuracy.findings import findings
 from photocal.accuracy.value_class import ValueClass, class_cm
-from photocal.accuracy.wording import findings
+from photocal.findings.catalogue import Catalogue, catalogue
+from photocal.findings.texts import finding_json
 
 SCHEMA = "photocal.check/1"
 
 
-def to_json(assessment: Assessment) -> dict[str, Any]:
+def to_json(assessment: Assessment, say: Catalogue | None = None) -> dict[str, Any]:
     """Give an assessment as a JSON value.
 
     Parameters
@@ -56,7 +58,7 @@ def to_json(assessment: Assessment) -> dict[str, Any]:
         },
         "standards": [_table(table) for table in assessment.tables]
         + [_value(value) for value in assessment.values],
-        "findings": [finding.to_json() for finding in findings(assessment)],
+        "findings": [finding_json(one, say or catalogue("en")) for one in findings(assessment)],
     }
 
 

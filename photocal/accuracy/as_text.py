@@ -13,9 +13,12 @@ from rich.table import Table
 from photocal.accuracy.assessment import Assessment, TableResult, VectorResult
 from photocal.accuracy.classes import smallest_listed
 from photocal.accuracy.discrepancies import COMPONENTS, SIGN
-from photocal.accuracy.findings import Finding
+from photocal.accuracy.findings import findings
 from photocal.accuracy.map_scale import scale_text, size_text
-from photocal.accuracy.wording import findings, value_class_text
+from photocal.accuracy.value_class import value_class_text
+from photocal.findings.catalogue import catalogue
+from photocal.findings.finding import Finding
+from photocal.findings.texts import finding_text, plain
 
 _WIDTH = 118
 _NONE = "-"
@@ -58,9 +61,9 @@ def findings_text(said: tuple[Finding, ...]) -> str:
     """Write findings one below the other."""
     if not said:
         return "Nothing to remark."
-    return "\n".join(
-        textwrap.fill(finding.text, _WIDTH, initial_indent="* ", subsequent_indent="  ") for finding in said
-    )
+    say = catalogue("en")
+    texts = [finding_text(finding, say, plain) for finding in said]
+    return "\n".join(textwrap.fill(t, _WIDTH, initial_indent="* ", subsequent_indent="  ") for t in texts)
 
 
 def _heading(assessment: Assessment) -> str:

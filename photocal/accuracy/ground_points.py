@@ -1,19 +1,20 @@
 """Mistakes in tables of ground points that an adjustment cannot tell from bad measurements.
 
-Every function takes plain arrays and says in words what it found; none changes anything. They can be
-used before an adjustment (against the positions of the exposures) and after it (against the
-coordinates that the block gives the same points).
+Every function takes plain arrays and gives findings; none changes anything. They can be used before an
+adjustment (against the positions of the exposures) and after it (against the coordinates that the block gives
+the same points).
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.accuracy.findings import Finding
+from photocal.findings.finding import Figure, Finding
 
 FloatArray = NDArray[np.float64]
 
@@ -23,6 +24,7 @@ FOOT_M = 0.3048
 _RATIO_TOLERANCE = 0.02
 # A flight lies within this distance of its control, and one wrong UTM zone is some 600 km away.
 _NEAR_M = 50_000.0
+_NOWHERE_M = 2.0e7
 # Points closer than this are the same mark under two names.
 _SAME_POINT_M = 0.005
 
@@ -45,60 +47,53 @@ class GroundPoints:
 
 def check_points_used_as_control(control: GroundPoints, check: GroundPoints) -> tuple[Finding, ...]:
     """Find check points that are control points, by name or by place."""
-    said = []
+    listed = []
     both = sorted(set(control.names) & set(check.names))
     if both:
-        said.append(
-            Finding(
-                "check-as-control",
-                f"{name_list(both)} used both as control and as check: they were fitted, so they check "
-                "nothing. Give each point one role.",
-            )
-        )
+        listed.append(Finding("check-as-control", "doubtful", "check", {"points": tuple(both)}))
     for name, place in zip(check.names, check.xyz_m, strict=True):
         distance = np.sqrt(np.sum((control.xyz_m - place) ** 2, axis=1))
-        said += [
-            Finding(
-                "check-at-control",
-                f"check point {name} lies where control point {other} lies ({apart * 1000:.1f} mm apart): "
-                "it is the same mark under two names and checks nothing.",
-            )
+        listed += [
+            Finding("check-at-control", "doubtful", name, {"other": other, "apart_mm": apart * 1000.0})
             for other, apart in zip(control.names, distance.tolist(), strict=True)
             if apart <= _SAME_POINT_M and other != name and name not in both
         ]
-    return tuple(said)
+    return tuple(listed)
 
 
-def heights_all_equal(points: GroundPoints) -> tuple[Finding, ...]:
+def heights_all_equal(points: GroundPoints, role: str) -> tuple[Finding, ...]:
     """Find a table whose heights are all zero, or all the same."""
     heights = points.xyz_m[:, 2]
     heights = heights[np.isfinite(heights)]
     if len(heights) < 3 or float(np.ptp(heights)) > 0.0:
         return ()
-    value = float(heights[0])
-    what = "Z = 0" if value == 0.0 else f"the same Z = {value:g} m"
-    return (
-        Finding(
-            "heights-equal",
-            f"all {len(heights)} points have {what}: the heights were not measured or not exported. Give "
-            "the heights "
-            "with their kind, or leave Z and its sigma free.",
-        ),
-    )
+    figures = {"role": role, "n": float(len(heights)), "height_m": float(heights[0])}
+    return (Finding("heights-equal", "doubtful", role, figures),)
+
+
+def control_in_few_images(
+    names: tuple[str, ...], observations: tuple[tuple[str, str], ...], role: str
+) -> tuple[Finding, ...]:
+    """Find ground points that are measured in one image only, or in none: too few to be control or check."""
+    images = Counter(point for _, point in set(observations))
+    one = tuple(name for name in names if images[name] == 1)
+    none = tuple(name for name in names if images[name] == 0)
+    listed = []
+    if one:
+        cause = "control-in-one-image" if role == "control" else "check-in-one-image"
+        listed.append(Finding("one-image-only", "doubtful", role, {"role": role, "points": one}, cause=cause))
+    if none:
+        listed.append(Finding("no-image", "doubtful", role, {"role": role, "points": none}))
+    return tuple(listed)
 
 
 def latitude_longitude_swapped(
     latitude_deg: FloatArray, longitude_deg: FloatArray, exposures_deg: FloatArray | None
 ) -> tuple[Finding, ...]:
     """Find latitude and longitude that changed places."""
-    worst = float(np.max(np.abs(latitude_deg)))
+    code, worst = "latitude-longitude-swapped", float(np.max(np.abs(latitude_deg)))
     if worst > 90.0:
-        return (
-            Finding(
-                "latitude-longitude-swapped",
-                f"a latitude of {worst:g} degrees does not exist: latitude and longitude are swapped.",
-            ),
-        )
+        return (Finding(code, "grave", figures={"latitude": worst}, cause="latitude-impossible"),)
     if exposures_deg is None or not len(exposures_deg):
         return ()
     flight = exposures_deg.mean(axis=0)
@@ -108,14 +103,8 @@ def latitude_longitude_swapped(
     swapped = geodesic_m(float(longitude_deg.mean()), float(latitude_deg.mean()), *flight.tolist())
     if swapped > _NEAR_M:
         return ()
-    return (
-        Finding(
-            "latitude-longitude-swapped",
-            f"the points lie {as_given / 1000:.0f} km from the flight, and {swapped / 1000:.1f} km when "
-            "latitude and "
-            "longitude change places: they are swapped.",
-        ),
-    )
+    figures = {"far_km": as_given / 1000.0, "near_km": swapped / 1000.0}
+    return (Finding(code, "grave", figures=figures, cause="near-when-swapped"),)
 
 
 def feet_for_metres(points: GroundPoints, block: GroundPoints) -> tuple[Finding, ...]:
@@ -125,22 +114,15 @@ def feet_for_metres(points: GroundPoints, block: GroundPoints) -> tuple[Finding,
     if len(common) < 2:
         return ()
     ours, theirs = (np.array(column) for column in zip(*common, strict=True))
-    said = []
-    for code, what, columns in (("plane", "horizontal coordinates", [0, 1]), ("height", "heights", [2])):
+    listed = []
+    for code, columns in (("feet-for-metres-plane", [0, 1]), ("feet-for-metres-height", [2])):
         ratio = _distance_ratio(points.xyz_m[ours][:, columns], block.xyz_m[theirs][:, columns])
         if ratio is None:
             continue
-        for factor, given, wanted in ((1.0 / FOOT_M, "feet", "metres"), (FOOT_M, "metres", "feet")):
+        for factor, cause in ((1.0 / FOOT_M, "distances-in-feet"), (FOOT_M, "distances-in-metres")):
             if abs(ratio / factor - 1.0) <= _RATIO_TOLERANCE:
-                said.append(
-                    Finding(
-                        f"feet-for-metres-{code}",
-                        f"the {what} are {ratio:.4f} times as far apart as in the block (a foot is "
-                        f"{FOOT_M} m, its "
-                        f"inverse {1 / FOOT_M:.4f}): they are in {given} where {wanted} are expected.",
-                    )
-                )
-    return tuple(said)
+                listed.append(Finding(code, "grave", figures={"ratio": ratio}, cause=cause))
+    return tuple(listed)
 
 
 def wrong_utm_zone(
@@ -161,23 +143,11 @@ def wrong_utm_zone(
         for south in (False, True)
     )
     distance, other, south = candidates[0]
+    figures: dict[str, Figure] = {"zone": _zone(zone, southern), "far_km": _kilometres(stated)}
     if distance > _NEAR_M:
-        return (
-            Finding(
-                "points-far-from-flight",
-                f"the points lie {_kilometres(stated)} from the flight in UTM zone "
-                f"{_zone(zone, southern)}, and no "
-                "zone brings them near: look at the order of E and N and at the coordinate system.",
-            ),
-        )
-    return (
-        Finding(
-            "wrong-utm-zone",
-            f"in UTM zone {_zone(zone, southern)} the points lie {_kilometres(stated)} from the flight, "
-            "in zone "
-            f"{_zone(other, south)} {_kilometres(distance)}: the zone is wrong.",
-        ),
-    )
+        return (Finding("points-far-from-flight", "grave", figures=figures, cause="no-zone"),)
+    figures |= {"other": _zone(other, south), "near_km": _kilometres(distance)}
+    return (Finding("wrong-utm-zone", "grave", figures=figures),)
 
 
 def geodesic_m(latitude_1: float, longitude_1: float, latitude_2: float, longitude_2: float) -> float:
@@ -198,11 +168,12 @@ def _utm_distance(centre: FloatArray, zone: int, southern: bool, latitude: float
 
 
 def _zone(zone: int, southern: bool) -> str:
-    return f"{zone} {'south' if southern else 'north'}"
+    return f"{zone} {'S' if southern else 'N'}"
 
 
-def _kilometres(distance_m: float) -> str:
-    return f"{distance_m / 1000:.0f} km" if math.isfinite(distance_m) else "nowhere"
+def _kilometres(distance_m: float) -> float:
+    """Half way round the earth is far enough for what is nowhere."""
+    return min(distance_m, _NOWHERE_M) / 1000.0
 
 
 def _distance_ratio(a: FloatArray, b: FloatArray) -> float | None:
@@ -215,9 +186,3 @@ def _distance_ratio(a: FloatArray, b: FloatArray) -> float | None:
     if spread_b < 1.0 or spread_a < 0.1:
         return None
     return spread_a / spread_b
-
-
-def name_list(names: list[str]) -> str:
-    """Write names for a sentence."""
-    shown = ", ".join(names[:8])
-    return shown if len(names) <= 8 else f"{shown} and {len(names) - 8} more"

@@ -91,3 +91,9 @@ def value_class(
 
 def _with_survey(product: Sample | None, survey_m: float | None) -> float | None:
     return None if product is None else math.hypot(product.rmse_m, survey_m or 0.0)
+
+
+def value_class_text(value: ValueClass) -> str:
+    """Write the class reached."""
+    parts = (("horizontal", value.horizontal_m), ("vertical", value.vertical_m), ("3D", value.spatial_m))
+    return ", ".join(f"{name} {class_cm(rmse):.1f} cm" for name, rmse in parts if rmse is not None)

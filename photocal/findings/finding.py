@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 # Refused: the figure cannot be right. Grave: what the client uses is wrong. Doubtful: it contradicts
 # another, or an error is large. Consequence: it follows from others that say what is wrong. Note: the reader
@@ -54,8 +54,8 @@ class Finding:
     subject : str
         Parameter, pair, camera, image or point that is concerned.
     figures : mapping
-        The figures behind it, SI where the name has no unit; names of points and images as tuples, terms by
-        their codes; None is no number.
+        The figures behind it (a `Figure` where a text says it), SI where the name has no unit; names of
+        points and images as tuples, terms by their codes; None is no number.
     clauses : tuple of str
         Codes of what else is to be said, in order.
     size : Size or None
@@ -69,7 +69,7 @@ class Finding:
     code: str
     severity: Severity
     subject: str = ""
-    figures: Mapping[str, Figure] = field(default_factory=dict)
+    figures: Mapping[str, Any] = field(default_factory=dict)
     clauses: tuple[str, ...] = ()
     size: Size | None = None
     cause: str = ""

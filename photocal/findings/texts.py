@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any
@@ -10,11 +11,17 @@ from typing import Any
 from drivers.errors import InputMalformedError
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import Number, symbol
-from photocal.findings.finding import Figure, Finding
+from photocal.findings.finding import Finding
 
-# Figures that name parameters of the camera model, and those that are terms of the catalogue.
+# Figures that name parameters of the camera model.
 PARAMETERS = ("parameter", "names", "removed", "crowd")
-TERMS = ("method", "what", "role", "axis", "terms", "axes")
+# Figures that are terms of the catalogue, by their codes; what it does not have stands as it is.
+TERMS = (
+    "method", "role", "axis", "axes", "terms", "side", "sign", "product", "precision_class", "accuracy_class",
+    "same", "minor", "source",
+)  # fmt: skip
+# Figures that are phrases of the catalogue with what is put into them, "code first second".
+PHRASES = {"alike": "candidate", "slips": "slip", "changes": "change"}
 # Longer lists of points and images end with a number.
 _NAMED = 8
 
@@ -119,27 +126,38 @@ def _head(finding: Finding) -> str:
     return f"{'passed' if finding.severity == 'passed' else 'finding'}.{finding.code}"
 
 
-def _figure(key: str, value: Figure, say: Catalogue, name: Callable[[str], str]) -> object:
+def _figure(key: str, value: Any, say: Catalogue, name: Callable[[str], str]) -> object:
     if isinstance(value, str):
-        if key in TERMS:
-            return say(f"term.{value}")
-        return name(value) if key in PARAMETERS else value
-    if not isinstance(value, tuple):
+        return _term(value, say) if key in TERMS else name(value) if key in PARAMETERS else value
+    if not isinstance(value, tuple | list):
         return Number(math.nan if value is None else float(value), say.mark)
-    if key == "alike":
-        return say("join.and").join(_candidate(one, say, name) for one in value)
+    texts = [str(one) for one in value]
+    if key in PHRASES:
+        return say("join.and").join(_phrase(PHRASES[key], one, say, name) for one in texts)
     if key in TERMS:
-        return say("join.and").join(say(f"term.{one}") for one in value)
+        return say("join.and").join(_term(one, say) for one in texts)
     if key in PARAMETERS:
-        return " ".join(name(one) for one in value)
-    more = say("join.more", count=len(value) - _NAMED) if len(value) > _NAMED else ""
-    return ", ".join(value[:_NAMED]) + more
+        return " ".join(name(one) for one in texts)
+    if key in ("numbers", "stated"):
+        return ", ".join(_number(one, say) for one in texts)
+    more = say("join.more", count=len(texts) - _NAMED) if len(texts) > _NAMED else ""
+    return ", ".join(texts[:_NAMED]) + more
 
 
-def _candidate(text: str, say: Catalogue, name: Callable[[str], str]) -> str:
-    """Say a hidden error that was not chosen, "radial K3"."""
-    kind, _, parameter = text.partition(" ")
-    return say(f"candidate.{kind}", parameter=name(parameter))
+def _term(code: str, say: Catalogue) -> str:
+    return say.messages.get(f"term.{code}", code)
+
+
+def _number(text: str, say: Catalogue) -> str:
+    """A number that was written with its digits, "+1.80 +- 0.02"."""
+    return re.sub(r"(?<=\d)\.(?=\d)", say.mark, text).replace("+-", "±")
+
+
+def _phrase(section: str, text: str, say: Catalogue, name: Callable[[str], str]) -> str:
+    """Say a phrase, "radial K3" or "exchanged forward right"."""
+    code, *parts = text.split(" ")
+    values = (name(one) if section == "candidate" else _number(_term(one, say), say) for one in parts)
+    return say.messages[f"{section}.{code}"].format(*values)
 
 
 def _plain(value: Any) -> Any:

@@ -9,21 +9,22 @@ import numpy as np
 
 from photocal.accuracy.as_json import to_json as assessment_json
 from photocal.accuracy.discrepancies import SIGN
+from photocal.findings.catalogue import Catalogue, catalogue
+from photocal.findings.texts import finding_json
 from photocal.georeferencing.comparison import BlockCheck, Judged
 from photocal.georeferencing.differences import CRITICAL_W, ELLIPSE_PROBABILITY, Differences
+from photocal.georeferencing.findings import block_findings
 from photocal.georeferencing.freed_groups import Estimate
-from photocal.georeferencing.hypotheses import Hypothesis
 from photocal.georeferencing.separation import Separation
-from photocal.georeferencing.systematic import SystematicErrors
-from photocal.georeferencing.wording import block_findings
+from photocal.georeferencing.systematic import Hypothesis, SystematicErrors
 
 SCHEMA = "photocal.block-check/1"
 _AXES = ("X", "Y", "Z")
 _POSE = ("omega_deg", "phi_deg", "kappa_deg", "X_m", "Y_m", "Z_m")
 
 
-def to_json(check: BlockCheck) -> dict[str, Any]:
-    """Give a block's check as a JSON value.
+def to_json(check: BlockCheck, say: Catalogue | None = None) -> dict[str, Any]:
+    """Give a block's check as a JSON value, its findings in a language (English when none is given).
 
     Returns
     -------
@@ -52,11 +53,11 @@ def to_json(check: BlockCheck) -> dict[str, Any]:
                 "point": one.point,
                 "d_m": one.d.tolist(),
                 "sigma_m": one.sigma.tolist(),
-                "slip": one.slip,
+                "slips": list(one.slips),
             }
             for one in check.mistyped
         ],
-        "findings": [finding.to_json() for finding in block_findings(check)],
+        "findings": [finding_json(one, say or catalogue("en")) for one in block_findings(check)],
     }
 
 
@@ -116,16 +117,24 @@ def _point(found: Differences, k: int) -> dict[str, Any]:
 def _systematic(errors: SystematicErrors) -> dict[str, Any]:
     return {
         "tested": [_hypothesis(one) for one in errors.tested],
-        "found": [{**_hypothesis(one.found), "not_separated_from": list(one.same)} for one in errors.errors],
+        "found": [
+            {**_hypothesis(one.found), "not_separated_from": [_name(code) for code in one.same]}
+            for one in errors.errors
+        ],
         "together": [_estimate(one) for one in errors.estimates],
         "untested": list(errors.untested),
         "free_in_block": [_estimate(one) for one in errors.own],
     }
 
 
+def _name(code: str) -> str:
+    """What schema 1 calls a fault."""
+    return code.replace("-", " ")
+
+
 def _hypothesis(one: Hypothesis) -> dict[str, Any]:
     return {
-        "name": one.name,
+        "name": _name(one.name),
         "gain": one.gain,
         "factor": one.factor,
         "unknowns": one.unknowns,

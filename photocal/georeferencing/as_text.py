@@ -10,8 +10,8 @@ from photocal.accuracy.as_text import findings_text
 from photocal.accuracy.discrepancies import SIGN
 from photocal.georeferencing.comparison import BlockCheck, Judged
 from photocal.georeferencing.differences import Differences
+from photocal.georeferencing.findings import block_findings, estimate_text
 from photocal.georeferencing.standards_table import standards_rows
-from photocal.georeferencing.wording import block_findings, estimate_text
 
 
 def to_text(check: BlockCheck) -> str:
@@ -55,6 +55,7 @@ def to_text(check: BlockCheck) -> str:
             for e in check.systematic.own
         ]
         lines += ["left free in block.toml, estimated by the integrated method:", *own, ""]
+    lines += [f"{method}: not possible: {reason}" for method, reason in check.refused]
     lines.append(findings_text(block_findings(check)))
     return "\n".join(lines)
 

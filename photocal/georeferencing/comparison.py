@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from drivers.errors import IllPosedError, PhotocalError
 from photocal.accuracy.assessment import Assessment, Question, assess
-from photocal.accuracy.findings import Finding
 from photocal.accuracy.standard import Standard
 from photocal.block.model import Block, Role
+from photocal.findings.catalogue import catalogue
+from photocal.findings.finding import Finding
+from photocal.findings.texts import finding_text
 from photocal.georeferencing.calibrated import Calibration
 from photocal.georeferencing.differences import Differences, differences
 from photocal.georeferencing.local import in_local_frame
@@ -172,7 +174,8 @@ def _sound(block: Block, places: Floats, judged: list[Judged]) -> tuple[Block, t
 
 def _with_findings(said: str, findings: tuple[Finding, ...]) -> str:
     """A refusal together with what was found in the input: the cause stands there."""
-    return f"{said}. {' '.join(finding.text for finding in findings)}".strip()
+    say = catalogue("en")
+    return f"{said}. {' '.join(finding_text(finding, say) for finding in findings)}".strip()
 
 
 def _judge(

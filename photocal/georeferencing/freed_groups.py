@@ -1,4 +1,4 @@
-"""Groups of values that may be wrong: which a block is tested for, how they are freed, what they become."""
+"""Faults of the table in a block: which it is tested for, how their values are freed, what they become."""
 
 from __future__ import annotations
 
@@ -6,30 +6,25 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
-from photocal.adjustment.mounting import BORESIGHT, COMMON, LEVER, SHIFT, STRIPS, TIME
+from drivers.errors import IllPosedError, NotConvergedError
+from photocal.adjustment.adjust import adjust
+from photocal.adjustment.mounting import COMMON, SHIFT, STRIPS
 from photocal.adjustment.solution import Solution
 from photocal.block.model import Block
+from photocal.block.network import assemble
+from photocal.findings.hypotheses import FAULTS, Fault
 from photocal.geometry.camera import PARAMETERS
-from photocal.georeferencing.camera_change import Change, split_at
+
+Floats = NDArray[np.float64]
 
 SIGNIFICANCE = 0.001
-CHANGE, PRINCIPAL_DISTANCE, STRIP_SHIFTS = "camera change", "principal distance", "strip shifts"
-MOUNTED = ("lever arm", "boresight", "time offset", STRIP_SHIFTS)
-# What a freed value may be at most, as a weak observation that keeps the network regular: m, rad, s, m.
-_LOOSE = {"lever arm": 100.0, "boresight": 1.0, "time offset": 10.0, "datum shift": 1000.0}
-LOOSE_CAMERA = 0.1
-MEANING = {
-    "lever arm": "the lever arm from camera to antenna is wrong",
-    "boresight": "the boresight angles between camera and inertial unit are wrong",
-    "time offset": "exposures and positions are not on the same time",
-    "datum shift": "positions and control are in different datums (base station coordinates, geoid, epoch)",
-    "strip shifts": "the positions jump from strip to strip (GNSS ambiguities)",
-    "principal distance": "the principal distance is not the one given",
-    "principal point": "the principal point is not the one given",
-    "camera change": "the principal distance is not the same in all images (zoom, focus, another camera)",
-}
+# So many places are tried where the camera may have changed.
+_MOST_PLACES = 6
+# On either side; fewer say nothing of a principal distance.
+_FEWEST_IMAGES = 4
 
 
 @dataclass(frozen=True)
@@ -61,105 +56,188 @@ class Estimate:
     significant: bool
 
 
-def groups_of(block: Block) -> tuple[str, ...]:
-    """Give the groups that a block may be tested for: what it leaves free itself is none."""
-    names = ["lever arm", "datum shift"]
-    if len(block.attitudes.image):
-        names.append("boresight")
-    if np.any(block.positions.velocity):
-        names.append("time offset")
-    if len(np.unique(block.positions.strip)) > 1:
-        names.append("strip shifts")
-    if all(not _free(camera.estimated[0], camera.prior_sigma[0]) for camera in block.cameras):
-        names.append("principal distance")
-    if all(not _free(camera.estimated[k], camera.prior_sigma[k]) for camera in block.cameras for k in (1, 2)):
-        names.append("principal point")
-    # With a shift of its own for each strip nothing is left of a common one.
-    taken = {name for name in MOUNTED if left_free(block, name)}
-    if "strip shifts" in taken:
-        taken.add("datum shift")
-    return tuple(name for name in names if name not in taken)
+@dataclass(frozen=True)
+class Change:
+    """Where a second camera begins.
+
+    Attributes
+    ----------
+    image : int
+        Its first image.
+    values : ndarray, shape (13,)
+        Its parameters: start values of those that are free.
+    """
+
+    image: int
+    values: Floats
 
 
-def left_free(block: Block, name: str) -> bool:
-    """Tell whether the block itself leaves all values of a group (one of `MOUNTED`) free."""
+def faults_of(block: Block, change: Change | None, table: tuple[Fault, ...] = FAULTS) -> tuple[Fault, ...]:
+    """Give the faults that a block may be tested for: what it leaves free itself is none."""
+    free = {one.code for one in table if one.frees and left_free(block, one)}
+    taken = free | {code for one in table if one.code in free for code in one.contains}
+    return tuple(
+        one for one in table if one.frees and one.code not in taken and _testable(block, one, change)
+    )
+
+
+def of_camera(one: Fault) -> bool:
+    """Whether a fault frees parameters of cameras; the others free values of the mounting."""
+    return one.frees[0] in PARAMETERS
+
+
+def left_free(block: Block, one: Fault) -> bool:
+    """Tell whether the block itself leaves values of a fault free: all of the mounting, any of a camera."""
+    if one.each == "part":
+        return False
+    if of_camera(one):
+        at = [PARAMETERS.index(name) for name in one.frees]
+        return any(
+            bool(c.estimated[k]) and not math.isfinite(c.prior_sigma[k]) for c in block.cameras for k in at
+        )
     sigma = block.mounting.sigma
-    if name == "strip shifts":
-        return len(sigma) > STRIPS and bool(np.isinf(sigma[STRIPS : STRIPS + 3]).all())
-    return bool(np.isinf(sigma[_columns(name)]).all())
+    at = _first_strip(one) if one.each == "strip" else _columns(one)
+    return len(sigma) > max(at) and bool(np.isinf(sigma[at]).all())
 
 
-def with_freed(block: Block, name: str, change: Change | None) -> Block:
-    """Return the block with one group freed, weakly observed at its given value."""
-    if name == CHANGE and change is not None:
-        return split_at(block, change, LOOSE_CAMERA)
-    if name in ("principal distance", "principal point"):
-        which = [0] if name == "principal distance" else [1, 2]
+def _testable(block: Block, one: Fault, change: Change | None) -> bool:
+    """Whether the observations of a block can say anything of a fault."""
+    if one.each == "part":
+        return change is not None
+    if one.each == "strip":
+        return len(np.unique(block.positions.strip)) > 1
+    if one.frees[0].startswith("boresight"):
+        return len(block.attitudes.image) > 0
+    return one.frees[0] != "time_offset" or bool(np.any(block.positions.velocity))
+
+
+def with_freed(block: Block, one: Fault, change: Change | None) -> Block:
+    """Return the block with the values of one fault freed, weakly observed as they are given."""
+    if one.each == "part" and change is not None:
+        return _split_at(block, change, one)
+    if of_camera(one):
+        which = [PARAMETERS.index(name) for name in one.frees]
         cameras = []
         for camera in block.cameras:
-            estimated, sigma = camera.estimated.copy(), camera.prior_sigma.copy()
-            estimated[which], sigma[which] = True, LOOSE_CAMERA * camera.value("c")
-            cameras.append(replace(camera, estimated=estimated, prior_sigma=sigma))
+            estimated, prior = camera.estimated.copy(), camera.prior_sigma.copy()
+            estimated[which], prior[which] = True, one.prior * _scale(camera.value("c"), which)
+            cameras.append(replace(camera, estimated=estimated, prior_sigma=prior))
         return replace(block, cameras=tuple(cameras))
     sigma = block.mounting.sigma.copy()
-    if name == "strip shifts":
+    if one.each == "strip":
         # Images without position have no strip: their columns stay held.
         for strip in np.unique(block.positions.strip):
-            at = STRIPS + 6 * int(strip)
-            sigma[at : at + 3] = _LOOSE["datum shift"]
+            sigma[[6 * int(strip) + k for k in _first_strip(one)]] = one.prior
     else:
-        sigma[_columns(name)] = _LOOSE[name]
+        sigma[_columns(one)] = one.prior
     return replace(block, mounting=replace(block.mounting, sigma=sigma))
 
 
-def _free(estimated: object, prior: float) -> bool:
-    return bool(estimated) and not math.isfinite(prior)
+def _scale(c: float, which: list[int]) -> Floats:
+    """The parameter that moves rays at r = c / 2 by as much as c: K1 r^2 = 1 and so on."""
+    powers = {"K1": 2, "K2": 4, "K3": 6, "K4": 8, "P1": 1, "P2": 1, "P3": 3, "P4": 5, "B1": 0, "B2": 0}
+    return np.array([c if k < 3 else (2.0 / c) ** powers[PARAMETERS[k]] for k in which])
 
 
-def _columns(name: str) -> slice:
-    return {
-        "lever arm": LEVER,
-        "boresight": BORESIGHT,
-        "time offset": slice(TIME, TIME + 1),
-        "datum shift": SHIFT,
-    }[name]
+def _columns(one: Fault) -> list[int]:
+    return [COMMON.index(name) for name in one.frees]
 
 
-def estimates_of(block: Block, freed: Block, solution: Solution, name: str) -> tuple[Estimate, ...]:
-    """Give the values of one group from the solution in which it is freed."""
+def _first_strip(one: Fault) -> list[int]:
+    """Columns of the first strip's own values; those of the next one follow by six."""
+    return [STRIPS + k - SHIFT.start for k in _columns(one)]
+
+
+def estimates_of(block: Block, freed: Block, solution: Solution, one: Fault) -> tuple[Estimate, ...]:
+    """Give the values of one fault from the solution in which it is freed."""
     critical = float(stats.norm.ppf(1.0 - SIGNIFICANCE / 2.0))
 
-    def one(label: str, unit: str, value: float, given: float, sigma: float) -> Estimate:
+    def estimate(label: str, unit: str, value: float, given: float, sigma: float) -> Estimate:
         t = (value - given) / sigma if sigma > 0 else 0.0
         return Estimate(label, unit, value - given, value, sigma, t, abs(t) > critical)
 
-    if name in ("principal distance", "principal point", CHANGE):
-        which = [1, 2] if name == "principal point" else [0]
+    if of_camera(one):
+        which = [PARAMETERS.index(name) for name in one.frees]
         return tuple(
-            one(
-                f"{PARAMETERS[k]} of {own.id}",
-                own.unit,
+            estimate(
+                f"{PARAMETERS[k]}[{camera.id}]",
+                camera.unit if k < 3 else "",
                 float(solution.cameras[index, k]),
-                float(own.values[k]),
+                float(camera.values[k]),
                 math.sqrt(solution.camera_covariance[index, k, k]),
             )
-            for index, own in enumerate(freed.cameras if name == CHANGE else block.cameras)
+            for index, camera in enumerate(freed.cameras if one.each == "part" else block.cameras)
             for k in which
         )
     common, sigma = solution.state.common, np.sqrt(np.diag(solution.common_covariance))
     given = block.mounting.values
-    if name == "strip shifts":
+    if one.each == "strip":
         labels = [
-            (f"shift_{axis}[{strip}]", STRIPS + 6 * strip + k)
+            (f"{name}[{strip}]", 6 * strip + at)
             for strip in np.unique(freed.positions.strip).tolist()
-            for k, axis in enumerate("xyz")
+            for name, at in zip(one.frees, _first_strip(one), strict=True)
         ]
-        return tuple(
-            one(label, "m", float(common[at]), float(given[at]), float(sigma[at])) for label, at in labels
-        )
-    unit = {"boresight": "deg", "time offset": "s"}.get(name, "m")
-    scale = math.degrees(1.0) if name == "boresight" else 1.0
+    else:
+        labels = list(zip(one.frees, _columns(one), strict=True))
+    unit = "deg" if one.frees[0].startswith("boresight") else "s" if one.frees == ("time_offset",) else "m"
+    scale = math.degrees(1.0) if unit == "deg" else 1.0
     return tuple(
-        one(COMMON[k], unit, common[k] * scale, given[k] * scale, sigma[k] * scale)
-        for k in range(*_columns(name).indices(len(COMMON)))
+        estimate(label, unit, common[k] * scale, given[k] * scale, sigma[k] * scale) for label, k in labels
     )
+
+
+def places_of_change(block: Block) -> tuple[int, ...]:
+    """List the images before which the camera may have changed: first ones of strips, else quarters."""
+    count = len(block.images.names)
+    if len(block.cameras) != 1 or count < 2 * _FEWEST_IMAGES:
+        return ()
+    strip = np.full(count, -1)
+    strip[block.positions.image] = block.positions.strip
+    first = np.flatnonzero((np.diff(strip) != 0) & (strip[1:] >= 0) & (strip[:-1] >= 0)) + 1
+    if not len(first):
+        first = np.arange(1, 4) * count // 4
+    first = first[(first >= _FEWEST_IMAGES) & (first <= count - _FEWEST_IMAGES)]
+    chosen = np.linspace(0, len(first) - 1, min(len(first), _MOST_PLACES)).round().astype(int)
+    return tuple(int(first[k]) for k in np.unique(chosen))
+
+
+def _split_at(block: Block, change: Change, one: Fault) -> Block:
+    """Return the block with a second camera from an image on, what the fault frees free in both."""
+    (own,) = block.cameras
+    which = [PARAMETERS.index(name) for name in one.frees]
+    estimated, sigma = own.estimated.copy(), own.prior_sigma.copy()
+    estimated[which], sigma[which] = True, one.prior * _scale(own.value("c"), which)
+    first = replace(own, estimated=estimated, prior_sigma=sigma)
+    later = block.images.names[change.image]
+    second = replace(first.with_values(change.values), id=f"{own.id}@{later}")
+    camera = np.where(np.arange(len(block.images.names)) >= change.image, 1, 0)
+    return replace(block, cameras=(first, second), images=replace(block.images, camera=camera))
+
+
+def unknowns_of(block: Block, one: Fault, estimates: tuple[Estimate, ...]) -> int:
+    """Count what freeing a fault adds: for a second camera all its free values, and those of the first."""
+    if one.each != "part":
+        return len(estimates)
+    (own,) = block.cameras
+    free = own.estimated.copy()
+    which = [PARAMETERS.index(name) for name in one.frees]
+    held = int((~free[which]).sum())
+    free[which] = True
+    return int(free.sum()) + held
+
+
+def best_change(block: Block, values: Floats, table: tuple[Fault, ...] = FAULTS) -> Change | None:
+    """Find the image from which a second camera explains most."""
+    best: tuple[float, Change] | None = None
+    one = next((fault for fault in table if fault.each == "part"), None)
+    if one is None:
+        return None
+    for image in places_of_change(block):
+        change = Change(image, values)
+        try:
+            chi_squared = adjust(assemble(with_freed(block, one, change)).network).chi_squared
+        except (IllPosedError, NotConvergedError):
+            continue
+        if best is None or chi_squared < best[0]:
+            best = chi_squared, change
+    return None if best is None else best[1]

@@ -35,14 +35,14 @@ class Mistyped:
     ----------
     d, sigma : ndarray, shape (3,)
         Given less computed from the other points, and its standard deviation, m.
-    slip : str
-        The likely slip, in words; empty when none explains it.
+    slips : tuple of str
+        The likely slips, "code axis given wanted"; empty when none explains it.
     """
 
     point: str
     d: Floats
     sigma: Floats
-    slip: str
+    slips: tuple[str, ...]
 
 
 def mistyped_control(block: Block, given: Floats) -> tuple[Block, tuple[Mistyped, ...]]:
@@ -109,7 +109,7 @@ def _judged(block: Block, point: int, given: Floats, to_given: Floats) -> Mistyp
     stated = np.where(np.isfinite(block.points.sigma[point]), block.points.sigma[point], np.inf)
     if not np.any((np.abs(d) > _WRONG * stated) & (np.abs(d) > _NEAR * sigma)):
         return None
-    return Mistyped(name, d, sigma, _slip(given, given - to_given @ d, sigma))
+    return Mistyped(name, d, sigma, _slips(given, given - to_given @ d, sigma))
 
 
 def _to_given(local: Floats, given: Floats) -> Floats:
@@ -121,26 +121,24 @@ def _to_given(local: Floats, given: Floats) -> Floats:
     return np.asarray(np.linalg.lstsq(a, b, rcond=None)[0].T)
 
 
-def _slip(given: Floats, wanted: Floats, sigma: Floats) -> str:
-    """Say which slip of the pen makes the given coordinates of the wanted ones."""
+def _slips(given: Floats, wanted: Floats, sigma: Floats) -> tuple[str, ...]:
+    """Name the slips of the pen that made the given coordinates of the wanted ones, see `Mistyped`."""
     tolerance = _NEAR * sigma
     wrong = np.abs(given - wanted) > tolerance
     for a, b in ((0, 1), (0, 2), (1, 2)):
         changed = given.copy()
         changed[[a, b]] = given[[b, a]]
         if wrong[a] and wrong[b] and np.all(np.abs(changed - wanted) <= tolerance):
-            return f"{'XYZ'[a]} and {'XYZ'[b]} have changed places"
-    said = []
-    for k in np.flatnonzero(wrong):
-        slip = _digit_slip(float(given[k]), float(wanted[k]), float(tolerance[k]))
-        if not slip:
-            return ""
-        said.append(f"{'XYZ'[k]}: {slip}")
-    return "; ".join(said)
+            return (f"exchanged {'XYZ'[a]} {'XYZ'[b]}",)
+    near = tolerance.tolist()
+    slips = [(k, _digit_slip(float(given[k]), float(wanted[k]), near[k])) for k in np.flatnonzero(wrong)]
+    if not all(slip for _, slip in slips):
+        return ()
+    return tuple(f"{slip[0]} {'XYZ'[k]} {' '.join(slip[1:])}" for k, slip in slips)
 
 
-def _digit_slip(given: float, wanted: float, tolerance: float) -> str:
-    """Two digits swapped, one digit or the sign wrong, metres for feet: what comes near the wanted value."""
+def _digit_slip(given: float, wanted: float, tolerance: float) -> tuple[str, ...]:
+    """Two digits swapped, one digit or the sign wrong, feet for metres: code, given, nearly wanted value."""
     text = f"{given:.3f}"
     places = [i for i, mark in enumerate(text) if mark.isdigit()]
     for i, j in pairwise(places):
@@ -148,14 +146,14 @@ def _digit_slip(given: float, wanted: float, tolerance: float) -> str:
         marks[i], marks[j] = marks[j], marks[i]
         swapped = "".join(marks)
         if swapped != text and abs(float(swapped) - wanted) <= tolerance:
-            return f"two digits have changed places, {text} for {swapped}"
+            return "digits-exchanged", text, swapped
     if abs(-given - wanted) <= tolerance:
-        return f"the sign is wrong, {text} for {-given:.3f}"
+        return "sign", text, f"{-given:.3f}"
     if abs(given * 0.3048 - wanted) <= tolerance:
-        return f"{text} is in feet"
+        return "feet", text, f"{given * 0.3048:.3f}"
     for i in places:
         for digit in "0123456789":
             other = f"{text[:i]}{digit}{text[i + 1 :]}"
             if digit != text[i] and abs(float(other) - wanted) <= tolerance:
-                return f"one digit is wrong, {text} for {other}"
-    return ""
+                return "one-digit", text, other
+    return ()

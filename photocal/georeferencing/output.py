@@ -13,12 +13,14 @@ import numpy as np
 from acquire.outputs import output_folder
 from photocal.accuracy.figures import histograms, residual_map
 from photocal.accuracy.geopackage import write_geopackage
+from photocal.findings.catalogue import catalogue
+from photocal.findings.texts import finding_text
 from photocal.geopackage import ReferenceSystem
 from photocal.georeferencing.as_json import finite
 from photocal.georeferencing.comparison import BlockCheck
 from photocal.georeferencing.differences import Differences
+from photocal.georeferencing.findings import block_findings
 from photocal.georeferencing.standards_table import standards_rows
-from photocal.georeferencing.wording import block_findings
 
 
 def write_check(
@@ -167,5 +169,6 @@ def _report(check: BlockCheck) -> str:
         lines += ["## Bias and classes", "", *(f"| {' | '.join(row)} |" for row in rows[:1])]
         lines += ["|---" * len(rows[0]) + "|", *(f"| {' | '.join(row)} |" for row in rows[1:]), ""]
     lines += ["## Findings", ""]
-    lines += [f"- {finding.text}" for finding in block_findings(check)] or ["- Nothing to remark."]
+    say = catalogue("en")
+    lines += [f"- {finding_text(one, say)}" for one in block_findings(check)] or ["- Nothing to remark."]
     return "\n".join(lines) + "\n"

@@ -5,21 +5,21 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.accuracy.findings import Finding
-from photocal.accuracy.ground_point_images import control_in_few_images
 from photocal.accuracy.ground_points import (
+    FOOT_M,
     GroundPoints,
     check_points_used_as_control,
+    control_in_few_images,
     feet_for_metres,
     heights_all_equal,
     latitude_longitude_swapped,
-    name_list,
     wrong_utm_zone,
 )
 from photocal.adjustment.intersection import intersect
 from photocal.adjustment.mounting import body_to_camera
 from photocal.block.model import Block, Role
 from photocal.block.network import observed_plane
+from photocal.findings.finding import Finding
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.rotation import matrix_from_angles
 
@@ -36,20 +36,20 @@ def ground_findings(block: Block) -> tuple[Finding, ...]:
         (block.images.names[i], block.points.names[j])
         for i, j in zip(block.observations.image, block.observations.point, strict=True)
     )
-    said = list(check_points_used_as_control(control, check))
+    listed = list(check_points_used_as_control(control, check))
     for name, points in (("control", control), ("check", check)):
-        said += [Finding(f.code, f"{name}: {f.text}") for f in heights_all_equal(points)]
-    said += control_in_few_images(control.names, pairs, "control")
-    said += control_in_few_images(check.names, pairs, "check")
+        listed += heights_all_equal(points, name)
+    listed += control_in_few_images(control.names, pairs, "control")
+    listed += control_in_few_images(check.names, pairs, "check")
     ground = _joined(control, check)
     if not len(ground.names):
-        return tuple(said)
+        return tuple(listed)
     place = _place_findings(block, ground)
-    said += place
+    listed += place
     # Distances say nothing where the whole frame is wrong.
     if not place and _metric(block):
-        said += feet_for_metres(ground, by_start_values(block))
-    return tuple(said)
+        listed += feet_for_metres(ground, by_start_values(block))
+    return tuple(listed)
 
 
 def _of_role(block: Block, role: Role) -> GroundPoints:
@@ -91,7 +91,7 @@ def _place_findings(block: Block, ground: GroundPoints) -> tuple[Finding, ...]:
     try:
         system = CRS.from_user_input(block.frame)
     except CRSError:
-        return (Finding("unknown-frame", f"frame {block.frame!r} is not a coordinate system."),)
+        return (Finding("unknown-frame", "grave", block.frame),)
     if system.is_geographic:
         # X is longitude (east) and Y latitude (north), as for every other frame.
         return latitude_longitude_swapped(ground.xyz_m[:, 1], ground.xyz_m[:, 0], exposures[:, 1::-1])
@@ -102,12 +102,7 @@ def _place_findings(block: Block, ground: GroundPoints) -> tuple[Finding, ...]:
     longitude, latitude = back.transform(exposures[:, 0], exposures[:, 1])
     degrees = np.column_stack([latitude, longitude])
     if not np.isfinite(degrees).all():
-        return (
-            Finding(
-                "exposures-outside-frame",
-                f"the exposures do not lie in {block.frame}: the coordinate system is not theirs.",
-            ),
-        )
+        return (Finding("exposures-outside-frame", "grave", block.frame),)
     return wrong_utm_zone(ground, int(utm[:-1]), southern=utm[-1] == "S", exposures_deg=degrees)
 
 
@@ -120,25 +115,17 @@ def _far_in_local_frame(ground: GroundPoints, exposures: Floats) -> tuple[Findin
     distance = float(np.hypot(*(middle - flight)))
     if distance <= _FAR_M:
         return ()
-    for code, what, moved in (
-        ("east-north-swapped", "when X and Y change places: they are swapped", middle[::-1]),
-        ("feet-for-metres-plane", "when they are multiplied by 0.3048: they are in feet", middle * 0.3048),
-        ("metres-for-feet", "when they are divided by 0.3048: the exposures are in feet", middle / 0.3048),
+    for code, cause, moved in (
+        ("east-north-swapped", "near-when-swapped", middle[::-1]),
+        ("feet-for-metres-plane", "near-in-feet", middle * FOOT_M),
+        ("metres-for-feet", "near-in-metres", middle / FOOT_M),
     ):
         near = float(np.hypot(*(moved - flight)))
         if near <= _FAR_M:
-            text = (
-                f"the ground points lie {distance / 1000:.0f} km from the exposures, and "
-                f"{near / 1000:.1f} km {what}."
-            )
-            return (Finding(code, text),)
-    return (
-        Finding(
-            "points-far-from-flight",
-            f"the ground points lie {distance / 1000:.0f} km from the exposures: they are in another frame "
-            f"or another map zone (looked at: {name_list(list(ground.names))}).",
-        ),
-    )
+            figures = {"far_km": distance / 1000.0, "near_km": near / 1000.0}
+            return (Finding(code, "grave", figures=figures, cause=cause),)
+    far = {"far_km": distance / 1000.0, "points": ground.names}
+    return (Finding("points-far-from-flight", "grave", figures=far, cause="other-frame"),)
 
 
 def by_start_values(block: Block) -> GroundPoints:

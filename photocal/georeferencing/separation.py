@@ -10,7 +10,6 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from drivers.errors import IllPosedError, NotConvergedError
-from photocal.accuracy.findings import Finding
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.covariance import blocks
 from photocal.adjustment.envelope import factorise, selected_inverse
@@ -27,21 +26,6 @@ _SCALE_CAMERA = 0.01
 # A direction is not determined when its standard deviation stays above this share of the scale.
 _UNDETERMINED = 0.05
 _TAKES_PART = 0.1
-_WORDS = {
-    "lever_arm_x": "forward lever arm",
-    "lever_arm_y": "right lever arm",
-    "lever_arm_z": "vertical lever arm",
-    "boresight_x": "boresight about x",
-    "boresight_y": "boresight about y",
-    "boresight_z": "boresight about z",
-    "time_offset": "time offset",
-    "shift_x": "datum shift in X",
-    "shift_y": "datum shift in Y",
-    "shift_z": "height datum",
-    "c": "principal distance c",
-    "x0": "principal point x0",
-    "y0": "principal point y0",
-}
 
 
 @dataclass(frozen=True)
@@ -96,7 +80,7 @@ def separation(block: Block) -> Separation | None:
     for own, (active, at) in zip(cameras, problem.layout.camera_columns, strict=True):
         for k, column in zip(active, at, strict=True):
             if k < 3:
-                names.append(("c", "x0", "y0")[k] + (f" of {own.id}" if several else ""))
+                names.append(("c", "x0", "y0")[k] + (f"[{own.id}]" if several else ""))
                 columns.append(column)
                 scale.append(_SCALE_CAMERA * own.value("c"))
     covariance = blocks(np.array([columns]), problem.structure, inverse)[0]
@@ -127,34 +111,3 @@ def _groups(names: tuple[str, ...], covariance: Floats) -> tuple[tuple[str, ...]
         if has:
             groups.setdefault(group, []).append(name)
     return tuple(tuple(group) for group in groups.values())
-
-
-def separation_findings(found: Separation) -> tuple[Finding, ...]:
-    """Say what the flight cannot separate, and what would."""
-    said = []
-    for group in found.groups:
-        words = [_WORDS.get(name.split(" of ")[0], name) for name in group]
-        if len(group) == 1:
-            text = f"this flight does not determine the {words[0]}: {_remedy(group)}"
-            said.append(Finding("not-determined", text))
-            continue
-        together = ", ".join(words[:-1]) + " and " + words[-1]
-        text = f"this flight cannot separate {together}: only their combined effect acts; {_remedy(group)}"
-        said.append(Finding("not-separated", text))
-    return tuple(said)
-
-
-def _remedy(group: tuple[str, ...]) -> str:
-    bare = {name.split(" of ")[0] for name in group}
-    advice = []
-    if "c" in bare:
-        advice.append("fly a second height (or oblique images), or hold c from another calibration")
-    if "lever_arm_z" in bare and "shift_z" in bare:
-        advice.append("measure the vertical lever arm on the ground and hold it")
-    if "time_offset" in bare:
-        advice.append("fly the same line at different speeds, or measure the lever arm")
-    if bare & {"x0", "y0"}:
-        advice.append("fly strips in opposite and crossing directions, or hold the principal point")
-    if not advice:
-        advice.append("add control, crossing strips or a measured value with its sigma")
-    return "; ".join(advice) + "."

@@ -1,41 +1,155 @@
-"""The search for systematic errors: as few groups of freed values as explain the contradictions of a block.
+"""The search for systematic errors: as few faults of the table as explain the contradictions of a block.
 
-Stepwise: the most probable group is accepted, then the others are tested beside it; after each step a group
-that the others make needless is given up again. So what imitates a cause gives way to the cause.
+A fault is a hypothesis: its values are freed in the integrated adjustment, and an F test of the fall of v'Pv
+says whether it is needed beside the others that are freed. Stepwise: the most probable one is accepted, then
+the others are tested beside it; after each step what the others make needless is given up again. So what
+imitates a cause gives way to the cause; what explains the same is said with it: the flight cannot tell.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+
+from scipy import stats
 
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.solution import Solution
 from photocal.block.model import Block
 from photocal.block.network import assemble
-from photocal.georeferencing.camera_change import best_change, unknowns_of_change
+from photocal.findings.hypotheses import FAULTS, Fault, fault, imitators
 from photocal.georeferencing.freed_groups import (
-    CHANGE,
-    LOOSE_CAMERA,
-    MOUNTED,
-    PRINCIPAL_DISTANCE,
+    SIGNIFICANCE,
     Estimate,
+    best_change,
     estimates_of,
-    groups_of,
+    faults_of,
     left_free,
+    of_camera,
+    unknowns_of,
     with_freed,
-)
-from photocal.georeferencing.hypotheses import (
-    Fit,
-    Hypothesis,
-    as_good,
-    causes_first,
-    compare,
-    most_probable,
 )
 
 _ROUNDS = 4
+# Akaike (1974): models this close are not told apart; in units of v'Pv.
+_AS_GOOD = 10.0
+# A share of the gain: what explains as much of it is another name for the same error.
+_SAME_GAIN = 0.95
+# A principal distance that differs by less is no other camera, zoom or focus: warmth and correlated tie
+# points do that too.
+_NOTEWORTHY = 1e-3
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One fault of the table, its values freed.
+
+    Attributes
+    ----------
+    name : str
+        Code of the fault.
+    gain : float
+        By which v'Pv falls.
+    factor : float
+        Variance factor that is left.
+    unknowns : int
+        Freed values.
+    f, critical : float
+        gain / unknowns over the variance factor that is left, and its limit.
+    """
+
+    name: str
+    gain: float
+    factor: float
+    unknowns: int
+    f: float
+    critical: float
+    significant: bool
+    estimates: tuple[Estimate, ...]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What the tests need of an adjustment; its covariances would fill the memory.
+
+    Attributes
+    ----------
+    estimates : dict of str to tuple of Estimate
+        Of each fault that was freed.
+    """
+
+    chi_squared: float
+    degrees_of_freedom: int
+    estimates: dict[str, tuple[Estimate, ...]]
+
+
+def compare(name: str, before: Fit, after: Fit, unknowns: int, tests: int) -> Hypothesis:
+    """Test a fault.
+
+    Parameters
+    ----------
+    name : str
+        Code of the fault.
+    before, after : Fit
+        With its values held, and freed under weak observations of its values.
+    unknowns : int
+        Values that were freed.
+    tests : int
+        Faults that are tested: the significance of the whole is shared by them.
+    """
+    gain = max(before.chi_squared - after.chi_squared, 0.0)
+    # As many weak observations as unknowns came in: the degrees of freedom are those of the data.
+    freedom = max(before.degrees_of_freedom - unknowns, 1)
+    factor = max(after.chi_squared / freedom, 1e-300)
+    f = gain / unknowns / factor
+    critical = float(stats.f(unknowns, freedom).ppf(1.0 - SIGNIFICANCE / tests))
+    return Hypothesis(name, gain, factor, unknowns, f, critical, f > critical, after.estimates[name])
+
+
+def most_probable(
+    tries: tuple[Hypothesis, ...], observations: int, table: tuple[Fault, ...] = FAULTS
+) -> Hypothesis | None:
+    """Choose the most probable significant hypothesis (Schwarz 1978): gain less ln(n) for each unknown."""
+    penalty = _scale(tries) * math.log(observations)
+    significant = tuple(one for one in tries if one.significant and _noteworthy(one))
+    tried = causes_first(significant, table)
+    return max(tried, key=lambda one: one.gain - one.unknowns * penalty, default=None)
+
+
+def causes_first(tries: tuple[Hypothesis, ...], table: tuple[Fault, ...] = FAULTS) -> tuple[Hypothesis, ...]:
+    """Leave out what can look like everything, where there are others.
+
+    A shift of its own for each strip can imitate every other error, a second camera those of c and of the
+    height where there are two heights: what they make needless is given up when nothing else is left.
+    """
+    like_all = imitators(table)
+    return tuple(one for one in tries if one.name not in like_all) or tries
+
+
+def _noteworthy(one: Hypothesis) -> bool:
+    """Whether two principal distances differ by more than those of one camera may."""
+    known = fault(one.name)
+    if known is None or known.each != "part":
+        return True
+    before, after = one.estimates[0].value, one.estimates[1].value
+    return abs(after - before) / before > _NOTEWORTHY
+
+
+def _scale(tries: tuple[Hypothesis, ...]) -> float:
+    """Variance factor of the observations: what the hypothesis that explains most leaves of it."""
+    return max(1.0, min((one.factor for one in tries), default=1.0))
+
+
+def as_good(best: Hypothesis, tries: tuple[Hypothesis, ...]) -> tuple[Hypothesis, ...]:
+    """Give the other hypotheses that explain nearly all of what the best explains.
+
+    What contains it, and a shift of its own for each strip, is no other name for it.
+    """
+    limit = min(best.gain - _AS_GOOD * _scale(tries), _SAME_GAIN * best.gain)
+    silent = {best.name, *(one.code for one in FAULTS if one.each == "strip" or best.name in one.contains)}
+    return tuple(one for one in tries if one.name not in silent and one.significant and one.gain >= limit)
 
 
 @dataclass(frozen=True)
@@ -84,18 +198,20 @@ class SystematicErrors:
     own: tuple[Estimate, ...]
 
 
-def systematic_errors(block: Block, done: Callable[[], None] = lambda: None) -> SystematicErrors:
-    """Look for systematic errors of the georeference."""
+def systematic_errors(
+    block: Block, done: Callable[[], None] = lambda: None, table: tuple[Fault, ...] = FAULTS
+) -> SystematicErrors:
+    """Look for systematic errors of the georeference, the faults of a table."""
     first = adjust(assemble(block).network)
     done()
-    search = _Search(block, first, done)
+    search = _Search(block, first, done, table)
     accepted: tuple[str, ...] = ()
     tested: tuple[Hypothesis, ...] = ()
     for turn in range(_ROUNDS):
         tries = search.beside(accepted)
         if turn == 0:
             tested = tries
-        best = most_probable(tries, first.observations)
+        best = most_probable(tries, first.observations, table)
         if best is None:
             break
         kept = search.needed((*accepted, best.name))
@@ -104,7 +220,10 @@ def systematic_errors(block: Block, done: Callable[[], None] = lambda: None) -> 
         accepted = kept
     errors = search.errors(accepted)
     own = tuple(
-        e for name in MOUNTED if left_free(block, name) for e in estimates_of(block, block, first, name)
+        e
+        for one in table
+        if one.frees and not of_camera(one) and left_free(block, one)
+        for e in estimates_of(block, block, first, one)
     )
     return SystematicErrors(
         tested,
@@ -118,20 +237,23 @@ def systematic_errors(block: Block, done: Callable[[], None] = lambda: None) -> 
 class _Search:
     """Adjustments of one block with groups freed, each set of groups once."""
 
-    def __init__(self, block: Block, first: Solution, done: Callable[[], None]) -> None:
+    def __init__(
+        self, block: Block, first: Solution, done: Callable[[], None], table: tuple[Fault, ...]
+    ) -> None:
         self._block, self._done = block, done
         self._fits = {frozenset[str](): Fit(first.chi_squared, first.degrees_of_freedom, {})}
-        self._change = best_change(block, first.cameras[0], LOOSE_CAMERA)
-        # A second camera is made of the first one, so it comes before what is freed in both.
-        self._names = (() if self._change is None else (CHANGE,)) + groups_of(block)
+        self._change = best_change(block, first.cameras[0], table)
+        # A second camera is made of the first one, so it stands before what is freed in both.
+        self._faults = {one.code: one for one in faults_of(block, self._change, table)}
         self.refused: dict[str, str] = {}
 
     def beside(self, accepted: tuple[str, ...]) -> tuple[Hypothesis, ...]:
         """Test all other groups beside those that were accepted."""
         tries = []
-        for name in self._names:
-            # Two principal distances leave nothing of a common one.
-            if name in accepted or (name == PRINCIPAL_DISTANCE and CHANGE in accepted):
+        # Two principal distances leave nothing of a common one.
+        taken = {code for name in accepted for code in (name, *self._faults[name].contains)}
+        for name in self._faults:
+            if name in taken:
                 continue
             one = self._tested(name, accepted)
             if one is not None:
@@ -157,7 +279,7 @@ class _Search:
             mine = tuple(one for one in tries if one.name in left)
             if not mine:
                 break
-            gravest = max(causes_first(mine), key=lambda one: one.gain)
+            gravest = max(causes_first(mine, tuple(self._faults.values())), key=lambda one: one.gain)
             found.append(SystematicError(gravest, as_good(gravest, tries)))
             left = _less(left, gravest.name)
         return tuple(found)
@@ -175,17 +297,17 @@ class _Search:
             if not others:
                 self.refused[name] = refusal.what
             return None
-        unknowns = unknowns_of_change(self._block) if name == CHANGE else len(after.estimates[name])
-        return compare(name, before, after, unknowns, len(self._names))
+        unknowns = unknowns_of(self._block, self._faults[name], after.estimates[name])
+        return compare(name, before, after, unknowns, len(self._faults))
 
     def _fit(self, groups: frozenset[str]) -> Fit:
         if groups not in self._fits:
             freed = self._block
-            for name in self._names:
-                if name in groups:
-                    freed = with_freed(freed, name, self._change)
+            chosen = [one for name, one in self._faults.items() if name in groups]
+            for one in chosen:
+                freed = with_freed(freed, one, self._change)
             solution = adjust(assemble(freed).network)
-            estimates = {name: estimates_of(self._block, freed, solution, name) for name in groups}
+            estimates = {one.code: estimates_of(self._block, freed, solution, one) for one in chosen}
             self._fits[groups] = Fit(solution.chi_squared, solution.degrees_of_freedom, estimates)
             self._done()
         return self._fits[groups]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from drivers.errors import ConfigurationError
-from photocal.accuracy.findings import Finding
+from photocal.findings.finding import Finding
 
 # Konecny: from here on tilt changes the overlap; 5 degrees is the conventional tolerance of vertical
 # photographs (Alves Junior et al. 2015, section 4).
@@ -35,19 +35,10 @@ def tilt_findings(
     if tilt <= TILT_WITH_EFFECT_RAD:
         return ()
     left = tilted_overlap(overlap, tilt, half_angle_rad)
-    text = (
-        f"tilts up to {math.degrees(tilt):.1f} degrees: the overlap falls from {overlap:.0%} to about "
-        f"{left:.0%} where one photo tilts away from its neighbour"
-    )
+    figures = {"tilt_deg": math.degrees(tilt), "overlap": overlap, "left": left}
     if tilt <= TILT_TOLERANCE_RAD:
-        return (Finding("tilt", f"{text}."),)
-    return (
-        Finding(
-            "tilt-beyond-tolerance",
-            f"{text}; beyond the conventional tolerance of 5 degrees: wait for less wind, use a gimbal or "
-            "plan more overlap.",
-        ),
-    )
+        return (Finding("tilt", "note", figures=figures),)
+    return (Finding("tilt-beyond-tolerance", "doubtful", figures=figures),)
 
 
 def tilted_overlap(overlap: float, tilt_rad: float, half_angle_rad: float) -> float:

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from drivers.errors import ConfigurationError
-from photocal.accuracy.findings import Finding
 from photocal.accuracy.standard import ScaleStandard, Standard
+from photocal.findings.catalogue import catalogue
+from photocal.findings.finding import Finding
+from photocal.findings.texts import finding_json, finding_text
 from photocal.planning.error_budget import error_budget
 from photocal.planning.exposure import SMEAR_LIMIT_PX, smear_px
 from photocal.planning.flight import Flight, LevelGeometry
@@ -106,7 +108,7 @@ def to_json(flight: Flight, targets: tuple[Target, ...], said: tuple[Finding, ..
             target.name: {stage.name: stage.allowed_m for stage in error_budget(target.ep_m)}
             for target in targets
         },
-        "findings": [finding.to_json() for finding in said],
+        "findings": [finding_json(finding, catalogue("en")) for finding in said],
     }
 
 
@@ -132,50 +134,33 @@ def remarks(
     Returns
     -------
     tuple of Finding
-        In words.
+        What stands against it.
     """
-    said = []
+    listed = []
     speed = flight.wish.speed_m_s
     for level in flight.levels:
+        height = f"{level.height_m:.0f} m"
         if shortest_interval_s is not None and level.exposure_interval_s < shortest_interval_s:
-            said.append(
-                Finding(
-                    "interval-too-short",
-                    f"at {level.height_m:.0f} m a photo is due every {level.exposure_interval_s:.2f} s, the "
-                    f"camera needs {shortest_interval_s:g} s: fly over ground at "
-                    f"{level.base_m / shortest_interval_s:.1f} m/s or slower, also with tail wind.",
-                )
-            )
+            figures = {
+                "due_s": level.exposure_interval_s,
+                "needed_s": shortest_interval_s,
+                "speed_m_s": level.base_m / shortest_interval_s,
+            }
+            listed.append(Finding("interval-too-short", "doubtful", height, figures))
         smear = 0.0 if exposure_time_s is None else smear_px(exposure_time_s, speed, level.gsd_m)
         if smear > SMEAR_LIMIT_PX:
-            said.append(
-                Finding(
-                    "smear",
-                    f"at {level.height_m:.0f} m and {speed:g} m/s the image smears by {smear:.1f} px: expose "
-                    f"{SMEAR_LIMIT_PX * level.gsd_m / speed * 1e3:.2g} ms or shorter, or fly slower.",
-                )
-            )
+            longest_ms = SMEAR_LIMIT_PX * level.gsd_m / speed * 1e3
+            figures = {"speed_m_s": speed, "smear_px": smear, "longest_ms": longest_ms}
+            listed.append(Finding("smear", "doubtful", height, figures))
     precision = flight.levels[0].precision
     for target in targets:
         sigma = precision.plane_m if target.component == "planimetry" else precision.z_m
         if sigma > target.ep_m:
-            said.append(
-                Finding(
-                    "precision-above-target",
-                    f"{target.name}: one pair of photos gives {sigma:.3f} m, {target.ep_m:.3f} m are "
-                    "allowed: fly lower, or rely on many rays a point and show it at check points.",
-                )
-            )
+            figures = {"sigma_m": sigma, "allowed_m": target.ep_m}
+            listed.append(Finding("precision-above-target", "doubtful", target.name, figures))
     if len(flight.levels) == 1:
-        said.append(
-            Finding(
-                "one-height",
-                "one flying height over flat ground does not separate the principal distance from the flying "
-                "height; for a self-calibration add cross strips at a second height (--second-height) and "
-                "observe the positions of the exposures: without them each photo has a height of its own.",
-            )
-        )
-    return tuple(said)
+        listed.append(Finding("one-height", "note"))
+    return tuple(listed)
 
 
 def to_text(flight: Flight, targets: tuple[Target, ...], said: tuple[Finding, ...]) -> str:
@@ -200,7 +185,7 @@ def to_text(flight: Flight, targets: tuple[Target, ...], said: tuple[Finding, ..
             _heading(flight),
             *(_level_text(level) for level in flight.levels),
             *(_budget_text(target) for target in targets),
-            *(f"* {finding.text}" for finding in said),
+            *(f"* {finding_text(finding, catalogue('en'))}" for finding in said),
         ]
     )
 

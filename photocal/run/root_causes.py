@@ -10,50 +10,16 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
+from photocal.findings.hypotheses import FAULTS, fault
 from photocal.run.doubt import Doubt
-
-# Whatever is wrong shows at ground points and in tests; a method may be refused for it.
-_SYMPTOMS = frozenset(
-    {
-        "check-outside-prediction",
-        "control-outside-prediction",
-        "prediction-too-good",
-        "global-test",
-        "method-refused",
-    }
-)
-# Errors of positions against control, however they are called.
-_OF_POSITIONS = frozenset(
-    {
-        "antenna-height",
-        "base-position",
-        "datum-shift",
-        "lever-arm",
-        "lever-arm-axes",
-        "strip-shifts",
-        "time-offset",
-    }
-)
-# What makes points or positions wrong; images or attitudes that are missing make nothing wrong.
-_CAUSES = _OF_POSITIONS | {
-    "autopilot-clock",
-    "boresight",
-    "camera-change",
-    "control-mistyped",
-    "event-time-base",
-    "height-kind",
-    "ppk-not-fixed",
-    "principal-distance",
-    "principal-point",
-    "rolling-shutter",
-}
-# What a camera may be thought to have, when its rows are not of one moment.
-_OF_CAMERA = frozenset({"boresight", "camera-change", "principal-distance", "principal-point"})
 
 # With two thirds of the positions fixed, it is they that carry what is found.
 _JUDGED_FROM_PERCENT = 200.0 / 3.0
-_UNFIXED = "Positions without fixed ambiguities can do that: judge it again when they are fixed."
-_ROLLING = "A rolling shutter can do that: judge it again when the flight is free of it."
+# What else looks like what the search blames: told instead of it.
+_EXCUSES = {
+    "rolling-shutter": "A rolling shutter can do that: judge it again when the flight is free of it.",
+    "ppk-not-fixed": "Positions without fixed ambiguities can do that: judge it again when they are fixed.",
+}
 
 
 def causes_first(doubts: Iterable[Doubt], fixed_percent: float) -> tuple[Doubt, ...]:
@@ -72,18 +38,22 @@ def causes_first(doubts: Iterable[Doubt], fixed_percent: float) -> tuple[Doubt, 
     given = tuple(doubts)
     blamed, why = _excused(given, fixed_percent)
     judged = [_not_judged(one, why) if _blames(one, blamed) else one for one in given]
-    if any(one.code in _CAUSES for one in judged):
-        judged = [replace(one, consequence=True) if one.code in _SYMPTOMS else one for one in judged]
+    codes = {one.code for one in judged}
+    symptoms = {code for one in FAULTS if one.code in codes for code in one.symptoms}
+    judged = [replace(one, consequence=True) if one.code in symptoms else one for one in judged]
     order = ("warning", "consequence", "note")
     return tuple(sorted(judged, key=lambda one: order.index(one.kind)))
 
 
 def _excused(given: tuple[Doubt, ...], fixed_percent: float) -> tuple[frozenset[str], str]:
     """Give the codes that something else looks like, and what that is; nothing where all is judged."""
-    if any(one.code == "rolling-shutter" for one in given):
-        return _OF_POSITIONS | _OF_CAMERA, _ROLLING
-    if fixed_percent < _JUDGED_FROM_PERCENT:
-        return _OF_POSITIONS, _UNFIXED
+    told = {one.code for one in given}
+    if fixed_percent >= _JUDGED_FROM_PERCENT:
+        told.discard("ppk-not-fixed")
+    for code, why in _EXCUSES.items():
+        entry = fault(code)
+        if entry is not None and code in told:
+            return frozenset(entry.imitates), why
     return frozenset(), ""
 
 

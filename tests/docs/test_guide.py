@@ -19,7 +19,7 @@ import pytest
 
 from acquire.simulate.world.configuration import FLIGHTS
 from photocal.block.mounting import BODY_AXES
-from photocal.georeferencing.freed_groups import MEANING
+from photocal.findings.hypotheses import FAULTS
 from photocal.project_tables import Rig
 from photocal.run.warnings import _UNMATCHED as UNMATCHED
 
@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[2]
 GUIDE = ROOT / "docs" / "guide"
 # Where findings are made that `photocal run` tells.
 FOUND_IN = ("photocal/navigation", "photocal/georeferencing", "photocal/run")
-FOUND_BY = ("photocal/accuracy/ground_points.py", "photocal/accuracy/ground_point_images.py")
+FOUND_BY = ("photocal/accuracy/ground_points.py", "photocal/findings/hypotheses.py")
 
 
 def blocks(chapter: str, language: str) -> list[str]:
@@ -232,7 +232,7 @@ def test_every_warning_is_explained() -> None:
     explained = {code for cell in cells for code in re.findall("`(.*?)`", cell)}
     sources = _sources()
     named = {code for tree in sources for node in ast.walk(tree) for code in _codes_at(node)}
-    named |= {name.replace(" ", "-") for name in MEANING} | {kind[2] for kind in UNMATCHED}
+    named |= {one.code for one in FAULTS} | {kind[2] for kind in UNMATCHED}
     assert named - explained == set()
     # Some codes are put together or chosen from a table: at least their words stand in the sources.
     texts = {n.value for tree in sources for n in ast.walk(tree) if isinstance(n, ast.Constant)}

@@ -15,11 +15,12 @@ from photocal.accuracy.as_json import to_json
 from photocal.accuracy.as_text import to_text
 from photocal.accuracy.assessment import Assessment, Question, TableResult, assess
 from photocal.accuracy.discrepancies import Discrepancies
-from photocal.accuracy.findings import Finding
+from photocal.accuracy.findings import findings
 from photocal.accuracy.standard import ValueStandard
 from photocal.accuracy.standard_file import SHIPPED, load_standard
 from photocal.accuracy.value_class import class_cm, value_class
-from photocal.accuracy.wording import findings
+from photocal.findings.finding import Finding
+from tests.photocal.findings.english import english
 
 Published = Callable[[str], list[dict[str, str]]]
 FloatArray = NDArray[np.float64]
@@ -72,9 +73,9 @@ def test_flight_without_control_is_precise_and_not_accurate(published: Published
     assert plane.differ
     assert plane.admitted[0].rmse == pytest.approx(10614.0, abs=0.5)
     assert (heights.precision_class, heights.accuracy_class) == (None, None)
-    texts = [finding.text for finding in findings(result) if finding.code == "class-differs"]
+    texts = [english(finding) for finding in findings(result) if finding.code == "class-differs"]
     assert any("by precision class A, but by accuracy no class" in text for text in texts)
-    biases = [finding.text for finding in findings(result) if finding.code == "bias"]
+    biases = [english(finding) for finding in findings(result) if finding.code == "bias"]
     assert len(biases) == 3
     # Reference minus product is positive in h: the model lies about 2.8 m low, as the study says.
     assert "too low" in biases[2]
@@ -124,7 +125,7 @@ def test_class_is_the_value_reached() -> None:
 def test_nine_points_are_called_a_small_sample() -> None:
     d = Discrepancies(tuple("abcdefghi"), np.random.default_rng(0).normal(0.0, 0.1, (9, 3)))
     said = findings(assess(d, STANDARDS, Question()))
-    small = [finding.text for finding in said if finding.code == "small-sample"]
+    small = [english(finding) for finding in said if finding.code == "small-sample"]
     assert len(small) == 1
     assert small[0].startswith("E, N, h: small sample")
     assert "between 0.68 and 1.92 times" in small[0]
@@ -204,5 +205,5 @@ def test_a_chi_square_that_is_stricter_than_the_standard_is_said_to_be() -> None
     result = assess(Discrepancies(tuple("abcd"), d), STANDARDS, Question(1000.0))
     plane = of_table(result, "decree-89817", "planimetry")
     assert (plane.precision_class, plane.accuracy_class) == ("B", "A")
-    said = [finding.text for finding in findings(result) if finding.code == "class-differs"]
+    said = [english(finding) for finding in findings(result) if finding.code == "class-differs"]
     assert any("stricter than the standard's own rule" in text for text in said)

@@ -5,16 +5,17 @@ import pytest
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from photocal.accuracy.findings import Finding
-from photocal.accuracy.ground_point_images import control_in_few_images
 from photocal.accuracy.ground_points import (
     GroundPoints,
     check_points_used_as_control,
+    control_in_few_images,
     feet_for_metres,
     heights_all_equal,
     latitude_longitude_swapped,
     wrong_utm_zone,
 )
+from photocal.findings.finding import Finding
+from tests.photocal.findings.english import english
 
 FloatArray = NDArray[np.float64]
 
@@ -43,14 +44,14 @@ def codes(found: tuple[Finding, ...]) -> list[str]:
 def test_check_point_that_is_control_by_name() -> None:
     found = check_points_used_as_control(points(), points(OFFSETS[2:3] + 50.0, ("P3",)))
     assert codes(found) == ["check-as-control"]
-    assert "P3" in found[0].text
+    assert "P3" in english(found[0])
 
 
 def test_check_point_that_is_control_by_place() -> None:
     found = check_points_used_as_control(points(), points(OFFSETS[4:5] + 0.001, ("C1",)))
     assert codes(found) == ["check-at-control"]
-    assert "C1" in found[0].text
-    assert "P5" in found[0].text
+    assert "C1" in english(found[0])
+    assert "P5" in english(found[0])
 
 
 def test_independent_check_points_raise_nothing() -> None:
@@ -60,15 +61,15 @@ def test_independent_check_points_raise_nothing() -> None:
 def test_heights_of_zero_everywhere() -> None:
     table = points()
     flat = GroundPoints(table.names, table.xyz_m * [1.0, 1.0, 0.0])
-    found = heights_all_equal(flat)
+    found = heights_all_equal(flat, "control")
     assert codes(found) == ["heights-equal"]
-    assert "Z = 0" in found[0].text
-    assert heights_all_equal(table) == ()
+    assert "Z = 0" in english(found[0])
+    assert heights_all_equal(table, "control") == ()
 
 
 def test_heights_that_are_missing_are_not_heights_of_zero() -> None:
     table = points()
-    assert heights_all_equal(GroundPoints(table.names, table.xyz_m * [1.0, 1.0, np.nan])) == ()
+    assert heights_all_equal(GroundPoints(table.names, table.xyz_m * [1.0, 1.0, np.nan]), "control") == ()
 
 
 def test_swapped_latitude_and_longitude_near_the_flight() -> None:
@@ -77,7 +78,7 @@ def test_swapped_latitude_and_longitude_near_the_flight() -> None:
     assert latitude_longitude_swapped(latitude, longitude, flight) == ()
     found = latitude_longitude_swapped(longitude, latitude, flight)
     assert codes(found) == ["latitude-longitude-swapped"]
-    assert "swapped" in found[0].text
+    assert "swapped" in english(found[0])
 
 
 def test_impossible_latitude_needs_no_flight() -> None:
@@ -120,7 +121,7 @@ def test_feet_of_flat_ground_are_not_guessed() -> None:
 def test_wrong_utm_zone(zone: int, southern: bool, expected: list[str]) -> None:
     found = wrong_utm_zone(points(), zone, southern=southern, exposures_deg=exposures_deg())
     assert codes(found) == expected
-    assert all("zone 22 south" in finding.text for finding in found)
+    assert all("zone 22 S" in english(finding) for finding in found)
 
 
 def test_a_flight_over_the_date_line_is_in_its_zone() -> None:
@@ -140,7 +141,7 @@ def test_points_in_one_image_only() -> None:
     observations = (("i1", "P1"), ("i2", "P1"), ("i1", "P2"), ("i1", "P2"))
     found = control_in_few_images(("P1", "P2", "P3"), observations, "control")
     assert codes(found) == ["one-image-only", "no-image"]
-    assert "P2" in found[0].text
-    assert "blunder" in found[0].text
-    assert "P3" in found[1].text
-    assert "checks nothing" in control_in_few_images(("P2",), observations, "check")[0].text
+    assert "P2" in english(found[0])
+    assert "blunder" in english(found[0])
+    assert "P3" in english(found[1])
+    assert "checks nothing" in english(control_in_few_images(("P2",), observations, "check")[0])

@@ -11,14 +11,15 @@ import pytest
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from photocal.accuracy.ground_point_images import control_in_few_images
 from photocal.accuracy.ground_points import (
     GroundPoints,
+    control_in_few_images,
     geodesic_m,
     heights_all_equal,
     latitude_longitude_swapped,
     wrong_utm_zone,
 )
+from tests.photocal.findings.english import english
 
 FloatArray = NDArray[np.float64]
 pytestmark = pytest.mark.shared
@@ -59,7 +60,7 @@ def test_helenenschacht_is_sound(survey: list[dict[str, str]], exposures: FloatA
     assert len(exposures) == 176
     assert latitude_longitude_swapped(latitude, longitude, exposures[:, :2]) == ()
     assert wrong_utm_zone(utm(survey), 33, southern=False, exposures_deg=exposures[:, :2]) == ()
-    assert heights_all_equal(utm(survey)) == ()
+    assert heights_all_equal(utm(survey), "control") == ()
     # Both forms of the survey are the same places, to 4 cm: more than their digits would excuse (1 mm),
     # so one of them was not computed from the other on this ellipsoid and zone alone.
     east, north = Transformer.from_crs(4326, 32633).transform(latitude, longitude)
@@ -74,7 +75,7 @@ def test_helenenschacht_with_planted_mistakes(survey: list[dict[str, str]], expo
     assert [finding.code for finding in swapped] == ["latitude-longitude-swapped"]
     wrong = wrong_utm_zone(utm(survey), 32, southern=False, exposures_deg=exposures[:, :2])
     assert [finding.code for finding in wrong] == ["wrong-utm-zone"]
-    assert "zone 33 north" in wrong[0].text
+    assert "zone 33 N" in english(wrong[0])
 
 
 def test_helenenschacht_control_is_measured_in_seven_images(helenenschacht: Path) -> None:
@@ -88,7 +89,7 @@ def test_helenenschacht_control_is_measured_in_seven_images(helenenschacht: Path
     others = tuple(entry for entry in observations if entry[1] != observations[0][1])
     found = control_in_few_images(names, (observations[0], *others), "control")
     assert [finding.code for finding in found] == ["one-image-only"]
-    assert f"control point {observations[0][1]}:" in found[0].text
+    assert f"Control point {observations[0][1]}:" in english(found[0])
 
 
 def test_berlin_control(shared: Path) -> None:
@@ -102,7 +103,7 @@ def test_berlin_control(shared: Path) -> None:
     found = control_in_few_images(tuple(point["id"] for point in placed), observations, "control")
     # True of the file: point 3 is marked in 02.jpg only.
     assert [finding.code for finding in found] == ["one-image-only"]
-    assert found[0].text.startswith("control point 3:")
+    assert english(found[0]).startswith("Control point 3:")
     reference = json.loads((folder / "reconstruction_example.json").read_text(encoding="utf-8"))[0][
         "reference_lla"
     ]
@@ -119,4 +120,4 @@ def test_berlin_control(shared: Path) -> None:
         tuple(point["id"] for point in placed),
         np.array([[0.0, 0.0, point["position"]["altitude"]] for point in placed]),
     )
-    assert heights_all_equal(heights) == ()
+    assert heights_all_equal(heights, "control") == ()

@@ -95,7 +95,7 @@ def test_heights_of_zero(photocal: Photocal, folder: Path) -> None:
     changed(folder, "points.csv", flat)
     content = checked(photocal, folder)
     assert "heights-equal" in codes(content)
-    assert any("control: all 9 points have Z = 0" in f["text"] for f in content["findings"])
+    assert any("Control points: all 9 have Z = 0" in f["text"] for f in content["findings"])
 
 
 def test_check_points_that_are_control(photocal: Photocal, folder: Path) -> None:
@@ -109,7 +109,7 @@ def test_check_points_that_are_control(photocal: Photocal, folder: Path) -> None
 
     changed(folder, "points.csv", same)
     content = checked(photocal, folder)
-    assert any("check point p9 lies where control point p4 lies" in f["text"] for f in content["findings"])
+    assert any("Check point p9 lies where control point p4 lies" in f["text"] for f in content["findings"])
 
 
 def test_heights_in_feet(photocal: Photocal, folder: Path) -> None:
@@ -132,7 +132,7 @@ def test_coordinates_in_feet(photocal: Photocal, folder: Path) -> None:
     changed(folder, "points.csv", feet)
     said = photocal("check", folder, "--json")
     # Whether or not an adjustment survives it, the cause is said.
-    assert "are in feet where metres are expected" in (said.out or said.err)
+    assert "in feet where metres are expected" in (said.out or said.err)
 
 
 def test_points_in_one_image(photocal: Photocal, folder: Path) -> None:
@@ -150,14 +150,14 @@ def test_points_in_one_image(photocal: Photocal, folder: Path) -> None:
     (folder / "observations.csv").write_text("\n".join(kept) + "\n", encoding="utf-8")
     content = checked(photocal, folder)
     said = [f["text"] for f in content["findings"] if f["code"] == "one-image-only"]
-    assert any("control point p3" in text and "blunder" in text for text in said)
-    assert any("check point p12" in text and "checks nothing" in text for text in said)
+    assert any("Control point p3" in text and "blunder" in text for text in said)
+    assert any("Check point p12" in text and "checks nothing" in text for text in said)
     assert content["methods"]["indirect"]["check"]["n"] == 19
 
 
 @pytest.mark.parametrize(
     ("frame", "code", "words"),
-    [("EPSG:4326", "latitude", "swapped"), ("EPSG:32722", "zone", "zone 23 south")],
+    [("EPSG:4326", "latitude", "swapped"), ("EPSG:32722", "zone", "zone 23 S")],
 )
 def test_a_wrong_frame_of_the_points_is_said(
     photocal: Photocal, folder: Path, frame: str, code: str, words: str

@@ -18,7 +18,7 @@ ORIGIN = (-51.41, -22.12, 400.0)
 
 
 def in_utm(block: Block) -> Block:
-    """The block at a place of zone 22 south, its local axes those of the topocentric frame there."""
+    """The block at a place of zone 22 S, its local axes those of the topocentric frame there."""
     pipeline = Transformer.from_pipeline(
         "+proj=pipeline +step +inv +proj=topocentric +ellps=GRS80 "
         f"+lon_0={ORIGIN[0]} +lat_0={ORIGIN[1]} +h_0={ORIGIN[2]} "

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from photocal.georeferencing.freed_groups import MEANING
+from photocal.findings.hypotheses import FAULTS
 from photocal.run.doubt import Doubt
 from photocal.run.warnings import gather
 
@@ -102,9 +102,9 @@ def test_symptoms_without_a_cause_are_warnings(tmp_path: Path) -> None:
 
 
 def test_every_error_that_is_searched_for_is_a_cause(tmp_path: Path) -> None:
-    for name in MEANING:
-        found = kinds(tmp_path, georeferencing=told("global-test", name.replace(" ", "-")))
-        assert found["global-test"] == "consequence", name
+    for fault in FAULTS:
+        found = kinds(tmp_path, georeferencing=told("global-test", fault.code))
+        assert found["global-test"] == "consequence", fault.code
 
 
 def test_unfixed_positions_prove_nothing_against_the_base(tmp_path: Path) -> None:

@@ -1,0 +1,215 @@
+"""What a check of a block found: mistakes and errors under their names, then what follows of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import permutations, product
+
+import numpy as np
+from scipy import stats
+
+from photocal.findings.finding import Figure, Finding
+from photocal.findings.hypotheses import fault
+from photocal.georeferencing.comparison import BlockCheck, Judged
+from photocal.georeferencing.freed_groups import Estimate
+from photocal.georeferencing.mistyped import Mistyped
+from photocal.georeferencing.separation import Separation
+from photocal.georeferencing.systematic import Hypothesis, SystematicError
+
+# Errors this many times as large as predicted, or as small, are worth a word.
+_RATIO = 1.5
+# Without ground points all points of a flight share the errors of its rig and of few images: at worst they
+# err as one point, and their root of the mean d' C^-1 d / 3 as that of one (0.1 %).
+_RATIO_DIRECT = math.sqrt(float(stats.chi2(3).ppf(0.999)) / 3.0)
+# An error whose share of the gravest one's gain is less may be what the linear model leaves of that one.
+_MINOR = 0.1
+# An estimate is the permuted given one when it comes this near: standard deviations, and metres at least.
+_NEAR, _NEAR_M = 4.0, 0.02
+# Below this a shift is no mistake of a person.
+_NOTEWORTHY_M = 0.03
+_AXES = ("forward", "right", "down")
+
+
+def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
+    """Give what was found: mistakes and errors first, each under one name, then what follows of them."""
+    listed = [*check.plausibility, *(_mistyped(one) for one in check.mistyped)]
+    if check.systematic is not None:
+        listed += _causes(check.systematic.errors)
+    for judged in check.judged:
+        listed += _judged(judged)
+    if check.separation is not None:
+        listed += separation_findings(check.separation)
+    if check.judged and not any(judged.check.names for judged in check.judged):
+        listed.append(Finding("no-check-points", "note"))
+    return (*listed, *_refused(check))
+
+
+def _refused(check: BlockCheck) -> list[Finding]:
+    """Name the methods that the block does not allow; what it was never meant for is no fault."""
+    without = not check.block.points.of_role("control").any()
+    return [
+        Finding("no-control", "note")
+        if method == "indirect" and without
+        else Finding("method-refused", "doubtful", method, {"method": method, "reason": reason})
+        for method, reason in check.refused
+    ]
+
+
+def estimate_text(estimate: Estimate) -> str:
+    """Write one estimate with its standard deviation, without words."""
+    digits = max(0, 1 - math.floor(math.log10(estimate.sigma))) if estimate.sigma > 0 else 4
+    return (
+        f"{estimate.name} {estimate.correction:+.{digits}f} +- {estimate.sigma:.{digits}f} {estimate.unit} "
+        f"(t {estimate.t:.1f})"
+    )
+
+
+def _mistyped(one: Mistyped) -> Finding:
+    axes = zip("XYZ", one.d, one.sigma, strict=True)
+    figures: dict[str, Figure] = {
+        "numbers": tuple(f"{axis} {d:+.3f} +- {s:.3f}" for axis, d, s in axes),
+        "slips": one.slips,
+    }
+    remedy = "" if one.slips else "look-at-point"
+    cause = "slip" if one.slips else ""
+    return Finding("control-mistyped", "grave", one.point, figures, cause=cause, remedy=remedy)
+
+
+def _causes(errors: tuple[SystematicError, ...]) -> list[Finding]:
+    """Name the grave errors; beside them small ones are no causes yet, for the model is linear."""
+    if not errors:
+        return []
+    gravest = max(errors, key=lambda error: error.found.gain)
+    limit = _MINOR * gravest.found.gain
+    minor = tuple(error.found.name for error in errors if error.found.gain < limit)
+    listed = []
+    for error in errors:
+        if error.found.gain < limit:
+            continue
+        finding = _named(error)
+        if minor and error is gravest:
+            figures = {**finding.figures, "minor": minor}
+            finding = replace(finding, figures=figures, clauses=(*finding.clauses, "left-over"))
+        listed.append(finding)
+    return listed
+
+
+def _named(error: SystematicError) -> Finding:
+    """Name the mistake that a systematic error looks like; else the error itself."""
+    same = (error.found, *error.alternatives)
+    shift = next((one for one in same if one.name == "datum-shift"), None)
+    special = None
+    if shift is not None:
+        # What explains as much as a shift in plane leaves no mistake of the base alone.
+        alone = error.found.name == "datum-shift" and not error.alternatives
+        special = _shift(shift.estimates, alone, next((one for one in same if _is_change(one)), None))
+    elif error.found.name == "lever-arm":
+        special = _swapped_axes(error.found.estimates)
+    return special or _systematic(error)
+
+
+def _is_change(one: Hypothesis) -> bool:
+    known = fault(one.name)
+    return known is not None and known.each == "part"
+
+
+def _systematic(error: SystematicError) -> Finding:
+    found = error.found
+    shown = [e for e in found.estimates if e.significant] or list(found.estimates)
+    figures: dict[str, Figure] = {"numbers": tuple(estimate_text(e) for e in shown), "same": error.same}
+    return Finding(found.name, "grave", figures=figures, clauses=("same",) if error.same else ())
+
+
+def _shift(estimates: tuple[Estimate, ...], in_plane: bool, change: Hypothesis | None) -> Finding | None:
+    """A shift common to all positions: of the height alone, or of the base."""
+    axes = {one.name.removeprefix("shift_"): one for one in estimates}
+    noteworthy = {
+        axis for axis, one in axes.items() if one.significant and abs(one.correction) > _NOTEWORTHY_M
+    }
+    if noteworthy == {"z"}:
+        z = axes["z"]
+        side = "above" if z.correction > 0 else "below"
+        figures: dict[str, Figure] = {"shift_m": abs(z.correction), "sigma_m": z.sigma, "side": side}
+        if change is None:
+            return Finding("antenna-height", "grave", figures=figures)
+        # The camera was calibrated over two heights: a second principal distance looks the same.
+        before, after = change.estimates
+        figures |= {"percent": 100.0 * (after.value / before.value - 1.0), "second": after.name}
+        return Finding("antenna-height", "grave", figures=figures, clauses=("or-change",))
+    if not noteworthy or not in_plane:
+        return None
+    shift = tuple(f"{axis.upper()} {one.correction:+.3f} +- {one.sigma:.3f}" for axis, one in axes.items())
+    return Finding("base-position", "grave", figures={"numbers": shift})
+
+
+def _swapped_axes(estimates: tuple[Estimate, ...]) -> Finding | None:
+    """A lever arm that was given with its axes in another order or with another sign."""
+    value = np.array([one.value for one in estimates])
+    given = value - np.array([one.correction for one in estimates])
+    tolerance = np.maximum(_NEAR * np.array([one.sigma for one in estimates]), _NEAR_M)
+    best: tuple[int, tuple[str, ...]] | None = None
+    if np.all(np.abs(given - value) <= tolerance):
+        return None
+    for order in permutations(range(3)):
+        for sign in product((1.0, -1.0), repeat=3):
+            meant = given[list(order)] * np.array(sign)
+            # Equal or zero components make many orders the same vector: the least change is named.
+            changed = [k for k in range(3) if order[k] != k or sign[k] < 0]
+            fits = bool(np.all(np.abs(meant - value) <= tolerance))
+            if fits and (best is None or len(changed) < best[0]):
+                best = len(changed), _changes(order, sign)
+    if best is None:
+        return None
+    estimate, stated = (tuple(f"{v:+.3f}" for v in vector) for vector in (value, given))
+    figures: dict[str, Figure] = {"stated": stated, "numbers": estimate, "changes": best[1]}
+    return Finding("lever-arm-axes", "grave", figures=figures)
+
+
+def _changes(order: tuple[int, ...], sign: tuple[float, ...]) -> tuple[str, ...]:
+    """Codes of what was exchanged and turned."""
+    moved = [_AXES[k] for k in range(3) if order[k] != k]
+    parts = [f"exchanged {moved[0]} {moved[1]}"] if len(moved) == 2 else ["reordered"] if moved else []
+    return (*parts, *(f"opposite {_AXES[k]}" for k in range(3) if sign[k] < 0))
+
+
+def _judged(judged: Judged) -> list[Finding]:
+    method, listed = judged.found.method, []
+    for code, differences in (
+        ("check-outside-prediction", judged.check),
+        ("control-outside-prediction", judged.control),
+    ):
+        if differences.suspected:
+            figures: dict[str, Figure] = {"method": method, "points": tuple(differences.suspected)}
+            listed.append(Finding(code, "doubtful", method, figures))
+    ratio = judged.check.ratio
+    if ratio > (_RATIO_DIRECT if method == "direct" else _RATIO):
+        listed.append(Finding("prediction-too-good", "doubtful", method, {"method": method, "ratio": ratio}))
+    test = judged.found.test
+    if test is not None and not test.accepted and judged.found.chi_squared > test.upper:
+        figures = {"method": method, "chi_squared": judged.found.chi_squared, "upper": test.upper}
+        listed.append(Finding("global-test", "doubtful", method, figures))
+    return listed
+
+
+def separation_findings(found: Separation) -> tuple[Finding, ...]:
+    """Name what the flight cannot separate, and what would."""
+    listed = []
+    for group in found.groups:
+        bare = tuple(dict.fromkeys(name.split("[")[0] for name in group))
+        code = "not-determined" if len(group) == 1 else "not-separated"
+        listed.append(Finding(code, "note", figures={"terms": bare}, clauses=_advice(frozenset(bare))))
+    return tuple(listed)
+
+
+def _advice(names: frozenset[str]) -> tuple[str, ...]:
+    advice = []
+    if "c" in names:
+        advice.append("fly-two-heights")
+    if {"lever_arm_z", "shift_z"} <= names:
+        advice.append("measure-lever-arm")
+    if "time_offset" in names:
+        advice.append("fly-two-speeds")
+    if names & {"x0", "y0"}:
+        advice.append("fly-opposite")
+    return tuple(advice) or ("add-control",)
