@@ -34,13 +34,13 @@ class InputFile:
     ----------
     path : str
         Relative to the block folder.
-    size : int
-        Bytes.
+    bytes : int
+        Its size.
     """
 
     path: str
     sha256: str
-    size: int
+    bytes: int
 
 
 @dataclass(frozen=True)

@@ -208,7 +208,7 @@ def _read_csv(path: Path) -> Table:
     separator = max(",;\t", key=header.count)
     names = [name.strip().strip('"') for name in header.split(separator)]
     texts = pyarrow.csv.ConvertOptions(
-        column_types=dict.fromkeys(header.split(separator), pa.string()), strings_can_be_null=False
+        column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=False
     )
     try:
         columns = pyarrow.csv.read_csv(
@@ -219,7 +219,7 @@ def _read_csv(path: Path) -> Table:
             parse_options=pyarrow.csv.ParseOptions(delimiter=separator),
             convert_options=texts,
         )
-    except pa.ArrowInvalid as failure:
+    except (pa.ArrowInvalid, UnicodeError) as failure:
         raise _cut(path, str(failure)) from failure
     table = Table(path, columns, lines=True, separator=separator)
     _refuse_cut_end(table)
@@ -264,7 +264,7 @@ def _refuse_cut_end(table: Table) -> None:
     fewer decimals, or fewer digits, than every other number of its column, or ends where no number ends.
     """
     with table.path.open("rb") as text:
-        text.seek(-2, 2)
+        text.seek(-min(2, table.path.stat().st_size), 2)
         if text.read(2).rstrip(b"\0")[-1:] in b"\r\n":
             return
     cells = [str(cell).strip() for cell in table.columns.columns[-1].to_pylist()]

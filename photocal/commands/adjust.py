@@ -7,12 +7,15 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 
 from acquire.console import answer
 from drivers.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from photocal.results.result import Result
 
 
 def adjust(
@@ -48,9 +51,10 @@ def adjust(
 
     Example: `photocal adjust my-block -o run`
     """
-    from photocal.block.more_tables import Wanted, parse_joint
-    from photocal.block.process import adjust_block
     from photocal.exchange.any_block import read_any_block
+    from photocal.results.adjusting import adjust_block
+    from photocal.results.folder import result_json
+    from photocal.results.more_tables import Wanted, parse_joint
 
     if snoop not in ("", "w", "tau"):
         raise ConfigurationError(f"--snoop {snoop} is not known", remedy="use w or tau")
@@ -60,7 +64,7 @@ def adjust(
     wanted = Wanted(ellipses, reliability, components, parse_joint(joint))
     with iteration_lines("adjusting") as report:
         result = adjust_block(block, output, test, report, wanted, read_any_block)
-    answer(as_json, lambda: result, lambda: _text(result, output))
+    answer(as_json, lambda: result_json(result), lambda: _text(result, output))
 
 
 @contextmanager
@@ -78,35 +82,35 @@ def iteration_lines(title: str) -> Iterator[Callable[[Any], None]]:
     yield line
 
 
-def _text(result: dict[str, Any], output: Path) -> str:
+def _text(result: Result, output: Path) -> str:
     """What a person wants to know first."""
-    test = result["global_test"]
+    test = result.global_test
     counts = (
-        f"{result['observations']} observations, {result['unknowns']} unknowns, "
-        f"{result['degrees_of_freedom']} degrees of freedom"
+        f"{result.observations} observations, {result.unknowns} unknowns, "
+        f"{result.degrees_of_freedom} degrees of freedom"
     )
-    lines = [f"{result['block']['name']}: converged after {result['iterations']} iterations, {counts}"]
+    lines = [f"{result.block.name}: converged after {result.iterations} iterations, {counts}"]
     if test:
-        verdict = "accepted" if test["accepted"] else "REJECTED"
+        verdict = "accepted" if test.accepted else "REJECTED"
         lines.append(
-            f"chi-squared {result['chi_squared']:.2f}, expected {test['lower']:.1f} to {test['upper']:.1f} "
-            f"(95 %): {verdict}; a posteriori variance factor {result['sigma0_squared']:.4f}"
+            f"chi-squared {result.chi_squared:.2f}, expected {test.lower:.1f} to {test.upper:.1f} "
+            f"(95 %): {verdict}; a posteriori variance factor {result.sigma0_squared:.4f}"
         )
-    for name, camera in result["cameras"].items():
-        lines.append(f"camera {name} ({camera['model']}, {camera['unit']})")
-        for parameter, figures in camera["parameters"].items():
-            if figures["estimated"]:
-                lines.append(f"  {parameter:<3}{figures['value']:>15.8g}  +- {figures['sigma']:.3g}")
+    for name, camera in result.cameras.items():
+        lines.append(f"camera {name} ({camera.model}, {camera.unit})")
+        lines += [
+            f"  {key:<3}{camera.value(key):>15.8g}  +- {camera.sigma_of(key):.3g}" for key in camera.free
+        ]
     lines += [
-        f"sigma of {one['name']}: {one['factor']:.3f} +- {one['sigma']:.3f} times the given one"
-        for one in result["variance_components"]
-        if one["estimated"]
+        f"sigma of {one.name}: {one.factor:.3f} +- {one.sigma:.3f} times the given one"
+        for one in result.variance_components
+        if one.sigma is not None
     ]
-    if result["rejected"]:
-        lines.append(f"{len(result['rejected'])} observation(s) rejected as gross errors")
-    checks = result["checks"]
-    if checks["n"]:
-        rmse = ", ".join(f"{axis} {value * 1000:.1f}" for axis, value in checks["rmse_m"].items())
-        lines.append(f"check points: {checks['n']}, RMSE {rmse} mm")
+    if result.rejected:
+        lines.append(f"{len(result.rejected)} observation(s) rejected as gross errors")
+    rmse = [(axis, value) for axis, value in result.checks.rmse_m.items() if value is not None]
+    if result.checks.n:
+        shown = ", ".join(f"{axis} {value * 1000:.1f}" for axis, value in rmse)
+        lines.append(f"check points: {result.checks.n}, RMSE {shown} mm")
     lines.append(f"written to {output}")
     return "\n".join(lines)

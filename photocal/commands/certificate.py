@@ -41,8 +41,8 @@ def certificate(
 
     Example: `photocal certificate run -o certificate --block block --language pt-BR`
     """
-    from photocal.report.block_files import CARRIED
     from photocal.report.issue import FORMS, issue
+    from photocal.results.origin import CARRIED
     from photocal.run.warnings import told_beside
 
     with progress("certificate", 4) as step:

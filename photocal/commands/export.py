@@ -44,13 +44,14 @@ def export(
     from acquire.outputs import output_folder
     from photocal.exchange.formats import export as write
     from photocal.exchange.formats import named
-    from photocal.exchange.reconstruction import read_run
+    from photocal.exchange.reconstruction import of_result
     from photocal.exchange.writers import Choices
+    from photocal.results.folder import read_result
 
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.000Z")
     choices = Choices(_angle_unit(angle_unit), _origin(origin), now)
     chosen = named(form)
-    given = read_run(run)
+    given = of_result(read_result(run))
     with output_folder(output) as aside:
         conversions = write(chosen, aside, given, choices)
         files = sorted(str(path.relative_to(aside)) for path in aside.rglob("*") if path.is_file())

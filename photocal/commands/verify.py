@@ -11,8 +11,8 @@ from acquire.console import answer, progress
 from drivers.errors import InputMalformedError, InputNotFoundError
 
 if TYPE_CHECKING:
-    from photocal.report.block_files import Source
     from photocal.report.verification import Difference
+    from photocal.results.origin import Source
 
 
 def verify(
@@ -39,10 +39,10 @@ def verify(
     if certificate.suffix == ".toml":
         _printed(certificate, as_json)
         return
-    from photocal.report.block_files import changed_inputs
     from photocal.report.record import certified_result, read_record
     from photocal.report.repetition import repeated
     from photocal.report.verification import changed_documents, differences
+    from photocal.results.origin import changed_inputs
 
     certified, folder = read_record(certificate)
     source = _source(certified, folder, block)
@@ -123,8 +123,8 @@ def _printed(path: Path, as_json: bool) -> None:
 
 def _source(certified: dict[str, Any], folder: Path, block: Path | None) -> Source:
     """What was named, what the certificate carries, or what lies near it with the certified files."""
-    from photocal.report.block_files import CARRIED, Source, block_of_run
     from photocal.report.record import certified_result
+    from photocal.results.origin import CARRIED, Source, block_of_run
 
     result = certified_result(certified, folder)
     setup = result.block.setup

@@ -25,8 +25,8 @@ def published(output: Path) -> None:
 
 def calibrate(block: Path, output: Path) -> None:
     """Adjust a block into `run` and write its `certificate`, which prints what it says."""
-    from photocal.block.process import adjust_block
     from photocal.commands.certificate import certificate
+    from photocal.results.adjusting import adjust_block
 
     adjust_block(block, output / "run")
     certificate(output / "run", output / "certificate", block=block)

@@ -10,6 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from photocal.results.folder import read_result
+from photocal.results.result import Result
+
 _LEVER = ("lever_arm_x", "lever_arm_y", "lever_arm_z")
 _BORESIGHT = ("boresight_x", "boresight_y", "boresight_z")
 _WITHIN = 3.0
@@ -48,7 +51,7 @@ class Row:
 def against_truth(truth: Path, work: Path) -> tuple[Row, ...]:
     """Compare a run with the truth of its flight."""
     true = json.loads((truth / "truth.json").read_text(encoding="utf-8"))
-    result = json.loads((work / "calibration" / "result.json").read_text(encoding="utf-8"))
+    result = read_result(work / "calibration")
     check = json.loads((work / "georeferencing" / "check.json").read_text(encoding="utf-8"))
     rows = [*_camera(true, result), *_mounting(true, result)]
     if (truth / "exposures.csv").is_file() and (work / "ppk").is_dir():
@@ -56,22 +59,22 @@ def against_truth(truth: Path, work: Path) -> tuple[Row, ...]:
     return (*rows, *_check_points(check))
 
 
-def _camera(true: dict[str, Any], result: dict[str, Any]) -> Iterator[Row]:
-    camera = result["cameras"][true["camera"]["id"]]
-    for name, one in camera["parameters"].items():
-        if one["estimated"]:
-            value = float(true["camera"][camera["unit"]].get(name, 0.0))
-            unit = camera["unit"] if name in ("c", "x0", "y0") else ""
-            yield Row(name, unit, value, one["value"], one["sigma"])
+def _camera(true: dict[str, Any], result: Result) -> Iterator[Row]:
+    camera = result.cameras[true["camera"]["id"]]
+    for name in camera.free:
+        value = float(true["camera"][camera.unit].get(name, 0.0))
+        unit = camera.unit if name in ("c", "x0", "y0") else ""
+        yield Row(name, unit, value, camera.value(name), camera.sigma_of(name))
 
 
-def _mounting(true: dict[str, Any], result: dict[str, Any]) -> Iterator[Row]:
-    rig, mounting = true["rig"], result["mounting"]
+def _mounting(true: dict[str, Any], result: Result) -> Iterator[Row]:
+    rig, mounting = true["rig"], result.mounting or {}
     truths = [*rig["camera_to_antenna_m"], *rig["boresight_deg"], rig["time_offset_s"]]
     units = ["m"] * 3 + ["deg"] * 3 + ["s"]
     for name, value, unit in zip((*_LEVER, *_BORESIGHT, "time_offset"), truths, units, strict=True):
-        if mounting[name]["estimated"]:
-            yield Row(name.replace("_", " "), unit, value, mounting[name]["value"], mounting[name]["sigma"])
+        found = mounting[name]
+        if found.estimated:
+            yield Row(name.replace("_", " "), unit, value, found.value, found.sigma)
 
 
 def _positions(truth: Path, work: Path) -> Iterator[Row]:

@@ -4,23 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from drivers.errors import ConfigurationError
 from photocal.block.model import ROLES, Block, InputFile, ObjectPoints, Observations
-from photocal.block.table import read_table
-from photocal.exchange.json_source import read_json
 from photocal.exchange.parts import images
-from photocal.geometry.camera import PARAMETERS, Camera, camera, plane_to_pixel
+from photocal.geometry.camera import Camera, plane_to_pixel
+from photocal.results.result import Result
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-_SCHEMA = "photocal.adjustment/"
 
 
 @dataclass(frozen=True)
@@ -121,88 +116,53 @@ def of_block(block: Block) -> Reconstruction:
     )
 
 
-def read_run(folder: Path) -> Reconstruction:
-    """Read what `photocal adjust` wrote.
-
-    Parameters
-    ----------
-    folder : Path
-        Run folder.
+def of_result(result: Result) -> Reconstruction:
+    """Take what other programs know out of a result: the observations that took part, in pixels.
 
     Raises
     ------
-    InputNotFoundError, InputMalformedError
-        When it is no complete run folder.
+    ConfigurationError
+        For a lens that varies from image to image or with the distance.
     """
-    if not folder.is_dir():
-        raise InputNotFoundError(
-            "is no folder", where=folder, remedy="name the folder that photocal adjust wrote"
-        )
-    place = folder / "result.json"
-    result = read_json(place)
-    if not str(result.get("schema", "")).startswith(_SCHEMA):
-        raise InputMalformedError("is not the result of an adjustment", where=place)
-    try:
-        cameras = tuple(_camera(name, keys) for name, keys in result["cameras"].items())
-        block = result["block"]
-        unit = block["observation_unit"], block["observation_axes"]
-        frame, height, title = (str(block[key]) for key in ("frame", "height", "name"))
-    except (KeyError, TypeError, AttributeError, ValueError) as failure:
-        raise InputMalformedError(
-            f"lacks {failure}", where=place, remedy="adjust the block again"
-        ) from failure
-    pose_columns = ("X", "Y", "Z", "omega", "phi", "kappa")
-    table = read_table(
-        folder / "images.csv", ("image", "camera", *pose_columns), ("sX", "sY", "sZ", "so", "sp", "sk")
-    )
-    image_names = table.unique_names("image")
-    which, camera_names = table.names("camera")
-    known = {own.id: k for k, own in enumerate(cameras)}
-    lost = [name for name in camera_names if name not in known]
-    if lost:
-        raise InputMalformedError(
-            f"names camera {lost[0]}, which is not in result.json",
-            where=folder / "images.csv",
-            remedy="adjust the block again",
-        )
-    image_camera = np.array([known[name] for name in camera_names], dtype=np.int64)[which]
-    poses = _pose_columns(table, pose_columns[3:] + pose_columns[:3])
-    pose_sigma = _pose_columns(table, ("so", "sp", "sk", "sX", "sY", "sZ"))
-    points = read_table(folder / "points.csv", ("point", "role", "X", "Y", "Z"), ("sX", "sY", "sZ", "rays"))
-    point_names = points.unique_names("point")
-    role, role_names = points.names("role")
-    rays = _residual_table(folder)
-    image = _rows(rays, "image", image_names)
-    point = _rows(rays, "point", point_names)
-    values = np.column_stack([rays.numbers("x"), rays.numbers("y")])
-    residuals = np.column_stack([rays.numbers("vx"), rays.numbers("vy")])
-    size = np.array([own.size_px for own in cameras], dtype=float)[image_camera[image]]
-    pitch = np.array([own.pitch for own in cameras])[image_camera[image]]
-    if unit == ("px", "photo"):
-        pitch = np.ones_like(pitch)
-    if unit[0] == "mm":
-        residuals = residuals / pitch
-    if unit[1] == "photo":
-        values, residuals = plane_to_pixel(size, pitch, values), residuals * [1.0, -1.0]
-    elif unit[0] == "mm":
-        values = values / pitch
+    for own in result.cameras.values():
+        if own.photo_variant or own.focus_m:
+            what = (
+                f"{', '.join(own.photo_variant)} from image to image"
+                if own.photo_variant
+                else "distortion with the distance"
+            )
+            raise ConfigurationError(
+                f"camera {own.id} varies its {what}: other programs' formats hold one lens for all",
+                remedy="adjust with a lens that does not vary, then export that run",
+            )
+    images, points, rays = result.images, result.points, result.residuals.accepted
+    place = {name: j for j, name in enumerate(points.names)}
+    point = np.array([place.get(name, -1) for name in rays.point_names], dtype=np.int64)[rays.point]
+    camera_of = images.camera[rays.image]
+    size = np.array([own.size_px for own in images.cameras], dtype=float)[camera_of]
+    pitch = np.array([own.pitch for own in images.cameras])[camera_of]
+    per_px = pitch if result.block.observation_unit == "mm" else np.ones_like(pitch)
+    residuals = rays.residual / per_px
+    pixels = rays.measured / per_px
+    if result.block.observation_axes == "photo":
+        pixels, residuals = plane_to_pixel(size, per_px, rays.measured), residuals * [1.0, -1.0]
     return Reconstruction(
-        cameras,
-        image_names,
-        image_camera,
-        poses,
-        point_names,
-        np.column_stack([points.numbers(axis) for axis in "XYZ"]),
-        image,
+        images.cameras,
+        images.names,
+        images.camera,
+        images.values,
+        points.names,
+        points.values,
+        rays.image,
         point,
-        values,
-        tuple(role_names[k] for k in role),
-        pose_sigma,
-        np.column_stack([points.numbers("s" + axis, empty=np.nan) for axis in "XYZ"]),
+        pixels,
+        points.role,
+        images.sigma,
+        points.sigma,
         residuals,
-        frame,
-        height,
-        title,
+        result.block.frame,
+        result.block.height,
+        result.block.name,
     )
 
 
@@ -220,49 +180,3 @@ def orientations_alone(names: Sequence[str], poses: Floats) -> Reconstruction:
     return replace(
         nothing, image_names=tuple(names), image_camera=np.full(len(names), -1, dtype=np.int64), poses=poses
     )
-
-
-def _camera(name: str, keys: dict[str, Any]) -> Camera:
-    # Runs of older versions do not have these keys; their cameras did not vary.
-    varied, focus_m = keys.get("photo_variant") or (), keys.get("focus_m")
-    if varied or focus_m:
-        what = f"{', '.join(varied)} from image to image" if varied else "distortion with the distance"
-        raise ConfigurationError(
-            f"camera {name} varies its {what}: other programs' formats hold one lens for all",
-            remedy="adjust with a lens that does not vary, then export that run",
-        )
-    parameters = {key: float(keys["parameters"][key]["value"]) for key in PARAMETERS}
-    return camera(
-        name,
-        keys["model"],
-        keys["unit"],
-        (int(keys["size_px"][0]), int(keys["size_px"][1])),
-        (1.0, 1.0) if keys["unit"] == "px" else (float(keys["pitch_mm"][0]), float(keys["pitch_mm"][1])),
-        parameters,
-        reference_radius=float(keys["reference_radius"]),
-        affinity=keys["affinity"],
-        affinity_form=keys["affinity_form"],
-    )
-
-
-def _pose_columns(table: Any, columns: tuple[str, ...]) -> Floats:
-    values = np.column_stack([table.numbers(column, empty=np.nan) for column in columns])
-    values[:, :3] = np.radians(values[:, :3])
-    return values
-
-
-def _residual_table(folder: Path) -> Any:
-    long = folder / "residuals.parquet"
-    path = long if long.exists() else folder / "residuals.csv"
-    return read_table(path, ("image", "point", "x", "y", "vx", "vy"), ("rx", "ry", "wx", "wy"))
-
-
-def _rows(table: Any, column: str, names: tuple[str, ...]) -> Integers:
-    index, found = table.names(column)
-    position = {name: k for k, name in enumerate(names)}
-    missing = [name for name in found if name not in position]
-    if missing:
-        raise InputMalformedError(
-            f"{column} {missing[0]} is in no other table", where=table.path, remedy="adjust the block again"
-        )
-    return np.asarray(np.array([position[name] for name in found], dtype=np.int64)[index])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -68,6 +69,11 @@ class Camera:
         Correlations of the values as observations; None when they are independent.
     guessed : bool
         Whether c is a guess: good to start from, and nothing to hold.
+    given : ndarray, shape (13,), or None
+        Of adjusted values: what they were before.
+    sigma, correlation : ndarray, shape (13,) and (13, 13), or None
+        Standard deviations of adjusted values and their correlations, 0 for held ones; None before an
+        adjustment.
     """
 
     id: str
@@ -85,10 +91,53 @@ class Camera:
     focus_m: float = 0.0
     prior_correlation: Floats | None = None
     guessed: bool = False
+    given: Floats | None = None
+    sigma: Floats | None = None
+    correlation: Floats | None = None
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the estimated parameters."""
+        return tuple(name for name, chosen in zip(PARAMETERS, self.estimated, strict=True) if chosen)
+
+    @property
+    def used(self) -> tuple[str, ...]:
+        """Names of the parameters that are estimated or not zero."""
+        chosen = self.estimated | (self.values != 0)
+        return tuple(PARAMETERS[k] for k in np.flatnonzero(chosen))
+
+    @property
+    def photo_variant(self) -> tuple[str, ...]:
+        """Names of the parameters that vary from image to image."""
+        return tuple(PARAMETERS[k] for k in np.flatnonzero(self.deviation_sigma))
+
+    def sigma_of(self, name: str) -> float:
+        """Standard deviation of an adjusted parameter; 0 for one that is held."""
+        return 0.0 if self.sigma is None else float(self.sigma[PARAMETERS.index(name)])
+
+    def correlation_of(self, names: Sequence[str]) -> Floats:
+        """Correlations of adjusted parameters, shape (n, n)."""
+        rows = [PARAMETERS.index(name) for name in names]
+        whole = np.eye(len(PARAMETERS)) if self.correlation is None else self.correlation
+        return np.asarray(whole[np.ix_(rows, rows)])
+
+    def covariance_of(self, names: Sequence[str]) -> Floats:
+        """Covariance of adjusted parameters in products of their units, shape (n, n)."""
+        sigma = [self.sigma_of(name) for name in names]
+        return np.asarray(self.correlation_of(names) * np.outer(sigma, sigma))
 
     def value(self, name: str) -> float:
         """Value of one parameter by its name."""
         return float(self.values[PARAMETERS.index(name)])
+
+    def adjusted(self, values: ArrayLike, sigma: ArrayLike, correlation: ArrayLike) -> Camera:
+        """Return the same camera with adjusted values and what is known of them."""
+        return replace(
+            self.with_values(values),
+            given=self.values,
+            sigma=np.asarray(sigma, dtype=float),
+            correlation=np.asarray(correlation, dtype=float),
+        )
 
     def with_values(self, values: ArrayLike) -> Camera:
         """Return the same camera with other parameter values, shape (13,)."""

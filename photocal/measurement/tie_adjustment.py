@@ -12,11 +12,11 @@ from photocal.adjustment.adjust import adjust
 from photocal.adjustment.solution import Solution
 from photocal.block.model import Block, Images
 from photocal.block.network import NetworkOfBlock, assemble
-from photocal.block.run import given_exposures, given_points
 from photocal.geometry.camera import Camera
 from photocal.measurement.ray_sigmas import GROSS, ray_sigmas
 from photocal.measurement.tie_block import fitting, place, with_ties
 from photocal.measurement.tracks import Tracks
+from photocal.results.adjusted import given_exposures, given_points
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -8,14 +8,15 @@ from numpy.typing import NDArray
 from photocal.geometry.camera import pixel_to_plane
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.frames import Frame
-from photocal.products.shots import Shots, image_border
+from photocal.geometry.oriented_images import OrientedImages
+from photocal.products.lens_tables import image_border
 from photocal.products.terrain import Bounds
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-def border_directions(shots: Shots) -> Floats:
+def border_directions(shots: OrientedImages) -> Floats:
     """Directions in object space of rays around the border of each image, shape (m, k, 3)."""
     rays = []
     for camera in shots.cameras:
@@ -25,7 +26,7 @@ def border_directions(shots: Shots) -> Floats:
     return np.asarray(np.einsum("mkc,mcd->mkd", np.array(rays)[shots.camera], shots.rotation))
 
 
-def candidates(shots: Shots, borders: Floats, ground: Floats) -> Integers:
+def candidates(shots: OrientedImages, borders: Floats, ground: Floats) -> Integers:
     """Images whose footprint, at the lowest or the highest ground, touches the ground."""
     finite = ground[np.isfinite(ground[:, 2])]
     if not len(finite):
@@ -49,7 +50,7 @@ def candidates(shots: Shots, borders: Floats, ground: Floats) -> Integers:
     return np.flatnonzero(touches).astype(np.int64)
 
 
-def footprints(shots: Shots, frame: Frame, height: float) -> Bounds:
+def footprints(shots: OrientedImages, frame: Frame, height: float) -> Bounds:
     """Rectangle around what the images show at one height, in the terrain's coordinates.
 
     Parameters

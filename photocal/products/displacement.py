@@ -13,8 +13,9 @@ from drivers.errors import ConfigurationError
 from photocal.geometry.camera import pixel_to_plane, plane_to_pixel
 from photocal.geometry.distortion import projected, undistorted
 from photocal.geometry.frames import Frame
+from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.kernels import look_up
-from photocal.products.shots import Shots, lens_tables
+from photocal.products.lens_tables import lens_tables
 from photocal.products.terrain import Terrain
 
 Floats = NDArray[np.float64]
@@ -24,14 +25,16 @@ _PASSES = 100
 _CLOSE_M = 1e-5
 
 
-def image_points(shots: Shots, number: int, local: Floats) -> Floats:
+def image_points(shots: OrientedImages, number: int, local: Floats) -> Floats:
     """Project points into one image."""
     camera = shots.cameras[shots.camera[number]]
     q = (local - shots.station[number]) @ shots.rotation[number].T
     return plane_to_pixel(camera.size_px, camera.pitch, projected(camera, q))
 
 
-def terrain_points(shots: Shots, number: int, pixel: Floats, terrain: Terrain, frame: Frame) -> Floats:
+def terrain_points(
+    shots: OrientedImages, number: int, pixel: Floats, terrain: Terrain, frame: Frame
+) -> Floats:
     """Intersect the rays of image points with the terrain."""
     camera = shots.cameras[shots.camera[number]]
     ideal = undistorted(camera, pixel_to_plane(camera.size_px, camera.pitch, pixel))
@@ -81,13 +84,13 @@ class Displacement:
 
 
 def displacement(
-    right: Shots, wrong: Shots, terrain: Terrain, frame: Frame, x: Floats, y: Floats
+    right: OrientedImages, wrong: OrientedImages, terrain: Terrain, frame: Frame, x: Floats, y: Floats
 ) -> Displacement:
     """Follow ground points through the right image geometry and back through the wrong one.
 
     Parameters
     ----------
-    right, wrong : Shots
+    right, wrong : OrientedImages
         The same images with two orientations.
     x, y : ndarray, shape (n,)
         Ground points, m.

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.block.model import Block
 from photocal.geometry.frames import Frame
+from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.coverage import footprints
 from photocal.products.displacement import Displacement, displacement
 from photocal.products.grid import Grid
 from photocal.products.kernels import BILINEAR, CUBIC, NEAREST
 from photocal.products.orthophoto import ImageStore, Recipe, orthophoto
 from photocal.products.raster import RasterFile, describe, geotiff, read_image, same_system, system_wkt
-from photocal.products.shots import Shots
 from photocal.products.terrain import Bounds, Terrain, TerrainSource
 
 METHODS = {"nearest": NEAREST, "bilinear": BILINEAR, "cubic": CUBIC}
@@ -185,7 +185,7 @@ def overview(terrain: TerrainSource, raster: RasterFile, bounds: Bounds) -> Terr
 
 
 def plan_grid(
-    shots: Shots, frame: Frame, terrain: TerrainSource, raster: RasterFile, cell: float | None,
+    shots: OrientedImages, frame: Frame, terrain: TerrainSource, raster: RasterFile, cell: float | None,
     bounds: Bounds | None,
 ) -> tuple[Grid, float]:  # fmt: skip
     """Choose the cells of an orthophoto.
@@ -302,7 +302,7 @@ def write_orthophoto(
 
 
 def displacement_field(
-    right: Shots, wrong: Shots, terrain: Terrain, frame: Frame, grid: Grid, arrows: int = 25
+    right: OrientedImages, wrong: OrientedImages, terrain: Terrain, frame: Frame, grid: Grid, arrows: int = 25
 ) -> Displacement:
     """Displacement over a lattice of at most `arrows` points a side within a grid."""
     step = max(grid.columns, grid.rows) * grid.cell / arrows

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
 from photocal.geometry.frames import Frame
+from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.coverage import border_directions, candidates
 from photocal.products.grid import Grid, ground_points
 from photocal.products.kernels import look_up, resample
-from photocal.products.shots import Shots, lens_tables
+from photocal.products.lens_tables import lens_tables
 from photocal.products.terrain import TerrainSource
 
 Floats = NDArray[np.float64]
@@ -93,7 +94,7 @@ class Recipe:
         Value of cells that no image shows.
     """
 
-    shots: Shots
+    shots: OrientedImages
     frame: Frame
     terrain: TerrainSource
     grid: Grid

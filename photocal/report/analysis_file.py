@@ -17,11 +17,11 @@ from photocal.block.network import NetworkOfBlock
 from photocal.exchange.any_block import read_any_block
 from photocal.findings.catalogue import Catalogue, catalogue
 from photocal.report.analysis_record import analysis_record, as_plain
-from photocal.report.as_adjusted import as_adjusted
-from photocal.report.block_files import block_of_run, digest
 from photocal.report.exterior_difference import exterior_difference
-from photocal.report.run import ANALYSIS, RESULT
-from photocal.report.run_reader import read_adjustment
+from photocal.report.stored_analysis import ANALYSIS
+from photocal.results.adjusted import network_of
+from photocal.results.folder import RESULT, read_result
+from photocal.results.origin import block_of_run, digest
 
 ALPHA = 0.10
 THRESHOLD = 0.8
@@ -63,12 +63,12 @@ def analyse_run(
     PhotocalError
         As reading, adjusting and writing do.
     """
-    run = read_adjustment(folder)
-    source = block_of_run(folder, run.result, block, Path.cwd())
+    result = read_result(folder)
+    source = block_of_run(folder, result, block, Path.cwd())
     read = read_any_block(source.path)
-    assembly = as_adjusted(read, run.result)
+    assembly = network_of(read, result)
     outcome = analyse_network(assembly.network, _checks(read, assembly), alpha, threshold, done)
-    difference = exterior_difference(read, run.result)
+    difference = exterior_difference(read, result)
     content = {
         **analysis_record(outcome, say or catalogue("en")),
         "exterior_difference": as_plain(asdict(difference)) if difference else None,

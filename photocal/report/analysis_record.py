@@ -16,9 +16,7 @@ from photocal.findings.catalogue import Catalogue
 from photocal.findings.finding import Finding
 from photocal.findings.texts import finding_json, finding_text, need_words, plain
 from photocal.geometry.camera import PARAMETERS
-from photocal.report.run_reader import ANALYSIS_SCHEMA
-
-SCHEMA = ANALYSIS_SCHEMA
+from photocal.report.stored_analysis import SCHEMA
 
 
 def analysis_record(outcome: Outcome, say: Catalogue) -> dict[str, Any]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import fixed, significant, symbol
 from photocal.findings.texts import finding_text, need_words
+from photocal.geometry.camera import Camera
 from photocal.report.document import Column, Paragraph, Piece, Section, Statement, Table
-from photocal.report.run import CameraResult, Run
-from photocal.report.stored_analysis import CameraRecord, JackknifeRecord, StoredAnalysis
+from photocal.report.stored_analysis import CameraRecord, JackknifeRecord, Run, StoredAnalysis
 
 
 def analysis_verdict(analysis: StoredAnalysis, say: Catalogue) -> list[Statement]:
@@ -152,7 +152,7 @@ def _components(record: CameraRecord, say: Catalogue) -> list[Piece]:
     return [Table(say("analysis.components"), columns, rows), Paragraph(said)]
 
 
-def _left_out(record: CameraRecord, camera: CameraResult, say: Catalogue) -> Table:
+def _left_out(record: CameraRecord, camera: Camera, say: Catalogue) -> Table:
     columns = (
         Column(say("analysis.without"), align="left"),
         Column("c", camera.unit),
@@ -176,7 +176,7 @@ def _left_out(record: CameraRecord, camera: CameraResult, say: Catalogue) -> Tab
     return Table(say("analysis.left_out"), columns, rows)
 
 
-def _jackknife(record: JackknifeRecord, camera: CameraResult, say: Catalogue) -> Table:
+def _jackknife(record: JackknifeRecord, camera: Camera, say: Catalogue) -> Table:
     columns = (
         Column(say("analysis.parameter"), align="left"),
         Column(say("analysis.formal")),
@@ -191,7 +191,7 @@ def _jackknife(record: JackknifeRecord, camera: CameraResult, say: Catalogue) ->
     rows = tuple(
         (
             symbol(name),
-            small(camera.parameters[name].sigma),
+            small(camera.sigma_of(name)),
             small(error),
             small(record.standard_error_corrected.get(name)),
         )

@@ -8,12 +8,14 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
+from photocal.block.model import InputFile
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import decimals_of, fixed, probability, symbol
 from photocal.report.check_figures import difference_histograms, difference_map
 from photocal.report.distortion import RADIAL
 from photocal.report.document import Column, Figure, KeyValues, Paragraph, Piece, Section, Table
-from photocal.report.run import CheckPoint, InputFile, Run
+from photocal.report.stored_analysis import Run
+from photocal.results.result import CheckPoint
 
 Floats = NDArray[np.float64]
 
@@ -62,7 +64,7 @@ def method(title: str, run: Run, say: Catalogue) -> Section:
 def _terms(run: Run, say: Catalogue) -> str:
     """The polynomial of the distortion with the terms that some camera of the block has."""
     cameras = run.result.cameras.values()
-    used = {n for camera in cameras for n, p in camera.parameters.items() if p.estimated or p.value != 0.0}
+    used = {name for camera in cameras for name in camera.used}
     balanced = any(camera.reference_radius for camera in cameras)
     radial = [
         f"{symbol(name)} {f'(r{power} − R₀{power})' if balanced else f'r{power}'}"
@@ -84,7 +86,7 @@ def _terms(run: Run, say: Catalogue) -> str:
 
 def _block_facts(run: Run, say: Catalogue) -> KeyValues:
     result = run.result
-    roles = Counter(run.points.role)
+    roles = Counter(run.result.points.role)
     datum = (
         say(f"method.datum_{result.block.datum}")
         if result.block.datum in ("control", "free")
@@ -101,7 +103,7 @@ def _block_facts(run: Run, say: Catalogue) -> KeyValues:
     counts = {role: roles.get(role, 0) for role in ("control", "check", "tie")}
     unit = f"{result.block.observation_unit}, {say(f'word.{result.block.observation_axes}')}"
     rows += [
-        (say("method.images"), str(result.images.n)),
+        (say("method.images"), str(len(result.images))),
         (say("method.points"), say("method.points_value", **counts)),
         (say("method.observations"), str(result.observations)),
         (say("method.unknowns"), str(result.unknowns)),
@@ -124,10 +126,10 @@ def exterior_orientation(title: str, run: Run, say: Catalogue) -> Section:
     say : Catalogue
         Language.
     """
-    n = len(run.exposures.image)
+    n = len(run.result.images.names)
     order, caption, remark = list(range(n)), say("eop.table"), ""
     if n > ROWS:
-        size = np.linalg.norm(run.exposures.position_sigma_m, axis=1)
+        size = np.linalg.norm(run.result.images.sigma[:, 3:], axis=1)
         order = [int(i) for i in np.argsort(-size, kind="stable")[: ROWS // 3]]
         caption, remark = say("eop.table_worst", shown=len(order), n=n), say("eop.all")
     quantities = (("X", "m"), ("Y", "m"), ("Z", "m"), ("ω", "(°)"), ("φ", "(°)"), ("κ", "(°)"))
@@ -140,15 +142,15 @@ def exterior_orientation(title: str, run: Run, say: Catalogue) -> Section:
 
 
 def _eop_rows(run: Run, order: list[int], say: Catalogue) -> tuple[tuple[str, ...], ...]:
-    e = run.exposures
-    values = np.hstack([e.position_m, e.angles_deg])
-    sigmas = np.hstack([e.position_sigma_m, e.angles_sigma_deg])
+    images = run.result.images
+    values = np.hstack([images.station, images.angles_deg])
+    sigmas = np.hstack([images.sigma[:, 3:], np.degrees(images.sigma[:, :3])])
     # One number of decimals for a column, two digits of its median standard deviation.
     decimals = [_decimals(column) for column in sigmas.T]
     small = sigmas * ([1e3] * 3 + [ARCSECONDS] * 3)
     return tuple(
         (
-            e.image[i],
+            images.names[i],
             *(fixed(float(v), d, say.mark) for v, d in zip(values[i], decimals, strict=True)),
             *(_sigma(float(s), say) for s in small[i]),
         )
@@ -167,8 +169,8 @@ def _sigma(sigma: float, say: Catalogue) -> str:
 
 
 def _eop_quality(run: Run, say: Catalogue) -> Table:
-    e = run.exposures
-    sigma = np.hstack([1e3 * e.position_sigma_m, ARCSECONDS * e.angles_sigma_deg])
+    images = run.result.images
+    sigma = np.hstack([1e3 * images.sigma[:, 3:], ARCSECONDS * np.degrees(images.sigma[:, :3])])
     columns = (
         Column(say("eop.quantity"), align="left"),
         *(Column(f"σ {name}", unit) for name, unit in zip("XYZωφκ", ["mm"] * 3 + ["(″)"] * 3, strict=True)),
@@ -177,7 +179,7 @@ def _eop_quality(run: Run, say: Catalogue) -> Table:
         (say(f"eop.{key}"), *(_sigma(float(v), say) for v in function(sigma, axis=0)))
         for key, function in (("least", np.min), ("median", np.median), ("most", np.max))
     )
-    return Table(say("eop.quality", n=len(e.image)), columns, rows)
+    return Table(say("eop.quality", n=len(images)), columns, rows)
 
 
 def check_points(title: str, run: Run, say: Catalogue) -> Section:
@@ -215,7 +217,7 @@ def check_points(title: str, run: Run, say: Catalogue) -> Section:
 def _check_figures(run: Run, say: Catalogue) -> list[Figure]:
     """Map and histograms of the differences; two points and more make a picture."""
     checks = run.result.checks.points
-    place = dict(zip(run.points.point, run.points.position_m, strict=True))
+    place = dict(zip(run.result.points.names, run.result.points.values, strict=True))
     known = [p for p in checks if p.point in place]
     if len(known) < 2:
         return []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import fixed, measured, power_of_ten, significant, symbol, unit_power
+from photocal.geometry.camera import Camera
 from photocal.report.document import (
     Column,
     Figure,
@@ -15,7 +16,6 @@ from photocal.report.document import (
     Table,
 )
 from photocal.report.figures import correlation_picture, natural_width
-from photocal.report.run import CameraResult, Correlation
 
 CONFIDENCE = 0.95
 STRONG = 0.9
@@ -38,15 +38,15 @@ POWERS = {
 NOT_TESTED = ("c",)
 
 
-def camera_facts(camera_id: str, camera: CameraResult, say: Catalogue) -> KeyValues:
+def camera_facts(camera_id: str, camera: Camera, say: Catalogue) -> KeyValues:
     """List the format, pitch and model of a camera."""
     width, height = camera.size_px
     size = {"width": str(width), "height": str(height)}
     rows = [(say("camera.id"), camera_id)]
-    if camera.unit == "mm" and camera.pitch_mm is not None:
-        extent = [fixed(n * p, 3, say.mark) for n, p in zip(camera.size_px, camera.pitch_mm, strict=True)]
+    if camera.unit == "mm":
+        extent = [fixed(n * p, 3, say.mark) for n, p in zip(camera.size_px, camera.pitch, strict=True)]
         rows.append((say("camera.format"), say("camera.format_mm", **size, x=extent[0], y=extent[1])))
-        pitch = [significant(1e3 * p, 6, say.mark) for p in camera.pitch_mm]
+        pitch = [significant(1e3 * p, 6, say.mark) for p in camera.pitch]
         rows.append((say("camera.pitch"), say("camera.pitch_value", x=pitch[0], y=pitch[1])))
     else:
         rows.append((say("camera.format"), say("camera.format_value", **size)))
@@ -69,8 +69,8 @@ def camera_facts(camera_id: str, camera: CameraResult, say: Catalogue) -> KeyVal
     return KeyValues(tuple(rows))
 
 
-def _affinity(camera: CameraResult, say: Catalogue) -> str:
-    used = any(camera.value(name) or name in camera.correlation.names for name in ("B1", "B2"))
+def _affinity(camera: Camera, say: Catalogue) -> str:
+    used = any(camera.value(name) or name in camera.free for name in ("B1", "B2"))
     if not used:
         return say("camera.affinity_none")
     return say(
@@ -80,14 +80,14 @@ def _affinity(camera: CameraResult, say: Catalogue) -> str:
     )
 
 
-def interior_orientation(title: str, camera: CameraResult, dof: int, say: Catalogue) -> Section:
+def interior_orientation(title: str, camera: Camera, dof: int, say: Catalogue) -> Section:
     """Make the table of interior orientation parameters with standard deviations and significance.
 
     Parameters
     ----------
     title : str
         Title of the section.
-    camera : CameraResult
+    camera : Camera
         The camera.
     dof : int
         Degrees of freedom of the adjustment, for Student's distribution.
@@ -104,8 +104,7 @@ def interior_orientation(title: str, camera: CameraResult, dof: int, say: Catalo
         Column(say("iop.t")),
         Column(say("iop.significant"), align="center"),
     )
-    names = [name for name, p in camera.parameters.items() if p.estimated or p.value != 0.0]
-    rows = tuple(_iop_row(name, camera, critical, say) for name in names)
+    rows = tuple(_iop_row(name, camera, critical, say) for name in camera.used)
     note = say("iop.note", critical=fixed(critical, 2, say.mark))
     pieces: list[Piece] = [Table(say("iop.table"), columns, rows, note)]
     weak = [symbol(name) for name in insignificant(camera, dof)]
@@ -122,37 +121,37 @@ def critical_t(dof: int) -> float:
     return float(stats.t.ppf((1.0 + CONFIDENCE) / 2.0, max(dof, 1)))
 
 
-def insignificant(camera: CameraResult, dof: int) -> list[str]:
+def insignificant(camera: Camera, dof: int) -> list[str]:
     """Name the estimated parameters that cannot be told from zero at 95 %."""
     critical = critical_t(dof)
-    estimated = [(name, p) for name, p in camera.parameters.items() if p.estimated and name not in NOT_TESTED]
-    return [name for name, p in estimated if p.sigma > 0.0 and abs(p.value) / p.sigma < critical]
+    tested = [name for name in camera.free if name not in NOT_TESTED and camera.sigma_of(name) > 0.0]
+    return [name for name in tested if abs(camera.value(name)) / camera.sigma_of(name) < critical]
 
 
-def _iop_row(name: str, camera: CameraResult, critical: float, say: Catalogue) -> tuple[str, ...]:
-    parameter = camera.parameters[name]
-    printed = measured(parameter.value, parameter.sigma, say.mark)
+def _iop_row(name: str, camera: Camera, critical: float, say: Catalogue) -> tuple[str, ...]:
+    value, sigma = camera.value(name), camera.sigma_of(name)
+    printed = measured(value, sigma, say.mark)
     unit = power_of_ten(printed.exponent, unit_power(camera.unit, POWERS.get(name, 0)))
     head = (symbol(name), say(f"parameter.{name}"), printed.value)
-    if not parameter.estimated:
+    if name not in camera.free:
         return (*head, say("word.held"), unit or "1", say("word.none"), say("word.none"))
-    if name in NOT_TESTED or parameter.sigma == 0.0:
+    if name in NOT_TESTED or sigma == 0.0:
         return (*head, printed.sigma, unit, say("word.none"), say("word.none"))
-    t = parameter.value / parameter.sigma
+    t = value / sigma
     verdict = say("word.yes") if abs(t) >= critical else say("word.no")
     return (*head, printed.sigma, unit or "1", fixed(t, 1, say.mark), verdict)
 
 
-def correlations(title: str, name: str, camera: CameraResult, say: Catalogue) -> Section:
+def correlations(title: str, name: str, camera: Camera, say: Catalogue) -> Section:
     """Make the correlation matrix as a table, a picture and a sentence."""
-    correlation = camera.correlation
-    heads = [symbol(n) for n in correlation.names]
+    heads = [symbol(n) for n in camera.free]
+    correlation = camera.correlation_of(camera.free)
     columns = (Column("", align="left"), *(Column(head) for head in heads))
     rows = tuple(
         (heads[i], *(fixed(row[j], 2, say.mark) if j <= i else "" for j in range(len(heads))))
-        for i, row in enumerate(correlation.matrix)
+        for i, row in enumerate(correlation.tolist())
     )
-    svg = correlation_picture(correlation, say)
+    svg = correlation_picture(camera, say)
     picture = Figure(
         f"correlation-{name}",
         say("correlation.figure"),
@@ -164,25 +163,25 @@ def correlations(title: str, name: str, camera: CameraResult, say: Catalogue) ->
         title,
         (
             Table(say("correlation.table"), columns, rows, dense=len(heads) > 9),
-            Paragraph(_strong(correlation, say)),
+            Paragraph(_strong(camera, say)),
             picture,
         ),
     )
 
 
-def _strong(correlation: Correlation, say: Catalogue) -> str:
+def _strong(camera: Camera, say: Catalogue) -> str:
     limit = fixed(STRONG, 1, say.mark)
-    n = len(correlation.names)
-    pairs = [(i, j) for i in range(n) for j in range(i) if abs(correlation.matrix[i][j]) > STRONG]
+    names, matrix = camera.free, camera.correlation_of(camera.free)
+    pairs = [(i, j) for i in range(len(names)) for j in range(i) if abs(matrix[i, j]) > STRONG]
     if not pairs:
         return say("correlation.weak", limit=limit)
-    pairs.sort(key=lambda ij: -abs(correlation.matrix[ij[0]][ij[1]]))
+    pairs.sort(key=lambda ij: -abs(matrix[ij]))
     texts = [
         say(
             "correlation.pair",
-            a=symbol(correlation.names[j]),
-            b=symbol(correlation.names[i]),
-            r=fixed(correlation.matrix[i][j], 2, say.mark),
+            a=symbol(names[j]),
+            b=symbol(names[i]),
+            r=fixed(float(matrix[i, j]), 2, say.mark),
         )
         for i, j in pairs
     ]

@@ -9,6 +9,7 @@ from drivers.errors import InputMalformedError
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import fixed, measured, relation
 from photocal.findings.texts import finding_text
+from photocal.geometry.camera import Camera
 from photocal.report.acceptance import verdict
 from photocal.report.analysis_sections import analysis_verdict, hidden_errors, method_check, parameters
 from photocal.report.block_sections import (
@@ -33,8 +34,8 @@ from photocal.report.ministry_sections import (
     signature,
     technical_report,
 )
-from photocal.report.run import CameraResult, Run
 from photocal.report.sensor import sensor_residuals
+from photocal.report.stored_analysis import Run
 from photocal.report.warning_sections import NO_WARNINGS, ProcessingWarnings, warned, warning_sections
 
 # Findings of the plausibility that a reader must see first.
@@ -81,7 +82,7 @@ def certificate(
 
 def _subtitle(run: Run, say: Catalogue) -> str:
     cameras = run.result.cameras
-    calibrated = any(camera.correlation.names for camera in cameras.values())
+    calibrated = any(camera.free for camera in cameras.values())
     return say("title.subtitle" if calibrated else "title.subtitle_held", cameras=", ".join(cameras))
 
 
@@ -113,7 +114,7 @@ def _highlights(run: Run, say: Catalogue) -> tuple[Highlight, ...]:
     shown: list[Highlight] = []
     for camera_id, camera in cameras.items():
         label = say("highlight.c_camera", camera=camera_id) if several else say("highlight.c")
-        c = measured(camera.value("c"), camera.parameters["c"].sigma, say.mark)
+        c = measured(camera.value("c"), camera.sigma_of("c"), say.mark)
         remark = say("highlight.sigma", sigma=c.sigma, unit=camera.unit) if c.sigma else say("word.held")
         shown.append(Highlight(label, f"{c.value} {camera.unit}", remark))
     if not several:
@@ -136,8 +137,8 @@ def _test(run: Run, say: Catalogue) -> Highlight:
     return Highlight(say("highlight.test"), verdict, remark)
 
 
-def _principal_point(camera: CameraResult, say: Catalogue) -> Highlight:
-    x, y = (measured(camera.value(n), camera.parameters[n].sigma, say.mark) for n in ("x0", "y0"))
+def _principal_point(camera: Camera, say: Catalogue) -> Highlight:
+    x, y = (measured(camera.value(n), camera.sigma_of(n), say.mark) for n in ("x0", "y0"))
     remark = say("word.held")
     if x.sigma and y.sigma:
         remark = say("highlight.x0y0_sigma", x=x.sigma, y=y.sigma, unit=camera.unit)
@@ -155,9 +156,11 @@ def _residuals(run: Run, say: Catalogue) -> Highlight:
 
 
 def _network(run: Run, say: Catalogue) -> Highlight:
-    remark = say("highlight.network_remark", points=len(run.points.point), dof=run.result.degrees_of_freedom)
+    remark = say(
+        "highlight.network_remark", points=len(run.result.points.names), dof=run.result.degrees_of_freedom
+    )
     return Highlight(
-        say("highlight.network"), say("highlight.network_value", images=run.result.images.n), remark
+        say("highlight.network"), say("highlight.network_value", images=len(run.result.images)), remark
     )
 
 
@@ -261,6 +264,6 @@ def _refuse_impossible(known: tuple[Facts, ...], say: Catalogue) -> None:
             )
 
 
-def _correlations(title: str, name: str, camera: CameraResult, say: Catalogue) -> list[Section]:
+def _correlations(title: str, name: str, camera: Camera, say: Catalogue) -> list[Section]:
     """A correlation needs two estimated parameters."""
-    return [correlations(title, name, camera, say)] if len(camera.correlation.names) > 1 else []
+    return [correlations(title, name, camera, say)] if len(camera.free) > 1 else []

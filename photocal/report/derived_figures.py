@@ -8,13 +8,14 @@ import numpy as np
 
 from photocal.analysis.plausibility import CalibrationRecord, plausibility
 from photocal.findings.finding import Finding
+from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.report.acceptance import Limit, expected_altimetric_error_cm, limits
 from photocal.report.certificate_metadata import Particulars
 from photocal.report.image_sections import rms_px
 from photocal.report.network_shape import network_shape
 from photocal.report.printed import offsets
-from photocal.report.run import CameraResult, Run
 from photocal.report.sensor import sensor_residuals
+from photocal.report.stored_analysis import Run
 
 # A block counts as flown when every camera looks down within so many degrees.
 NADIR_DEG = 30.0
@@ -92,10 +93,10 @@ def facts(run: Run, camera_id: str, particulars: Particulars) -> Facts:
     )
 
 
-def pixel_size_mm(camera: CameraResult, particulars: Particulars) -> float | None:
+def pixel_size_mm(camera: Camera, particulars: Particulars) -> float | None:
     """Pixel size in mm: that of the adjustment, or the one given for a camera in pixels."""
-    if camera.unit == "mm" and camera.pitch_mm is not None:
-        return float(np.mean(camera.pitch_mm))
+    if camera.unit == "mm":
+        return float(np.mean(camera.pitch))
     return particulars.camera.pixel_size_mm
 
 
@@ -110,12 +111,12 @@ def check_rmse_cm(run: Run) -> tuple[float, float] | None:
 
 def flying_height(run: Run, camera_id: str) -> float | None:
     """Mean height of the exposures over the object points, m; None unless the cameras look down."""
-    own = _own(run, camera_id)
-    if not own or not len(run.points.point):
+    own = run.result.images_of(camera_id)
+    if not len(own) or not len(run.result.points.names):
         return None
-    if np.abs(run.exposures.angles_deg[own, :2]).max() > NADIR_DEG:
+    if np.abs(run.result.images.angles_deg[own, :2]).max() > NADIR_DEG:
         return None
-    height = float(run.exposures.position_m[own, 2].mean() - run.points.position_m[:, 2].mean())
+    height = float(run.result.images.station[own, 2].mean() - run.result.points.values[:, 2].mean())
     return height if height > 0.0 else None
 
 
@@ -123,33 +124,29 @@ def air_base(run: Run, camera_id: str) -> float | None:
     """Median distance of an exposure to its nearest neighbour, m; None for a single one."""
     from scipy.spatial import cKDTree
 
-    own = _own(run, camera_id)
+    own = run.result.images_of(camera_id)
     if len(own) < 2:
         return None
-    places = run.exposures.position_m[own]
+    places = run.result.images.station[own]
     distance = np.asarray(cKDTree(places).query(places, k=2)[0], dtype=np.float64)
     base = float(np.median(distance[:, 1]))
     return base if base > 0.0 else None
 
 
-def _own(run: Run, camera_id: str) -> list[int]:
-    return [i for i, camera in enumerate(run.exposures.camera) if camera == camera_id]
-
-
 def _record(run: Run, camera_id: str, particulars: Particulars) -> CalibrationRecord:
     camera = run.result.cameras[camera_id]
-    estimated = {name: p for name, p in camera.parameters.items() if p.estimated}
+    prior = dict(zip(PARAMETERS, camera.prior_sigma.tolist(), strict=True))
     place = sensor_residuals(run, camera_id).place - [camera.value("x0"), camera.value("y0")]
     given, campaign, system = particulars.camera, particulars.campaign, particulars.gnss_ins
     shape = network_shape(run, camera_id)
     return CalibrationRecord(
         unit=camera.unit,
-        values={name: p.value for name, p in camera.parameters.items()},
-        sigmas={name: p.sigma for name, p in estimated.items()},
+        values=dict(zip(PARAMETERS, camera.values.tolist(), strict=True)),
+        sigmas={name: camera.sigma_of(name) for name in camera.free},
         direction="observed" if camera.model == "brown-observed" else "ideal",
         reference_radius=camera.reference_radius,
-        names=camera.correlation.names,
-        correlation=np.array(camera.correlation.matrix) if camera.correlation.names else None,
+        names=camera.free,
+        correlation=camera.correlation_of(camera.free) if camera.free else None,
         size_px=camera.size_px,
         observed_radius=float(np.hypot(*place.T).max()) if len(place) else None,
         pitch_mm=pixel_size_mm(camera, particulars),
@@ -162,7 +159,7 @@ def _record(run: Run, camera_id: str, particulars: Particulars) -> CalibrationRe
         forward_overlap=campaign.forward_overlap,
         convergence_deg=shape.convergence_deg if shape else None,
         depth_spread=shape.depth_spread if shape else None,
-        prior_sigmas={n: p.prior_sigma for n, p in estimated.items() if p.prior_sigma is not None},
+        prior_sigmas={name: prior[name] for name in camera.free if np.isfinite(prior[name])},
         lever_arm_cm=offsets(system.lever_arm_cm, system.lever_arm_sigma_cm),
         boresight_deg=offsets(
             system.boresight_deg, system.boresight_sigma_deg, system.boresight_prior_sigma_deg

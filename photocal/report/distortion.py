@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.report.run import CameraResult
+from photocal.geometry.camera import Camera
 
 Floats = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ class RadialProfile:
     decentering: Floats
 
 
-def radial_profile(camera: CameraResult, radius: Floats) -> RadialProfile:
+def radial_profile(camera: Camera, radius: Floats) -> RadialProfile:
     """Evaluate the radial distortion and its standard deviation.
 
     Notes
@@ -49,37 +49,15 @@ def radial_profile(camera: CameraResult, radius: Floats) -> RadialProfile:
     powers = np.arange(2, 2 * len(RADIAL) + 1, 2)
     basis = r[:, None] * (r[:, None] ** powers - camera.reference_radius**powers)
     displacement = basis @ np.array([camera.value(name) for name in RADIAL])
-    names = [name for name in camera.correlation.names if name in RADIAL]
+    names = [name for name in camera.free if name in RADIAL]
     jacobian = basis[:, [RADIAL.index(name) for name in names]]
-    variance = np.einsum("ni,ij,nj->n", jacobian, covariance(camera, names), jacobian)
+    variance = np.einsum("ni,ij,nj->n", jacobian, camera.covariance_of(names), jacobian)
     swell = np.abs(1.0 + camera.value("P3") * r**2 + camera.value("P4") * r**4)
     tangential = 3.0 * np.hypot(camera.value("P1"), camera.value("P2")) * r**2 * swell
     return RadialProfile(r, displacement, np.sqrt(np.maximum(variance, 0.0)), tangential)
 
 
-def covariance(camera: CameraResult, names: list[str]) -> Floats:
-    """Give the covariance of some estimated parameters from their sigmas and correlations.
-
-    Parameters
-    ----------
-    camera : CameraResult
-        The camera.
-    names : list of str
-        n estimated parameters.
-
-    Returns
-    -------
-    ndarray, shape (n, n)
-        In products of the parameters' units.
-    """
-    at = [camera.correlation.names.index(name) for name in names]
-    sigma = np.array([camera.parameters[name].sigma for name in names])
-    n = len(camera.correlation.names)
-    matrix = np.array(camera.correlation.matrix, dtype=np.float64).reshape(n, n)
-    return np.asarray(matrix[np.ix_(at, at)] * np.outer(sigma, sigma), dtype=np.float64)
-
-
-def farthest_corner(camera: CameraResult) -> float:
+def farthest_corner(camera: Camera) -> float:
     """Distance of the principal point from the farthest corner of the image, in the unit of the camera."""
     half = np.array(camera.size_px) * np.array(camera.pitch) / 2
     return float(np.hypot(half[0] + abs(camera.value("x0")), half[1] + abs(camera.value("y0"))))

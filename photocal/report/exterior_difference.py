@@ -4,28 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from photocal.adjustment.adjust import adjust
 from photocal.block.model import Block
+from photocal.block.network import block_frame
+from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.rotation import angles_from_matrix
 from photocal.georeferencing.direct import direct_orientation
 from photocal.georeferencing.local import in_local_frame
-from photocal.georeferencing.methods import local_origin
-from photocal.report.as_adjusted import as_adjusted
-from photocal.report.run import Result
 from photocal.report.stored_analysis import ExteriorDifference
+from photocal.results.result import Result
 
 
 def exterior_difference(block: Block, result: Result) -> ExteriorDifference | None:
     """Compare the orientations that the positioning system gave with the adjusted ones."""
-    local = in_local_frame(block)
-    original = direct_orientation(local)
+    original = direct_orientation(in_local_frame(block))
     if not original.known.any():
         return None
-    assembly = as_adjusted(local, result)
-    solution = adjust(assembly.network)
+    adjusted = result.images.values
+    if block.frame != "local":
+        adjusted = local_poses(block_frame(block), adjusted)
     given = np.hstack([angles_from_matrix(original.rotation), original.centre])
-    d = (given - solution.exposures)[original.known]
-    d[:, 3:] -= local_origin(assembly)
+    d = (given - adjusted)[original.known]
     d[:, :3] = np.degrees((d[:, :3] + np.pi) % (2 * np.pi) - np.pi) * 3600.0
     mean, rmse = d.mean(axis=0), np.sqrt(np.mean(d**2, axis=0))
     x, y, z, *turn = mean[[3, 4, 5, 0, 1, 2]].tolist()

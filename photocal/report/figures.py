@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import MINUS, fixed, significant, symbol
+from photocal.geometry.camera import Camera
 from photocal.report.distortion import RadialProfile
-from photocal.report.run import CameraResult, Correlation
 from photocal.report.sensor import Vectors
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ STYLE: Any = {
 }
 
 
-def radial_curve(camera: CameraResult, profile: RadialProfile, observed_to: float, say: Catalogue) -> str:
+def radial_curve(camera: Camera, profile: RadialProfile, observed_to: float, say: Catalogue) -> str:
     """Draw the radial displacement over the radius with its 1-sigma band."""
     millimetres = camera.unit == "mm"
     factor = 1e3 if millimetres else 1.0
@@ -93,12 +93,12 @@ def radial_curve(camera: CameraResult, profile: RadialProfile, observed_to: floa
         return out()
 
 
-def residual_map(camera: CameraResult, vectors: Vectors, say: Catalogue) -> str:
+def residual_map(camera: Camera, vectors: Vectors, say: Catalogue) -> str:
     """Draw residual vectors on the sensor with a scale arrow.
 
     Parameters
     ----------
-    camera : CameraResult
+    camera : Camera
         Format and unit.
     vectors : Vectors
         The arrows.
@@ -147,9 +147,10 @@ def residual_map(camera: CameraResult, vectors: Vectors, say: Catalogue) -> str:
         return out()
 
 
-def correlation_picture(correlation: Correlation, say: Catalogue) -> str:
+def correlation_picture(camera: Camera, say: Catalogue) -> str:
     """Draw the lower triangle of a correlation matrix as discs: area goes with |r|, open is negative."""
-    n = len(correlation.names)
+    names, matrix = camera.free, camera.correlation_of(camera.free).tolist()
+    n = len(names)
     cell, edge, legend = 0.235, 0.32, 1.15
     width, height = n * cell + edge + legend, max(n * cell, 4 * 1.15 * cell) + 0.1
     with drawing(width, height) as (figure, out):
@@ -158,10 +159,10 @@ def correlation_picture(correlation: Correlation, say: Catalogue) -> str:
         )
         for i in range(1, n):
             for j in range(i):
-                _disc(ax, j, i, correlation.matrix[i][j])
+                _disc(ax, j, i, matrix[i][j])
         for k in range(n):
-            ax.text(k, k, symbol(correlation.names[k]), ha="center", va="center", fontweight="bold")
-            ax.text(-0.8, k, symbol(correlation.names[k]), ha="right", va="center", color="#566069")
+            ax.text(k, k, symbol(names[k]), ha="center", va="center", fontweight="bold")
+            ax.text(-0.8, k, symbol(names[k]), ha="right", va="center", color="#566069")
         ax.set_xlim(-0.5, n - 0.5)
         ax.set_ylim(n - 0.5, -0.5)
         ax.set_axis_off()
@@ -197,13 +198,13 @@ def _disc(ax: Axes, x: float, y: float, r: float, *, clip: bool = True) -> None:
     )
 
 
-def _principal_point(ax: Axes, camera: CameraResult) -> None:
+def _principal_point(ax: Axes, camera: Camera) -> None:
     x0, y0 = camera.value("x0"), camera.value("y0")
     ax.plot([x0], [y0], marker="+", markersize=11, markeredgewidth=1.8, color="white", zorder=4)
     ax.plot([x0], [y0], marker="+", markersize=9, markeredgewidth=1.0, color=INK, zorder=5)
 
 
-def _arrow_label(camera: CameraResult, arrow: float, say: Catalogue) -> str:
+def _arrow_label(camera: Camera, arrow: float, say: Catalogue) -> str:
     text = f"{significant(arrow, 1, say.mark)} px"
     if camera.unit == "mm":
         text += f" = {significant(arrow * float(np.mean(camera.pitch)) * 1e3, 2, say.mark)} µm"

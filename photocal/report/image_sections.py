@@ -6,11 +6,12 @@ import numpy as np
 
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import fixed
+from photocal.geometry.camera import Camera
 from photocal.report.distortion import RADIAL, farthest_corner, radial_profile
 from photocal.report.document import Column, Figure, Paragraph, Piece, Section, Table
 from photocal.report.figures import radial_curve, residual_map
-from photocal.report.run import CameraResult, ImageRms, Run
 from photocal.report.sensor import SensorResiduals, sensor_residuals, thinned
+from photocal.report.stored_analysis import Run
 
 ROWS = 60
 ARROWS = 1500
@@ -19,7 +20,7 @@ ARROWS = 1500
 def radial_distortion(title: str, name: str, run: Run, camera_id: str, say: Catalogue) -> Section:
     """Make the distortion curve and its table."""
     camera = run.result.cameras[camera_id]
-    if not any(camera.value(key) or key in camera.correlation.names for key in RADIAL):
+    if not any(camera.value(key) or key in camera.free for key in RADIAL):
         return Section(title, (Paragraph(say("distortion.none")),))
     corner = farthest_corner(camera)
     place = sensor_residuals(run, camera_id).place - [camera.value("x0"), camera.value("y0")]
@@ -41,7 +42,7 @@ def radial_distortion(title: str, name: str, run: Run, camera_id: str, say: Cata
     return Section(title, (figure, _distortion_table(camera, corner, note, say)))
 
 
-def _distortion_table(camera: CameraResult, corner: float, note: str, say: Catalogue) -> Table:
+def _distortion_table(camera: Camera, corner: float, note: str, say: Catalogue) -> Table:
     step = _round_step(corner / 10)
     profile = radial_profile(camera, np.append(np.arange(0.0, corner, step), corner))
     millimetres = camera.unit == "mm"
@@ -101,46 +102,42 @@ def rms_px(residuals: SensorResiduals) -> tuple[float, float]:
 
 
 def _largest(run: Run, camera_id: str, residuals: SensorResiduals, say: Catalogue) -> str:
-    of = dict(zip(run.exposures.image, run.exposures.camera, strict=True))
-    own = [i for i, image in enumerate(run.residuals.image) if of[image] == camera_id]
+    rays = run.result.residuals_of(camera_id)
     length = np.hypot(*residuals.residual_px.T)
-    w = np.nan_to_num(np.abs(run.residuals.standardised[own])).max(axis=1)
-    longest, worst = own[int(length.argmax())], own[int(w.argmax())]
+    w = np.nan_to_num(np.abs(rays.standardised)).max(axis=1)
+    longest, worst = int(length.argmax()), int(w.argmax())
     return say(
         "residuals.largest",
         size=fixed(float(length.max()), 2, say.mark),
-        point=run.residuals.point[longest],
-        image=run.residuals.image[longest],
+        point=rays.point_names[rays.point[longest]],
+        image=rays.image_names[rays.image[longest]],
         w=fixed(float(w.max()), 1, say.mark),
-        wpoint=run.residuals.point[worst],
-        wimage=run.residuals.image[worst],
+        wpoint=rays.point_names[rays.point[worst]],
+        wimage=rays.image_names[rays.image[worst]],
     )
 
 
 def _rms_table(run: Run, camera_id: str, residuals: SensorResiduals, say: Catalogue) -> Table:
     camera = run.result.cameras[camera_id]
-    of = dict(zip(run.exposures.image, run.exposures.camera, strict=True))
-    own = [rms for rms in run.result.images.rms if of.get(rms.image) == camera_id]
+    own = run.result.images_of(camera_id).tolist()
+    count, rms = run.result.residuals.rms()
+    rms = rms / ((1.0, 1.0) if run.result.block.observation_unit == "px" else camera.pitch)
     shown, caption = own, say("residuals.table")
     if len(own) > ROWS:
-        shown = sorted(own, key=lambda rms: -max(rms.rms_x, rms.rms_y))[: ROWS // 3]
+        shown = sorted(own, key=lambda i: -rms[i].max())[: ROWS // 3]
         caption = say("residuals.table_worst", shown=len(shown), n=len(own))
     micrometres = camera.unit == "mm"
     columns = [Column(say("residuals.image"), align="left"), Column(say("residuals.rays"))]
     for unit in ("px", "µm") if micrometres else ("px",):
         columns += [Column(say("residuals.rms_x"), unit), Column(say("residuals.rms_y"), unit)]
-    pitch = (1.0, 1.0) if run.result.block.observation_unit == "px" else camera.pitch_mm or camera.pitch
-    rows = [_rms_row(rms.image, rms.rays, _in_px(rms, pitch), camera, say) for rms in shown]
+    names = run.result.images.names
+    rows = [_rms_row(names[i], int(count[i]), tuple(rms[i].tolist()), camera, say) for i in shown]
     rows.append(_rms_row(say("residuals.all"), len(residuals.place), rms_px(residuals), camera, say))
     return Table(caption, tuple(columns), tuple(rows))
 
 
-def _in_px(rms: ImageRms, pitch: tuple[float, float]) -> tuple[float, float]:
-    return rms.rms_x / pitch[0], rms.rms_y / pitch[1]
-
-
 def _rms_row(
-    image: str, rays: int, rms: tuple[float, float], camera: CameraResult, say: Catalogue
+    image: str, rays: int, rms: tuple[float, ...], camera: Camera, say: Catalogue
 ) -> tuple[str, ...]:
     row = [image, str(rays), *(fixed(v, 3, say.mark) for v in rms)]
     if camera.unit == "mm":

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import datetime as dt
-import json
 from collections.abc import Callable
 from pathlib import Path
 
 from acquire.outputs import output_folder
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.findings.catalogue import catalogue
-from photocal.report.block_files import Source, block_of_run, carry
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import read_particulars
 from photocal.report.document import Document
 from photocal.report.html import html
 from photocal.report.pdf import pdf
 from photocal.report.record import NAME, record, with_documents
-from photocal.report.run import Run
-from photocal.report.run_reader import read_run
+from photocal.report.stored_analysis import Run, read_run
 from photocal.report.warning_sections import NO_WARNINGS, ProcessingWarnings
+from photocal.results.origin import Source, block_of_run, carry
+from photocal.results.result import Result
 
 FORMS = ("certificate.html", "certificate.pdf", NAME)
 
@@ -73,7 +72,7 @@ def issue(
     say = catalogue(language)
     given = read_particulars(particulars, day, client=client, operator=operator)
     results = read_run(run)
-    _refuse_a_guess(run)
+    _refuse_a_guess(run, results.result)
     source = _source(run, results, block)
     done()
     document = certificate(results, given, say, told)
@@ -90,10 +89,9 @@ def issue(
     return document
 
 
-def _refuse_a_guess(run: Path) -> None:
+def _refuse_a_guess(run: Path, result: Result) -> None:
     """Refuse cameras whose c was neither given nor estimated; older runs do not say it."""
-    cameras = json.loads((run / "result.json").read_text(encoding="utf-8"))["cameras"]
-    guessed = [name for name, camera in cameras.items() if camera.get("c_is_a_guess")]
+    guessed = [name for name, camera in result.cameras.items() if camera.guessed]
     if guessed:
         raise ConfigurationError(
             f"the principal distance of camera {guessed[0]} is a guess that was held",

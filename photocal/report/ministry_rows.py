@@ -17,11 +17,12 @@ from photocal.findings.digits import (
     symbol,
     unit_power,
 )
+from photocal.geometry.camera import Camera
 from photocal.report.acceptance import verdict
 from photocal.report.camera_sections import POWERS
 from photocal.report.certificate_metadata import Particulars
 from photocal.report.derived_figures import Facts
-from photocal.report.run import CameraResult, Run
+from photocal.report.stored_analysis import Run
 
 Origin = Literal["computed", "given", "fixed", "not_determined"]
 Filled = tuple[str, Origin] | None
@@ -37,7 +38,7 @@ class Context:
     say: Catalogue
 
     @property
-    def camera(self) -> CameraResult:
+    def camera(self) -> Camera:
         """The camera concerned."""
         return self.run.result.cameras[self.facts.camera_id]
 
@@ -72,9 +73,7 @@ def _sensor_dimension(c: Context) -> Filled:
 
 
 def _sides(c: Context) -> list[tuple[int, float]]:
-    pitch = (
-        c.camera.pitch_mm if c.camera.unit == "mm" and c.camera.pitch_mm else (c.facts.pixel_mm or 0.0,) * 2
-    )
+    pitch = c.camera.pitch if c.camera.unit == "mm" else (c.facts.pixel_mm or 0.0,) * 2
     return list(zip(c.camera.size_px, pitch, strict=True))
 
 
@@ -163,16 +162,16 @@ def _test_field(c: Context) -> Filled:
 
 
 def _targets(c: Context) -> Filled:
-    return _count([1.0] * len(c.run.points.role), c)
+    return _count([1.0] * len(c.run.result.points.role), c)
 
 
 def _readings(c: Context) -> Filled:
-    return _count(c.run.points.rays.tolist(), c)
+    return _count(c.run.result.points.rays.tolist(), c)
 
 
 def _count(values: list[float], c: Context) -> Filled:
     """Sum over the surveyed points; a network without them has tie points, of which none need be a target."""
-    own = zip(c.run.points.role, values, strict=True)
+    own = zip(c.run.result.points.role, values, strict=True)
     total = int(sum(value for role, value in own if role in ("control", "check")))
     return (str(total), "computed") if total else None
 
@@ -181,16 +180,16 @@ def _iop(c: Context) -> Filled:
     pixel = c.facts.pixel_mm if c.camera.unit == "px" else 1.0
     unit, scale = ("mm", pixel) if pixel is not None else ("px", 1.0)
     parts = []
-    for name in c.camera.correlation.names:
-        parameter, power = c.camera.parameters[name], POWERS.get(name, 0)
+    for name in c.camera.free:
+        power = POWERS.get(name, 0)
         factor = scale**power
-        printed = measured(parameter.value * factor, parameter.sigma * factor, c.say.mark)
+        printed = measured(c.camera.value(name) * factor, c.camera.sigma_of(name) * factor, c.say.mark)
         parts.append(f"{symbol(name)} {_with_sigma(printed)} {unit_power(unit, power)}".rstrip())
     return ("; ".join(parts), "computed") if parts else None
 
 
 def _correlation(c: Context) -> Filled:
-    matrix, names = c.camera.correlation.matrix, c.camera.correlation.names
+    names, matrix = c.camera.free, c.camera.correlation_of(c.camera.free).tolist()
     pairs = [(abs(matrix[i][j]), i, j) for i in range(len(names)) for j in range(i)]
     if not pairs:
         return None
@@ -293,7 +292,7 @@ FILLERS: dict[str, Callable[[Context], Filled]] = {
     "method": _method,
     "test_field": _test_field,
     "platform": lambda c: _given(c.particulars.campaign.platform),
-    "photos": lambda c: (str(c.run.result.images.n), "computed"),
+    "photos": lambda c: (str(len(c.run.result.images)), "computed"),
     "flying_height": _height,
     "gsd": lambda c: _of_flight(c.facts.gsd_cm, "gsd", 3, c),
     "calibrated_focal_length": lambda c: _number(c.facts.focal_mm, 6, "computed", c),

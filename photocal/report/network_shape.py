@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.geometry.rotation import matrix_from_angles
-from photocal.report.run import Run
+from photocal.report.stored_analysis import Run
 
 # Pairs of axes are compared for this many images at most; beyond, every k-th is taken.
 IMAGES = 1000
@@ -32,20 +31,16 @@ class NetworkShape:
 
 def network_shape(run: Run, camera_id: str) -> NetworkShape | None:
     """Measure the exposures of one camera."""
-    number = {image: i for i, image in enumerate(run.exposures.image)}
-    place = {point: j for j, point in enumerate(run.points.point)}
-    pairs = [
-        (number[image], place[point])
-        for image, point in zip(run.residuals.image, run.residuals.point, strict=True)
-        if point in place and run.exposures.camera[number[image]] == camera_id
-    ]
-    if not pairs:
+    result, rays = run.result, run.result.residuals_of(camera_id)
+    place = {name: j for j, name in enumerate(result.points.names)}
+    point = np.array([place.get(name, -1) for name in rays.point_names], dtype=np.int64)[rays.point]
+    image, point = rays.image[point >= 0], point[point >= 0]
+    if not len(image):
         return None
-    image, point = np.array(pairs, dtype=np.int64).T
     # The third row of the rotation is the camera's backward axis in object space.
-    axes = np.asarray(matrix_from_angles(np.radians(run.exposures.angles_deg)))[:, 2, :]
+    axes = result.images.rotation[:, 2, :]
     depth = np.abs(
-        np.einsum("ij,ij->i", axes[image], run.points.position_m[point] - run.exposures.position_m[image])
+        np.einsum("ij,ij->i", axes[image], result.points.values[point] - result.images.station[image])
     )
     low, middle, high = np.percentile(depth, [5, 50, 95])
     own = axes[np.unique(image)]

@@ -20,11 +20,19 @@ from photocal.report.derived_figures import Facts, facts
 from photocal.report.distortion import farthest_corner, radial_profile
 from photocal.report.ministry import entries, read_layout
 from photocal.report.ministry_rows import Context
-from photocal.report.run import Result, Run
+from photocal.report.stored_analysis import Run
 from photocal.report.warning_sections import NO_WARNINGS, ProcessingWarnings
+from photocal.results.folder import checked, result_json
+from photocal.results.result import Figures
 
 SCHEMA = "photocal.certificate/1"
 NAME = "certificate.json"
+# What a certificate repeats of `result.json`: all but what differs from one computation to the next.
+RESULT_KEYS = (
+    *("schema", "software", "block", "inputs", "converged", "iterations", "observations", "unknowns"),
+    *("degrees_of_freedom", "chi_squared", "sigma0_squared", "global_test", "groups", "cameras", "images"),
+    *("checks", "snooping", "mounting", "variance_components"),
+)
 
 
 def record(
@@ -56,7 +64,7 @@ def record(
         "particulars": particulars.model_dump(mode="json", exclude={"date"}),
         "warnings": list(told.warnings),
         "notes": list(told.notes),
-        "result": dataclasses.asdict(run.result),
+        "result": {key: value for key, value in result_json(run.result).items() if key in RESULT_KEYS},
         "exposures": _exposures(run),
         "cameras": {name: _camera(run, facts(run, name, particulars)) for name in run.result.cameras},
         "technical_reports": {
@@ -70,19 +78,19 @@ def record(
 
 
 def _exposures(run: Run) -> list[dict[str, Any]]:
-    e = run.exposures
-    values = np.hstack([e.position_m, e.angles_deg])
-    sigmas = np.hstack([e.position_sigma_m, e.angles_sigma_deg])
+    images = run.result.images
+    values = np.hstack([images.station, images.angles_deg])
+    sigmas = np.hstack([images.sigma[:, 3:], np.degrees(images.sigma[:, :3])])
     names = ("X_m", "Y_m", "Z_m", "omega_deg", "phi_deg", "kappa_deg")
     return [
         {
             "image": image,
-            "camera": camera,
+            "camera": images.cameras[camera].id,
             **{
                 n: {"value": float(v), "sigma": float(s)} for n, v, s in zip(names, value, sigma, strict=True)
             },
         }
-        for image, camera, value, sigma in zip(e.image, e.camera, values, sigmas, strict=True)
+        for image, camera, value, sigma in zip(images.names, images.camera, values, sigmas, strict=True)
     ]
 
 
@@ -185,7 +193,7 @@ def read_record(path: Path) -> tuple[dict[str, Any], Path]:
     return content, file.parent
 
 
-def certified_result(certificate: dict[str, Any], folder: Path) -> Result:
+def certified_result(certificate: dict[str, Any], folder: Path) -> Figures:
     """Give the result of the adjustment that a certificate carries.
 
     Parameters
@@ -200,16 +208,8 @@ def certified_result(certificate: dict[str, Any], folder: Path) -> Result:
     InputMalformedError
         When it is not complete.
     """
-    from pydantic import TypeAdapter, ValidationError
-
-    try:
-        return TypeAdapter(Result).validate_json(json.dumps(certificate["result"]), strict=True)
-    except ValidationError as refusal:
-        first = refusal.errors()[0]
-        place = ".".join(str(step) for step in first["loc"])
-        raise InputMalformedError(
-            f"result.{place}: {first['msg']}", where=folder / NAME, remedy="make the certificate again"
-        ) from None
+    text, remedy = json.dumps(certificate["result"]), "make the certificate again"
+    return checked(text, Figures, folder / NAME, remedy, "result")
 
 
 def _complete(content: dict[str, Any], file: Path) -> None:

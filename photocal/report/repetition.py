@@ -7,16 +7,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from photocal.block.more_tables import Wanted
-from photocal.block.process import adjust_block
 from photocal.exchange.any_block import read_any_block
 from photocal.findings.catalogue import catalogue
 from photocal.report.analysis_file import analyse_run
-from photocal.report.block_files import CARRIED, Source, carry
 from photocal.report.certificate_metadata import given_particulars
 from photocal.report.record import certified_result, plain_record
-from photocal.report.run_reader import read_run
+from photocal.report.stored_analysis import read_run
 from photocal.report.warning_sections import ProcessingWarnings
+from photocal.results.adjusting import adjust_block
+from photocal.results.more_tables import Wanted
+from photocal.results.origin import CARRIED, Source, carry
 
 
 def repeated(

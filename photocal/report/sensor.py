@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.report.run import CameraResult, Run
+from photocal.geometry.camera import Camera
+from photocal.report.stored_analysis import Run
 
 Floats = NDArray[np.float64]
 
@@ -40,27 +41,22 @@ class Vectors:
 def sensor_residuals(run: Run, camera_id: str) -> SensorResiduals:
     """Take the residuals of one camera to its image plane."""
     camera = run.result.cameras[camera_id]
-    own = {
-        image for image, of in zip(run.exposures.image, run.exposures.camera, strict=True) if of == camera_id
-    }
-    chosen = np.array([image in own for image in run.residuals.image], dtype=np.bool_)
+    rays = run.result.residuals_of(camera_id)
     return to_plane(
         camera,
-        run.residuals.measured[chosen],
-        run.residuals.residual[chosen],
+        rays.measured,
+        rays.residual,
         unit=run.result.block.observation_unit,
         axes=run.result.block.observation_axes,
     )
 
 
-def to_plane(
-    camera: CameraResult, measured: Floats, residual: Floats, *, unit: str, axes: str
-) -> SensorResiduals:
+def to_plane(camera: Camera, measured: Floats, residual: Floats, *, unit: str, axes: str) -> SensorResiduals:
     """Turn observed coordinates and residuals into the image plane of a camera.
 
     Parameters
     ----------
-    camera : CameraResult
+    camera : Camera
         Format and pitch.
     measured, residual : ndarray, shape (n, 2)
         In `unit` and `axes`.
@@ -70,7 +66,7 @@ def to_plane(
         Column and row, or x right and y up from the image centre.
     """
     # Pitch in the unit of the observations per pixel, and in the unit of the camera per pixel.
-    observed = np.array((1.0, 1.0) if unit == "px" else camera.pitch_mm or camera.pitch)
+    observed = np.array((1.0, 1.0) if unit == "px" else camera.pitch)
     pixels, vectors = measured / observed, residual / observed
     if axes == "pixel":
         pixels = (pixels - (np.array(camera.size_px) - 1) / 2) * [1.0, -1.0]
@@ -78,14 +74,14 @@ def to_plane(
     return SensorResiduals(pixels * np.array(camera.pitch), vectors)
 
 
-def thinned(residuals: SensorResiduals, camera: CameraResult, at_most: int) -> Vectors:
+def thinned(residuals: SensorResiduals, camera: Camera, at_most: int) -> Vectors:
     """Keep every residual, or their means over square cells when there are too many to see.
 
     Parameters
     ----------
     residuals : SensorResiduals
         All rays.
-    camera : CameraResult
+    camera : Camera
         Its format bounds the cells.
     at_most : int
         More rays than this are averaged over about as many cells as a quarter of it.

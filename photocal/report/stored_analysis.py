@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
+from drivers.errors import InputMalformedError
 from photocal.analysis.correlation import StrongCorrelation
 from photocal.analysis.exterior_correlation import ExteriorCorrelation
 from photocal.analysis.method import MethodCheck
 from photocal.analysis.systematic_errors.variance_components import AssumedSigma
+from photocal.block.model import InputFile
 from photocal.findings.finding import Finding
+from photocal.results.folder import RESULT, fingerprint, read_json, read_result
+from photocal.results.result import Result
+
+ANALYSIS = "analysis.json"
+SCHEMA = "photocal.analysis/1"
 
 
 @dataclass(frozen=True)
@@ -146,3 +154,37 @@ class StoredAnalysis:
     jackknife: dict[str, JackknifeRecord]
     methods: tuple[MethodCheck, ...]
     exterior_difference: ExteriorDifference | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """Everything that a certificate says about an adjustment.
+
+    Attributes
+    ----------
+    files : tuple of InputFile
+        The files of the folder themselves, with their SHA-256.
+    analysis : StoredAnalysis or None
+        What `photocal analyse` found; None when it was not asked.
+    """
+
+    result: Result
+    files: tuple[InputFile, ...]
+    analysis: StoredAnalysis | None = None
+
+
+def read_run(folder: Path) -> Run:
+    """Read a result with the analysis that `photocal analyse` added; errors as for `read_result`."""
+    result = read_result(folder)
+    path = folder / ANALYSIS
+    if not path.is_file():
+        return Run(result, result.files)
+    stored = read_json(path, StoredAnalysis, SCHEMA, "run `photocal analyse` again")
+    # That of an earlier run would say something else.
+    if stored.result_sha256 != fingerprint(folder / RESULT).sha256:
+        raise InputMalformedError(
+            "belongs to another run: result.json has changed since",
+            where=path,
+            remedy="run `photocal analyse` again",
+        )
+    return Run(result, (*result.files, fingerprint(path)), stored)

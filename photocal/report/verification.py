@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from photocal.report.block_files import digest
+from photocal.results.origin import digest
 
 # What may differ between two computations of the same: neither is a figure of the calibration.
 NOT_FIGURES = ("run_files", "documents", "iterations", "source", "result_sha256")

@@ -13,7 +13,7 @@ def calibration_stage(block: Path) -> Stage:
     """Describe the stage that adjusts everything together."""
 
     def make(folder: Path, show: Progress) -> None:
-        from photocal.block.process import adjust_block
+        from photocal.results.adjusting import adjust_block
 
         with show("calibration", None) as done:
             adjust_block(block, folder, report=lambda _: done(1))

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import tomllib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError, PhotocalError
+from drivers.errors import ConfigurationError, InputNotFoundError, PhotocalError
 from photocal.project import read_project
+from photocal.results.folder import RESULT, read_result
+from photocal.results.result import Result
 
 if TYPE_CHECKING:
     from photocal.analysis.stability.camera_file import CameraFile
 
-RESULT = "result.json"
 _STAGE, _BLOCK = "calibration", "block"
 
 
@@ -31,14 +31,12 @@ class Calibrated:
         Folder with its `result.json`.
     block : Path
         Folder of its block.
-    result : dict
-        Content of `result.json`.
     """
 
     name: str
     run: Path
     block: Path
-    result: dict[str, Any]
+    result: Result
 
 
 @dataclass(frozen=True)
@@ -107,17 +105,12 @@ def _calibrated(path: Path) -> Calibrated:
         project = read_project(path)
         name, path = project.name, project.output
     run = path / _STAGE if (path / _STAGE / RESULT).is_file() else path
-    try:
-        result = json.loads((run / RESULT).read_text(encoding="utf-8"))
-    except OSError as refusal:
+    if not (run / RESULT).is_file():
         raise InputNotFoundError(
             f"has no {RESULT}", where=path, remedy="run `photocal run` or `photocal adjust` first"
-        ) from refusal
-    except ValueError as damage:
-        raise InputMalformedError(f"is no JSON ({damage})", where=run / RESULT) from damage
-    if not isinstance(result, dict) or "cameras" not in result:
-        raise InputMalformedError("has no cameras", where=run / RESULT, remedy="run `photocal adjust` again")
-    source = str(result.get("block", {}).get("source", ""))
+        )
+    result = read_result(run)
+    source = result.block.source
     return Calibrated(name, run, run / source if source else path / _BLOCK, result)
 
 
@@ -129,33 +122,16 @@ def cameras_of(flights: Sequence[Calibrated]) -> CameraFile:
     ConfigurationError
         When a result cannot be compared.
     """
-    from photocal.analysis.stability.camera_file import camera_file
+    from photocal.analysis.stability.camera_file import of_cameras
 
-    tables = []
-    for flight in flights:
-        several = len(flight.result["cameras"]) > 1
-        for name, camera in flight.result["cameras"].items():
-            tables.append(_table(f"{flight.name} {name}" if several else flight.name, camera))
-    return camera_file({"camera": tables}, flights[0].run / RESULT)
-
-
-def _table(name: str, camera: dict[str, Any]) -> dict[str, Any]:
-    parameters = camera["parameters"]
-    estimated = [key for key in camera["correlation"]["names"] if parameters[key]["sigma"] > 0]
-    table = {
-        "id": name,
-        "parameters": {key: one["value"] for key, one in parameters.items() if one["value"] or key == "c"},
-        **{key: camera[key] for key in ("model", "unit", "size_px", "reference_radius")},
-        **{key: camera[key] for key in ("affinity", "affinity_form")},
-    }
-    if camera["unit"] == "mm":
-        table["pitch_mm"] = camera["pitch_mm"]
-    if estimated:
-        table["sigma"] = {key: parameters[key]["sigma"] for key in estimated}
-        table["correlation"] = camera["correlation"]
-        # A parameter that was not written because it is zero is estimated nevertheless.
-        table["parameters"] |= {key: parameters[key]["value"] for key in estimated}
-    return table
+    return of_cameras(
+        [
+            replace(camera, id=f"{flight.name} {name}" if len(flight.result.cameras) > 1 else flight.name)
+            for flight in flights
+            for name, camera in flight.result.cameras.items()
+        ],
+        flights[0].run / RESULT,
+    )
 
 
 def exchanged(flights: Sequence[Calibrated], done: Callable[[], None] = lambda: None) -> tuple[Use, ...]:

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from photocal.results.folder import read_result
+from photocal.results.result import Result
 from photocal.run.stage import StageResult
 from photocal.run.warnings import gather, read_json
 
@@ -39,7 +41,8 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
         return read_json(work / stage / file) if stage in done else None
 
     ppk, exposures = figures("ppk", "ppk.json"), figures("exposures", "exposures.json")
-    result, check = figures("calibration", "result.json"), figures("georeferencing", "check.json")
+    check = figures("georeferencing", "check.json")
+    result = read_result(work / "calibration") if "calibration" in done else None
     return {
         "schema": SCHEMA,
         "project": name,
@@ -73,26 +76,25 @@ def _exposures(figures: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _calibration(result: dict[str, Any]) -> dict[str, Any]:
-    test = result["global_test"]
+def _calibration(result: Result) -> dict[str, Any]:
     return {
-        "images": result["images"]["n"],
-        "observations": result["observations"],
-        "degrees_of_freedom": result["degrees_of_freedom"],
-        "sigma0_squared": result["sigma0_squared"],
-        "global_test_accepted": None if test is None else test["accepted"],
+        "images": len(result.images),
+        "observations": result.observations,
+        "degrees_of_freedom": result.degrees_of_freedom,
+        "sigma0_squared": result.sigma0_squared,
+        "global_test_accepted": None if result.global_test is None else result.global_test.accepted,
         "cameras": {
             name: {
-                "unit": camera["unit"],
+                "unit": camera.unit,
                 "parameters": {
-                    key: {"value": one["value"], "sigma": one["sigma"]}
-                    for key, one in camera["parameters"].items()
-                    if one["estimated"]
+                    key: {"value": camera.value(key), "sigma": camera.sigma_of(key)} for key in camera.free
                 },
             }
-            for name, camera in result["cameras"].items()
+            for name, camera in result.cameras.items()
         },
-        "mounting": result["mounting"],
+        "mounting": None
+        if result.mounting is None
+        else {key: dict(vars(value)) for key, value in result.mounting.items()},
     }
 
 

@@ -94,7 +94,15 @@ BOXES = (
     Box("accuracy", "classes", ("photocal.accuracy",), 1060, 100, 6, "8"),
     Box("project", "the project file", ("photocal.project", "photocal.project_tables"), 560, 150, 4),
     Box("analysis", "hidden errors", ("photocal.analysis",), 780, 150, 4, "8"),
-    Box("block · exchange", "folders, formats", ("photocal.block", "photocal.exchange"), 560, 206, 5, "6"),
+    Box(
+        "block · results · exchange",
+        "folders, formats",
+        ("photocal.block", "photocal.results", "photocal.exchange"),
+        560,
+        206,
+        5,
+        "6",
+    ),
     Box("adjustment", "network, solver, covariance, reliability", ("photocal.adjustment",), 560, 480, 6, "7"),
     Box("geometry", "cameras, rotations, frames", ("photocal.geometry",), 560, 480, 7),
 )  # fmt: skip

@@ -37,11 +37,11 @@ from photocal.adjustment.solution import Solution
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.block.network import assemble
-from photocal.block.run import given_exposures, given_points
 from photocal.geometry.camera import PARAMETERS
 from photocal.georeferencing.differences import differences
 from photocal.georeferencing.methods import METHODS, Method, of_method
 from photocal.project import read_project
+from photocal.results.adjusted import given_exposures, given_points
 from photocal.run.campaign import quiet
 from photocal.run.georeferencing import calibrated_on_the_job
 from photocal.run.workflow import run_project

@@ -25,7 +25,6 @@ from drivers.errors import PhotocalError
 from photocal.adjustment.adjust import adjust
 from photocal.block.model import Block, ObjectPoints
 from photocal.block.network import assemble
-from photocal.block.run import given_exposures, given_points
 from photocal.exchange.format_detection import read_foreign_block
 from photocal.exchange.micmac import read_micmac
 from photocal.geometry.camera import PARAMETERS
@@ -38,6 +37,7 @@ from photocal.measurement.measure_ties import TieBlock, measure_ties, sight, sta
 from photocal.measurement.oriented_ties import Oriented, orient_ties
 from photocal.measurement.pair_selection import footprints, select_pairs
 from photocal.measurement.tie_block import TIE
+from photocal.results.adjusted import given_exposures, given_points
 
 Floats = NDArray[np.float64]
 ROOT = Path(__file__).parents[2]

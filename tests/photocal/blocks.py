@@ -6,9 +6,12 @@ import csv
 import math
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from photocal.results.adjusting import adjust_block
+from photocal.results.folder import result_json
 from tests.photocal import networks
 
 REFERENCE = Path(__file__).parents[1] / "reference" / "dcs460"
@@ -175,3 +178,8 @@ pitch_mm = 0.009
 parameters = { c = 20.0 }
 estimate = ["c"]
 """
+
+
+def adjusted_json(*source: Any, **choices: Any) -> dict[str, Any]:
+    """Adjust a block folder into a run folder; content of its `result.json`."""
+    return result_json(adjust_block(*source, **choices))

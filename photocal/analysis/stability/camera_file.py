@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -169,14 +170,30 @@ def camera_file(tables: dict[str, Any], path: Path) -> CameraFile:
         raise ConfigurationError(
             f"{place}: {first['msg'].lower()}", where=path, remedy="see `photocal compare --help`"
         ) from None
-    setup = file.comparison
     printed = tuple(
         Printed(one.method, one.definition, a, b, value, one.tolerance_px)
         for one in file.published
         for a, b, value in one.values
     )
+    return _asked(tuple(_calibration(one, path) for one in file.camera), printed, file.comparison, path)
+
+
+def of_cameras(cameras: Sequence[Camera], path: Path) -> CameraFile:
+    """Compare adjusted cameras as a file without choices of its own would; `path` is named in messages."""
+    calibrations = []
+    for own in cameras:
+        names = tuple(name for name in own.free if own.sigma_of(name) > 0)
+        values, sigmas = ([of(name) for name in names] for of in (own.value, own.sigma_of))
+        estimates = from_sigmas(names, values, sigmas, own.correlation_of(names)) if names else None
+        calibrations.append(Calibration(own, estimates))
+    return _asked(tuple(calibrations), (), _Setup(), path)
+
+
+def _asked(
+    calibrations: tuple[Calibration, ...], printed: tuple[Printed, ...], setup: _Setup, path: Path
+) -> CameraFile:
     return CameraFile(
-        tuple(_calibration(one, path) for one in file.camera),
+        calibrations,
         setup.grid_step_px,
         tuple(sorted(setup.thresholds_px)),
         tuple(Terrain(one.height_m, _below(one, path)) for one in setup.terrain),

@@ -18,11 +18,12 @@ from photocal.analysis.systematic_errors.refit import fit
 from photocal.analysis.systematic_errors.search import camera_estimates
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
-from photocal.block.process import adjust_block
 from photocal.cli import app
 from photocal.geometry.camera import PARAMETERS
-from photocal.report.block_files import block_of_run
-from photocal.report.run_reader import read_adjustment, read_run
+from photocal.report.stored_analysis import read_run
+from photocal.results.adjusting import adjust_block
+from photocal.results.folder import read_result
+from photocal.results.origin import block_of_run
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +60,7 @@ def test_words(made: Path) -> None:
 
 
 def test_the_block_is_recognised_by_its_hashes(made: Path, tmp_path: Path) -> None:
-    result = read_adjustment(made / "run").result
+    result = read_result(made / "run")
     assert result.block.source == "../block"
     found = block_of_run(made / "run", result, None, tmp_path)
     assert found.path.samefile(made / "block")
@@ -71,7 +72,7 @@ def test_the_block_is_recognised_by_its_hashes(made: Path, tmp_path: Path) -> No
 
 
 def test_a_changed_block_is_named(made: Path, tmp_path: Path) -> None:
-    result = read_adjustment(made / "run").result
+    result = read_result(made / "run")
     changed = tmp_path / "block"
     shutil.copytree(made / "block", changed)
     points = (changed / "points.csv").read_text()

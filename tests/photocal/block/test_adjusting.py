@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from photocal.block.process import adjust_block
 from photocal.geometry.camera import plane_to_pixel
-from tests.photocal.blocks import dcs460, published, small, table
+from tests.photocal.blocks import adjusted_json, dcs460, published, small, table
 
 SIZE, PITCH = (3060, 2036), (27.6 / 3060, 18.4 / 2036)
 
@@ -48,7 +47,7 @@ def test_pixels_and_millimetres(axes: str, tmp_path: Path) -> None:
         "image,point,x,y,sx,sy",
         ([*name, repr(x), repr(y), *sigma] for name, (x, y) in zip(names, values.tolist(), strict=True)),
     )
-    result = adjust_block(folder, tmp_path / "run")
+    result = adjusted_json(folder, tmp_path / "run")
     assert result["chi_squared"] == pytest.approx(764.07, abs=0.01)
     parameters = result["cameras"]["dcs460"]["parameters"]
     stated = next(r for r in published("verification_adjustments.csv") if r["case"] == "A_11photos")
@@ -57,7 +56,7 @@ def test_pixels_and_millimetres(axes: str, tmp_path: Path) -> None:
         assert parameters[ours]["value"] == pytest.approx(float(stated[theirs]), abs=tolerance)
     # Residuals are in the unit and the axes of the observations.
     mm = dcs460(tmp_path / "mm")
-    adjust_block(mm, tmp_path / "mm-run")
+    adjusted_json(mm, tmp_path / "mm-run")
     expected = column(tmp_path / "mm-run" / "residuals.csv", "vx", "vy") / PITCH
     expected *= [1, -1 if axes == "pixel" else 1]
     found = tmp_path / "run" / "residuals.csv"
@@ -74,7 +73,7 @@ def test_a_camera_in_pixels(tmp_path: Path) -> None:
     pitch, folder = 0.009, small(tmp_path / "mm")
     setup = (folder / "block.toml").read_text().replace('estimate = ["c"]', 'estimate = ["c", "x0", "K1"]')
     (folder / "block.toml").write_text(setup)
-    mm = adjust_block(folder, tmp_path / "mm-run")
+    mm = adjusted_json(folder, tmp_path / "mm-run")
     px = small(tmp_path / "px")
     setup = setup.replace('unit = "mm"\nsize', 'unit = "px"\nsize').replace("pitch_mm = 0.009\n", "")
     setup = setup.replace('unit = "mm"', 'unit = "px"').replace("sigma = 0.003", f"sigma = {0.003 / pitch}")
@@ -87,7 +86,7 @@ def test_a_camera_in_pixels(tmp_path: Path) -> None:
             for row in rows_of(folder / "observations.csv")
         ),
     )
-    result = adjust_block(px, tmp_path / "px-run")
+    result = adjusted_json(px, tmp_path / "px-run")
     assert result["chi_squared"] == pytest.approx(mm["chi_squared"], rel=1e-6)
     one, other = (r["cameras"]["main"]["parameters"] for r in (mm, result))
     for name, scale in (("c", 1 / pitch), ("x0", 1 / pitch), ("K1", pitch**2)):
@@ -111,7 +110,7 @@ def test_shift_of_the_origin_by_a_thousand_kilometres(tmp_path: Path) -> None:
                 row[axis] = f"{'-' if units < 0 else ''}{abs(units) // 10 ** len(digits)}."
                 row[axis] += f"{abs(units) % 10 ** len(digits):0{len(digits)}d}"
         table(far / name, ",".join(rows[0]), (row.values() for row in rows))
-    one, other = adjust_block(near, tmp_path / "one"), adjust_block(far, tmp_path / "other")
+    one, other = adjusted_json(near, tmp_path / "one"), adjusted_json(far, tmp_path / "other")
     assert other["chi_squared"] == pytest.approx(one["chi_squared"], abs=1e-5)
     for name, figures in one["cameras"]["dcs460"]["parameters"].items():
         found = other["cameras"]["dcs460"]["parameters"][name]
@@ -130,7 +129,7 @@ def test_order_of_the_rows(tmp_path: Path) -> None:
     for name in ("images.csv", "points.csv", "observations.csv"):
         header, *lines = (mixed / name).read_text().splitlines()
         (mixed / name).write_text("\n".join([header, *rng.permutation(lines)]) + "\n")
-    one, other = adjust_block(plain, tmp_path / "one"), adjust_block(mixed, tmp_path / "other")
+    one, other = adjusted_json(plain, tmp_path / "one"), adjusted_json(mixed, tmp_path / "other")
     assert other["chi_squared"] == pytest.approx(one["chi_squared"], rel=1e-8)
     found = {(r["image"], r["point"]): r for r in rows_of(tmp_path / "other" / "residuals.csv")}
     for row in rows_of(tmp_path / "one" / "residuals.csv"):
@@ -149,7 +148,7 @@ def test_check_points_do_not_pull(tmp_path: Path) -> None:
     right, wrong = small(tmp_path / "right"), small(tmp_path / "wrong")
     text = (wrong / "points.csv").read_text()
     (wrong / "points.csv").write_text(text.replace("-2.1957", "-2.0957"))
-    one, other = adjust_block(right, tmp_path / "one"), adjust_block(wrong, tmp_path / "other")
+    one, other = adjusted_json(right, tmp_path / "one"), adjusted_json(wrong, tmp_path / "other")
     assert other["cameras"]["main"]["parameters"]["c"]["value"] == pytest.approx(
         one["cameras"]["main"]["parameters"]["c"]["value"], abs=1e-6
     )
@@ -164,8 +163,8 @@ def test_tie_points_without_start_values(tmp_path: Path) -> None:
     given, empty = small(tmp_path / "given"), small(tmp_path / "empty")
     text = (empty / "points.csv").read_text()
     (empty / "points.csv").write_text(text.replace("p6,-2.3724,-1.4261,0.5007", "p6,,,"))
-    adjust_block(given, tmp_path / "one")
-    adjust_block(empty, tmp_path / "other")
+    adjusted_json(given, tmp_path / "one")
+    adjusted_json(empty, tmp_path / "other")
     places = [column(tmp_path / run / "points.csv", "X", "Y", "Z") for run in ("one", "other")]
     assert places[1] == pytest.approx(places[0], abs=1e-6)
 
@@ -174,7 +173,7 @@ def test_points_without_rays_are_named(tmp_path: Path) -> None:
     block = small(tmp_path / "block")
     with (block / "points.csv").open("a") as text:
         text.write("spare,1,1,1,0.01,0.01,0.01,control\n")
-    result = adjust_block(block, tmp_path / "run")
+    result = adjusted_json(block, tmp_path / "run")
     assert result["unobserved"] == ["spare"]
     assert "spare" not in (tmp_path / "run" / "points.csv").read_text()
 
@@ -184,13 +183,13 @@ def test_control_with_one_ray(tmp_path: Path) -> None:
     text = (block / "observations.csv").read_text()
     kept = [line for line in text.splitlines() if not line.startswith(("b,p4", "c,p4"))]
     (block / "observations.csv").write_text("\n".join(kept) + "\n")
-    adjust_block(block, tmp_path / "run")
+    adjusted_json(block, tmp_path / "run")
     rows = {row["point"]: row for row in rows_of(tmp_path / "run" / "points.csv")}
     assert rows["p4"]["rays"] == "1"
 
 
 def test_run_folder_as_agreed(tmp_path: Path) -> None:
-    result = adjust_block(small(tmp_path / "block"), tmp_path / "run")
+    result = adjusted_json(small(tmp_path / "block"), tmp_path / "run")
     run = tmp_path / "run"
     assert {p.name for p in run.iterdir()} >= {
         "result.json", "images.csv", "points.csv", "residuals.csv", "covariance.parquet",
@@ -217,7 +216,7 @@ def test_prior_sigma_zero_holds(what: str, tmp_path: Path) -> None:
     block = small(tmp_path / "block")
     text = (block / "block.toml").read_text().replace('["c"]', '["c", "x0"]')
     (block / "block.toml").write_text(text + f"prior_sigma = {{ {what} = 0.0 }}\n")
-    figures = adjust_block(block, tmp_path / "run")["cameras"]["main"]["parameters"][what]
+    figures = adjusted_json(block, tmp_path / "run")["cameras"]["main"]["parameters"][what]
     assert figures["value"] == (20.0 if what == "c" else 0.0)
     assert figures["sigma"] == 0.0
     assert not figures["estimated"]

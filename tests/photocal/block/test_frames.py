@@ -14,7 +14,7 @@ from pyproj import Transformer
 from scipy.spatial.transform import Rotation
 
 from drivers.errors import ConfigurationError, InputMalformedError
-from photocal.block.process import adjust_block
+from tests.photocal.blocks import adjusted_json
 
 Floats = NDArray[np.float64]
 DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"
@@ -82,8 +82,8 @@ def grid_block(tmp_path: Path) -> Path:
 
 
 def test_same_adjustment_in_a_projected_system(grid_block: Path, tmp_path: Path) -> None:
-    local = adjust_block(DEMO, tmp_path / "local-run")
-    grid = adjust_block(grid_block, tmp_path / "grid-run")
+    local = adjusted_json(DEMO, tmp_path / "local-run")
+    grid = adjusted_json(grid_block, tmp_path / "grid-run")
     # The 3 mm of the control are grid metres there, which the scale of the projection makes 0.01 % longer.
     assert grid["chi_squared"] == pytest.approx(local["chi_squared"], rel=5e-5)
     (one,), (other,) = (run["cameras"].values() for run in (local, grid))
@@ -123,7 +123,7 @@ def test_frames_that_cannot_be_trusted(
     text = text.replace('frame = "EPSG:31982"\nheight = "ellipsoidal"', frame)
     (grid_block / "block.toml").write_text(text, encoding="utf-8")
     with pytest.raises(error, match=says):
-        adjust_block(grid_block, tmp_path / "run")
+        adjusted_json(grid_block, tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
@@ -153,7 +153,7 @@ def test_full_covariance_of_control(tmp_path: Path) -> None:
             row.update(zip("XYZ", map(repr, place.tolist()), strict=True))
             row.update(zip(("omega", "phi", "kappa"), map(repr, angles.tolist()), strict=True))
         write(folder / "images.csv", images)
-        runs.append(adjust_block(folder, tmp_path / f"run-{turned}"))
+        runs.append(adjusted_json(folder, tmp_path / f"run-{turned}"))
     assert runs[1]["chi_squared"] == pytest.approx(runs[0]["chi_squared"], rel=1e-8)
     one, other = (run["cameras"]["dcs460"]["parameters"]["c"] for run in runs)
     assert other["value"] == pytest.approx(one["value"], abs=1e-4 * one["sigma"])

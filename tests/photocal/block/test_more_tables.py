@@ -15,10 +15,11 @@ import pytest
 
 from drivers.errors import ConfigurationError
 from photocal.block.camera_setup import CameraKeys, make_camera
-from photocal.block.more_tables import Wanted, parse_joint
-from photocal.block.process import adjust_block
-from photocal.exchange.reconstruction import read_run
+from photocal.exchange.reconstruction import of_result
 from photocal.products.oriented import oriented
+from photocal.results.folder import read_result
+from photocal.results.more_tables import Wanted, parse_joint
+from tests.photocal.blocks import adjusted_json
 
 DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"
 
@@ -32,7 +33,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("more") / "run"
     wanted = Wanted(0.95, reliability=True, joint=(("image", "3"), ("camera", "dcs460"), ("point", "1")))
-    adjust_block(DEMO, folder, wanted=wanted)
+    adjusted_json(DEMO, folder, wanted=wanted)
     return folder
 
 
@@ -90,8 +91,8 @@ def test_photo_variant_principal_points_lower_the_residuals_as_published(tmp_pat
     block = edited(tmp_path, estimate, varied)
     text = (block / "block.toml").read_text("utf-8").replace(" x0 = 1.0, y0 = 1.0,", "")
     (block / "block.toml").write_text(text, "utf-8")
-    result = adjust_block(block, tmp_path / "run")
-    plain = adjust_block(DEMO, tmp_path / "plain")
+    result = adjusted_json(block, tmp_path / "run")
+    plain = adjusted_json(DEMO, tmp_path / "plain")
     images = plain["images"]["n"]
     assert result["unknowns"] == plain["unknowns"] - 2 + 2 * images
     rays = sum(image["rays"] for image in result["images"]["rms"])
@@ -101,7 +102,7 @@ def test_photo_variant_principal_points_lower_the_residuals_as_published(tmp_pat
     assert 1000 * math.sqrt(squares / (2 * rays)) == pytest.approx(1.1, abs=0.05)
     # A format with one lens for all images would lose them without a word.
     with pytest.raises(ConfigurationError, match="x0, y0 from image to image"):
-        read_run(tmp_path / "run")
+        of_result(read_result(tmp_path / "run"))
     with pytest.raises(ConfigurationError, match="vary from image to image"):
         oriented(block, tmp_path / "run")
     table = rows(tmp_path / "run" / "photo_variant.csv")
@@ -109,7 +110,7 @@ def test_photo_variant_principal_points_lower_the_residuals_as_published(tmp_pat
 
 
 def test_estimated_components_are_reported_and_used(tmp_path: Path) -> None:
-    result = adjust_block(DEMO, tmp_path / "run", wanted=Wanted(components=True))
+    result = adjusted_json(DEMO, tmp_path / "run", wanted=Wanted(components=True))
     factor = {one["name"]: one["factor"] for one in result["variance_components"]}
     assert set(factor) == {"image dcs460", "control", "camera"}
     # With its own components every group's v'Pv equals its redundancy.

@@ -18,8 +18,7 @@ import pytest
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError, PhotocalError
 from photocal.block.folder import read_block
 from photocal.block.model import Block
-from photocal.block.process import adjust_block
-from tests.photocal.blocks import SMALL_TOML, small, table
+from tests.photocal.blocks import SMALL_TOML, adjusted_json, small, table
 
 
 def same(one: Block, other: Block) -> bool:
@@ -63,7 +62,7 @@ def test_values_units_and_empty_cells(block: Path) -> None:
 def test_fingerprints_are_those_of_the_files(block: Path) -> None:
     for file in read_block(block).inputs:
         content = (block / file.path).read_bytes()
-        assert (file.sha256, file.size) == (hashlib.sha256(content).hexdigest(), len(content))
+        assert (file.sha256, file.bytes) == (hashlib.sha256(content).hexdigest(), len(content))
 
 
 @pytest.mark.parametrize(
@@ -143,7 +142,7 @@ def test_parquet_observations_equal_csv(block: Path, tmp_path: Path) -> None:
     columns |= {name: [float(r[name]) for r in rows] for name in ("x", "y")}
     pyarrow.parquet.write_table(pa.table(columns), other / "observations.parquet")
     assert same(read_block(block), read_block(other))
-    one, two = adjust_block(block, tmp_path / "run1"), adjust_block(other, tmp_path / "run2")
+    one, two = adjusted_json(block, tmp_path / "run1"), adjusted_json(other, tmp_path / "run2")
     assert one["cameras"] == two["cameras"]
     assert (tmp_path / "run1" / "residuals.csv").read_bytes() == (
         tmp_path / "run2" / "residuals.csv"

@@ -11,7 +11,7 @@ import pytest
 
 from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError
 from photocal.block.folder import read_block
-from photocal.block.process import adjust_block
+from tests.photocal.blocks import adjusted_json
 
 ROOT = Path(__file__).resolve().parents[3]
 DEMO = ROOT / "photocal" / "demo" / "dcs460"
@@ -80,8 +80,8 @@ def test_photo_1_comes_out_as_published(folder: Path) -> None:
 
 
 def test_the_adjustment_says_how_the_fiducials_fit(folder: Path, tmp_path: Path) -> None:
-    result = adjust_block(folder, tmp_path / "run")
-    plain = adjust_block(DEMO, tmp_path / "plain")
+    result = adjusted_json(folder, tmp_path / "run")
+    plain = adjusted_json(DEMO, tmp_path / "plain")
     c = [one["cameras"]["dcs460"]["parameters"]["c"] for one in (result, plain)]
     # One of three readings instead of their mean, in one photo of twelve or so.
     assert abs(c[0]["value"] - c[1]["value"]) < 0.5 * c[1]["sigma"]

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import IllPosedError, InputMalformedError
-from photocal.block.process import adjust_block
+from tests.photocal.blocks import adjusted_json
 
 DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"
 
@@ -33,7 +33,7 @@ ALL = frozenset({"1", "3", "4", "5", "6", "7", "8", "9", "10", "11", "12"})
 
 @pytest.mark.parametrize("images", [ALL, frozenset({"8"})], ids=["none given", "one missing"])
 def test_same_minimum_without_orientation(images: frozenset[str], tmp_path: Path) -> None:
-    result = adjust_block(without_orientation(tmp_path / "block", images), tmp_path / "run")
+    result = adjusted_json(without_orientation(tmp_path / "block", images), tmp_path / "run")
     # Case A of the study, computed by others.
     assert result["chi_squared"] == pytest.approx(764.07, abs=0.01)
     assert result["cameras"]["dcs460"]["parameters"]["c"]["value"] == pytest.approx(20.5004666, abs=1e-5)
@@ -51,7 +51,7 @@ def test_control_that_is_known_in_some_coordinates_only(tmp_path: Path) -> None:
             row["Z"] = height or row["Z"]
         lines = [",".join(rows[0]), *(",".join(row.values()) for row in rows)]
         (folder / "points.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-        results.append(adjust_block(folder, tmp_path / f"run-{name}"))
+        results.append(adjusted_json(folder, tmp_path / f"run-{name}"))
     assert results[1]["chi_squared"] == pytest.approx(results[0]["chi_squared"], rel=1e-7)
 
 
@@ -66,7 +66,7 @@ def test_slips_in_check_points_change_nothing(tmp_path: Path) -> None:
             row["role"], row["XYZ"[k % 3]] = "check", f"{float(row['XYZ'[k % 3]]) + slip}"
         lines = [",".join(rows[0]), *(",".join(row.values()) for row in rows)]
         (folder / "points.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-        results.append(adjust_block(folder, tmp_path / f"run-{name}"))
+        results.append(adjusted_json(folder, tmp_path / f"run-{name}"))
     assert results[1]["chi_squared"] == pytest.approx(results[0]["chi_squared"], rel=1e-7)
     assert results[1]["checks"]["rmse_m"]["x"] > 100.0
 
@@ -79,10 +79,10 @@ def test_an_image_that_nothing_connects(tmp_path: Path) -> None:
     ]
     (folder / "observations.csv").write_text("\n".join(few) + "\n", encoding="utf-8")
     with pytest.raises(IllPosedError, match=r"1 image\(s\) \(8\)"):
-        adjust_block(folder, tmp_path / "run")
+        adjusted_json(folder, tmp_path / "run")
 
 
 def test_a_sigma_needs_its_value(tmp_path: Path) -> None:
     folder = without_orientation(tmp_path / "block", frozenset({"8"}), extra="0.05")
     with pytest.raises(InputMalformedError, match="a value with a sigma is empty"):
-        adjust_block(folder, tmp_path / "run")
+        adjusted_json(folder, tmp_path / "run")

@@ -12,9 +12,8 @@ import pyarrow.parquet
 import pytest
 from typer.testing import CliRunner
 
-from photocal.block.process import adjust_block
 from photocal.cli import app
-from tests.photocal.blocks import SQUARE, dcs460, published
+from tests.photocal.blocks import SQUARE, adjusted_json, dcs460, published
 
 # Names of the study, in the order of its tables.
 NAMES = {"c": "F", "x0": "CX", "y0": "CY", "K1": "K1", "K2": "K2", "K3": "K3", "P1": "P1", "P2": "P2"}
@@ -98,7 +97,7 @@ def test_eleven_photos_as_stated(case_a: Run) -> None:
 @pytest.mark.parametrize("case", CASES)
 def test_independent_adjustments(case: str, tmp_path: Path) -> None:
     row = next(r for r in published("verification_adjustments.csv") if r["case"] == case)
-    result = adjust_block(dcs460(tmp_path / "block", **CASES[case]), tmp_path / "run")
+    result = adjusted_json(dcs460(tmp_path / "block", **CASES[case]), tmp_path / "run")
     assert result["degrees_of_freedom"] == int(row["dof"])
     assert result["chi_squared"] == pytest.approx(float(row["chi2"]), abs=0.0051)
     groups = {group["name"]: group for group in result["groups"]}
@@ -118,7 +117,7 @@ def test_leaving_one_photo_out(pixel: str, photo: str, tmp_path: Path) -> None:
     row = next(r for r in rows if (r["pixel_model"], r["photo_removed"]) == (pixel, photo))
     scale = SQUARE if pixel == "square_pixel" else 1.0
     block = dcs460(tmp_path / "block", photo2=True, y_scale=scale, without=photo)
-    result = adjust_block(block, tmp_path / "run")
+    result = adjusted_json(block, tmp_path / "run")
     assert result["degrees_of_freedom"] == int(row["dof"])
     assert result["chi_squared"] == pytest.approx(float(row["chi2"]), abs=0.0051)
     for ours, theirs in NAMES.items():
@@ -222,7 +221,7 @@ def test_residual_rms_with_square_pixels(tmp_path: Path) -> None:
     rms = {}
     for name, scale in (("published", 1.0), ("square", SQUARE)):
         block = dcs460(tmp_path / name, photo2=True, y_scale=scale)
-        images = adjust_block(block, tmp_path / f"{name}-run")["images"]["rms"]
+        images = adjusted_json(block, tmp_path / f"{name}-run")["images"]["rms"]
         rms[name] = {i["image"]: np.hypot(i["rms_x"], i["rms_y"]) / np.sqrt(2) * 1000 for i in images}
         rays = np.array([i["rays"] for i in images])
         squares = np.array(list(rms[name].values())) ** 2

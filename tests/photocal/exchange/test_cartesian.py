@@ -14,13 +14,14 @@ from typer.testing import CliRunner
 from drivers.errors import ConfigurationError
 from photocal.adjustment.adjust import adjust
 from photocal.block.network import assemble
-from photocal.block.run import summary, write_run
 from photocal.cli import app
 from photocal.exchange.ground_points import read_gcp_list, read_geo
-from photocal.exchange.reconstruction import Reconstruction, as_block, read_run
+from photocal.exchange.reconstruction import Reconstruction, as_block, of_result
 from photocal.geometry.camera import camera
 from photocal.geometry.frames import nearest_rotation, reference_frame
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
+from photocal.results.adjusted import result_of
+from photocal.results.folder import read_result, write_result
 from tests.photocal.exchange.conftest import reconstruction_of
 
 # Far from the central meridian: 1.2 degrees of convergence and a scale of 1.0006.
@@ -52,8 +53,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     solution = adjust(assembly.network)
     folder = tmp_path_factory.mktemp("run") / "run"
     folder.mkdir()
-    timing = {"read": 0.0, "solve": 0.0, "covariance": 0.0}
-    write_run(folder, block, assembly, solution, summary(block, assembly, solution, timing))
+    write_result(folder, result_of(block, assembly, solution))
     return folder
 
 
@@ -80,7 +80,7 @@ def test_pycolmap_reproduces_the_residuals_of_the_adjustment(run: Path, tmp_path
     assert isinstance(origin, dict)
     assert (origin["frame"], origin["height"]) == ("EPSG:31982", "ellipsoidal")
     assert np.abs(np.array([origin["x"], origin["y"]]) - PLACE[:2]).max() < 500
-    ours = residuals(read_run(run))
+    ours = residuals(of_result(read_result(run)))
     model = pycolmap.Reconstruction(str(tmp_path))
     apart = []
     for image in model.images.values():
@@ -93,7 +93,7 @@ def test_pycolmap_reproduces_the_residuals_of_the_adjustment(run: Path, tmp_path
 
 def test_places_on_the_earth_need_no_origin(run: Path, tmp_path: Path) -> None:
     exported(run, tmp_path, "--format", "geojson")
-    given = read_run(run)
+    given = of_result(read_result(run))
     turn = pyproj.Transformer.from_crs("EPSG:31982", "EPSG:4326", always_xy=True)
     features = json.loads((tmp_path / "block.geojson").read_text())["features"]
     exposures = [f["geometry"]["coordinates"] for f in features if f["properties"]["kind"] == "exposure"]
@@ -106,7 +106,7 @@ def test_places_on_the_earth_need_no_origin(run: Path, tmp_path: Path) -> None:
 
 
 def test_lists_and_tables_keep_map_coordinates(run: Path, tmp_path: Path) -> None:
-    given = read_run(run)
+    given = of_result(read_result(run))
     assert exported(run, tmp_path, "--format", "odm")["origin"] is None
     crs, marks = read_gcp_list(tmp_path / "gcp_list.txt")
     assert crs == "EPSG:31982"

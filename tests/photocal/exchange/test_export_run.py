@@ -13,17 +13,16 @@ from typer.testing import CliRunner
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.adjustment.adjust import adjust
 from photocal.block.network import assemble
-from photocal.block.run import summary, write_run
 from photocal.cli import app
 from photocal.commands.export import FORMATS
 from photocal.exchange.colmap import read_colmap
 from photocal.exchange.formats import FORMATS as ALL
 from photocal.exchange.formats import export, named
 from photocal.exchange.metashape import read_metashape
-from photocal.exchange.reconstruction import Reconstruction, as_block, read_run
+from photocal.exchange.reconstruction import Reconstruction, as_block, of_result
 from photocal.exchange.writers import Choices
-
-TIMING = {"read": 0.0, "solve": 0.0, "covariance": 0.0}
+from photocal.results.adjusted import result_of
+from photocal.results.folder import read_result, write_result
 
 
 def run_of(given: Reconstruction, folder: Path) -> Path:
@@ -36,7 +35,7 @@ def run_of(given: Reconstruction, folder: Path) -> Path:
     assembly = assemble(block)
     solution = adjust(assembly.network)
     folder.mkdir()
-    write_run(folder, block, assembly, solution, summary(block, assembly, solution, TIMING))
+    write_result(folder, result_of(block, assembly, solution))
     return folder
 
 
@@ -53,7 +52,7 @@ def run_in_mm(tmp_path_factory: pytest.TempPathFactory, photogrammetric: Reconst
 
 
 def test_run_folder_gives_what_was_adjusted(run: Path, vision: Reconstruction) -> None:
-    again = read_run(run)
+    again = of_result(read_result(run))
     assert again.image_names == vision.image_names
     assert set(again.roles) == {"control"}
     np.testing.assert_allclose(again.pixels, vision.pixels, atol=1e-9)
@@ -64,7 +63,7 @@ def test_run_folder_gives_what_was_adjusted(run: Path, vision: Reconstruction) -
 
 @pytest.mark.parametrize("form", ["colmap", "colmap-binary", "metashape"])
 def test_residuals_survive_the_export(run: Path, tmp_path: Path, form: str) -> None:
-    given = read_run(run)
+    given = of_result(read_result(run))
     assert all(made.largest_px == 0 for made in export(named(form), tmp_path, given, Choices()))
     if form == "metashape":
         again = read_metashape(tmp_path / "cameras.xml").reconstruction
@@ -78,7 +77,7 @@ def test_residuals_survive_the_export(run: Path, tmp_path: Path, form: str) -> N
 
 
 def test_observations_in_mm_become_pixels(run_in_mm: Path, photogrammetric: Reconstruction) -> None:
-    np.testing.assert_allclose(read_run(run_in_mm).pixels, photogrammetric.pixels, atol=1e-9)
+    np.testing.assert_allclose(of_result(read_result(run_in_mm)).pixels, photogrammetric.pixels, atol=1e-9)
 
 
 @pytest.mark.parametrize("form", [form.name for form in ALL if form.name != "odm"])
@@ -134,13 +133,13 @@ def test_wrong_choices(run: Path, tmp_path: Path, extra: list[str], message: str
 
 def test_no_run(tmp_path: Path) -> None:
     with pytest.raises(InputNotFoundError):
-        read_run(tmp_path / "none")
+        of_result(read_result(tmp_path / "none"))
     (tmp_path / "result.json").write_text('{"schema": "other/1"}')
-    with pytest.raises(InputMalformedError, match="not the result of an adjustment"):
-        read_run(tmp_path)
+    with pytest.raises(InputMalformedError, match="was expected"):
+        of_result(read_result(tmp_path))
     (tmp_path / "result.json").write_text('{"schema": "photocal.adjustment/1", "x": NaN}')
-    with pytest.raises(InputMalformedError, match="not finite"):
-        read_run(tmp_path)
+    with pytest.raises(InputMalformedError, match="NaN where a number"):
+        of_result(read_result(tmp_path))
     (tmp_path / "result.json").write_text("[" * 100_000)
-    with pytest.raises(InputMalformedError, match="no valid JSON"):
-        read_run(tmp_path)
+    with pytest.raises(InputMalformedError, match="recursion"):
+        of_result(read_result(tmp_path))

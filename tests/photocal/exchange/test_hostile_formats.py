@@ -33,10 +33,11 @@ from photocal.exchange.micmac import read_measures
 from photocal.exchange.orientation_tables import read_angles, write_angles
 from photocal.exchange.photomodeler import read_positions
 from photocal.exchange.pix4d import read_pix4d, write_pix4d
-from photocal.exchange.reconstruction import read_run
+from photocal.exchange.reconstruction import of_result
 from photocal.exchange.reference_table import Reference, read_references, write_references
 from photocal.exchange.writers import Choices
 from photocal.geometry.camera import camera
+from photocal.results.folder import read_result
 from tests.photocal.exchange.conftest import reconstruction_of
 
 TEN_GB = 10 << 30
@@ -311,5 +312,5 @@ def test_run_folders(tmp_path: Path, name: str) -> None:
     os.truncate(path, TEN_GB)
     began = time.monotonic()
     with pytest.raises(PhotocalError):
-        read_run(tmp_path)
+        of_result(read_result(tmp_path))
     assert time.monotonic() - began < 20

@@ -14,8 +14,9 @@ from photocal.adjustment.adjust import adjust
 from photocal.adjustment.solution import Solution
 from photocal.block.model import Block
 from photocal.block.network import assemble
-from photocal.block.run import summary, write_run
-from photocal.exchange.reconstruction import Reconstruction, read_run
+from photocal.exchange.reconstruction import Reconstruction, of_result
+from photocal.results.adjusted import result_of
+from photocal.results.folder import read_result, write_result
 
 
 @dataclass
@@ -134,8 +135,7 @@ def adjusted(
         assembly = assemble(block)
         solution = adjust(assembly.network)
         folder = tmp_path_factory.mktemp("run")
-        timing = {"read": 0.0, "solve": 0.0, "covariance": 0.0}
-        write_run(folder, block, assembly, solution, summary(block, assembly, solution, timing))
-        return read_run(folder), solution
+        write_result(folder, result_of(block, assembly, solution))
+        return of_result(read_result(folder)), solution
 
     return run

@@ -15,11 +15,11 @@ from scipy.optimize import least_squares
 
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.frames import ShiftedFrame
+from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.displacement import terrain_points
 from photocal.products.grid import Grid
 from photocal.products.kernels import BILINEAR
 from photocal.products.orthophoto import ImageStore, Recipe, orthophoto
-from photocal.products.shots import Shots, shots
 from photocal.products.terrain import Terrain
 from tests.photocal.products.conftest import rows_of
 from tests.photocal.products.photo import Lens, Photo
@@ -106,10 +106,10 @@ def as_camera(lens: Lens) -> Camera:
 FRAME = ShiftedFrame(np.array([483000.0, 6676900.0, 0.0]))
 
 
-def as_shots(photo: Photo) -> Shots:
+def as_shots(photo: Photo) -> OrientedImages:
     station = FRAME.to_local(np.array([photo.station]))
     orientation = np.column_stack([[photo.angles], station])
-    return shots(("photo",), (as_camera(photo.lens),), np.zeros(1, np.int64), orientation)
+    return OrientedImages(("photo",), (as_camera(photo.lens),), np.zeros(1, np.int64), orientation)
 
 
 def terrain_model() -> Terrain:

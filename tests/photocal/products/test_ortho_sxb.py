@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from photocal.block.process import adjust_block
 from photocal.exchange.any_block import read_any_block
 from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.frames import Frame
+from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.displacement import image_points, terrain_points
 from photocal.products.grid import Grid
 from photocal.products.kernels import BILINEAR
 from photocal.products.oriented import oriented
 from photocal.products.orthophoto import ImageStore, Recipe, Tile, orthophoto
 from photocal.products.raster import read_image
-from photocal.products.shots import Shots
 from photocal.products.terrain import Terrain
 from photocal.products.tin import grid_of_points, read_terrain_points
+from photocal.results.adjusting import adjust_block
 
 CELL = 0.1
 SIDE = 100
@@ -74,7 +74,7 @@ def test_the_orthophoto_has_the_check_points_in_their_places(shared: Path, tmp_p
 
 
 def _same_as_peers(
-    tile: Tile, image: np.ndarray[tuple[int, ...], np.dtype[np.uint8]], one: Shots, frame: Frame,
+    tile: Tile, image: np.ndarray[tuple[int, ...], np.dtype[np.uint8]], one: OrientedImages, frame: Frame,
     terrain: Terrain, grid: Grid,
 ) -> None:  # fmt: skip
     """SciPy and OpenCV resample the image by the same map: equal to one grey level.

@@ -14,14 +14,19 @@ import pytest
 import rasterio  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
+from photocal.block.folder import read_block
+from photocal.block.model import Block
 from photocal.geometry.camera import Camera, Model, camera
 from photocal.geometry.frames import ShiftedFrame
+from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.displacement import displacement, image_points, terrain_points
 from photocal.products.grid import Grid, ground_points
 from photocal.products.kernels import BILINEAR, CUBIC, NEAREST
+from photocal.products.lens_tables import ideal_limit
 from photocal.products.orthophoto import ImageStore, Recipe, Tile, orthophoto
-from photocal.products.shots import Shots, ideal_limit, shots
 from photocal.products.terrain import Terrain
+from photocal.results.folder import write_result
+from photocal.results.result import AdjustedPoints, BlockFacts, CheckSummary, Residuals, Result, Software
 from tests.photocal.products.photo import Lens, Photo
 
 Floats = NDArray[np.float64]
@@ -42,12 +47,14 @@ def lens_camera(lens: Lens, model: Model = "brown-observed") -> Camera:
     return camera("one", model, "mm", SIZE, PITCH, values)
 
 
-def shots_of(*photos: Photo) -> Shots:
+def shots_of(*photos: Photo) -> OrientedImages:
     orientation = np.array([[*p.angles, *FRAME.to_local(np.array([p.station]))[0]] for p in photos])
     cameras = tuple(
         lens_camera(p.lens, "brown-observed" if p.lens.observed else "brown-ideal") for p in photos
     )
-    return shots(tuple(f"i{n}" for n in range(len(photos))), cameras, np.arange(len(photos)), orientation)
+    return OrientedImages(
+        tuple(f"i{n}" for n in range(len(photos))), cameras, np.arange(len(photos)), orientation
+    )
 
 
 def slope(step: float = 5.0) -> Terrain:
@@ -279,7 +286,7 @@ def test_the_file_is_a_tiled_geotiff(photocal: Callable[..., Any], tmp_path: Pat
         (["--image", "other"], 5, "not in the block"),
         (["--nodata", "7"], 5, "use 0 or 255"),
         (["--compare", "x"], 5, "go together"),
-        (["--run", "nothing"], 3, "does not exist"),
+        (["--run", "nothing"], 3, "no such folder"),
         (["--dtm", "nothing.tif"], 3, "does not exist"),
         (["--dtm", __file__], 4, "cannot be read as a raster"),
     ],
@@ -308,16 +315,34 @@ def test_an_image_of_another_size_is_refused(photocal: Callable[..., Any], tmp_p
     assert "200 x 300 px, its camera 400 x 300" in told.err
 
 
+def adjusted_by_hand(block: Block, c: float, folder: Path) -> None:
+    """A run folder of which nothing is adjusted but c."""
+    cameras = tuple(own.with_values([c, *own.values[1:]]) for own in block.cameras)
+    images, nothing = block.images, np.full((1, 2), np.nan)
+    first = np.zeros(1, dtype=np.int64)
+    folder.mkdir()
+    write_result(
+        folder,
+        Result(
+            software=Software("test", "0"),
+            block=BlockFacts(block.name, block.frame, block.datum, "px", "pixel", block.height),
+            inputs=(), converged=True, iterations=1, observations=0, unknowns=0, degrees_of_freedom=0,
+            chi_squared=0.0, sigma0_squared=None, global_test=None, groups=(), checks=CheckSummary(0, {}),
+            cameras={own.id: own for own in cameras},
+            images=OrientedImages(
+                images.names, cameras, images.camera, images.values, np.zeros((len(images.names), 6, 6))
+            ),
+            points=AdjustedPoints(("1",), ("tie",), np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros(1, int)),
+            residuals=Residuals(images.names, ("1",), first, first, np.zeros((1, 2)), *[nothing] * 3),
+        ),
+    )  # fmt: skip
+
+
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 def test_displacement_map_between_two_adjustments(photocal: Callable[..., Any], tmp_path: Path) -> None:
     arguments = write_job(tmp_path)
     for name, c in (("calibrated", 4.0), ("nominal", 3.9)):
-        run = tmp_path / name
-        run.mkdir()
-        (run / "images.csv").write_bytes((tmp_path / "block" / "images.csv").read_bytes())
-        values = dict.fromkeys(("x0", "y0", "K1", "K2", "K3", "K4", "P1", "P2", "P3", "P4", "B1", "B2"), 0.0)
-        parameters = {key: {"value": value} for key, value in {"c": c, **values}.items()}
-        (run / "result.json").write_text(json.dumps({"cameras": {"one": {"parameters": parameters}}}))
+        adjusted_by_hand(read_block(tmp_path / "block"), c, tmp_path / name)
     told = photocal(
         *arguments, "--cell", "0.5", "--json", "--run", tmp_path / "calibrated",
         "--compare", tmp_path / "nominal", "--displacement", tmp_path / "map.svg",

@@ -14,8 +14,7 @@ from photocal.findings.catalogue import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import read_particulars
 from photocal.report.document import Document
-from photocal.report.run import Run
-from photocal.report.run_reader import read_run
+from photocal.report.stored_analysis import Run, read_run
 
 DAY = dt.date(2026, 11, 21)
 

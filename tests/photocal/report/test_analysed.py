@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from photocal.block.folder import read_block
-from photocal.block.process import adjust_block
 from photocal.findings.catalogue import catalogue
 from photocal.report.analysis_file import analyse_run
 from photocal.report.certificate import certificate
@@ -22,9 +21,10 @@ from photocal.report.html import html
 from photocal.report.ministry import entries, read_layout
 from photocal.report.ministry_rows import Context
 from photocal.report.record import record
-from photocal.report.run import Run
-from photocal.report.run_reader import read_adjustment, read_run
+from photocal.report.stored_analysis import Run, read_run
 from photocal.report.warning_sections import ProcessingWarnings
+from photocal.results.adjusting import adjust_block
+from photocal.results.folder import read_result
 from tests.photocal.georeferencing.flights import Plan, fly
 from tests.photocal.report.conftest import DAY
 
@@ -83,7 +83,7 @@ def test_what_was_found_is_printed(analysed: Run, language: str, expected: tuple
 
 
 def test_without_analysis_it_is_said(analysed: Run) -> None:
-    bare = Run(analysed.result, analysed.exposures, analysed.points, analysed.residuals, analysed.files)
+    bare = Run(analysed.result, analysed.files)
     document = certificate(bare, read_particulars(None, DAY), catalogue("en"))
     assert "was not analysed" in words(document)
 
@@ -111,7 +111,7 @@ def test_table_3_is_original_less_adjusted(tmp_path: Path) -> None:
     """Without lever arm the antenna is the camera: against the two tables, subtracted by hand."""
     folder = fly(tmp_path / "flight", np.random.default_rng(3), plan=Plan(tie=40))
     adjust_block(folder, tmp_path / "run")
-    found = exterior_difference(read_block(folder), read_adjustment(tmp_path / "run").result)
+    found = exterior_difference(read_block(folder), read_result(tmp_path / "run"))
     assert found is not None
     tables = []
     for path in (folder / "positions.csv", tmp_path / "run" / "images.csv"):

@@ -12,7 +12,7 @@ from photocal.findings.catalogue import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Particulars
 from photocal.report.html import html
-from photocal.report.run import Run
+from photocal.report.stored_analysis import Run
 
 
 @pytest.fixture(scope="module", params=["en", "pt-BR"])

@@ -28,8 +28,7 @@ from photocal.report.certificate_metadata import Particulars, read_particulars
 from photocal.report.document import Document, Figure, Table
 from photocal.report.html import html
 from photocal.report.pdf import pdf
-from photocal.report.run import Run
-from photocal.report.run_reader import read_run
+from photocal.report.stored_analysis import Run, read_run
 
 DAY = dt.date(2026, 11, 21)
 VOID = {"meta", "br", "col", "link", "img", "hr"}
@@ -294,14 +293,14 @@ def test_residuals_in_parquet_and_with_empty_cells(run_folder: Path) -> None:
     lines[1] = ",".join([*cells[:8], "", ""])
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     emptied = read_run(run_folder)
-    assert np.isnan(emptied.residuals.standardised[0]).all()
+    assert np.isnan(emptied.result.residuals.standardised[0]).all()
     certificate(emptied, Particulars(date=DAY), catalogue("en"))
     table = pyarrow.csv.read_csv(path)
     path.unlink()
     pyarrow.parquet.write_table(table, run_folder / "residuals.parquet")
     again = read_run(run_folder)
-    assert again.residuals.image == whole.residuals.image
-    assert again.residuals.measured == pytest.approx(whole.residuals.measured)
+    assert np.array_equal(again.result.residuals.image, whole.result.residuals.image)
+    assert again.result.residuals.measured == pytest.approx(whole.result.residuals.measured)
     (run_folder / "residuals.parquet").write_bytes(b"PAR1 cut")
     with pytest.raises(InputMalformedError, match="Parquet"):
         read_run(run_folder)

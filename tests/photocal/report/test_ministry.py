@@ -18,7 +18,7 @@ from photocal.report.derived_figures import facts
 from photocal.report.document import Signature, Table
 from photocal.report.ministry import entries, read_layout
 from photocal.report.ministry_rows import Context, corners
-from photocal.report.run import Run
+from photocal.report.stored_analysis import Run
 
 DAY = dt.date(2026, 11, 21)
 EXAMPLE = Path(__file__).parents[3] / "configs" / "certificates" / "example_particulars.toml"

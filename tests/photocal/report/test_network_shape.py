@@ -6,9 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from photocal.report.network_shape import network_shape
-from photocal.report.run import Run
+from photocal.report.stored_analysis import Run
+
+Floats = NDArray[np.float64]
+
+
+def moved(run: Run, angles_deg: Floats, station: Floats) -> Run:
+    images = replace(run.result.images, values=np.hstack([np.radians(angles_deg), station]))
+    return replace(run, result=replace(run.result, images=images))
 
 
 @pytest.mark.shared
@@ -21,21 +29,20 @@ def test_convergence_of_the_published_wall(published_run: Run) -> None:
 
 def test_two_axes_a_right_angle_apart(invented_run: Run) -> None:
     """Turned by 90 degrees about Y in two images, not at all in the others."""
-    n = len(invented_run.exposures.image)
+    n = len(invented_run.result.images)
     angles = np.zeros((n, 3))
     angles[:2, 1] = 90.0
-    exposures = replace(invented_run.exposures, angles_deg=angles)
-    shape = network_shape(replace(invented_run, exposures=exposures), "l1")
+    shape = network_shape(moved(invented_run, angles, invented_run.result.images.station), "l1")
     assert shape is not None
     assert shape.convergence_deg == pytest.approx(90.0)
 
 
 def test_depths_of_a_plane_seen_from_above(invented_run: Run) -> None:
-    n = len(invented_run.exposures.image)
+    n = len(invented_run.result.images)
     position = np.column_stack([np.arange(n) * 30.0, np.zeros(n), np.full(n, 100.0)])
-    exposures = replace(invented_run.exposures, angles_deg=np.zeros((n, 3)), position_m=position)
-    points = replace(invented_run.points, position_m=invented_run.points.position_m * [1.0, 1.0, 0.0])
-    shape = network_shape(replace(invented_run, exposures=exposures, points=points), "l1")
+    run = moved(invented_run, np.zeros((n, 3)), position)
+    points = replace(run.result.points, values=run.result.points.values * [1.0, 1.0, 0.0])
+    shape = network_shape(replace(run, result=replace(run.result, points=points)), "l1")
     assert shape is not None
     assert shape.depth_spread == pytest.approx(0.0, abs=1e-9)
     # The angle of an arccosine near 1: half of the digits are lost.

@@ -9,11 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from photocal.geometry.camera import pixel_to_plane
-from photocal.report.run import CameraResult, Correlation
+from photocal.geometry.camera import camera, pixel_to_plane
 from photocal.report.sensor import SensorResiduals, thinned, to_plane
 
-CAMERA = CameraResult("brown-observed", "mm", (4000, 3000), {}, Correlation((), ()), pitch_mm=(0.003, 0.004))
+CAMERA = camera("a", "brown-observed", "mm", (4000, 3000), (0.003, 0.004), {"c": 20.0})
 
 
 def test_pixels_become_millimetres_and_rows_turn_up() -> None:
@@ -39,10 +38,10 @@ def test_photo_pixels_scale_to_a_camera_in_millimetres() -> None:
 @given(st.integers(1, 3000), st.integers(0, 100))
 def test_thinning_keeps_the_mean(n: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    camera = replace(CAMERA, unit="px", pitch_mm=None)
+    in_px = replace(CAMERA, unit="px", pitch=(1.0, 1.0))
     place = rng.uniform([-2000, -1500], [2000, 1500], (n, 2))
     residuals = SensorResiduals(place, rng.normal(size=(n, 2)))
-    vectors = thinned(residuals, camera, 500)
+    vectors = thinned(residuals, in_px, 500)
     assert vectors.rays.sum() == n
     assert len(vectors.place) <= max(500, 1)
     mean = vectors.rays @ vectors.residual_px / n

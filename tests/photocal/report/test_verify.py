@@ -15,13 +15,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner, Result
 
-from photocal.block.more_tables import Wanted
-from photocal.block.process import adjust_block
 from photocal.cli import app
-from photocal.report.block_files import Source
 from photocal.report.record import read_record
 from photocal.report.repetition import repeated
 from photocal.report.verification import differences
+from photocal.results.adjusting import adjust_block
+from photocal.results.more_tables import Wanted
+from photocal.results.origin import Source
 
 DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"
 

@@ -10,8 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from drivers.errors import ConfigurationError, InputNotFoundError
-from photocal.block.process import adjust_block
 from photocal.cli import app
+from photocal.results.adjusting import adjust_block
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
 RIG = Errors(lever_arm_m=(0.1, -0.05, -0.2), boresight_deg=(0.4, -0.3, 0.5), time_offset_s=0.008)

@@ -141,9 +141,9 @@ def test_images_without_exposures_need_marks_enough(flown: Survey) -> None:
 
 
 def test_a_run_folder_says_how_images_are_oriented(survey: Survey) -> None:
-    from photocal.block.process import adjust_block
     from photocal.measurement.block_files import write_block
     from photocal.measurement.marking.adjustment import block_of_marks
+    from photocal.results.adjusting import adjust_block
 
     own, points = known(survey), read_points(survey.folder / "control.csv")
     block, _ = block_of_marks(own, points, true_marks(survey))

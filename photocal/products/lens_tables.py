@@ -1,4 +1,4 @@
-"""Images as an orthophoto needs them: cameras, orientations and how far each lens model holds."""
+"""Cameras as the kernels of the orthophoto take them."""
 
 from __future__ import annotations
 
@@ -10,41 +10,8 @@ from numpy.typing import NDArray
 from photocal.geometry.camera import Camera, pixel_to_plane
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.lens import optics
-from photocal.geometry.rotation import matrix_from_angles
 
 Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Shots:
-    """Oriented images.
-
-    Attributes
-    ----------
-    camera : ndarray of int, shape (m,)
-        Index into the cameras.
-    station : ndarray, shape (m, 3)
-        Projection centres, m.
-    rotation : ndarray, shape (m, 3, 3)
-        From object to camera axes.
-    """
-
-    names: tuple[str, ...]
-    cameras: tuple[Camera, ...]
-    camera: Integers
-    station: Floats
-    rotation: Floats
-
-    def only(self, numbers: list[int]) -> Shots:
-        """Give some of the images, in the order of their numbers."""
-        return Shots(
-            tuple(self.names[number] for number in numbers),
-            self.cameras,
-            self.camera[numbers],
-            self.station[numbers],
-            self.rotation[numbers],
-        )
 
 
 @dataclass(frozen=True)
@@ -65,21 +32,6 @@ class LensTables:
     pitch: Floats
     size: Floats
     limit: Floats
-
-
-def shots(
-    names: tuple[str, ...], cameras: tuple[Camera, ...], camera: Integers, orientation: Floats
-) -> Shots:
-    """Make oriented images.
-
-    Parameters
-    ----------
-    names, cameras, camera
-        As the attributes of `Shots`.
-    orientation : ndarray, shape (m, 6)
-        omega, phi, kappa in radians, X, Y, Z in m.
-    """
-    return Shots(names, cameras, camera, orientation[:, 3:].copy(), matrix_from_angles(orientation[:, :3]))
 
 
 def lens_tables(cameras: tuple[Camera, ...]) -> LensTables:

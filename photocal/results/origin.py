@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from drivers.errors import InputMalformedError, InputNotFoundError
-from photocal.report.run import InputFile, Result
+from photocal.block.model import InputFile
+from photocal.results.result import Figures
 
 # Where a certificate carries them.
 CARRIED = "inputs"
@@ -83,14 +84,14 @@ def changed_inputs(inputs: Sequence[InputFile], folder: Path) -> list[Changed]:
     return found
 
 
-def block_of_run(run: Path, result: Result, given: Path | None, here: Path) -> Source:
+def block_of_run(run: Path, result: Figures, given: Path | None, here: Path) -> Source:
     """Find what a run was made from and make sure that it has not changed.
 
     Parameters
     ----------
     run : Path
         The run folder.
-    result : Result
+    result : Figures
         Content of its result.json.
     given : Path or None
         The block folder or set-up file, when the user named it.
@@ -130,7 +131,7 @@ def block_of_run(run: Path, result: Result, given: Path | None, here: Path) -> S
     )
 
 
-def _candidates(run: Path, result: Result, here: Path) -> Iterator[Path]:
+def _candidates(run: Path, result: Figures, here: Path) -> Iterator[Path]:
     """Folders that may be it: the one that the run names, then the nearest to the run first."""
     if result.block.source:
         yield run / result.block.source

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,6 @@ from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.reliability import POWER, SIGNIFICANCE, reliability
 from photocal.adjustment.solution import Solution
-from photocal.adjustment.variance_components import Component
 from photocal.block.model import Block
 from photocal.block.network import NetworkOfBlock, plane_per_unit
 from photocal.geometry.camera import PARAMETERS
@@ -69,26 +67,17 @@ def parse_joint(text: str) -> tuple[tuple[str, str], ...]:
     return tuple(chosen)
 
 
-def more_figures(
-    assembly: NetworkOfBlock, covariance: Floats, wanted: Wanted, components: Sequence[Component]
-) -> dict[str, Any]:
-    """What `result.json` says of them."""
+def more_figures(assembly: NetworkOfBlock, covariance: Floats, wanted: Wanted) -> dict[str, Any]:
+    """Figures of the result that go with them."""
     free = ~assembly.network.points.held.any(axis=1)
     mean = vars(mean_precision(covariance[free])) if free.any() else {}
-    figures: dict[str, Any] = {
+    return {
         "mean_precision_m": {
             name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in mean.items()
         },
-        "variance_components": [
-            {**asdict(one), "sigma": one.sigma if one.estimated else None, "estimated": one.estimated}
-            for one in components
-        ],
+        "reliability": {"significance": SIGNIFICANCE, "power": POWER} if wanted.reliability else None,
+        "ellipses": None if wanted.ellipses is None else {"probability": wanted.ellipses},
     }
-    if wanted.reliability:
-        figures["reliability"] = {"significance": SIGNIFICANCE, "power": POWER}
-    if wanted.ellipses is not None:
-        figures["ellipses"] = {"probability": wanted.ellipses}
-    return figures
 
 
 def write_more(

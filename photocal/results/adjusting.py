@@ -1,4 +1,4 @@
-"""Adjust a block folder and write its run folder."""
+"""Adjusting a block: its result, and its run folder."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from acquire.outputs import output_folder
 from photocal.adjustment.adjust import adjust
@@ -17,9 +16,11 @@ from photocal.adjustment.solver import Iteration
 from photocal.adjustment.variance_components import Component, estimate_components, rays_by_camera
 from photocal.block.folder import read_block
 from photocal.block.model import Block
-from photocal.block.more_tables import Wanted, more_figures, write_more
 from photocal.block.network import NetworkOfBlock, assemble
-from photocal.block.run import given_points, summary, write_run
+from photocal.results.adjusted import result_of
+from photocal.results.folder import write_result
+from photocal.results.more_tables import Wanted, more_figures, write_more
+from photocal.results.result import BlockFacts, Result
 
 NOTHING_MORE = Wanted()
 Report = Callable[[Iteration], None]
@@ -32,7 +33,7 @@ def adjust_block(
     report: Report | None = None,
     wanted: Wanted = NOTHING_MORE,
     read: Callable[[Path], Block] = read_block,
-) -> dict[str, Any]:
+) -> Result:
     """Read a block, adjust it, write the results.
 
     Parameters
@@ -50,11 +51,6 @@ def adjust_block(
     read : callable
         Reader of the source; `exchange.any_block.read_any_block` takes set-up files of other programs too.
 
-    Returns
-    -------
-    dict
-        Content of `result.json`.
-
     Raises
     ------
     PhotocalError
@@ -71,25 +67,27 @@ def adjust_block(
         assembly, solution = replace(assembly, network=found.network), found.solution
         components = found.components
     timing |= solution.timing_s
-    result = summary(block, assembly, solution, timing)
-    covariance = given_points(assembly, solution)[1]
-    result |= more_figures(assembly, covariance, wanted, components)
-    result["block"] |= _origin(source, block, output)
-    result["snooping"] = snooping
+    result = result_of(block, assembly, solution, snooping=snooping, components=components, timing_s=timing)
+    result = replace(
+        result,
+        block=_with_origin(result.block, source, block, output),
+        **more_figures(assembly, result.points.covariance, wanted),
+    )
     with output_folder(output) as aside:
-        write_run(aside, block, assembly, solution, result)
-        write_more(aside, block, assembly, solution, covariance, wanted)
+        write_result(aside, result)
+        write_more(aside, block, assembly, solution, result.points.covariance, wanted)
     return result
 
 
-def _origin(source: Path, block: Block, output: Path) -> dict[str, str]:
-    """Where the inputs lie, seen from the run folder, and which of them is the set-up file."""
+def _with_origin(facts: BlockFacts, source: Path, block: Block, output: Path) -> BlockFacts:
+    """Add where the inputs lie, seen from the run folder, and which of them is the set-up file."""
     root, setup = source, ""
     if source.is_file():
         setup = next(file.path for file in block.inputs if Path(file.path).name == source.name)
         root = source.parents[len(Path(setup).parts) - 1]
     # Together they may move to another place; the run folder alone need not.
-    return {"source": Path(os.path.relpath(root.resolve(), output.resolve())).as_posix(), "setup": setup}
+    seen = Path(os.path.relpath(root.resolve(), output.resolve())).as_posix()
+    return replace(facts, source=seen, setup=setup)
 
 
 def adjusted(

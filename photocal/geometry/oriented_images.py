@@ -1,0 +1,169 @@
+"""Images whose orientation is known: the one class for them, whoever oriented them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from photocal.geometry.camera import Camera, pixel_to_plane, plane_to_pixel
+from photocal.geometry.distortion import projected, undistorted
+from photocal.geometry.frames import Frame, nearest_rotation
+from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class OrientedImages:
+    """Images with their cameras and exterior orientation.
+
+    Attributes
+    ----------
+    camera : ndarray of int, shape (n,)
+        Index into the cameras; -1 where it is not known.
+    values : ndarray, shape (n, 6)
+        omega, phi, kappa in radians, X, Y, Z of the projection centre in m; NaN where not known.
+    covariance : ndarray, shape (n, 6, 6), or None
+        Of `values`; NaN where nothing is said of an image.
+    """
+
+    names: tuple[str, ...]
+    cameras: tuple[Camera, ...]
+    camera: Integers
+    values: Floats
+    covariance: Floats | None = None
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @cached_property
+    def station(self) -> Floats:
+        """Projection centres, m, shape (n, 3)."""
+        return np.ascontiguousarray(self.values[:, 3:])
+
+    @cached_property
+    def rotation(self) -> Floats:
+        """From object to camera axes, shape (n, 3, 3)."""
+        return np.ascontiguousarray(matrix_from_angles(self.values[:, :3]))
+
+    @property
+    def angles_deg(self) -> Floats:
+        """omega, phi, kappa, shape (n, 3)."""
+        return np.degrees(self.values[:, :3])
+
+    @cached_property
+    def sigma(self) -> Floats:
+        """Standard deviations of `values` (rad, m), shape (n, 6); NaN where nothing is said."""
+        if self.covariance is None:
+            return np.full(self.values.shape, np.nan)
+        return np.asarray(np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2)))
+
+    def only(self, numbers: Sequence[int] | Integers) -> OrientedImages:
+        """Give some of the images, in the order of their numbers."""
+        chosen = np.asarray(numbers, dtype=np.int64)
+        return replace(
+            self,
+            names=tuple(self.names[number] for number in chosen),
+            camera=self.camera[chosen],
+            values=self.values[chosen],
+            covariance=None if self.covariance is None else self.covariance[chosen],
+        )
+
+    def named(self, names: Sequence[str]) -> OrientedImages:
+        """Give images by their names, NaN and without a camera for those that are not there."""
+        number = {name: k for k, name in enumerate(self.names)}
+        rows = np.array([number.get(name, -1) for name in names], dtype=np.int64)
+        lost = rows < 0
+        padded = np.vstack([self.values, np.full(6, np.nan)])
+        return OrientedImages(
+            tuple(names), self.cameras, np.where(lost, -1, np.r_[self.camera, -1][rows]), padded[rows]
+        )
+
+    def in_local(self, frame: Frame) -> OrientedImages:
+        """Give the images in local coordinates, without covariance."""
+        return replace(self, values=local_poses(frame, self.values), covariance=None)
+
+    def sizes(self) -> Floats:
+        """Width and height of each image, px, shape (n, 2)."""
+        return np.array([own.size_px for own in self.cameras], dtype=float)[self.camera]
+
+    def project(self, image: Integers, xyz: Floats) -> Floats:
+        """Columns and rows (px, shape (m, 2)) where images show points; NaN for those behind a camera.
+
+        Parameters
+        ----------
+        image : ndarray of int, shape (m,)
+        xyz : ndarray, shape (m, 3)
+        """
+        q = np.einsum("nij,nj->ni", self.rotation[image], xyz - self.station[image])
+        pixels = np.full((len(image), 2), np.nan)
+        for k, own in enumerate(self.cameras):
+            mine = np.flatnonzero(self.camera[image] == k)
+            if len(mine):
+                pixels[mine] = plane_to_pixel(own.size_px, own.pitch, projected(own, q[mine]))
+        return pixels
+
+    def ideal(self, image: Integers, pixels: Floats) -> tuple[Floats, Floats]:
+        """Undistorted image coordinates from the principal point, shape (m, 2), and their c, shape (m,).
+
+        Parameters
+        ----------
+        image : ndarray of int, shape (m,)
+        pixels : ndarray, shape (m, 2)
+        """
+        plane, c = np.empty((len(image), 2)), np.empty(len(image))
+        for k, own in enumerate(self.cameras):
+            mine = np.flatnonzero(self.camera[image] == k)
+            if len(mine):
+                plane[mine] = undistorted(own, pixel_to_plane(own.size_px, own.pitch, pixels[mine]))
+                c[mine] = own.value("c")
+        return plane, c
+
+
+def oriented_images(
+    cameras: Sequence[Camera], camera: ArrayLike, rotation: Floats, station: Floats, names: Sequence[str] = ()
+) -> OrientedImages:
+    """Make oriented images of rotation matrices (n, 3, 3) and projection centres (n, 3)."""
+    values = np.hstack([angles_from_matrix(rotation), station])
+    numbered = tuple(names) or tuple(str(k) for k in range(len(values)))
+    return OrientedImages(numbered, tuple(cameras), np.asarray(camera, dtype=np.int64), values)
+
+
+def local_poses(frame: Frame, given: Floats) -> Floats:
+    """Exterior orientations (n, 6) in local coordinates.
+
+    Given angles refer to the given axes at each image.
+    """
+    place = frame.to_local(given[:, 3:])
+    return np.hstack([_turned(frame, given[:, :3], given[:, 3:], back=False), place])
+
+
+def given_poses(frame: Frame, local: Floats) -> Floats:
+    """Exterior orientations (n, 6) in the given coordinates: the way back from `local_poses`."""
+    place = given_places(frame, local[:, 3:])
+    return np.hstack([_turned(frame, local[:, :3], place, back=True), place])
+
+
+def given_places(frame: Frame, local: Floats) -> Floats:
+    """Points in the given coordinates, shape (n, 3); NaN where unknown."""
+    known = np.isfinite(local).all(axis=1)
+    given = np.full(local.shape, np.nan)
+    if known.any():
+        given[known] = frame.to_given(local[known])
+    return given
+
+
+def _turned(frame: Frame, angles: Floats, places: Floats, *, back: bool) -> Floats:
+    known = np.isfinite(angles).all(axis=1) & np.isfinite(places).all(axis=1)
+    result = np.full(angles.shape, np.nan)
+    if not known.any():
+        return result
+    turn = nearest_rotation(frame.derivative(places[known]))
+    turn = turn if back else np.swapaxes(turn, 1, 2)
+    result[known] = angles_from_matrix(matrix_from_angles(angles[known]) @ turn)
+    return result

@@ -1,0 +1,241 @@
+"""The result of an adjustment, made of the block, its network and the solution."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.adjustment.mounting import BORESIGHT, COMMON, STRIPS
+from photocal.adjustment.snooping import Test, subset
+from photocal.adjustment.solution import Solution, global_test
+from photocal.adjustment.variance_components import Component, rays_by_camera, with_factors
+from photocal.block.model import ROLES, Block, FiducialFit
+from photocal.block.network import NetworkOfBlock, assemble, plane_per_unit
+from photocal.geometry.camera import Camera
+from photocal.geometry.frames import nearest_rotation
+from photocal.geometry.oriented_images import OrientedImages
+from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
+from photocal.results.result import (
+    AdjustedPoints,
+    BlockFacts,
+    CheckPoint,
+    CheckSummary,
+    ComponentFactor,
+    MountingValue,
+    RejectedRay,
+    Residuals,
+    Result,
+    Software,
+)
+
+Floats = NDArray[np.float64]
+
+
+def result_of(
+    block: Block,
+    assembly: NetworkOfBlock,
+    solution: Solution,
+    *,
+    snooping: Test | None = None,
+    components: Sequence[Component] = (),
+    timing_s: dict[str, float] | None = None,
+) -> Result:
+    """Make the result of an adjustment; covariances are scaled by the a priori unit variance.
+
+    Parameters
+    ----------
+    assembly : NetworkOfBlock
+        What was adjusted in the end: without the rejected rays, with the estimated sigmas.
+    timing_s : dict, optional
+        Seconds by stage.
+    """
+    factor = solution.variance_factor
+    cameras = tuple(
+        _adjusted_camera(camera, values, covariance)
+        for camera, values, covariance in zip(
+            block.cameras, solution.cameras, solution.camera_covariance, strict=True
+        )
+    )
+    values, covariance = given_exposures(assembly, solution)
+    points = _points(block, assembly, solution)
+    observed = np.bincount(block.observations.point, minlength=len(block.points.names)) > 0
+    return Result(
+        software=Software("photocal", importlib.metadata.version("photocal")),
+        block=BlockFacts(
+            block.name,
+            block.frame,
+            block.datum,
+            block.observations.unit,
+            block.observations.axes,
+            block.height,
+        ),
+        inputs=block.inputs,
+        converged=True,
+        iterations=len(solution.iterations),
+        observations=solution.observations,
+        unknowns=solution.unknowns,
+        degrees_of_freedom=solution.degrees_of_freedom,
+        chi_squared=solution.chi_squared,
+        sigma0_squared=factor if np.isfinite(factor) else None,
+        global_test=global_test(solution.chi_squared, solution.degrees_of_freedom),
+        groups=solution.groups,
+        checks=_checks(block, assembly, points),
+        snooping=snooping,
+        mounting=_mounting(block, solution),
+        variance_components=tuple(
+            ComponentFactor(
+                one.name,
+                one.observations,
+                one.redundancy,
+                one.factor,
+                one.sigma if one.estimated else None,
+                one.estimated,
+            )
+            for one in components
+        ),
+        rejected=_rejected(block, assembly),
+        unobserved=tuple(block.points.names[j] for j in np.flatnonzero(~observed)),
+        fiducials=tuple(_fiducials(fit) for fit in block.fiducial_fits),
+        timing_s=timing_s or {},
+        cameras={camera.id: camera for camera in cameras},
+        images=OrientedImages(block.images.names, cameras, block.images.camera, values, covariance),
+        points=points,
+        residuals=_residuals(block, assembly, solution),
+    )
+
+
+def network_of(block: Block, result: Result) -> NetworkOfBlock:
+    """Make the network that a result ended with: without what was rejected, with the estimated sigmas."""
+    assembly = assemble(block)
+    if result.rejected:
+        refused = {(ray.image, ray.point) for ray in result.rejected}
+        image, point = block.images.names, block.points.names
+        seen = block.observations
+        accepted = np.array(
+            [(image[seen.image[k]], point[seen.point[k]]) not in refused for k in assembly.rays],
+            dtype=np.bool_,
+        )
+        network, rays, points = subset(assembly.network, accepted)
+        assembly = replace(
+            assembly, network=network, points=assembly.points[points], rays=assembly.rays[rays]
+        )
+    if not result.variance_components:
+        return assembly
+    factors = {one.name: one.factor for one in result.variance_components}
+    network = with_factors(assembly.network, rays_by_camera(assembly.network), factors)
+    return replace(assembly, network=network)
+
+
+def _adjusted_camera(camera: Camera, values: Floats, covariance: Floats) -> Camera:
+    sigma = np.sqrt(np.diag(covariance))
+    scale = np.where(sigma > 0, sigma, 1.0)
+    return camera.adjusted(values, sigma, covariance / np.outer(scale, scale))
+
+
+def _mounting(block: Block, solution: Solution) -> dict[str, MountingValue] | None:
+    """Lever arm (m, body axes), boresight (deg), time offset (s) and the strips' shifts and drifts."""
+    if not len(block.positions.image) and not len(block.attitudes.image):
+        return None
+    strips = (len(solution.state.common) - STRIPS) // 6
+    names = list(COMMON) + [
+        f"{what}_{axis}[{strip}]" for strip in range(strips) for what in ("shift", "drift") for axis in "xyz"
+    ]
+    scale = np.ones(len(names))
+    scale[BORESIGHT] = np.degrees(1.0)
+    values = solution.state.common * scale
+    sigma = np.sqrt(np.diag(solution.common_covariance)) * scale
+    return {
+        name: MountingValue(float(values[k]), float(sigma[k]), bool(block.mounting.sigma[k] != 0))
+        for k, name in enumerate(names)
+    }
+
+
+def _fiducials(fit: FiducialFit) -> dict[str, Any]:
+    """How an image's fiducial marks fit, in the unit of its camera."""
+    return {
+        "image": fit.image,
+        "sigma0": fit.sigma0 if fit.redundancy else None,
+        "residuals": [
+            {"fiducial": name, "vx": vx, "vy": vy}
+            for name, (vx, vy) in zip(fit.fiducials, fit.residuals.tolist(), strict=True)
+        ],
+    }
+
+
+def _rejected(block: Block, assembly: NetworkOfBlock) -> tuple[RejectedRay, ...]:
+    seen = block.observations
+    part = np.zeros(len(seen.image), dtype=np.bool_)
+    part[assembly.rays] = True
+    return tuple(
+        RejectedRay(block.images.names[seen.image[row]], block.points.names[seen.point[row]])
+        for row in np.flatnonzero(~part)
+    )
+
+
+def _checks(block: Block, assembly: NetworkOfBlock, points: AdjustedPoints) -> CheckSummary:
+    check = block.points.of_role("check")[assembly.points]
+    d = points.values[check] - block.points.values[assembly.points[check]]
+    rmse = np.sqrt(np.mean(d**2, axis=0)).tolist() if len(d) else [None] * 3
+    rows = zip(np.flatnonzero(check), d.tolist(), points.sigma[check].tolist(), strict=True)
+    found = tuple(CheckPoint(points.names[j], *dj, *sj) for j, dj, sj in rows)
+    return CheckSummary(len(d), dict(zip("xyz", rmse, strict=True)), found)
+
+
+def observed_residuals(block: Block, assembly: NetworkOfBlock, solution: Solution) -> Floats:
+    """Residuals (computed minus measured) in the unit and axes of the observations, shape (rays, 2)."""
+    camera = block.images.camera[assembly.network.rays.image]
+    sign = np.array([1.0, -1.0 if block.observations.axes == "pixel" else 1.0])
+    return np.asarray(solution.residuals / plane_per_unit(block)[camera] * sign)
+
+
+def given_points(assembly: NetworkOfBlock, solution: Solution) -> tuple[Floats, Floats]:
+    """Adjusted points in the block's coordinates, shape (n, 3), and their covariance, (n, 3, 3)."""
+    values = assembly.frame.to_given(solution.points)
+    back = np.linalg.inv(assembly.frame.derivative(values))
+    return values, np.asarray(back @ solution.point_covariance @ np.swapaxes(back, 1, 2))
+
+
+def given_exposures(assembly: NetworkOfBlock, solution: Solution) -> tuple[Floats, Floats]:
+    """Adjusted exterior orientation in the block's coordinates, shape (n, 6), and covariance, (n, 6, 6).
+
+    The angles refer to the axes of the given coordinates at each image.
+    """
+    values = solution.exposures.copy()
+    values[:, 3:] = assembly.frame.to_given(values[:, 3:])
+    derivative = assembly.frame.derivative(values[:, 3:])
+    turn = nearest_rotation(derivative)
+    jacobian = np.broadcast_to(np.eye(6), solution.exposure_covariance.shape).copy()
+    if not np.array_equal(turn, np.broadcast_to(np.eye(3), turn.shape)):
+        matrix = solution.state.rotation @ turn
+        values[:, :3] = angles_from_matrix(matrix)
+        local = turn_per_angle(solution.exposures[:, :3])
+        jacobian[:, :3, :3] = np.linalg.solve(turn_per_angle(values[:, :3]), local)
+        jacobian[:, 3:, 3:] = np.linalg.inv(derivative)
+    covariance = jacobian @ solution.exposure_covariance @ np.swapaxes(jacobian, 1, 2)
+    return values, np.asarray(covariance)
+
+
+def _points(block: Block, assembly: NetworkOfBlock, solution: Solution) -> AdjustedPoints:
+    values, covariance = given_points(assembly, solution)
+    return AdjustedPoints(
+        tuple(block.points.names[j] for j in assembly.points),
+        tuple(ROLES[r] for r in block.points.role[assembly.points]),
+        values,
+        covariance,
+        np.bincount(assembly.network.rays.point, minlength=len(values)),
+    )
+
+
+def _residuals(block: Block, assembly: NetworkOfBlock, solution: Solution) -> Residuals:
+    seen = block.observations
+    sign = np.array([1.0, -1.0 if seen.axes == "pixel" else 1.0])
+    v, r, w = np.full((3, len(seen.image), 2), np.nan)
+    v[assembly.rays] = observed_residuals(block, assembly, solution)
+    r[assembly.rays] = solution.redundancy
+    w[assembly.rays] = solution.standardised(assembly.network.rays.sigma) * sign
+    return Residuals(block.images.names, block.points.names, seen.image, seen.point, seen.values, v, r, w)

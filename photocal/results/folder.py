@@ -1,0 +1,480 @@
+"""The run folder: the one writer and the one reader of a result."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv
+import pyarrow.parquet
+from numpy.typing import NDArray
+
+from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.block.folder import IMAGE_SIGMAS
+from photocal.block.model import InputFile
+from photocal.block.table import read_table
+from photocal.geometry.camera import PARAMETERS, Affinity, AffinityForm, Camera, Model, camera
+from photocal.geometry.oriented_images import OrientedImages
+from photocal.results.result import AdjustedPoints, Figures, Residuals, Result
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+SCHEMA = "photocal.adjustment/1"
+RESULT = "result.json"
+COVARIANCE = "covariance.parquet"
+AGAIN = "run `photocal adjust` again"
+# Residual tables longer than this are written as Parquet.
+LONG_TABLE = 500_000
+LARGEST_JSON = 1 << 28
+
+_ANGLES, _PLACE = ("omega", "phi", "kappa"), ("X", "Y", "Z")
+# Radians and metres to what the tables have.
+_SHOWN = np.array([*np.degrees(np.ones(3)), 1.0, 1.0, 1.0])
+
+Kind = TypeVar("Kind")
+
+
+@dataclass(frozen=True)
+class _Parameter:
+    value: float
+    sigma: float
+    estimated: bool
+    given: float | None = None
+    prior_sigma: float | None = None
+    deviation_sigma: float | None = None
+
+
+@dataclass(frozen=True)
+class _Correlation:
+    names: tuple[str, ...]
+    matrix: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
+class _Camera:
+    model: Model
+    unit: Literal["mm", "px"]
+    size_px: tuple[int, int]
+    parameters: dict[str, _Parameter]
+    correlation: _Correlation
+    pitch_mm: tuple[float, float] | None = None
+    reference_radius: float = 0.0
+    affinity: Affinity = "additive"
+    affinity_form: AffinityForm = "fraser"
+    focus_m: float | None = None
+    c_is_a_guess: bool = False
+    photo_variant: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Images:
+    n: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class _File(Figures):
+    """What `result.json` holds."""
+
+    schema: str
+    cameras: dict[str, _Camera]
+    images: _Images
+
+
+def result_json(result: Result) -> dict[str, Any]:
+    """Content of `result.json`."""
+    figures: dict[str, Any] = {field.name: getattr(result, field.name) for field in fields(Figures)}
+    plain = {name: _plain(value) for name, value in figures.items()}
+    for optional in ("ellipses", "reliability"):
+        if plain[optional] is None:
+            del plain[optional]
+    count, rms = result.residuals.rms()
+    rows = zip(result.images.names, count.tolist(), rms.tolist(), strict=True)
+    return {
+        "schema": SCHEMA,
+        **plain,
+        "cameras": {name: _camera_json(own) for name, own in result.cameras.items()},
+        "images": {
+            "n": len(result.images),
+            "rms": [{"image": name, "rays": n, "rms_x": x, "rms_y": y} for name, n, (x, y) in rows],
+        },
+    }
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, tuple):
+        return [_plain(one) for one in value]
+    return asdict(value) if hasattr(value, "__dataclass_fields__") else value
+
+
+def _camera_json(own: Camera) -> dict[str, Any]:
+    parameters = {}
+    for k, name in enumerate(PARAMETERS):
+        prior, deviation = float(own.prior_sigma[k]), float(own.deviation_sigma[k])
+        parameters[name] = {
+            "value": float(own.values[k]),
+            "given": float((own.values if own.given is None else own.given)[k]),
+            "sigma": own.sigma_of(name),
+            "estimated": bool(own.estimated[k]),
+            "prior_sigma": prior if math.isfinite(prior) else None,
+        }
+        if deviation and math.isfinite(deviation):
+            parameters[name]["deviation_sigma"] = deviation
+    return {
+        "model": own.model,
+        "unit": own.unit,
+        "size_px": list(own.size_px),
+        "pitch_mm": list(own.pitch) if own.unit == "mm" else None,
+        "reference_radius": own.reference_radius,
+        "affinity": own.affinity,
+        "affinity_form": own.affinity_form,
+        "focus_m": own.focus_m or None,
+        "c_is_a_guess": own.guessed and not own.estimated[0],
+        "photo_variant": list(own.photo_variant),
+        "parameters": parameters,
+        "correlation": {"names": list(own.free), "matrix": own.correlation_of(own.free).tolist()},
+    }
+
+
+def write_result(folder: Path, result: Result) -> None:
+    """Write `result.json` and the tables beside it into a folder that exists."""
+    for name, table in tables(result).items():
+        if name == "residuals" and table.num_rows > LONG_TABLE:
+            pyarrow.parquet.write_table(table, folder / f"{name}.parquet")
+        else:
+            write_csv(folder / f"{name}.csv", table)
+    pyarrow.parquet.write_table(_covariances(result), folder / COVARIANCE)
+    (folder / RESULT).write_text(
+        json.dumps(result_json(result), indent=1, allow_nan=False) + "\n", encoding="utf-8"
+    )
+
+
+def write_csv(path: Path, table: Any) -> None:
+    """Write an Arrow table as CSV; null cells are empty."""
+    pyarrow.csv.write_csv(table, path, pyarrow.csv.WriteOptions(quoting_style="needed"))
+
+
+def tables(result: Result) -> dict[str, Any]:
+    """Images, points and residuals as Arrow tables, as in the run folder (degrees, m, unit of the rays)."""
+    images, points, rays = result.images, result.points, result.residuals
+    values, sigma = images.values * _SHOWN, images.sigma * _SHOWN
+    of_images: dict[str, Any] = {
+        "image": pa.array(images.names, pa.string()),
+        "camera": pa.array([images.cameras[k].id for k in images.camera], pa.string()),
+    }
+    for kind, prefix in ((values, ""), (sigma, "s")):
+        for k, name in enumerate(_PLACE):
+            of_images[prefix + name] = kind[:, 3 + k]
+        for k, name in enumerate(_ANGLES):
+            of_images[prefix + name[0] if prefix else name] = kind[:, k]
+    of_points: dict[str, Any] = {
+        "point": pa.array(points.names, pa.string()),
+        "role": pa.array(points.role, pa.string()),
+        **{name: points.values[:, k] for k, name in enumerate(_PLACE)},
+        **{f"s{name}": points.sigma[:, k] for k, name in enumerate(_PLACE)},
+        "rays": points.rays,
+    }
+    seen: dict[str, Any] = {
+        "image": pa.DictionaryArray.from_arrays(rays.image, pa.array(rays.image_names, pa.string())),
+        "point": pa.DictionaryArray.from_arrays(rays.point, pa.array(rays.point_names, pa.string())),
+    }
+    columns = {name: names.dictionary_decode() for name, names in seen.items()}
+    columns |= {axis: rays.measured[:, k] for k, axis in enumerate("xy")}
+    for name, pair in (("v", rays.residual), ("r", rays.redundancy), ("w", rays.standardised)):
+        for k, axis in enumerate("xy"):
+            # Of an observation that takes no part, or that no other checks, cells are empty.
+            columns[name + axis] = pa.array(pair[:, k], from_pandas=True)
+    return {"images": pa.table(of_images), "points": pa.table(of_points), "residuals": pa.table(columns)}
+
+
+def _covariances(result: Result) -> Any:
+    """One row for each image (deg, m), point (m) and camera: its unknowns and the lower triangle by rows."""
+    of_images = np.zeros((0, 6, 6)) if result.images.covariance is None else result.images.covariance
+    rows: list[tuple[str, Sequence[str], Sequence[str], Floats]] = [
+        ("image", result.images.names, (*_ANGLES, *_PLACE), of_images * np.outer(_SHOWN, _SHOWN)),
+        ("point", result.points.names, _PLACE, result.points.covariance),
+    ]
+    for name, own in result.cameras.items():
+        rows.append(("camera", (name,), own.free, own.covariance_of(own.free)[None]))
+    lower = [m[:, *np.tril_indices(m.shape[1])] for _, _, _, m in rows]
+    return pa.table(
+        {
+            "kind": [kind for kind, ids, _, _ in rows for _ in ids],
+            "id": pa.array([name for _, ids, _, _ in rows for name in ids], pa.string()),
+            "names": [list(names) for _, ids, names, _ in rows for _ in ids],
+            "lower": pa.concat_arrays([_lists(part) for part in lower]),
+        }
+    )
+
+
+def _lists(rows: Floats) -> Any:
+    """Arrow list array of equally long rows."""
+    offsets = np.arange(len(rows) + 1, dtype=np.int32) * rows.shape[1]
+    return pa.ListArray.from_arrays(offsets, np.ascontiguousarray(rows).ravel())
+
+
+def read_result(folder: Path) -> Result:
+    """Read the folder that `photocal adjust` wrote.
+
+    Raises
+    ------
+    InputNotFoundError
+        When the folder or one of its files is missing or empty.
+    InputMalformedError
+        When a file is of another schema, cut, not a number where one must stand, or contradicts another.
+    """
+    if not folder.is_dir():
+        what = "is a file, a folder was expected" if folder.exists() else "no such folder"
+        raise InputNotFoundError(what, where=folder, remedy="give the folder that `photocal adjust` wrote")
+    content = read_json(folder / RESULT, _File, SCHEMA, AGAIN)
+    cameras = {name: _camera(name, own, folder / RESULT) for name, own in content.cameras.items()}
+    images = _images(folder, cameras)
+    points = _points(folder)
+    table = folder / "residuals.parquet"
+    table = table if table.is_file() else folder / "residuals.csv"
+    residuals = _residuals(table, images.names)
+    _same_count(folder / "images.csv", len(images), content.images.n, "images")
+    expected = [group.observations for group in content.groups if group.name == "image"]
+    if expected:
+        _same_count(table, 2 * len(residuals.accepted), expected[0], "image observations")
+    names = [RESULT, "images.csv", "points.csv", table.name]
+    names += [COVARIANCE] if (folder / COVARIANCE).is_file() else []
+    figures = {field.name: getattr(content, field.name) for field in fields(Figures)}
+    return Result(
+        **figures,
+        cameras=cameras,
+        images=images,
+        points=points,
+        residuals=residuals,
+        files=tuple(fingerprint(folder / name) for name in names),
+    )
+
+
+def read_json(path: Path, kind: type[Kind], schema: str, remedy: str) -> Kind:
+    """Read a file of JSON as a dataclass of a schema; errors name the key."""
+    if not path.is_file():
+        raise InputNotFoundError(
+            "does not exist", where=path, remedy="give the folder that `photocal adjust` wrote"
+        )
+    if path.stat().st_size > LARGEST_JSON:
+        raise InputMalformedError("is no JSON of ours: it is too large", where=path, remedy=remedy)
+    try:
+        text = path.read_text(encoding="utf-8")
+        if not text.strip():
+            raise InputNotFoundError("the file is empty", where=path, remedy=remedy)
+        content = json.loads(text, parse_constant=_not_a_number)
+    except UnicodeDecodeError as broken:
+        raise InputMalformedError(
+            "is not UTF-8 text", where=f"{path}, byte {broken.start}", remedy=remedy
+        ) from None
+    except json.JSONDecodeError as broken:
+        raise InputMalformedError(
+            f"is not complete JSON ({broken.msg})", where=f"{path}, line {broken.lineno}", remedy=remedy
+        ) from None
+    except (ValueError, RecursionError) as broken:
+        raise InputMalformedError(str(broken), where=path, remedy=remedy) from None
+    found = content.get("schema") if isinstance(content, dict) else None
+    if found != schema:
+        raise InputMalformedError(
+            f"schema is {found!r}, {schema!r} was expected",
+            where=path,
+            remedy="adjust with this version of photocal",
+        )
+    return checked(text, kind, path, remedy)
+
+
+def checked(text: str, kind: type[Kind], path: Path, remedy: str, within: str = "") -> Kind:
+    """Turn JSON into a dataclass; what does not fit is named by its key."""
+    from pydantic import TypeAdapter, ValidationError
+
+    try:
+        return TypeAdapter(kind).validate_json(text, strict=True)
+    except ValidationError as refusal:
+        first = refusal.errors()[0]
+        place = ".".join([*([within] if within else []), *(str(step) for step in first["loc"])])
+        raise InputMalformedError(f"{place}: {first['msg']}", where=path, remedy=remedy) from None
+
+
+def _not_a_number(constant: str) -> float:
+    raise ValueError(f"contains {constant} where a number must stand")
+
+
+def fingerprint(path: Path) -> InputFile:
+    """Digest of a file, under its name."""
+    with path.open("rb") as stream:
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    return InputFile(path.name, digest, path.stat().st_size)
+
+
+def _camera(name: str, own: _Camera, path: Path) -> Camera:
+    where = f"{path}, camera {name}"
+    if "c" not in own.parameters or not own.parameters["c"].value > 0.0:
+        raise InputMalformedError("has no positive principal distance c", where=where, remedy=AGAIN)
+    if own.unit == "mm" and (own.pitch_mm is None or not min(own.pitch_mm) > 0.0):
+        raise InputMalformedError(
+            "has no positive pixel pitch", where=where, remedy="give pitch_mm in block.toml"
+        )
+    names = own.correlation.names
+    if len(own.correlation.matrix) != len(names) or any(
+        len(row) != len(names) for row in own.correlation.matrix
+    ):
+        raise InputMalformedError(
+            f"correlation matrix is not {len(names)} by {len(names)}", where=where, remedy=AGAIN
+        )
+    unknown = sorted(set(own.parameters) - set(PARAMETERS))
+    if unknown:
+        raise InputMalformedError(f"{unknown[0]} is no parameter", where=where, remedy=AGAIN)
+    if sorted(key for key, one in own.parameters.items() if one.estimated) != sorted(names):
+        raise InputMalformedError(
+            "correlation names differ from the estimated parameters", where=where, remedy=AGAIN
+        )
+    for key, one in own.parameters.items():
+        if not (math.isfinite(one.sigma) and one.sigma >= 0.0):
+            raise InputMalformedError(f"sigma of {key} is negative", where=where, remedy=AGAIN)
+    sigma, correlation = np.zeros(len(PARAMETERS)), np.eye(len(PARAMETERS))
+    for key, one in own.parameters.items():
+        sigma[PARAMETERS.index(key)] = one.sigma
+    rows = [PARAMETERS.index(key) for key in names]
+    correlation[np.ix_(rows, rows)] = np.array(own.correlation.matrix).reshape(len(names), len(names))
+    adjusted = camera(
+        name,
+        own.model,
+        own.unit,
+        own.size_px,
+        own.pitch_mm if own.unit == "mm" and own.pitch_mm else (1.0, 1.0),
+        {key: one.value for key, one in own.parameters.items()},
+        estimate=names,
+        prior_sigma={k: one.prior_sigma for k, one in own.parameters.items() if one.prior_sigma is not None},
+        reference_radius=own.reference_radius,
+        affinity=own.affinity,
+        affinity_form=own.affinity_form,
+        # Without its size (older versions did not write it) a deviation is free.
+        photo_variant={key: own.parameters[key].deviation_sigma or math.inf for key in own.photo_variant},
+        focus_m=own.focus_m or 0.0,
+    )
+    given = [own.parameters[key].given if key in own.parameters else 0.0 for key in PARAMETERS]
+    return replace(
+        adjusted.adjusted(adjusted.values, sigma, correlation),
+        guessed=own.c_is_a_guess,
+        given=None if None in given else np.array(given, dtype=float),
+    )
+
+
+def _images(folder: Path, cameras: dict[str, Camera]) -> OrientedImages:
+    path = folder / "images.csv"
+    table = read_table(path, ("image", "camera", *_PLACE, *_ANGLES), IMAGE_SIGMAS)
+    names = table.unique_names("image")
+    which, found = table.names("camera")
+    number = {name: k for k, name in enumerate(cameras)}
+    for name in found:
+        if name not in number:
+            raise InputMalformedError(f"camera {name} is not in {RESULT}", where=path, remedy=AGAIN)
+    values = np.column_stack([table.numbers(column) for column in (*_ANGLES, *_PLACE)]) / _SHOWN
+    sigma = np.column_stack([table.numbers(column, empty=np.nan) for column in IMAGE_SIGMAS]) / _SHOWN
+    camera_of = np.array([number[name] for name in found], dtype=np.int64)[which]
+    covariance = image_covariances(folder, names, sigma)
+    return OrientedImages(names, tuple(cameras.values()), camera_of, values, covariance)
+
+
+def image_covariances(folder: Path, names: tuple[str, ...], sigma: Floats) -> Floats:
+    """Covariances (rad, m, shape (n, 6, 6)): whole where the folder has them, else the sigmas squared."""
+    whole = read_covariances(folder / COVARIANCE, "image", names, (*_ANGLES, *_PLACE))
+    return np.where(np.isfinite(whole), whole / np.outer(_SHOWN, _SHOWN), _diagonal(sigma))
+
+
+def _points(folder: Path) -> AdjustedPoints:
+    table = read_table(
+        folder / "points.csv", ("point", "role", *_PLACE), (*(f"s{a}" for a in _PLACE), "rays")
+    )
+    names = table.unique_names("point")
+    index, roles = table.names("role")
+    sigma = np.column_stack([table.numbers("s" + axis, empty=np.nan) for axis in _PLACE])
+    whole = read_covariances(folder / COVARIANCE, "point", names, _PLACE)
+    return AdjustedPoints(
+        names,
+        tuple(roles[k] for k in index),
+        np.column_stack([table.numbers(axis) for axis in _PLACE]),
+        np.where(np.isfinite(whole), whole, _diagonal(sigma)),
+        table.numbers("rays", empty=0.0).astype(np.int64),
+    )
+
+
+def _diagonal(sigma: Floats) -> Floats:
+    return np.asarray(sigma[:, :, None] ** 2 * np.eye(sigma.shape[1]))
+
+
+def _residuals(path: Path, images: tuple[str, ...]) -> Residuals:
+    table = read_table(path, ("image", "point", "x", "y", "vx", "vy"), ("rx", "ry", "wx", "wy"))
+    index, found = table.names("image")
+    point, point_names = table.names("point")
+    number = {name: k for k, name in enumerate(images)}
+    for name in found:
+        if name not in number:
+            raise InputMalformedError(f"image {name} is not in images.csv", where=path, remedy=AGAIN)
+
+    def pair(prefix: str, empty: float | None = np.nan) -> Floats:
+        return np.column_stack([table.numbers(prefix + axis, empty=empty) for axis in "xy"])
+
+    image = np.array([number[name] for name in found], dtype=np.int64)[index]
+    return Residuals(images, point_names, image, point, pair("", None), pair("v"), pair("r"), pair("w"))
+
+
+def read_covariances(path: Path, kind: str, names: tuple[str, ...], unknowns: Sequence[str]) -> Floats:
+    """Read covariances of a kind by name from `covariance.parquet`, shape (n, k, k), in its units.
+
+    NaN for those that it does not have, also when there is no such file.
+    """
+    k = len(unknowns)
+    covariance = np.full((len(names), k, k), np.nan)
+    if not path.is_file():
+        return covariance
+    try:
+        table = pyarrow.parquet.read_table(
+            path, columns=["kind", "id", "names", "lower"], filters=[("kind", "==", kind)]
+        )
+        ids = table["id"].cast(pa.string()).to_pylist()
+        order, lower = _lower(table, unknowns)
+    except (pa.ArrowException, OSError, ValueError, KeyError) as failure:
+        raise InputMalformedError(
+            f"is no table of covariances ({str(failure).splitlines()[0]})",
+            where=path,
+            remedy="make the folder again",
+        ) from failure
+    whole = np.zeros((len(ids), k, k))
+    whole[:, *np.tril_indices(k)] = lower
+    whole += np.tril(whole, -1).swapaxes(1, 2)
+    row = {name: n for n, name in enumerate(names)}
+    rows = np.array([row.get(name, -1) for name in ids], dtype=np.int64)
+    covariance[rows[rows >= 0]] = whole[rows >= 0][:, order][:, :, order]
+    return covariance
+
+
+def _lower(table: Any, unknowns: Sequence[str]) -> tuple[Integers, Floats]:
+    """Order of the unknowns in the rows, and the lower triangles as an array."""
+    k = len(unknowns)
+    if not table.num_rows:
+        return np.arange(k), np.zeros((0, k * (k + 1) // 2))
+    names = table["names"].combine_chunks()
+    written = names[0].as_py()
+    flat = np.asarray(pc.list_flatten(table["lower"]), dtype=np.float64)
+    if sorted(written) != sorted(unknowns) or len(flat) != table.num_rows * k * (k + 1) // 2:
+        raise ValueError(f"unknowns {', '.join(map(str, written))}, expected {', '.join(unknowns)}")
+    order = np.array([written.index(name) for name in unknowns], dtype=np.int64)
+    return order, flat.reshape(table.num_rows, -1)
+
+
+def _same_count(path: Path, found: int, expected: int, what: str) -> None:
+    if found != expected:
+        raise InputMalformedError(
+            f"has {found} {what}, {RESULT} says {expected}", where=path, remedy=f"the table was cut; {AGAIN}"
+        )

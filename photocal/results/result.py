@@ -1,0 +1,250 @@
+"""The result of an adjustment: cameras, oriented images, points, residuals and what they are worth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.adjustment.solution import GlobalTest, Group
+from photocal.block.model import InputFile
+from photocal.geometry.camera import Camera
+from photocal.geometry.oriented_images import OrientedImages
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Software:
+    """The program that made the results."""
+
+    name: str
+    version: str
+
+
+@dataclass(frozen=True)
+class BlockFacts:
+    """What the adjusted block said of itself.
+
+    Attributes
+    ----------
+    source : str
+        The folder with its files, seen from the run folder.
+    setup : str
+        The set-up file of another program within it; empty for a block folder.
+    """
+
+    name: str
+    frame: str
+    datum: str
+    observation_unit: Literal["mm", "px"]
+    observation_axes: Literal["pixel", "photo"]
+    height: str = ""
+    source: str = ""
+    setup: str = ""
+
+
+@dataclass(frozen=True)
+class CheckPoint:
+    """Adjusted minus surveyed coordinates of a check point; standard deviations of the adjusted ones, m."""
+
+    point: str
+    dx: float
+    dy: float
+    dz: float
+    sx: float
+    sy: float
+    sz: float
+
+
+@dataclass(frozen=True)
+class CheckSummary:
+    """Check points and their root mean square differences, m (none without points)."""
+
+    n: int
+    rmse_m: dict[str, float | None]
+    points: tuple[CheckPoint, ...] = ()
+
+
+@dataclass(frozen=True)
+class MountingValue:
+    """A value that is common to all exposures (lever arm, boresight, time offset ...), with its sigma."""
+
+    value: float
+    sigma: float
+    estimated: bool
+
+
+@dataclass(frozen=True)
+class ComponentFactor:
+    """By what the given sigmas of a group of observations were multiplied; no sigma where it was held."""
+
+    name: str
+    observations: int
+    redundancy: float
+    factor: float
+    sigma: float | None
+    estimated: bool
+
+
+@dataclass(frozen=True)
+class RejectedRay:
+    """An observation that takes no part because data snooping found it wrong."""
+
+    image: str
+    point: str
+
+
+@dataclass(frozen=True, eq=False)
+class AdjustedPoints:
+    """Object points of the network.
+
+    Attributes
+    ----------
+    role : tuple of str
+        control, check or tie.
+    values : ndarray, shape (n, 3)
+        X, Y, Z in the block's coordinates, m.
+    covariance : ndarray, shape (n, 3, 3)
+    rays : ndarray of int, shape (n,)
+        How many observations each has.
+    """
+
+    names: tuple[str, ...]
+    role: tuple[str, ...]
+    values: Floats
+    covariance: Floats
+    rays: Integers
+
+    @cached_property
+    def sigma(self) -> Floats:
+        """Standard deviations, m, shape (n, 3)."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2)))
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Image observations and their residuals (computed minus measured), in unit and axes of the observations.
+
+    Attributes
+    ----------
+    image_names, point_names : tuple of str
+        What `image` and `point` are indices into.
+    image, point : ndarray of int, shape (n,)
+    measured, residual : ndarray, shape (n, 2)
+        NaN residuals where an observation took no part.
+    redundancy, standardised : ndarray, shape (n, 2)
+        Redundancy numbers (0 to 1) and standardised residuals; NaN where nothing else checks one.
+    """
+
+    image_names: tuple[str, ...]
+    point_names: tuple[str, ...]
+    image: Integers
+    point: Integers
+    measured: Floats
+    residual: Floats
+    redundancy: Floats
+    standardised: Floats
+
+    def __len__(self) -> int:
+        return len(self.image)
+
+    @cached_property
+    def accepted(self) -> Residuals:
+        """Those that took part."""
+        return self.only(np.flatnonzero(np.isfinite(self.residual).all(axis=1)))
+
+    def only(self, chosen: Integers) -> Residuals:
+        """Give some of the observations."""
+        columns = ("image", "point", "measured", "residual", "redundancy", "standardised")
+        return replace(self, **{name: getattr(self, name)[chosen] for name in columns})
+
+    def rms(self) -> tuple[Integers, Floats]:
+        """Accepted rays of each image, shape (images,), and root mean square residuals, (images, 2)."""
+        part = self.accepted
+        count = np.bincount(part.image, minlength=len(self.image_names))
+        squares = [np.bincount(part.image, part.residual[:, a] ** 2, len(count)) for a in range(2)]
+        return count, np.asarray(np.sqrt(np.column_stack(squares) / np.maximum(count, 1)[:, None]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figures:
+    """Figures of the whole adjustment; without redundancy there is no variance factor and no test.
+
+    Attributes
+    ----------
+    inputs : tuple of InputFile
+        The files that were adjusted.
+    snooping : {"w", "tau"} or None
+        Test by which gross errors were searched.
+    rejected : tuple of RejectedRay
+        What it found.
+    unobserved : tuple of str
+        Points of the block without an observation.
+    mounting : dict or None
+        Lever arm (camera to antenna, body axes, m), boresight (deg), time offset (s), shifts and drifts.
+    variance_components : tuple of ComponentFactor
+        Where they were estimated.
+    mean_precision_m, fiducials, ellipses, reliability
+        What was asked for beside the rest, as in `result.json`.
+    """
+
+    software: Software
+    block: BlockFacts
+    inputs: tuple[InputFile, ...]
+    converged: bool
+    iterations: int
+    observations: int
+    unknowns: int
+    degrees_of_freedom: int
+    chi_squared: float
+    sigma0_squared: float | None
+    global_test: GlobalTest | None
+    groups: tuple[Group, ...]
+    checks: CheckSummary
+    snooping: Literal["w", "tau"] | None = None
+    mounting: dict[str, MountingValue] | None = None
+    variance_components: tuple[ComponentFactor, ...] = ()
+    rejected: tuple[RejectedRay, ...] = ()
+    unobserved: tuple[str, ...] = ()
+    fiducials: tuple[dict[str, Any], ...] = ()
+    mean_precision_m: dict[str, Any] = field(default_factory=dict)
+    ellipses: dict[str, float] | None = None
+    reliability: dict[str, float] | None = None
+    timing_s: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Result(Figures):
+    """The result of an adjustment.
+
+    Attributes
+    ----------
+    cameras : dict
+        Adjusted cameras by name, with sigmas and correlations.
+    images : OrientedImages
+        In the block's coordinates, with covariances; their cameras are those of `cameras`.
+    residuals : Residuals
+        One for each observation of the block, in its order.
+    files : tuple of InputFile
+        The files of the run folder that this was read from.
+    """
+
+    cameras: dict[str, Camera]
+    images: OrientedImages
+    points: AdjustedPoints
+    residuals: Residuals
+    files: tuple[InputFile, ...] = ()
+
+    def images_of(self, camera: str) -> Integers:
+        """Which images a camera took."""
+        return np.flatnonzero(self.images.camera == list(self.cameras).index(camera))
+
+    def residuals_of(self, camera: str) -> Residuals:
+        """Accepted observations in the images of a camera."""
+        part = self.residuals.accepted
+        return part.only(np.flatnonzero(np.isin(part.image, self.images_of(camera))))
