@@ -18,6 +18,7 @@ from photocal.adjustment.mounting import (
 )
 from photocal.adjustment.network import NO_RELATIONS, Relations
 from photocal.geometry.camera import Camera
+from photocal.geometry.oriented_images import OrientedImages
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -59,6 +60,12 @@ class Images:
     camera: Integers
     values: Floats
     sigma: Floats
+
+    @staticmethod
+    def observed(images: OrientedImages) -> Images:
+        """Take oriented images as observed with their sigmas; free where these are not known."""
+        sigma = np.where(np.isfinite(images.sigma), images.sigma, np.inf)
+        return Images(images.names, images.camera, images.values, sigma)
 
 
 @dataclass(frozen=True)

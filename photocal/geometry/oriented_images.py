@@ -56,12 +56,15 @@ class OrientedImages:
         """omega, phi, kappa, shape (n, 3)."""
         return np.degrees(self.values[:, :3])
 
+    @property
+    def covariances(self) -> Floats:
+        """As `covariance`, also where there is none: NaN then."""
+        return np.full((len(self), 6, 6), np.nan) if self.covariance is None else self.covariance
+
     @cached_property
     def sigma(self) -> Floats:
         """Standard deviations of `values` (rad, m), shape (n, 6); NaN where nothing is said."""
-        if self.covariance is None:
-            return np.full(self.values.shape, np.nan)
-        return np.asarray(np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2)))
+        return np.asarray(np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2)))
 
     def only(self, numbers: Sequence[int] | Integers) -> OrientedImages:
         """Give some of the images, in the order of their numbers."""

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from photocal.block.folder import read_images
-from photocal.block.model import Images
-from photocal.geometry.camera import Camera
 from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
-from photocal.geometry.rotation import matrix_from_angles
-from photocal.measurement.views import Views, local_poses
+from photocal.geometry.oriented_images import OrientedImages
 from photocal.project import Project
-from photocal.results.folder import image_covariances, read_result
+from photocal.results.folder import RESULT, image_covariances, read_result
 
 Floats = NDArray[np.float64]
 
@@ -26,100 +23,65 @@ class Orientation:
 
     Attributes
     ----------
-    images : Images
-        Values are NaN where unknown, sigmas infinite where nothing is said of them.
     frame, height : str
         System of the coordinates, "local" among them, and kind of the heights.
     source : str
         Where this comes from, for people.
-    covariance : ndarray, shape (m, 6, 6)
-        Of the values of the images (rad, m): position and attitude of an adjusted image are correlated
-        strongly. NaN where nothing is said.
     """
 
-    cameras: tuple[Camera, ...]
-    images: Images
+    images: OrientedImages
     frame: str
     height: str
     source: str
-    covariance: Floats
 
     def to_local(self, points: Floats) -> Frame:
         """Give the Cartesian frame about the middle of images and points, shape (n, 3)."""
-        middle = np.nanmean(np.vstack([self.images.values[:, 3:], points]), axis=0)
+        middle = np.nanmean(np.vstack([self.images.station, points]), axis=0)
         if self.frame == "local":
             return ShiftedFrame(middle)
         return reference_frame(self.frame, self.height, middle)
-
-    def views(self, frame: Frame) -> Views:
-        """Give the images in a local frame; NaN where they are not oriented."""
-        poses = local_poses(frame, self.images.values)
-        return Views(self.cameras, self.images.camera, matrix_from_angles(poses[:, :3]), poses[:, 3:])
 
 
 def of_run(run: Path) -> Orientation:
     """Read the orientation that an adjustment found."""
     result = read_result(run)
-    images = result.images
-    held = np.where(np.isfinite(images.sigma), images.sigma, np.inf)
-    return Orientation(
-        images.cameras,
-        Images(images.names, images.camera, images.values, held),
-        result.block.frame,
-        result.block.height,
-        "adjustment",
-        np.full((len(images), 6, 6), np.nan) if images.covariance is None else images.covariance,
-    )
+    return Orientation(result.images, result.block.frame, result.block.height, "adjustment")
 
 
 def of_project(project: Project, names: tuple[str, ...]) -> Orientation | None:
     """Give what is known of a project's images: adjusted, or as the flight log has them."""
     adjusted, exposures = project.output / "calibration", project.output / "exposures"
-    if (adjusted / "result.json").is_file():
+    if (adjusted / RESULT).is_file():
         return of_run(adjusted)
     if not project.cameras:
         return None
     if (exposures / "images.csv").is_file():
         return of_exposures(project, exposures)
     count = len(names)
-    images = Images(
-        names, np.zeros(count, np.int64), np.full((count, 6), np.nan), np.full((count, 6), np.inf)
-    )
-    covariance = np.full((count, 6, 6), np.nan)
-    return Orientation(project.cameras, images, project.crs, project.height, "nothing yet", covariance)
+    images = OrientedImages(names, project.cameras, np.zeros(count, np.int64), np.full((count, 6), np.nan))
+    return Orientation(images, project.crs, project.height, "nothing yet")
 
 
 def of_exposures(project: Project, folder: Path) -> Orientation:
     """Read how images are oriented by the flight log.
+
+    The covariances of the attitudes hold how unsure the boresight is.
 
     Parameters
     ----------
     folder : Path
         That `photocal exposures` made.
 
-    Returns
-    -------
-    Orientation
-        The sigmas of the attitudes hold how unsure the boresight is.
-
     Raises
     ------
     InputNotFoundError, InputMalformedError
     """
     images = read_images(folder / "images.csv", project.cameras)
-    boresight = _boresight_sigma(project)
     known = np.where(np.isfinite(images.sigma), images.sigma, np.nan)
-    covariance = image_covariances(folder, images.names, known) + np.diag(np.r_[boresight, 0, 0, 0] ** 2)
-    sigma = images.sigma.copy()
-    sigma[:, :3] = np.hypot(sigma[:, :3], boresight)
-    return Orientation(
-        project.cameras,
-        replace(images, sigma=sigma),
-        project.crs,
-        project.height,
-        "exposures",
-        covariance,
-    )
+    boresight = np.diag(np.r_[_boresight_sigma(project), 0, 0, 0] ** 2)
+    covariance = image_covariances(folder, images.names, known) + boresight
+    oriented = OrientedImages(images.names, project.cameras, images.camera, images.values, covariance)
+    return Orientation(oriented, project.crs, project.height, "exposures")
 
 
 def _boresight_sigma(project: Project) -> Floats:

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from drivers.errors import IllPosedError
 from photocal.block.model import Block
 from photocal.block.network import block_frame
+from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.ray_sigmas import GROSS
 from photocal.measurement.refine import HALF, Source, refine
 from photocal.measurement.start_block import NO_OBSERVATIONS, NO_POINTS, without_images
 from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, pixel_residuals
 from photocal.measurement.tie_block import orient
 from photocal.measurement.tracks import Tracks, of_images, spaced, thin, without_twins
-from photocal.measurement.views import Views, intersected, misses, views_of
+from photocal.measurement.views import intersected, misses, views_of
 from photocal.tasks.workers import Workers
 
 Floats = NDArray[np.float64]
@@ -166,12 +167,12 @@ def _strong(tracks: Tracks, sizes: Floats, in_a_cell: int) -> Tracks:
     return thin(many if (seen >= ENOUGH_STRONG).all() else tracks, sizes, CELLS, in_a_cell)
 
 
-def _views(adjusted: Adjusted) -> Views:
+def _views(adjusted: Adjusted) -> OrientedImages:
     block = replace(adjusted.block, images=replace(adjusted.block.images, values=adjusted.values))
     return views_of(block, block_frame(adjusted.block))
 
 
-def _placed(views: Views, tracks: Tracks) -> tuple[Tracks, Floats]:
+def _placed(views: OrientedImages, tracks: Tracks) -> tuple[Tracks, Floats]:
     """Tracks whose rays meet, and where."""
     points = intersected(views, tracks)
     with np.errstate(invalid="ignore"):

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from photocal.block.model import ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.geometry.camera import PARAMETERS, Camera
-from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.cache import Arrays, array_key, cached, combined_key
 from photocal.measurement.centre import measurable
 from photocal.measurement.coded_targets import COMMON_PX
@@ -23,7 +22,6 @@ from photocal.measurement.prediction import predict
 from photocal.measurement.refine import Source
 from photocal.measurement.target_look import PARTS, SMALLEST_PX, Look
 from photocal.measurement.target_search import find_targets
-from photocal.measurement.views import local_poses
 from photocal.project_tables import PlainTargets
 from photocal.tasks.workers import Workers, run_tasks
 
@@ -129,20 +127,20 @@ def predicted_sights(
     orientation: Orientation, points: ObjectPoints, wanted: Iterable[PlainTargets]
 ) -> dict[str, tuple[Sight, ...]]:
     """Predict where images should show targets."""
-    unsure = replace(orientation, cameras=tuple(map(_unsure, orientation.cameras)))
-    images = orientation.images
+    images = replace(orientation.images, cameras=tuple(map(_unsure, orientation.images.cameras)))
+    unsure = replace(orientation, images=images)
     sights: dict[str, list[Sight]] = {}
     for targets in wanted:
         part = targets.part or PARTS[targets.kind]
         for k, name in enumerate(points.names):
             if targets.points and name not in targets.points:
                 continue
-            rotation = matrix_from_angles(_local_angles(unsure, points.values[k]))
+            rotation = images.in_local(unsure.to_local(points.values[k][None])).rotation
             seen = predict(unsure, points.values[k], points.sigma[k])
             for i in np.flatnonzero(seen.probability >= LEAST_PROBABILITY):
                 if not (np.isfinite(seen.covariance[i]).all() and np.isfinite(seen.slope[i]).all()):
                     continue
-                camera = unsure.cameras[images.camera[i]]
+                camera = images.cameras[images.camera[i]]
                 bend = ground_bend(camera, rotation[i], seen.pixels[i])
                 look = Look(targets.kind, seen.slope[i, :, :2] * targets.side_m / 2, part, bend)
                 own = Sight(name, seen.pixels[i], seen.covariance[i], look)
@@ -194,10 +192,6 @@ def _find(task: _Task) -> Floats:
     kinds = ",".join(own.look.kind for own in task.sights)
     key = combined_key(VERSION, "plain targets", task.source.key, kinds, array_key(*numbers))
     return np.asarray(cached(task.source.cache, key, ("targets",), make)["targets"], dtype=np.float64)
-
-
-def _local_angles(orientation: Orientation, place: Floats) -> Floats:
-    return local_poses(orientation.to_local(place[None]), orientation.images.values)[:, :3]
 
 
 def _unsure(camera: Camera) -> Camera:

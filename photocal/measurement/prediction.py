@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from photocal.geometry.camera import PARAMETERS
-from photocal.geometry.rotation import matrix_from_angles
+from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.orientation import Orientation
-from photocal.measurement.views import Views, local_poses
 
 Floats = NDArray[np.float64]
 
@@ -63,16 +62,14 @@ def predict(orientation: Orientation, xyz: Floats, sigma: Floats) -> Prediction:
     have an a priori sigma, and from the coordinates of the point (law of propagation of errors).
     """
     frame = orientation.to_local(xyz[None])
-    poses = local_poses(frame, orientation.images.values)
     point = frame.to_local(xyz[None])[0]
-    count = len(poses)
+    views = orientation.images.in_local(frame)
+    poses, count = views.values, len(views)
     image = np.arange(count)
 
-    def seen(moved: Floats, place: Floats, views: Views) -> Floats:
-        shown = Views(views.cameras, views.camera, matrix_from_angles(moved[:, :3]), moved[:, 3:])
-        return shown.project(image, np.broadcast_to(place, (count, 3)))
+    def seen(moved: Floats, place: Floats, views: OrientedImages) -> Floats:
+        return replace(views, values=moved).project(image, np.broadcast_to(place, (count, 3)))
 
-    views = orientation.views(frame)
     pixels = seen(poses, point, views)
     away = ~_before(views, point)
     pixels[away] = np.nan
@@ -82,7 +79,7 @@ def predict(orientation: Orientation, xyz: Floats, sigma: Floats) -> Prediction:
         ahead[:, k] += step
         behind[:, k] -= step
         slopes[:, :, k] = (seen(ahead, point, views) - seen(behind, point, views)) / (2 * step)
-    covariance = slopes @ orientation.covariance @ np.swapaxes(slopes, 1, 2)
+    covariance = slopes @ orientation.images.covariances @ np.swapaxes(slopes, 1, 2)
     moved = np.empty((count, 2, 3))
     for k, step in enumerate(1e-2 * np.eye(3)):
         moved[:, :, k] = (seen(poses, point + step, views) - seen(poses, point - step, views)) / 2e-2
@@ -110,7 +107,7 @@ def _spread(slope: Floats, sigma: Floats) -> Floats:
     return np.asarray(moved[:, :, None] * moved[:, None, :])
 
 
-def _camera_steps(views: Views) -> list[tuple[Views, Views, Floats]]:
+def _camera_steps(views: OrientedImages) -> list[tuple[OrientedImages, OrientedImages, Floats]]:
     """Views with a parameter moved by its a priori sigma ahead and back, and which cameras were moved."""
     steps = []
     prior = np.array(
@@ -130,7 +127,7 @@ def _camera_steps(views: Views) -> list[tuple[Views, Views, Floats]]:
     return steps
 
 
-def _before(views: Views, point: Floats) -> NDArray[np.bool_]:
+def _before(views: OrientedImages, point: Floats) -> NDArray[np.bool_]:
     """Whether images look towards a point, near enough to their field of view."""
     q = np.einsum("nij,nj->ni", views.rotation, point - views.station)
     c = np.array([own.value("c") / own.pitch[0] for own in views.cameras])[views.camera]

@@ -17,6 +17,7 @@ from photocal.block.model import Block, Images, ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
+from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.georeferenced import map_places
 from photocal.measurement.image_facts import ImageFacts, read_facts
@@ -47,7 +48,6 @@ from photocal.measurement.start_block import (
 )
 from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, pixel_residuals
 from photocal.measurement.tie_block import place, with_ties
-from photocal.measurement.views import local_poses
 from photocal.project import Project
 
 Floats = NDArray[np.float64]
@@ -95,7 +95,7 @@ def measure_project(
     # What was observed of them stands elsewhere: in the block they are start values.
     starts = None
     if exposures is not None:
-        starts = replace(exposures.images, sigma=np.full_like(exposures.images.sigma, np.inf))
+        starts = Images.observed(replace(exposures.images, covariance=None))
     unmarked = not by_hand and not project.control.coded_targets
     if starts is None and project.crs == "local" and unmarked and control.of_role("control").any():
         raise _nowhere(project.name)

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.cache import Arrays, array_key, cached, combined_key
 from photocal.measurement.image_file import as_eight_bit, read_grey
 from photocal.measurement.tracks import Tracks
-from photocal.measurement.views import Views
 from photocal.tasks.workers import Workers, run_tasks
 
 Floats = NDArray[np.float64]
@@ -64,7 +64,7 @@ class _Rays:
 
 def refine(
     sources: Sequence[Source],
-    views: Views,
+    views: OrientedImages,
     tracks: Tracks,
     points: Floats,
     partners: Sequence[Integers],
@@ -109,7 +109,7 @@ class _Found:
         return _Found(nothing, nothing, np.zeros((0, 2)), np.zeros(0))
 
 
-def _reference_rays(views: Views, tracks: Tracks, points: Floats) -> Integers:
+def _reference_rays(views: OrientedImages, tracks: Tracks, points: Floats) -> Integers:
     """For each track the ray nearest to the mean direction to its images."""
     towards = _directions(views, tracks.image, points[tracks.track])
     mean = np.column_stack([np.bincount(tracks.track, towards[:, k], tracks.count) for k in range(3)])
@@ -118,13 +118,13 @@ def _reference_rays(views: Views, tracks: Tracks, points: Floats) -> Integers:
     return np.asarray(order[starts], dtype=np.int64)
 
 
-def _directions(views: Views, image: Integers, xyz: Floats) -> Floats:
+def _directions(views: OrientedImages, image: Integers, xyz: Floats) -> Floats:
     towards = views.station[image] - xyz
     return np.asarray(towards / np.linalg.norm(towards, axis=1)[:, None])
 
 
 def _anchors(
-    views: Views, tracks: Tracks, points: Floats, reference: Integers, middle: Floats
+    views: OrientedImages, tracks: Tracks, points: Floats, reference: Integers, middle: Floats
 ) -> tuple[Floats, Floats]:
     """Points of the surface that the reference image shows in the middle of a pixel, and axes on it.
 
@@ -145,7 +145,7 @@ def _anchors(
     return points + np.einsum("nk,nkj->nj", along, axes), axes
 
 
-def _jacobians(views: Views, image: Integers, xyz: Floats, axes: Floats) -> Floats:
+def _jacobians(views: OrientedImages, image: Integers, xyz: Floats, axes: Floats) -> Floats:
     """Pixels per step along the axes of the surface, shape (n, 2, 2)."""
     ahead = [views.project(image, xyz + axes[:, k]) - views.project(image, xyz - axes[:, k]) for k in (0, 1)]
     return np.stack(ahead, axis=2) / 2
@@ -163,7 +163,7 @@ def _candidates(tracks: Tracks, reference: Integers, partners: Sequence[Integers
 
 
 def _expected(
-    views: Views, wanted: Integers, anchor: Floats, axes: Floats, base: Floats, own: Integers
+    views: OrientedImages, wanted: Integers, anchor: Floats, axes: Floats, base: Floats, own: Integers
 ) -> _Rays:
     track, image = wanted.T
     place = views.project(image, anchor[track])

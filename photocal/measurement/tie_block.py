@@ -11,9 +11,10 @@ from photocal.adjustment.network import Rays
 from photocal.adjustment.start.values import start_values
 from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.network import block_frame, observed_plane
+from photocal.geometry.oriented_images import given_places, given_poses, local_poses
 from photocal.geometry.resection import ray_residuals
 from photocal.measurement.tracks import Tracks
-from photocal.measurement.views import given_places, given_poses, intersected, local_poses, spread, views_of
+from photocal.measurement.views import intersected, spread, views_of
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

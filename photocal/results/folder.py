@@ -199,9 +199,13 @@ def tables(result: Result) -> dict[str, Any]:
 
 def _covariances(result: Result) -> Any:
     """One row for each image (deg, m), point (m) and camera: its unknowns and the lower triangle by rows."""
-    of_images = np.zeros((0, 6, 6)) if result.images.covariance is None else result.images.covariance
     rows: list[tuple[str, Sequence[str], Sequence[str], Floats]] = [
-        ("image", result.images.names, (*_ANGLES, *_PLACE), of_images * np.outer(_SHOWN, _SHOWN)),
+        (
+            "image",
+            result.images.names,
+            (*_ANGLES, *_PLACE),
+            result.images.covariances * np.outer(_SHOWN, _SHOWN),
+        ),
         ("point", result.points.names, _PLACE, result.points.covariance),
     ]
     for name, own in result.cameras.items():

@@ -101,7 +101,7 @@ def block_of_marks(
 ) -> tuple[Block, tuple[str, ...]]:
     """Make the block of those marks that can be adjusted."""
     none, free = np.zeros(len(PARAMETERS), dtype=np.bool_), np.full(len(PARAMETERS), np.inf)
-    cameras = tuple(replace(own, estimated=none, prior_sigma=free) for own in orientation.cameras)
+    cameras = tuple(replace(own, estimated=none, prior_sigma=free) for own in orientation.images.cameras)
     whole, _ = with_marks(
         Block(
             "marks",
@@ -110,7 +110,7 @@ def block_of_marks(
             "control",
             (),
             cameras,
-            orientation.images,
+            Images.observed(orientation.images),
             points,
             NO_OBSERVATIONS,
             (),
@@ -174,8 +174,7 @@ def _improved(orientation: Orientation, names: tuple[str, ...], found: Floats, s
     images = orientation.images
     row = {name: k for k, name in enumerate(images.names)}
     rows = np.array([row[name] for name in names], dtype=np.int64)
-    values, sigma, covariance = images.values.copy(), images.sigma.copy(), orientation.covariance.copy()
+    values, covariance = images.values.copy(), images.covariances.copy()
     values[rows], covariance[rows] = found, spread
-    sigma[rows] = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
-    images = replace(images, values=values, sigma=sigma)
-    return replace(orientation, images=images, source="adjusted marks", covariance=covariance)
+    images = replace(images, values=values, covariance=covariance)
+    return replace(orientation, images=images, source="adjusted marks")

@@ -211,8 +211,8 @@ class Desk:
         values = orientation.images.values[k : k + 1]
         if not np.isfinite(values).all():
             return FLAT
-        rotation = orientation.views(orientation.to_local(values[:, 3:])).rotation[k]
-        camera = orientation.cameras[orientation.images.camera[k]]
+        rotation = orientation.images.in_local(orientation.to_local(values[:, 3:])).rotation[k]
+        camera = orientation.images.cameras[orientation.images.camera[k]]
         return ground_bend(camera, rotation, np.array(place))
 
     def remove(self, body: bytes) -> dict[str, Any]:

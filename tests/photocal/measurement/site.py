@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from photocal.geometry.camera import Camera, camera
-from photocal.geometry.rotation import matrix_from_angles
-from photocal.measurement.views import Views
+from photocal.geometry.oriented_images import OrientedImages
 
 Floats = NDArray[np.float64]
 
@@ -56,15 +55,10 @@ class Site:
     names: tuple[str, ...]
 
     @property
-    def views(self) -> Views:
+    def views(self) -> OrientedImages:
         """Give the true views."""
         count = len(self.poses)
-        return Views(
-            (self.camera,),
-            np.zeros(count, np.int64),
-            matrix_from_angles(self.poses[:, :3]),
-            self.poses[:, 3:],
-        )
+        return OrientedImages(self.names, (self.camera,), np.zeros(count, np.int64), self.poses)
 
     def render(self, ground: NDArray[np.float32], folder: Path, seed: int = 0) -> None:
         """Write the pictures, blurred a little and with noise."""

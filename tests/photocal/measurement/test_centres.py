@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from photocal.geometry.camera import camera
+from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.centre import Centre
 from photocal.measurement.eccentricity import ground_bend
@@ -17,7 +18,6 @@ from photocal.measurement.line_targets import cross_centre, saddle_centre
 from photocal.measurement.patterns import flattened
 from photocal.measurement.round_targets import disc_centre, ring_centre
 from photocal.measurement.square_targets import quadrilateral_centre
-from photocal.measurement.views import Views
 
 from .rendering import DARK, LIGHT, bend, perspective, render
 
@@ -189,9 +189,8 @@ def test_the_bend_of_level_ground(k1: float) -> None:
     circle = 0.5 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
     points = np.array([-10.0, 8.0, 0.0]) + np.vstack([circle, np.zeros((1, 3))])
     count = len(points)
-    views = Views(
-        (own,), np.zeros(count, np.int64), np.tile(rotation, (count, 1, 1)), np.tile(station, (count, 1))
-    )
+    pose = np.r_[0.4, -0.3, 0.7, station]
+    views = OrientedImages(("i",) * count, (own,), np.zeros(count, np.int64), np.tile(pose, (count, 1)))
     pixels = views.project(np.arange(count), points)
     middle = pixels[-1]
     assert (np.abs(middle - [1999.5, 1499.5]) < [1950, 1450]).all()

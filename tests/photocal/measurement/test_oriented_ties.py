@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from drivers.errors import IllPosedError
 from photocal.block.model import Block, Images
 from photocal.geometry.camera import camera
-from photocal.geometry.rotation import matrix_from_angles
+from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.oriented_ties import orient_ties
 from photocal.measurement.start_block import NO_OBSERVATIONS, NO_POINTS
 from photocal.measurement.tracks import Tracks
-from photocal.measurement.views import Views
 
 Floats = NDArray[np.float64]
 LENS = camera("c", "brown-ideal", "px", (1000, 800), (1.0, 1.0), {"c": 900.0})
@@ -32,8 +31,8 @@ def _tracks(places: Floats) -> Tracks:
     rng = np.random.default_rng(5)
     ground = np.column_stack([rng.uniform(-15, 15, (150, 2)), rng.uniform(-4, 4, 150)])
     count = len(places)
-    angles = np.zeros((count, 3))
-    views = Views((LENS,), np.zeros(count, np.int64), matrix_from_angles(angles), places)
+    poses = np.hstack([np.zeros((count, 3)), places])
+    views = OrientedImages(("i",) * count, (LENS,), np.zeros(count, np.int64), poses)
     track, image = np.repeat(np.arange(150), count), np.tile(np.arange(count), 150)
     return Tracks(track, image, views.project(image, ground[track]), np.ones(len(track)))
 

@@ -232,13 +232,13 @@ def test_windows_are_as_large_as_the_covariance(field: Field) -> None:
             squares.append(away @ np.linalg.solve(sight.covariance, away))
     assert max(squares) < 13.8
     assert 0.8 < np.mean(squares) < 3
-    wide = replace(own, covariance=own.covariance * 100)
+    wide = replace(own, images=replace(own.images, covariance=own.images.covariances * 100))
     name = field.site.names[0]
     broad = {s.point: s for s in predicted_sights(wide, points, project.control.plain_targets)[name]}
     for narrow in sights[name]:
         ratio = np.linalg.det(broad[narrow.point].covariance) / np.linalg.det(narrow.covariance)
         assert 50 < np.sqrt(ratio) <= 100
-    silent = replace(own, covariance=np.full_like(own.covariance, np.nan))
+    silent = replace(own, images=replace(own.images, covariance=None))
     assert predicted_sights(silent, points, project.control.plain_targets) == {}
 
 

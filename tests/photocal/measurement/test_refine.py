@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from photocal.geometry.camera import camera
-from photocal.geometry.rotation import matrix_from_angles
+from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.compile import compile_kernels
 from photocal.measurement.patch_kernel import match_patches
 from photocal.measurement.refine import Source, refine
 from photocal.measurement.tracks import Tracks, of_images, without_twins
-from photocal.measurement.views import Views, intersected, misses
+from photocal.measurement.views import intersected, misses
 
 Floats = NDArray[np.float64]
 SIZE = 420
@@ -88,13 +88,13 @@ def test_nothing_is_found_where_there_is_nothing() -> None:
         assert not (likeness > 0.8).any()
 
 
-def _views(places: Floats, kappa: Floats) -> Views:
+def _views(places: Floats, kappa: Floats) -> OrientedImages:
     own = camera("c", "brown-ideal", "px", (SIZE, SIZE), (1.0, 1.0), {"c": 400.0, "K1": -1e-7})
-    angles = np.column_stack([np.zeros((len(kappa), 2)), kappa])
-    return Views((own,), np.zeros(len(kappa), np.int64), matrix_from_angles(angles), places)
+    poses = np.column_stack([np.zeros((len(kappa), 2)), kappa, places])
+    return OrientedImages(("i",) * len(kappa), (own,), np.zeros(len(kappa), np.int64), poses)
 
 
-def _pictures(views: Views, folder: Path) -> list[Source]:
+def _pictures(views: OrientedImages, folder: Path) -> list[Source]:
     """Views of level ground of 0.1 m pixels, made by the inverse of the projection."""
     ground = _ground()
     sources = []

@@ -9,11 +9,10 @@ import pytest
 
 from photocal.block.folder import read_points
 from photocal.exchange.parts import Mark
-from photocal.geometry.rotation import matrix_from_angles
+from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.marking.adjustment import adjust_marks
 from photocal.measurement.orientation import Orientation, of_project, of_run
 from photocal.measurement.prediction import WITHIN_95, ellipse, predict
-from photocal.measurement.views import Views
 from photocal.project import read_project
 from tests.photocal.measurement.marking.conftest import IMAGES, POINTS, Survey
 
@@ -43,18 +42,15 @@ def test_ellipses_hold_the_spread_of_simulated_errors(flown: Survey) -> None:
     draws = 4000
     values, spread = own.images.values[2], own.images.sigma[2]
     poses = values + rng.normal(0, 1, (draws, 6)) * spread
-    c = own.cameras[0].value("c") + rng.normal(0, 1.0, draws)
-    views = Views(own.cameras, np.zeros(draws, np.int64), matrix_from_angles(poses[:, :3]), poses[:, 3:])
+    (camera,) = own.images.cameras
+    c = camera.value("c") + rng.normal(0, 1.0, draws)
+    views = OrientedImages(("i",) * draws, (camera,), np.zeros(draws, np.int64), poses)
     places = xyz + rng.normal(0, 1, (draws, 3)) * sigma
     pixels = np.array(
         [
-            replace(
-                views,
-                cameras=(own.cameras[0].with_values(np.r_[value, own.cameras[0].values[1:]]),),
-                camera=views.camera[:1],
-                rotation=views.rotation[k : k + 1],
-                station=views.station[k : k + 1],
-            ).project(np.zeros(1, np.int64), places[k : k + 1])[0]
+            replace(views.only([k]), cameras=(camera.with_values(np.r_[value, camera.values[1:]]),)).project(
+                np.zeros(1, np.int64), places[k : k + 1]
+            )[0]
             for k, value in enumerate(c)
         ]
     )
@@ -83,11 +79,7 @@ def test_images_know_what_they_cannot_see(flown: Survey) -> None:
     values[1] = np.nan
     lost = predict(replace(own, images=replace(own.images, values=values)), flown.points[0], np.zeros(3))
     assert np.isnan(lost.probability).tolist() == [k == 1 for k in range(count)]
-    silent = replace(
-        own,
-        images=replace(own.images, sigma=np.full((count, 6), np.inf)),
-        covariance=np.full((count, 6, 6), np.nan),
-    )
+    silent = replace(own, images=replace(own.images, covariance=None))
     unsure = predict(silent, flown.points[0], np.zeros(3))
     assert np.isfinite(unsure.pixels).all()
     assert ellipse(unsure.covariance[0]) is None
@@ -128,10 +120,8 @@ def test_adjusted_marks_orient_the_images_and_find_the_wrong_one(flown: Survey) 
 
 def test_images_without_exposures_need_marks_enough(flown: Survey) -> None:
     own, points = known(flown), read_points(flown.folder / "control.csv")
-    nothing = replace(
-        own,
-        images=replace(own.images, values=np.full((IMAGES, 6), np.nan), sigma=np.full((IMAGES, 6), np.inf)),
-    )
+    unknown = replace(own.images, values=np.full((IMAGES, 6), np.nan), covariance=None)
+    nothing = replace(own, images=unknown)
     marks = [m for m in true_marks(flown) if m.image != "p2.png" or m.point in ("P1", "P2")]
     found = adjust_marks(nothing, points, marks)
     assert found.left_out == ("p2.png has 2 of 4 marks of control points that it needs",)
@@ -155,5 +145,5 @@ def test_a_run_folder_says_how_images_are_oriented(survey: Survey) -> None:
     assert np.allclose(read.images.values, direct.images.values, atol=2e-5)
     assert np.allclose(read.images.sigma, direct.images.sigma, rtol=1e-4)
     scale = direct.images.sigma[:, :, None] * direct.images.sigma[:, None, :]
-    assert np.allclose(read.covariance / scale, direct.covariance / scale, atol=1e-4)
-    assert np.allclose(read.cameras[0].values, direct.cameras[0].values)
+    assert np.allclose(read.images.covariances / scale, direct.images.covariances / scale, atol=1e-4)
+    assert np.allclose(read.images.cameras[0].values, direct.images.cameras[0].values)
