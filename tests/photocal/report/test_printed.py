@@ -9,10 +9,9 @@ import pytest
 from typer.testing import CliRunner
 
 from photocal.cli import app
-from photocal.report.ministry import LAYOUT
 from photocal.report.printed import check_printed
 
-STUDY = LAYOUT.parents[1] / "studies" / "phantom4pro.toml"
+STUDY = Path(__file__).parents[3] / "configs" / "studies" / "phantom4pro.toml"
 
 
 def test_printed_calibration_is_refused_for_what_is_wrong_with_it() -> None:
