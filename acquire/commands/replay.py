@@ -40,6 +40,10 @@ def replay(
             "frames": sent.frames,
             "bytes": sent.size,
             "recorded_s": sent.recorded_s,
+            "lost": sent.lost,
         },
-        lambda: f"sent {sent.frames} frames, {sent.size} bytes, recorded in {sent.recorded_s:.1f} s",
+        lambda: (
+            f"sent {sent.frames} frames, {sent.size} bytes, recorded in {sent.recorded_s:.1f} s; "
+            + ("what the network lost is not known" if sent.lost is None else f"{sent.lost} lost")
+        ),
     )

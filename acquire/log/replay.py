@@ -16,11 +16,12 @@ from drivers.errors import ConfigurationError, InputMalformedError
 
 @dataclass(frozen=True)
 class Replayed:
-    """What was sent: number and bytes of frames, time that the recording had taken."""
+    """What was sent: frames, bytes, time of the recording, and the frames that no reader got, where known."""
 
     frames: int
     size: int
     recorded_s: float
+    lost: int | None
 
 
 def links_of(path: Path) -> list[str]:
@@ -99,7 +100,7 @@ def replay(
         frames += 1
         size += len(frame)
     recorded = 0.0 if first_ns is None or last_ns is None else (last_ns - first_ns) / 1e9
-    return Replayed(frames, size, recorded)
+    return Replayed(frames, size, recorded, sink.lost)
 
 
 def raw_frames(path: Path, link: str) -> Iterator[tuple[int, bytes]]:

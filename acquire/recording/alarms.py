@@ -100,11 +100,13 @@ class FloodWatch:
 
 def flood_text(inbox: Inbox) -> str:
     """Return in words what became of a flood."""
-    limit = f"more comes than the {MOST_BYTES_S / 1e6:g} MB/s that are taken"
-    if inbox.slowed:
-        return f"{limit}: the sender has to wait"
-    missed = f", and {inbox.missed} datagrams that the system could not hold" if inbox.missed else ""
-    return f"{limit}: {inbox.dropped} bytes were not kept so far{missed}"
+    limit = "more comes than is taken"
+    if inbox.slowed or inbox.dropped:
+        limit = f"more comes than the {MOST_BYTES_S / 1e6:g} MB/s that are taken"
+    if inbox.dropped or inbox.missed:
+        lost = f"{inbox.missed} datagrams" if inbox.missed else f"{inbox.dropped} bytes"
+        return f"{limit}: {lost} could not be kept so far"
+    return f"{limit}: the sender has to wait"
 
 
 @dataclass

@@ -17,6 +17,8 @@ MOST_BYTES_S, MOST_AT_ONCE = 4_000_000, 4 << 20
 # What may wait for being framed. More comes only where the computer is too slow for what arrives.
 MOST_WAITING = 16 << 20
 _POLL_S = 0.05
+# How long a link above its rate rests: short against what a socket holds.
+_ABOVE_S = 0.002
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 5.0
 # What a port holds when the recording is stopped belongs to the flight; to read it takes no longer.
 _LAST_POLL_S, _LAST_S = 0.001, 0.3
@@ -43,8 +45,9 @@ class Inbox:
     clock_ns : callable
         The clock of the host, UTC nanoseconds since 1970.
 
-    `dropped` counts the bytes that came above the rate and were not kept, `missed` the datagrams that the
-    system threw away before they could be read, `slowed` whether a sender was made to wait.
+    `slowed` tells whether more came than is taken: the sender of a stream had to wait, of datagrams `missed`
+    counts those that the system could not hold. Where it does not count them they are read all the same and
+    `dropped` counts their bytes.
     """
 
     def __init__(self, link: str, clock_ns: Callable[[], int]) -> None:
@@ -165,13 +168,13 @@ def read_link(source: Source, inbox: Inbox, stop: threading.Event) -> None:
 
 
 def _read(source: Source, inbox: Inbox, timeout_s: float, stop: threading.Event) -> bool:
-    """Take what has arrived; above the rate datagrams are counted, and the sender of a stream has to wait."""
-    if not inbox.has_room() and not source.datagrams:
+    """Take what has arrived; above the rate its sender waits, or the system counts what it cannot hold."""
+    inbox.missed = source.missed
+    if not inbox.has_room() and not source.lossy:
         inbox.slowed = True
-        stop.wait(timeout_s)
+        stop.wait(_ABOVE_S)
         return False
     data = source.read(timeout_s)
-    inbox.missed = source.missed
     if not data:
         return False
     if inbox.has_room():

@@ -81,7 +81,7 @@ class NtripSource:
         known. Version 2 takes it in the request (``Ntrip-GGA``), version 1 as the first line after that.
     """
 
-    peer, datagrams, missed = "", False, 0
+    peer, lossy, missed = "", False, 0
 
     def __init__(
         self,

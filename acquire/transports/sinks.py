@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import socket
+import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Protocol
 from urllib.parse import urlsplit
 
@@ -16,6 +20,10 @@ from drivers.errors import ConfigurationError, DeviceError
 # A reader that takes nothing for so long is given up.
 PATIENCE_S = 60.0
 _QUIET_S = 0.5
+# How much may wait in the socket of a reader, which holds 212 kB if it asks for no more, and what it holds of
+# each datagram besides its bytes.
+_IN_FLIGHT, _PER_DATAGRAM = 60_000, 800
+_TABLES = ("/proc/net/udp", "/proc/net/udp6")
 
 
 class Sink(Protocol):
@@ -25,9 +33,14 @@ class Sink(Protocol):
         """Send one frame; waits for a slow reader where the transport can wait."""
         ...
 
+    @property
+    def lost(self) -> int | None:
+        """Number of frames that no reader got; None where that cannot be known."""
+        ...
+
 
 class UdpSink:
-    """Each frame is one datagram.
+    """Each frame is one datagram; on Linux at the pace at which a reader on the same computer takes them.
 
     Parameters
     ----------
@@ -37,11 +50,56 @@ class UdpSink:
 
     def __init__(self, port: socket.socket) -> None:
         self._port = port
+        host, self._peer = port.getpeername()[:2]
+        self._local = sys.platform == "linux" and port.getsockname()[0] == host
+        self._ahead = self._refused = 0
+        # Of each socket that has read here, what it had lost before and what it has lost by now.
+        self._losses: dict[str, tuple[int, int]] = {}
+        self._look()
+        self._losses = {reader: (lost, lost) for reader, (_, lost) in self._losses.items()}
+
+    @property
+    def lost(self) -> int | None:
+        """Number of datagrams that no reader got; None where that cannot be known."""
+        if not self._local:
+            return None
+        self._look()
+        if self._port.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+            self._refused += 1
+        return self._refused + sum(now - before for before, now in self._losses.values())
 
     def send(self, frame: bytes) -> None:
-        """Send one frame; that nobody listens (yet) is no failure."""
-        with contextlib.suppress(ConnectionRefusedError):
+        """Send one frame; that nobody listens (yet) is no failure, but counted."""
+        self._ahead += len(frame) + _PER_DATAGRAM
+        if self._local and self._ahead > _IN_FLIGHT:
+            self._ahead = 0
+            self._await_reader()
+        try:
             self._port.send(frame)
+        except ConnectionRefusedError:
+            # This tells of the one before; the frame itself was not sent yet.
+            self._refused += 1
+            self._port.send(frame)
+
+    def _await_reader(self) -> None:
+        until = time.monotonic() + PATIENCE_S
+        while self._look() > _IN_FLIGHT:
+            if time.monotonic() > until:
+                raise DeviceError(f"the reader has taken nothing for {PATIENCE_S:.0f} s", remedy="look at it")
+            time.sleep(0.001)
+
+    def _look(self) -> int:
+        """Take note of what the reader's sockets have lost (proc(5)); return how many bytes wait there."""
+        waiting = 0
+        for table in _TABLES if self._local else ():
+            with contextlib.suppress(OSError), Path(table).open(encoding="ascii") as lines:
+                for line in itertools.islice(lines, 1, None):
+                    fields = line.split()
+                    if int(fields[1].rpartition(":")[2], 16) == self._peer:
+                        waiting = max(waiting, int(fields[4].partition(":")[2], 16))
+                        before, _ = self._losses.get(fields[9], (0, 0))
+                        self._losses[fields[9]] = before, int(fields[12])
+        return waiting
 
 
 class TcpSink:
@@ -52,6 +110,8 @@ class TcpSink:
     port : socket
         The connection.
     """
+
+    lost = 0
 
     def __init__(self, port: socket.socket) -> None:
         self._port = port
@@ -75,6 +135,8 @@ class PtySink:
         Our end of it.
     """
 
+    lost = 0
+
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
 
@@ -87,6 +149,8 @@ class PtySink:
 
 class MemorySink:
     """Keeps the frames: the twin for tests."""
+
+    lost = 0
 
     def __init__(self) -> None:
         self.frames: list[bytes] = []
@@ -143,6 +207,8 @@ def open_sink(url: str) -> Iterator[tuple[Sink, str]]:
 class _WaitingTcpSink:
     """Waits for its reader with the first frame."""
 
+    lost = 0
+
     def __init__(self, server: socket.socket) -> None:
         self._server = server
         self._sink: TcpSink | None = None
@@ -179,6 +245,8 @@ def _pty() -> Iterator[tuple[Sink, str]]:
 
 class _WaitingPtySink:
     """Waits for its reader with the first frame."""
+
+    lost = 0
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor

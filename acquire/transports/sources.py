@@ -18,8 +18,8 @@ from drivers.errors import ConfigurationError
 PIECE_BYTES = 65536
 _WRITE_LIMIT_S = 0.5
 _CONNECT_S = 5.0
-# Linux counts the datagrams of a socket that it threw away (socket(7), SO_RXQ_OVFL).
-_COUNT_OVERFLOW = 40
+# Linux counts the datagrams that a socket could not hold: the last of the nine numbers of SO_MEMINFO.
+_MEMORY_FIGURES, _FIGURES = 55, struct.Struct("9I")
 _SERIAL = ("serial", "socket", "loop", "rfc2217")
 
 
@@ -36,13 +36,13 @@ class Source(Protocol):
         ...
 
     @property
-    def datagrams(self) -> bool:
-        """Whether what is not read is lost; otherwise its sender waits."""
+    def lossy(self) -> bool:
+        """Whether what is not read is lost without being counted."""
         ...
 
     @property
     def missed(self) -> int:
-        """Number of datagrams that the system threw away before they could be read."""
+        """Number of datagrams that the system could not hold until they were read."""
         ...
 
     def open(self, stop: threading.Event, /) -> None:
@@ -112,13 +112,13 @@ class UdpSource:
         The local address.
     """
 
-    datagrams = True
+    lossy = sys.platform != "linux"
 
     def __init__(self, host: str, port: int) -> None:
         self._address = host, port
         self._port: socket.socket | None = None
         self._sender: Any = None
-        self.missed = 0
+        self._missed_before = 0
 
     def open(self, _stop: threading.Event) -> None:
         """Bind the local address."""
@@ -126,8 +126,6 @@ class UdpSource:
         try:
             # Room for a second of a fast link while the disk is busy.
             port.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-            if sys.platform == "linux":
-                port.setsockopt(socket.SOL_SOCKET, _COUNT_OVERFLOW, 1)
             port.bind(self._address)
         except (OSError, UnicodeError, OverflowError) as failure:
             port.close()
@@ -139,18 +137,20 @@ class UdpSource:
         port = self._opened()
         port.settimeout(timeout_s)
         try:
-            if sys.platform != "linux":
-                data, self._sender = port.recvfrom(PIECE_BYTES)
-                return data
-            data, notes, _, self._sender = port.recvmsg(PIECE_BYTES, socket.CMSG_SPACE(4))
+            data, self._sender = port.recvfrom(PIECE_BYTES)
         except TimeoutError:
             return b""
         except OSError as failure:
             raise LinkLostError(str(failure)) from failure
-        for _, kind, note in notes:
-            if kind == _COUNT_OVERFLOW:
-                (self.missed,) = struct.unpack("I", note)
         return data
+
+    @property
+    def missed(self) -> int:
+        """Number of datagrams that the system could not hold; known on Linux."""
+        if self._port is None or self.lossy:
+            return self._missed_before
+        figures = self._port.getsockopt(socket.SOL_SOCKET, _MEMORY_FIGURES, _FIGURES.size)
+        return self._missed_before + int(_FIGURES.unpack(figures)[-1])
 
     def write(self, data: bytes) -> None:
         """Send one datagram to the last sender; before there is one nothing is sent."""
@@ -163,6 +163,7 @@ class UdpSource:
     def close(self) -> None:
         """Close the port."""
         if self._port is not None:
+            self._missed_before = self.missed
             self._port.close()
             self._port = None
 
@@ -191,7 +192,7 @@ class TcpSource:
         The server.
     """
 
-    peer, datagrams, missed = "", False, 0
+    peer, lossy, missed = "", False, 0
 
     def __init__(self, host: str, port: int) -> None:
         self._address = host, port
@@ -243,7 +244,7 @@ class SerialSource:
         Speed of the line.
     """
 
-    peer, datagrams, missed = "", False, 0
+    peer, lossy, missed = "", False, 0
 
     def __init__(self, url: str, baud: int) -> None:
         self._url = url
@@ -305,7 +306,7 @@ class FileSource:
         The file.
     """
 
-    peer, datagrams, missed = "", False, 0
+    peer, lossy, missed = "", False, 0
 
     def __init__(self, path: Path) -> None:
         self._path = path

@@ -21,7 +21,7 @@ class Script:
     """The twin of a port: gives what it is told to give, and keeps what was written."""
 
     def __init__(self, pieces: list[bytes | str]) -> None:
-        self.peer, self.datagrams, self.missed = "", False, 0
+        self.peer, self.lossy, self.missed = "", False, 0
         self.written: list[bytes] = []
         self._pieces = pieces
 

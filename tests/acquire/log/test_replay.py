@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import os
 import socket
 import subprocess
@@ -18,8 +20,8 @@ from pymavlink import mavutil
 
 from acquire.importing.importer import import_recordings
 from acquire.log.replay import replay
-from acquire.transports.sinks import MemorySink, Sink, open_sink
-from tests.acquire.live import PATIENCE_S, Process, Recorder, await_frame, frames_in, until
+from acquire.transports.sinks import MemorySink, open_sink
+from tests.acquire.live import PATIENCE_S, Process, Recorder, await_frame, frames_in
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -116,20 +118,9 @@ def test_pymavlink_sees_every_message_over_udp(log: Path, demo_flight: bytes) ->
     port = ground.port.getsockname()[1]
     seen: Counter[str] = Counter()
 
-    class Awaited:
-        """Datagrams wait for a reader that is behind: a port holds no more than some hundred of them."""
-
-        def __init__(self, sink: Sink) -> None:
-            self.sent, self._sink = 0, sink
-
-        def send(self, frame: bytes) -> None:
-            until(lambda: self.sent - seen.total() < 50, "the reader")
-            self._sink.send(frame)
-            self.sent += 1
-
     def play() -> None:
         with open_sink(f"udp://127.0.0.1:{port}") as (sink, _):
-            replay(log, "vehicle", Awaited(sink), 60.0, time.monotonic, time.sleep)
+            replay(log, "vehicle", sink, 60.0, time.monotonic, time.sleep)
 
     sender = threading.Thread(target=play)
     sender.start()
@@ -160,3 +151,55 @@ def test_addresses_that_cannot_be_meant(arguments: list[str], code: int, acquire
     done = acquire("replay", log, *arguments)
     assert done.returncode == code, done.stderr
     assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("speed", [20.0, 0.0])
+def test_a_reader_that_is_slow_gets_every_datagram(speed: float, tmp_path: Path, demo_flight: bytes) -> None:
+    """Ten thousand datagrams, many times what its socket holds; it looks away for a while again and again."""
+    source, log = tmp_path / "long.tlog", tmp_path / "long.mcap"
+    source.write_bytes(demo_flight * 12)
+    import_recordings([], [source], log, lambda _: None)
+    expected = frames_in(log, "vehicle")
+    got: list[bytes] = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reader:
+        reader.bind(("127.0.0.1", 0))
+        reader.settimeout(PATIENCE_S)
+
+        def read() -> None:
+            while len(got) < len(expected):
+                if len(got) % 1000 == 0:
+                    time.sleep(0.05)
+                got.append(reader.recv(65536))
+
+        reading = threading.Thread(target=read)
+        reading.start()
+        with open_sink(f"udp://127.0.0.1:{reader.getsockname()[1]}") as (sink, _):
+            clock = itertools.count()
+            sent = replay(log, "vehicle", sink, speed, lambda: float(next(clock)), lambda _: None)
+        reading.join()
+    assert got == expected
+    assert sent.lost == 0
+
+
+def test_datagrams_that_no_reader_got_are_numbered() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reader:
+        reader.bind(("127.0.0.1", 0))
+        port = reader.getsockname()[1]
+        with open_sink(f"udp://127.0.0.1:{port}") as (sink, _):
+            for _ in range(10):
+                sink.send(b"read")
+            assert sink.lost == 0
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+                # Somebody else fills the socket: what is lost then is not the replay's alone, but it is told.
+                for _ in range(3000):
+                    other.sendto(bytes(100), ("127.0.0.1", port))
+            held = 0
+            reader.settimeout(0.01)
+            with contextlib.suppress(TimeoutError):
+                while reader.recv(100):
+                    held += 1
+            assert sink.lost == 3010 - held
+            reader.close()
+            for _ in range(7):
+                sink.send(b"nobody")
+            assert sink.lost == 3010 - held + 7

@@ -29,7 +29,7 @@ class Line:
     """The twin of a port: gives what was put on it."""
 
     def __init__(self) -> None:
-        self.peer, self.datagrams, self.missed = "", False, 0
+        self.peer, self.lossy, self.missed = "", False, 0
         self._pieces: Queue[bytes] = Queue()
 
     def put(self, data: bytes) -> None:

@@ -48,7 +48,7 @@ class HangingServer:
 class DeadPort:
     """A port whose driver does not come back for seconds."""
 
-    peer, datagrams, missed = "", False, 0
+    peer, lossy, missed = "", False, 0
 
     def open(self, _stop: threading.Event) -> None:
         pass

@@ -173,7 +173,7 @@ def test_a_file_that_cannot_grow_is_followed_by_the_next_and_nothing_is_lost(
 class FlakySource:
     """The twin of a port that vanishes and returns."""
 
-    peer, datagrams, missed = "", False, 0
+    peer, lossy, missed = "", False, 0
 
     def __init__(self, script: list[bytes | None]) -> None:
         self._script = script
