@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
+from acquire.checked_toml import read_toml
 from drivers.errors import ConfigurationError
 from photocal.block.camera_setup import make_camera
-from photocal.checked_toml import read_toml
 from photocal.geometry.camera import Camera
 from photocal.project_tables import Contents, Control, Flight, Images, Rig
 

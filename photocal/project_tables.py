@@ -17,9 +17,9 @@ from pydantic import (
     model_validator,
 )
 
+from acquire.checked_toml import Table
 from photocal.block.camera_setup import CameraKeys, NonNegative
 from photocal.block.setup import BodyAxis, MountingKeys, Sigma
-from photocal.checked_toml import Table
 
 Degrees = Annotated[FiniteFloat, Field(ge=-360, le=360)]
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]

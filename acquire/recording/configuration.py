@@ -6,8 +6,9 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import ConfigDict, Field, ValidationError, model_validator
 
+from acquire.checked_toml import Table
 from drivers.errors import ConfigurationError, InputNotFoundError
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
@@ -17,13 +18,7 @@ Longitude = Annotated[float, Field(ge=-180, le=180)]
 Height = Annotated[float, Field(ge=-1000, le=20_000)]
 
 
-class Section(BaseModel):
-    """A table of the file: unknown keys are errors."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Recording(Section):
+class Recording(Table):
     """Where the log goes, how often it is made safe, and when the next file begins (0: never)."""
 
     output: Path
@@ -34,7 +29,7 @@ class Recording(Section):
     least_free_mb: Annotated[float, Field(ge=0)] = 500.0
 
 
-class Ublox(Section):
+class Ublox(Table):
     """Configuration of a u-blox receiver: its port that we are connected to is never guessed."""
 
     port: Literal["i2c", "uart1", "uart2", "usb", "spi"]
@@ -44,14 +39,14 @@ class Ublox(Section):
     rate_ms: Annotated[int, Field(ge=25, le=65535)]
 
 
-class Vehicle(Section):
+class Vehicle(Table):
     """What is asked of an autopilot: rates by message name, and comparison of clocks every so often."""
 
-    rates_hz: dict[str, Annotated[float, Field(gt=0, le=1000)]] = {}
+    rates_hz: dict[str, Annotated[float, Field(gt=0, le=1000)]] = Field(default={})
     timesync_s: Annotated[float, Field(ge=0)] = 1.0
 
 
-class Link(Section):
+class Link(Table):
     """A link: its name, protocol, address and, on serial lines, its speed."""
 
     name: Name
@@ -84,7 +79,7 @@ class Link(Section):
         return self
 
 
-class Site(Section):
+class Site(Table):
     """Place, people and antenna, as free texts, and files that ride along with the log."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
@@ -119,7 +114,7 @@ class Site(Section):
         return (*control, *self.attachments)
 
 
-class Configuration(Section):
+class Configuration(Table):
     """A recording: `[recording]`, `[[link]]` and `[site]`."""
 
     recording: Recording

@@ -8,8 +8,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import Field, ValidationError
 
+from acquire.checked_toml import Table
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.accuracy.standard import (
     Basis,
@@ -26,11 +27,7 @@ from photocal.accuracy.standard import (
 SHIPPED = ("decree-89817", "pec-pcd", "asprs-2024")
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class _TableFile(_Strict):
+class _TableFile(Table):
     product: str
     component: Component
     basis: Basis
@@ -39,10 +36,10 @@ class _TableFile(_Strict):
     source: str
     source_note: str = ""
     second_hand: bool
-    published: list[tuple[str, float, float, float, float]] = []
+    published: list[tuple[str, float, float, float, float]] = Field(default=[])
 
 
-class _ScaleFile(_Strict):
+class _ScaleFile(Table):
     id: str
     kind: Literal["scale"]
     title: str
@@ -52,14 +49,14 @@ class _ScaleFile(_Strict):
     table: list[_TableFile]
 
 
-class _FigureFile(_Strict):
+class _FigureFile(Table):
     value: float
     source: str
     source_note: str = ""
     second_hand: bool
 
 
-class _ValueFile(_Strict):
+class _ValueFile(Table):
     id: str
     kind: Literal["value"]
     title: str

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from photocal.adjustment.equations import Equations
+from photocal.geometry.rotation import left_jacobian, skew
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -149,12 +150,12 @@ def position_equations(
     raised = positions.above[:, None] * _UP
     computed = computed + raised * values[HEIGHT_SCALE]
     eye = np.broadcast_to(np.eye(3), (n, 3, 3))
-    turned_arm = to_object @ _skew(arm)
+    turned_arm = to_object @ skew(arm)
     parts = [
         (image_columns[image, :3], turned_arm @ basis[image]),
         (image_columns[image, 3:], eye),
         (np.tile(common_columns[LEVER], (n, 1)), to_object @ matrix),
-        (np.tile(common_columns[BORESIGHT], (n, 1)), -turned_arm @ _left_jacobian(values[BORESIGHT])),
+        (np.tile(common_columns[BORESIGHT], (n, 1)), -turned_arm @ left_jacobian(values[BORESIGHT])),
         (np.tile(common_columns[TIME : TIME + 1], (n, 1)), -positions.velocity[:, :, None]),
         (np.tile(common_columns[SHIFT], (n, 1)), eye),
         (np.tile(common_columns[HEIGHT_SCALE : HEIGHT_SCALE + 1], (n, 1)), raised[:, :, None]),
@@ -182,14 +183,14 @@ def attitude_equations(
         else np.zeros((0, 3))
     )
     to_body = matrix.T
-    inverse_left = np.linalg.inv(_left_jacobian(residual))
-    inverse_right = np.linalg.inv(_left_jacobian(-residual))
+    inverse_left = np.linalg.inv(left_jacobian(residual))
+    inverse_right = np.linalg.inv(left_jacobian(-residual))
     # The boresight turns the axes in which the residual is given, too: hence the cross product.
     parts = [
         (image_columns[image, :3], to_body @ inverse_left @ basis[image]),
         (
             np.tile(common_columns[BORESIGHT], (n, 1)),
-            to_body @ (_skew(residual) - inverse_right) @ _left_jacobian(values[BORESIGHT]),
+            to_body @ (skew(residual) - inverse_right) @ left_jacobian(values[BORESIGHT]),
         ),
     ]
     return _whitened(parts, residual @ matrix, attitudes.covariance)
@@ -224,22 +225,3 @@ def _whitened(parts: list[tuple[Integers, Floats]], residual: Floats, covariance
         residual.ravel(),
         np.ones(residual.size),
     )
-
-
-def _skew(vector: Floats) -> Floats:
-    """Cross product matrices, shape (..., 3, 3)."""
-    x, y, z = np.moveaxis(vector, -1, 0)
-    zero = np.zeros_like(x)
-    return np.moveaxis(np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]), (0, 1), (-2, -1))
-
-
-def _left_jacobian(turn: Floats) -> Floats:
-    """J with exp([t + d]x) = exp([J d]x) exp([t]x) to first order, shape (..., 3, 3).
-
-    J = I + (1 - cos a)/a^2 [t]x + (a - sin a)/a^3 [t]x^2 (Chirikjian 2012, eq. 10.86).
-    """
-    angle = np.linalg.norm(turn, axis=-1)[..., None, None]
-    skew = _skew(turn)
-    safe = np.where(angle > 1e-6, angle, 1.0)
-    second = np.where(angle > 1e-6, (safe - np.sin(safe)) / safe**3, 1.0 / 6.0)
-    return np.asarray(np.eye(3) + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * skew + second * skew @ skew)

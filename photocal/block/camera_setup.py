@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AliasChoices, Field, FiniteFloat, PositiveFloat, PositiveInt
 
+from acquire.checked_toml import Table
 from drivers.errors import ConfigurationError
-from photocal.checked_toml import Table
 from photocal.geometry.camera import MM, PARAMETERS, Affinity, AffinityForm, Camera, Model, camera
 from photocal.geometry.distortion import focused
 

@@ -7,8 +7,8 @@ from typing import Literal
 
 from pydantic import AliasChoices, Field, FiniteFloat, PositiveFloat
 
+from acquire.checked_toml import Table, read_toml
 from photocal.block.camera_setup import CameraKeys, NonNegative
-from photocal.checked_toml import Table, read_toml
 
 # A sigma, one for each axis, or "free" for an unknown without prior knowledge.
 Sigma = NonNegative | tuple[NonNegative, NonNegative, NonNegative] | Literal["free"]

@@ -28,11 +28,17 @@ def exposures(
     delay_sigma: Annotated[
         float, typer.Option(help="Its standard deviation from exposure to exposure, seconds.")
     ] = 0.0,
-    lever_arm: Annotated[
+    camera_to_antenna: Annotated[
         str | None,
-        typer.Option(help="X,Y,Z from the antenna to the camera, metres forward, right, down."),
+        typer.Option(
+            help="Lever arm: X,Y,Z from the camera's projection centre to the antenna, metres forward, "
+            "right, down (above is negative)."
+        ),
     ] = None,
-    lever_arm_sigma: Annotated[str, typer.Option(help="Its standard deviations, metres.")] = "0.01,0.01,0.01",
+    camera_to_antenna_sigma: Annotated[
+        str, typer.Option(help="Its standard deviations, metres.")
+    ] = "0.01,0.01,0.01",
+    lever_arm: Annotated[str | None, typer.Option(hidden=True)] = None,
     attitude_sigma: Annotated[
         str | None, typer.Option(help="Standard deviations of roll, pitch, yaw, degrees.")
     ] = None,
@@ -104,6 +110,12 @@ def exposures(
     from photocal.navigation.rig import camera_axes as axes_of
     from photocal.navigation.triple import parse_triple
 
+    if lever_arm is not None:
+        raise ConfigurationError(
+            "--lever-arm led from the antenna to the camera, the other way round than everywhere else",
+            where="--lever-arm",
+            remedy="give --camera-to-antenna with all three signs turned",
+        )
     logs = tuple(flight or ())
     project = [path for path in logs if path.suffix == ".toml"]
     if project and len(logs) > 1:
@@ -114,8 +126,8 @@ def exposures(
         if edge not in ("rising", "falling"):
             raise ConfigurationError(f"{edge!r} is no edge", where="--edge", remedy="rising or falling")
         rig = Rig(
-            None if lever_arm is None else parse_triple(lever_arm, "--lever-arm"),
-            parse_triple(lever_arm_sigma, "--lever-arm-sigma"),
+            None if camera_to_antenna is None else parse_triple(camera_to_antenna, "--camera-to-antenna"),
+            parse_triple(camera_to_antenna_sigma, "--camera-to-antenna-sigma"),
             None if attitude_sigma is None else np.radians(parse_triple(attitude_sigma, "--attitude-sigma")),
             np.radians(parse_triple(boresight, "--boresight")),
             np.radians(parse_triple(boresight_sigma, "--boresight-sigma")),

@@ -96,12 +96,29 @@ def turned(matrix: Floats, turn: Floats) -> Floats:
         The turned rotations.
     """
     angle = np.linalg.norm(turn, axis=-1)[:, None, None]
-    x, y, z = np.moveaxis(turn, -1, 0)
-    zero = np.zeros_like(x)
-    skew = np.moveaxis(np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]), (0, 1), (-2, -1))
+    cross = skew(turn)
     # sinc keeps both factors exact for the smallest turns: sin(a)/a and (1 - cos a)/a^2.
-    exponential = np.eye(3) + np.sinc(angle / np.pi) * skew
-    exponential = exponential + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (skew @ skew)
+    exponential = np.eye(3) + np.sinc(angle / np.pi) * cross
+    exponential = exponential + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (cross @ cross)
     product = exponential @ matrix
     # One Newton step towards the nearest orthogonal matrix keeps rounding from piling up.
     return np.asarray(product @ (1.5 * np.eye(3) - 0.5 * np.swapaxes(product, -1, -2) @ product))
+
+
+def skew(vector: Floats) -> Floats:
+    """Cross product matrices of vectors (..., 3), shape (..., 3, 3)."""
+    x, y, z = np.moveaxis(vector, -1, 0)
+    zero = np.zeros_like(x)
+    return np.moveaxis(np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]), (0, 1), (-2, -1))
+
+
+def left_jacobian(turn: Floats) -> Floats:
+    """J with exp([t + d]x) = exp([J d]x) exp([t]x) to first order, shape (..., 3, 3).
+
+    J = I + (1 - cos a)/a^2 [t]x + (a - sin a)/a^3 [t]x^2 (Chirikjian 2012, eq. 10.86).
+    """
+    angle = np.linalg.norm(turn, axis=-1)[..., None, None]
+    cross = skew(turn)
+    safe = np.where(angle > 1e-6, angle, 1.0)
+    second = np.where(angle > 1e-6, (safe - np.sin(safe)) / safe**3, 1.0 / 6.0)
+    return np.asarray(np.eye(3) + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * cross + second * cross @ cross)

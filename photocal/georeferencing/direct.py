@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from photocal.adjustment.mounting import BORESIGHT, HEIGHT_SCALE, LEVER, SHIFT, STRIPS, TIME, body_to_camera
 from photocal.block.model import Block
-from photocal.geometry.rotation import matrix_from_angles, turn_per_angle
+from photocal.geometry.rotation import left_jacobian, matrix_from_angles, skew, turn_per_angle
 
 Floats = NDArray[np.float64]
 
@@ -87,12 +87,12 @@ def direct_orientation(block: Block) -> DirectOrientation:
         # Rows: the turn of the camera, the projection centre; columns: turn of the body, antenna.
         own = np.zeros((6, 6))
         own[:3, :3] = matrix
-        own[3:, :3] = -m.T @ _skew(arm) @ matrix
+        own[3:, :3] = -m.T @ skew(arm) @ matrix
         own[3:, 3:] = np.eye(3)
         measured = np.zeros((6, 6))
         measured[:3, :3], measured[3:, 3:] = attitudes.covariance[a], positions.covariance[p]
         covariance[i] = own @ measured @ own.T
-        by_common[i, :3, BORESIGHT] = _left_jacobian(mounting.values[BORESIGHT])
+        by_common[i, :3, BORESIGHT] = left_jacobian(mounting.values[BORESIGHT])
         by_common[i, 3:, LEVER] = -m.T @ matrix
         by_common[i, 3:, TIME] = velocity
         by_common[i, 3:, SHIFT] = -np.eye(3)
@@ -103,13 +103,3 @@ def direct_orientation(block: Block) -> DirectOrientation:
     stated = np.where(np.isfinite(mounting.sigma), mounting.sigma, 0.0)
     unstated = bool(row_p and row_a and np.isinf(mounting.sigma).any())
     return DirectOrientation(known, rotation, centre, covariance, by_common, np.diag(stated**2), unstated)
-
-
-def _skew(v: Floats) -> Floats:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-
-
-def _left_jacobian(turn: Floats) -> Floats:
-    """J with exp([t + d]x) = exp([J d]x) exp([t]x) to second order of t (Chirikjian 2012, eq. 10.86)."""
-    skew = _skew(turn)
-    return np.asarray(np.eye(3) + skew / 2.0 + skew @ skew / 6.0)

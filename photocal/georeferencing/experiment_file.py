@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveFloat, PositiveInt, ValidationError
+from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt, ValidationError
 
+from acquire.checked_toml import Table
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.block.model import Block
 from photocal.geometry.camera import Camera
@@ -25,36 +26,32 @@ from photocal.georeferencing.methods import Method, ground_points
 from photocal.georeferencing.simulated import Degradation
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class _Noise(_Strict):
+class _Noise(Table):
     position_m: PositiveFloat
     attitude_deg: PositiveFloat
     seed: NonNegativeInt = 0
 
 
-class _Interior(_Strict):
+class _Interior(Table):
     cameras: str
     camera: str = ""
-    use: list[Literal["weighted", "fixed"]] = ["weighted", "fixed"]
+    use: tuple[Literal["weighted", "fixed"], ...] = ("weighted", "fixed")
 
 
-class _Pattern(_Strict):
+class _Pattern(Table):
     name: str
     points: list[str] = Field(min_length=1)
 
 
-class _Control(_Strict):
-    pattern: list[_Pattern] = []
-    counts: list[PositiveInt] = []
+class _Control(Table):
+    pattern: tuple[_Pattern, ...] = ()
+    counts: tuple[PositiveInt, ...] = ()
     leave_one_out: bool = False
 
 
-class _File(_Strict):
+class _File(Table):
     block: str
-    methods: list[Method] = ["integrated"]
+    methods: tuple[Method, ...] = ("integrated",)
     confidence: float = Field(default=0.95, gt=0.0, lt=1.0)
     simulated_direct: _Noise | None = None
     interior: _Interior | None = None

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from drivers.errors import ConfigurationError
-from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
+from photocal.geometry.rotation import angles_from_matrix, left_jacobian, skew, turn_per_angle
 from photocal.navigation.attitude import Attitudes
 from photocal.navigation.events import Events
 from photocal.navigation.image_metadata import ImageMetadata, clock_time_s
@@ -123,13 +123,11 @@ def at_camera(exposures: Exposures, rig: Rig) -> Exposures:
         )
     back = np.swapaxes(np.where(body.known[:, None, None], body.rotation, np.eye(3)), 1, 2)
     p = exposures.placed
-    offset = np.einsum("nij,j->ni", back, rig.lever_m)
+    offset = -np.einsum("nij,j->ni", back, rig.lever_m)
     lat, lon, height = p.lat_deg.copy(), p.lon_deg.copy(), p.height_m.copy()
     lat[there], lon[there], height[there] = moved(lat[there], lon[there], height[there], offset[there])
-    x, y, z = rig.lever_m
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    # The body turns by exp(-[t]x): R' l changes by R' [t]x l = -R' [l]x t.
-    jacobian = -back @ skew
+    # The body turns by exp(-[t]x): -R' l changes by -R' [t]x l = R' [l]x t.
+    jacobian = back @ skew(rig.lever_m)
     transposed = np.swapaxes(jacobian, 1, 2)
     covariance = p.covariance_m2 + back @ np.diag(rig.lever_sigma_m**2) @ np.swapaxes(back, 1, 2)
     covariance = covariance + jacobian @ body.covariance @ transposed
@@ -178,7 +176,7 @@ def orientations(exposures: Exposures, rig: Rig) -> Orientations:
     t = J s - exp([b]x) A t_body with J the left Jacobian of the rotation group at b (Chirikjian 2012, 10.86).
     """
     to_camera = np.asarray(Rotation.from_rotvec(rig.boresight).as_matrix() @ rig.axes)
-    jacobian = _left_jacobian(rig.boresight)
+    jacobian = left_jacobian(rig.boresight)
     own = jacobian @ np.diag(rig.boresight_sigma**2) @ jacobian.T
     covariance = np.empty((len(exposures), 6, 6))
     covariance[:, :3, :3] = exposures.placed.covariance_m2
@@ -186,14 +184,6 @@ def orientations(exposures: Exposures, rig: Rig) -> Orientations:
     covariance[:, :3, 3:] = -exposures.cross @ to_camera.T
     covariance[:, 3:, :3] = np.swapaxes(covariance[:, :3, 3:], 1, 2)
     return Orientations(to_camera @ exposures.attitude.rotation, covariance)
-
-
-def _left_jacobian(turn: Floats) -> Floats:
-    angle = float(np.linalg.norm(turn))
-    x, y, z = turn
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    third = (angle - np.sin(angle)) / angle**3 if angle > 1e-4 else 1 / 6
-    return np.asarray(np.eye(3) + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * skew + third * skew @ skew)
 
 
 @dataclass(frozen=True)

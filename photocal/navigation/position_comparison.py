@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from drivers.errors import IllPosedError
+from photocal.geometry.rotation import skew
 
 Floats = NDArray[np.float64]
 _LEAST = 8
@@ -38,7 +39,7 @@ class PositionPairs:
     to_object : float64 (n, 3, 3)
         From body axes to east, north, up.
     lever_m : float64 (3,) or None
-        Lever arm that was applied to ours, body axes.
+        Lever arm (camera to antenna, body axes) that was applied to ours.
     free : str
         What is unknown between the two systems: ``shift``, or ``similarity`` (also scale and rotation).
     time_sigma_s : float
@@ -122,7 +123,7 @@ class PositionComparison:
 def compare_positions(pairs: PositionPairs) -> PositionComparison:
     """Find which single error explains the differences of two sources best.
 
-    theirs - ours = what is unknown between the systems + v dt + R' dl. First dt and dl are held to what is
+    theirs - ours = what is unknown between the systems + v dt - R' dl. First dt and dl are held to what is
     known of them beforehand; then each is freed in turn, and every exchange and change of sign of the lever
     arm's axes tried, judged by an F test (0.1 % over all) and the criterion of Schwarz (1978). Gross
     differences are left out. Neighbours share the errors of a receiver's own solution, which wander for
@@ -135,7 +136,8 @@ def compare_positions(pairs: PositionPairs) -> PositionComparison:
             f"{len(rows)} exposures have both positions and a velocity, at least {_LEAST} are needed"
         )
     turned = bool(np.isfinite(pairs.to_object[rows]).all())
-    blocks = [_nuisance(pairs), pairs.velocity[:, :, None], *([pairs.to_object] if turned else [])]
+    to_camera = -pairs.to_object
+    blocks = [_nuisance(pairs), pairs.velocity[:, :, None], *([to_camera] if turned else [])]
     design = np.concatenate(blocks, axis=2)
     unknown = blocks[0].shape[2]
     places = {TIME: slice(unknown, unknown + 1)} | (
@@ -150,7 +152,7 @@ def compare_positions(pairs: PositionPairs) -> PositionComparison:
     sigma[unknown + 1 :] = 0.0 if pairs.lever_sigma_m is None else pairs.lever_sigma_m
     tried = [_freed(name, model, sigma, place) for name, place in places.items()]
     if pairs.lever_m is not None and turned:
-        tried += _exchanged(model, sigma, pairs.to_object[rows], pairs.lever_m)
+        tried += _exchanged(model, sigma, to_camera[rows], pairs.lever_m)
     judged = [t for t in tried if t.significant and t.p * len(tried) < _SIGNIFICANCE]
     best = max(judged, key=lambda t: t.gain, default=None)
     same = () if best is None else _as_good(best, judged)
@@ -237,10 +239,7 @@ def _nuisance(pairs: PositionPairs) -> Floats:
     if pairs.free == "shift":
         return shift
     place = pairs.ours - np.nanmean(pairs.ours, axis=0)
-    x, y, z = place.T
-    zero = np.zeros(n)
-    skew = np.moveaxis(np.array([[zero, z, -y], [-z, zero, x], [y, -x, zero]]), -1, 0)
-    return np.concatenate([shift, skew, place[:, :, None]], axis=2)
+    return np.concatenate([shift, -skew(place), place[:, :, None]], axis=2)
 
 
 def _freed(name: str, model: _Model, sigma: Floats, place: slice) -> Explanation:
@@ -257,7 +256,7 @@ def _freed(name: str, model: _Model, sigma: Floats, place: slice) -> Explanation
     return Explanation(name, x[place], spread, "", float(gain), float(stats.f.sf(f, k, dof)))
 
 
-def _exchanged(model: _Model, sigma: Floats, to_object: Floats, lever_m: Floats) -> list[Explanation]:
+def _exchanged(model: _Model, sigma: Floats, to_camera: Floats, lever_m: Floats) -> list[Explanation]:
     """Try every exchange and change of sign of the lever arm's axes; return the best one."""
     rss0 = model.solved(sigma)[0]
     size = model.size
@@ -268,7 +267,7 @@ def _exchanged(model: _Model, sigma: Floats, to_object: Floats, lever_m: Floats)
             meant = np.array(signs) * lever_m[list(order)]
             if np.allclose(meant, lever_m, atol=1e-6):
                 continue
-            rss = model.moved(np.einsum("nij,j->ni", to_object, meant - lever_m)).solved(sigma)[0]
+            rss = model.moved(np.einsum("nij,j->ni", to_camera, meant - lever_m)).solved(sigma)[0]
             # Nothing is estimated: the ratio of the two variances is judged as if one value had been.
             p = float(stats.f.sf(max(rss0 / rss - 1, 0.0) * dof, 1, dof))
             text = ", ".join(f"{v:+.3f} {name}" for v, name in zip(meant, AXIS_NAMES, strict=True))

@@ -27,7 +27,7 @@ class Rig:
     Parameters
     ----------
     lever_m : float64 (3,) or None
-        From the antenna to the camera's projection centre, body axes, m; None: unknown, positions stay at
+        From the camera's projection centre to the antenna, body axes, m; None: unknown, positions stay at
         the antenna.
     lever_sigma_m : float64 (3,)
         Its standard deviations.
@@ -77,13 +77,9 @@ def camera_axes(directions: tuple[str, ...]) -> Floats:
 
 
 def rig_of_mounting(keys: MountingKeys, angle_sigma: Floats) -> Rig:
-    """Return the rig of a block's or project's mounting.
-
-    A block measures from the camera to the antenna, exposures from the antenna to the camera: the sign
-    changes here and nowhere else.
-    """
+    """Return the rig of a block's or project's mounting."""
     return Rig(
-        -np.asarray(keys.lever_arm_m, np.float64),
+        np.asarray(keys.lever_arm_m, np.float64),
         _sigma(keys.lever_arm_sigma_m, 1.0),
         angle_sigma,
         np.radians(np.asarray(keys.boresight_deg, np.float64)),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pydantic import Field
 
-from photocal.checked_toml import Table, read_toml
+from acquire.checked_toml import Table, read_toml
 from photocal.project_tables import AirAtBase
 
 

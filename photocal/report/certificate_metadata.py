@@ -7,8 +7,9 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat, ValidationError
+from pydantic import Field, FiniteFloat, PositiveFloat, ValidationError
 
+from acquire.checked_toml import Table
 from drivers.errors import ConfigurationError, InputNotFoundError
 
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
@@ -16,13 +17,7 @@ Sigmas = tuple[PositiveFloat, PositiveFloat, PositiveFloat]
 Vertex = tuple[str, FiniteFloat, FiniteFloat]
 
 
-class StrictKeys(BaseModel):
-    """Keys of a file: unknown ones are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class DocumentKeys(StrictKeys):
+class DocumentKeys(Table):
     """Section `[document]`."""
 
     client: str = ""
@@ -32,7 +27,7 @@ class DocumentKeys(StrictKeys):
     references: tuple[str, ...] = ()
 
 
-class CameraKeys(StrictKeys):
+class CameraKeys(Table):
     """Section `[camera]`: what the maker says."""
 
     model: str = ""
@@ -47,7 +42,7 @@ class CameraKeys(StrictKeys):
     pixel_size_mm: PositiveFloat | None = None
 
 
-class GnssInsKeys(StrictKeys):
+class GnssInsKeys(Table):
     """Section `[gnss_ins]`: positioning system and its offsets."""
 
     receiver: str = ""
@@ -59,7 +54,7 @@ class GnssInsKeys(StrictKeys):
     boresight_prior_sigma_deg: PositiveFloat | None = None
 
 
-class CampaignKeys(StrictKeys):
+class CampaignKeys(Table):
     """Section `[campaign]`: field and flight."""
 
     method: str = ""
@@ -74,7 +69,7 @@ class CampaignKeys(StrictKeys):
     forward_overlap: Annotated[float, Field(gt=0, lt=1)] | None = None
 
 
-class ExteriorKeys(StrictKeys):
+class ExteriorKeys(Table):
     """Section `[exterior_orientation]`: original less calibrated."""
 
     rmse_m: Triple | None = None
@@ -83,7 +78,7 @@ class ExteriorKeys(StrictKeys):
     mean_arcsec: Triple | None = None
 
 
-class EquipmentKeys(StrictKeys):
+class EquipmentKeys(Table):
     """One `[[equipment]]`."""
 
     name: str
@@ -93,14 +88,14 @@ class EquipmentKeys(StrictKeys):
     calibration: str = ""
 
 
-class ValidityKeys(StrictKeys):
+class ValidityKeys(Table):
     """Section `[validity]`."""
 
     until: dt.date | None = None
     conditions: str = ""
 
 
-class ResponsibleKeys(StrictKeys):
+class ResponsibleKeys(Table):
     """Section `[responsible]`."""
 
     name: str = ""
@@ -108,7 +103,7 @@ class ResponsibleKeys(StrictKeys):
     registration: str = ""
 
 
-class Particulars(StrictKeys):
+class Particulars(Table):
     """All that a person gives; sections as in the file, and the day of the certificate."""
 
     date: dt.date

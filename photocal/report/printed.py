@@ -9,17 +9,18 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, FiniteFloat, PositiveFloat, PositiveInt, ValidationError
 
+from acquire.checked_toml import Table
 from drivers.errors import ConfigurationError
 from photocal.analysis.plausibility import CalibrationRecord, Offsets, effective_unit, plausibility
 from photocal.findings.finding import Finding
 from photocal.report.acceptance import Limit, expected_altimetric_error_cm, limits
-from photocal.report.certificate_metadata import GnssInsKeys, StrictKeys, load_toml
+from photocal.report.certificate_metadata import GnssInsKeys, load_toml
 
 Pair = tuple[FiniteFloat, FiniteFloat]
 
 
-class CalibrationKeys(StrictKeys):
-    """Section `[calibration]`: parameters as (value, standard deviation), correlations as lower triangle."""
+class CalibrationKeys(Table):
+    """Table `[calibration]`: parameters as (value, standard deviation), correlations as lower triangle."""
 
     name: str
     unit: Literal["mm", "px"]
@@ -31,8 +32,8 @@ class CalibrationKeys(StrictKeys):
     correlation_decimals: PositiveInt = 2
 
 
-class PrintedCameraKeys(StrictKeys):
-    """Section `[camera]`."""
+class PrintedCameraKeys(Table):
+    """Table `[camera]`."""
 
     size_px: tuple[PositiveInt, PositiveInt] | None = None
     pixel_size_mm: PositiveFloat | None = None
@@ -40,8 +41,8 @@ class PrintedCameraKeys(StrictKeys):
     nominal_focal_length_mm: PositiveFloat | None = None
 
 
-class FlightKeys(StrictKeys):
-    """Section `[campaign]`."""
+class FlightKeys(Table):
+    """Table `[campaign]`."""
 
     flying_height_m: PositiveFloat | None = None
     gsd_cm: PositiveFloat | None = None
@@ -49,14 +50,14 @@ class FlightKeys(StrictKeys):
     forward_overlap: Annotated[float, Field(gt=0, lt=1)] | None = None
 
 
-class ResidualKeys(StrictKeys):
-    """Section `[residuals]`: root mean square errors."""
+class ResidualKeys(Table):
+    """Table `[residuals]`: root mean square errors."""
 
     image_rmse_mm: Pair | None = None
     check_rmse_cm: Pair | None = None
 
 
-class PrintedKeys(StrictKeys):
+class PrintedKeys(Table):
     """The whole file."""
 
     calibration: CalibrationKeys

@@ -20,7 +20,7 @@ SHARED = (
     "acquire.operating_system",
     "acquire.outputs",
     "acquire.web",
-    "photocal.checked_toml",
+    "acquire.checked_toml",
     "photocal.compiled",
     "photocal.findings",
     "photocal.geopackage",

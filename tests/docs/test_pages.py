@@ -8,12 +8,12 @@ from types import ModuleType
 
 import pytest
 
+from acquire.checked_toml import Table
 from drivers import errors
 from photocal import project_tables
 from photocal.adjustment.mounting import COMMON
 from photocal.analysis.stability.methods import methods
 from photocal.block import camera_setup, setup
-from photocal.checked_toml import Table
 from photocal.geometry.camera import PARAMETERS
 from tests.docs.command_pages import FOLDER, MORE, commands, pages
 

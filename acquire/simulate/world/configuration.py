@@ -10,16 +10,9 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, FiniteFloat, PositiveFloat, ValidationError, model_validator
 
+from acquire.checked_toml import Table
 from acquire.simulate.world.faults import Fault, FaultSizes
-from acquire.simulate.world.sections import (
-    NonNegative,
-    Pair,
-    PositiveSigmas,
-    Section,
-    Share,
-    Sigmas,
-    Triple,
-)
+from acquire.simulate.world.sections import NonNegative, Pair, PositiveSigmas, Share, Sigmas, Triple
 from drivers.errors import ConfigurationError, InputNotFoundError
 
 # Flights that are known by name.
@@ -41,7 +34,7 @@ class Level(StrEnum):
     BLOCK = "block"
 
 
-class Place(Section):
+class Place(Table):
     """Where and when: the origin of the local frame on the ellipsoid, the system of control and results."""
 
     latitude_deg: Annotated[float, Field(gt=-85, lt=85)]
@@ -63,7 +56,7 @@ class Place(Section):
         return self
 
 
-class Terrain(Section):
+class Terrain(Table):
     """Fractal relief: standard deviation, longest wave, and how power falls with the wave number."""
 
     relief_m: NonNegative = 3.0
@@ -71,7 +64,7 @@ class Terrain(Section):
     exponent: Annotated[float, Field(ge=2, le=6)] = 3.4
 
 
-class Pass(Section):
+class Pass(Table):
     """One coverage of the area by parallel strips."""
 
     height_m: PositiveFloat
@@ -82,7 +75,7 @@ class Pass(Section):
     spacing_spread: Annotated[float, Field(ge=0, le=0.15)] = 0.04
 
 
-class Plan(Section):
+class Plan(Table):
     """The flight: corners of the area (east, north), and its passes."""
 
     area_m: Annotated[tuple[Pair, ...], Field(min_length=3)]
@@ -102,7 +95,7 @@ class Plan(Section):
         return self
 
 
-class Vehicle(Section):
+class Vehicle(Table):
     """Motion beside the plan: wind, gusts and vibration of a multirotor."""
 
     wind_m_s: NonNegative = 2.0
@@ -112,7 +105,7 @@ class Vehicle(Section):
     vibration_deg: NonNegative = 0.01
 
 
-class Camera(Section):
+class Camera(Table):
     """The true camera, in OpenCV's terms: px, the polynomial in units of the principal distance.
 
     `nominal_mm` is what the makers say (EXIF, start value of a calibration).
@@ -136,7 +129,7 @@ class Camera(Section):
     estimate: tuple[str, ...] = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2", "B1")
 
 
-class Rig(Section):
+class Rig(Table):
     """What the surveyor believes of the rig; the truth is drawn around it with the stated sigmas."""
 
     camera_to_antenna_m: Triple
@@ -149,7 +142,7 @@ class Rig(Section):
     attitude_sigma_deg: PositiveSigmas = (0.3, 0.3, 0.6)
 
 
-class Targets(Section):
+class Targets(Table):
     """Surveyed plates: how many, their coded pattern, and how well their centres are known."""
 
     control: Annotated[int, Field(ge=0)] = 8
@@ -159,7 +152,7 @@ class Targets(Section):
     sigma_m: PositiveSigmas = (0.008, 0.008, 0.012)
 
 
-class Pictures(Section):
+class Pictures(Table):
     """What befalls a picture: blur, noise, vignetting, and the camera's clock."""
 
     texel_m: PositiveFloat = 0.028
@@ -174,7 +167,7 @@ class Pictures(Section):
     gimbal_xmp: bool = False
 
 
-class Observing(Section):
+class Observing(Table):
     """Image observations of the levels without pictures."""
 
     ties: Annotated[int, Field(ge=0)] = 800
@@ -182,7 +175,7 @@ class Observing(Section):
     target_sigma_px: PositiveFloat = 0.1
 
 
-class Gnss(Section):
+class Gnss(Table):
     """Receivers: rates, and the base's place (east, north) and antenna height above its mark."""
 
     rover_interval_s: PositiveFloat = 0.2
@@ -192,14 +185,14 @@ class Gnss(Section):
     base_protocol: Literal["ubx", "rtcm3"] = "ubx"
 
 
-class Air(Section):
+class Air(Table):
     """Temperature at sea level, and humidity at all heights."""
 
     temperature_c: Annotated[float, Field(ge=-40, le=50)] = 15.0
     relative_humidity: Annotated[float, Field(ge=0, le=1)] = 0.5
 
 
-class Telemetry(Section):
+class Telemetry(Table):
     """The autopilot's stream: rates, and how its filter differs from the truth."""
 
     attitude_hz: PositiveFloat = 20.0
@@ -210,7 +203,7 @@ class Telemetry(Section):
     latency_s: NonNegative = 0.04
 
 
-class Wires(Section):
+class Wires(Table):
     """Losses (whole frames) and damage (single bits) on the way to the recording."""
 
     vehicle_loss: Share = 0.0
@@ -219,14 +212,14 @@ class Wires(Section):
     rover_damage: Share = 0.0
 
 
-class Judgement(Section):
+class Judgement(Table):
     """What the project file asks the check points to be judged against."""
 
     scale: str = ""
     standards: tuple[str, ...] = ()
 
 
-class Configuration(Section):
+class Configuration(Table):
     """The whole file.
 
     `seed` draws everything; with `field_seed` ground, targets, their survey and the rig stay the same for all

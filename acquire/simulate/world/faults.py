@@ -7,7 +7,8 @@ from typing import Annotated
 
 from pydantic import Field, FiniteFloat, PositiveFloat
 
-from acquire.simulate.world.sections import Section, Triple
+from acquire.checked_toml import Table
+from acquire.simulate.world.sections import Triple
 
 
 class Fault(StrEnum):
@@ -25,7 +26,7 @@ class Fault(StrEnum):
     CYCLE_SLIPS = "cycle_slips"
 
 
-class FaultSizes(Section):
+class FaultSizes(Table):
     """`[fault_sizes]`: how large the faults are that are switched on.
 
     Parameters

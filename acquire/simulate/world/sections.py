@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat
+from pydantic import Field, FiniteFloat, PositiveFloat
 
 Pair = tuple[FiniteFloat, FiniteFloat]
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
@@ -12,9 +12,3 @@ NonNegative = Annotated[FiniteFloat, Field(ge=0)]
 Sigmas = tuple[NonNegative, NonNegative, NonNegative]
 PositiveSigmas = tuple[PositiveFloat, PositiveFloat, PositiveFloat]
 Share = Annotated[float, Field(ge=0, lt=1)]
-
-
-class Section(BaseModel):
-    """A table of the file: unknown keys are errors."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
+from acquire.checked_toml import Table
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError, PhotocalError
 from photocal.analysis.estimates import Estimates, from_sigmas
 from photocal.analysis.stability.calibration import Calibration
@@ -25,16 +26,12 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 ROUNDING_OF_A_CORRELATION = 0.005
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class _Correlation(_Strict):
+class _Correlation(Table):
     names: list[str]
     matrix: list[list[Finite]]
 
 
-class _Camera(_Strict):
+class _Camera(Table):
     id: str
     model: Literal["brown-observed", "brown-ideal", "pix4d"]
     unit: Literal["mm", "px"]
@@ -48,33 +45,33 @@ class _Camera(_Strict):
     affinity_form: Literal["fraser", "canon-elph", "tank"] = "fraser"
 
 
-class _Terrain(_Strict):
+class _Terrain(Table):
     height_m: Positive
     relief_m: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
 
-class _Setup(_Strict):
+class _Setup(Table):
     grid_step_px: Positive | None = None
-    thresholds_px: Annotated[list[Positive], Field(min_length=1)] = [0.33, 0.5]
-    terrain: list[_Terrain] = [
+    thresholds_px: list[Positive] = Field(default=[0.33, 0.5], min_length=1)
+    terrain: tuple[_Terrain, ...] = (
         _Terrain(height_m=250.0, relief_m=100.0),
         _Terrain(height_m=250.0, relief_m=20.0),
-    ]
+    )
     terrains_each: Annotated[int, Field(gt=0, le=100)] = 5
     seed: Annotated[int, Field(ge=0)] = 1
 
 
-class _Published(_Strict):
+class _Published(Table):
     method: Literal["MIS", "ZROT", "ROT", "SPR"]
     definition: str
     tolerance_px: Positive
     values: list[tuple[str, str, Finite]]
 
 
-class _File(_Strict):
+class _File(Table):
     camera: Annotated[list[_Camera], Field(min_length=1)]
     comparison: _Setup = _Setup()
-    published: list[_Published] = []
+    published: tuple[_Published, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import Field, FiniteFloat, ValidationError
 
+from acquire.checked_toml import Table
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.block.model import ROLES
 from photocal.exchange.parts import Mark
@@ -38,11 +39,7 @@ _DECIMALS = 4
 _NAME = r"^[^\x00-\x1f\x7f]*[^\x00-\x20\x7f][^\x00-\x1f\x7f]*$"
 
 
-class _Question(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-
-class _Place(_Question):
+class _Place(Table, strict=True):
     image: str
     point: Annotated[str, Field(min_length=1, max_length=100, pattern=_NAME)]
 
@@ -255,7 +252,7 @@ class Desk:
         return own
 
 
-Question = TypeVar("Question", bound=_Question)
+Question = TypeVar("Question", bound=Table)
 
 
 def _checked(kind: type[Question], body: bytes) -> Question:

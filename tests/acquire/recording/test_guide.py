@@ -16,8 +16,9 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
+from acquire.checked_toml import Table
 from acquire.recording.alarms import ALARM
-from acquire.recording.configuration import Configuration, Section, Site, read_configuration
+from acquire.recording.configuration import Configuration, Site, read_configuration
 from acquire.transports.of_link import source_of_link
 from tests.acquire.live import Process, free_port, is_bound, until
 
@@ -34,7 +35,7 @@ def keys(section: type[BaseModel], seen: set[str]) -> set[str]:
     for name, field in section.model_fields.items():
         seen.add(name)
         for part in _types(field.annotation):
-            if isinstance(part, type) and issubclass(part, Section):
+            if isinstance(part, type) and issubclass(part, Table):
                 keys(part, seen)
     return seen
 

@@ -72,14 +72,14 @@ def test_lever_arm_by_hand() -> None:
     rig = Rig(np.array([0.5, 0.2, 0.1]), np.zeros(3), np.zeros(3))
     p = at_camera(at_antenna(level, np.eye(3) * 1e-4, np.zeros(3)), rig).placed
     moved = enu_offsets(p.lat_deg, p.lon_deg, p.height_m, ORIGIN)
-    assert moved[0] == pytest.approx([0.5, -0.2, -0.1], abs=1e-6)
+    assert moved[0] == pytest.approx([-0.5, 0.2, 0.1], abs=1e-6)
 
 
-def test_projects_measure_the_lever_arm_the_other_way_round() -> None:
+def test_the_lever_arm_has_the_sign_of_blocks_and_projects() -> None:
     keys = MountingKeys(lever_arm_m=(0.1, -0.2, -0.3), boresight_deg=(1.0, 0.0, 0.0))
     rig = rig_of_mounting(keys, np.radians([1.0, 1.0, 2.0]))
     assert rig.lever_m is not None
-    assert rig.lever_m.tolist() == [-0.1, 0.2, 0.3]
+    assert rig.lever_m.tolist() == [0.1, -0.2, -0.3]
     assert np.degrees(rig.boresight[0]) == pytest.approx(1.0)
 
 

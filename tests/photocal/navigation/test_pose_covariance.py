@@ -80,7 +80,7 @@ def test_joint_covariance_against_simulation() -> None:
     euler = Rotation.from_matrix(NED_TO_ENU.T @ at).as_euler("ZYX")[:, ::-1]
     body = body_to_enu(euler + rng.normal(0, 1, (n, 3)) * ANGLE_SIGMA)
     place = late[:, None] * VELOCITY + rng.normal(0, POSITION_SIGMA, (n, 3))
-    place = place + body.apply(LEVER + rng.normal(0, 1, (n, 3)) * LEVER_SIGMA)
+    place = place - body.apply(LEVER + rng.normal(0, 1, (n, 3)) * LEVER_SIGMA)
     boresight = Rotation.from_rotvec(BORESIGHT + rng.normal(0, 1, (n, 3)) * BORESIGHT_SIGMA)
     camera = boresight.as_matrix() @ NADIR @ body.inv().as_matrix()
     drawn = np.hstack([place, angles_from_matrix(camera)])

@@ -58,7 +58,7 @@ def test_every_key_finds_its_place(tmp_path: Path) -> None:
     assert (choices.edge, choices.delay_s, choices.largest_offset_s) == ("falling", 0.004, 12.0)
     # From the antenna to the camera here, the other way round in the project.
     assert rig.lever_m is not None
-    assert rig.lever_m.tolist() == [-0.1, 0.2, 0.3]
+    assert rig.lever_m.tolist() == [0.1, -0.2, -0.3]
     assert rig.lever_sigma_m.tolist() == [0.02] * 3
     assert np.degrees(rig.boresight) == pytest.approx([0, 0, 1])
     assert np.degrees(rig.boresight_sigma) == pytest.approx([10, 10, 10])
