@@ -132,7 +132,7 @@ def _page(one: Command) -> str:
         ]
         if rows:
             lines += ["", f"## {title}", "", f"| {kind} | meaning | default, limits |", "|---|---|---|"]
-            lines += [_row(*row) for row in rows]
+            lines += [_row(*row) for row in rows if row is not None]
     lines += ["", _more(one)]
     return "\n".join(lines) + "\n"
 
