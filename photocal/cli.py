@@ -6,6 +6,7 @@ from acquire.console import application
 from acquire.console import run as run_application
 from photocal.commands import (
     adjust,
+    adopt,
     analyse,
     certificate,
     check,
@@ -41,6 +42,7 @@ app.command()(plan.plan)
 app.command()(ppk.ppk)
 app.command()(exposures.exposures)
 app.command()(survey.survey)
+app.command()(adopt.adopt)
 app.command()(export.export)
 app.command()(volume.volume)
 app.command()(ortho.ortho)

@@ -103,6 +103,8 @@ def _camera(own: Camera) -> Iterable[str]:
     if own.unit == "mm":
         yield f"pitch_mm = [{own.pitch[0]!r}, {own.pitch[1]!r}]"
     yield f"affinity = {json.dumps(own.affinity)}"
+    yield f"affinity_form = {json.dumps(own.affinity_form)}"
+    yield f"R0 = {own.reference_radius!r}"
     yield f"estimate = {json.dumps(estimate)}"
     yield "parameters = { " + ", ".join(f"{n} = {float(v)!r}" for n, v in used.items()) + " }"
     if own.guessed:

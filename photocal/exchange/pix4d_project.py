@@ -1,0 +1,307 @@
+"""Pix4Dmapper's `params` folder: cameras, orientations, control and image measurements of a whole project.
+
+All names end alike; a project's name stands before. Per image `calibrated_camera_parameters.txt` has K in
+px (the corner of the upper-left pixel is 0), K1 K2 K3, T1 T2 (`brown-ideal`, OpenCV's k and p), the position
+less `offset.xyz` and R, x = K [R, -R t] X. `tp_bingo.txt` has the measurements as they were: mm from the
+middle of the image, y up. Coordinates are those of the output system, in which the program reckons as if it
+were Cartesian; so does the block. Source: layouts of real projects, of one full-frame camera and of rigs.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.block.model import Block, Observations, Role
+from photocal.exchange.foreign_project import ForeignProject, without_weak_points
+from photocal.exchange.parts import PointEntry, images, object_points
+from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision
+from photocal.exchange.source import Line, fingerprint, image_size, number, numbers, read_lines
+from photocal.geometry.camera import Camera
+
+Floats = NDArray[np.float64]
+
+CAMERAS = "calibrated_camera_parameters.txt"
+BINGO = "tp_bingo.txt"
+_ERRORS = "calibrated_external_camera_parameters_error.txt"
+# Whatever the project says of its measurements, they are weighted alike first.
+UNIT_SIGMA_PX = 1.0
+# Control without an accuracy: horizontal and height, m.
+ASSUMED_M = (0.02, 0.02, 0.03)
+_ROWS = 10
+
+
+@dataclass(frozen=True)
+class _Shot:
+    name: str
+    lens: tuple[float, ...]
+    position: Floats
+    rotation: Floats
+
+
+def read_pix4d_project(folder: Path) -> ForeignProject:
+    """Read a params folder.
+
+    Raises
+    ------
+    InputNotFoundError
+        When cameras or measurements are missing.
+    InputMalformedError
+        For a file that is cut or not what it should be.
+    """
+    path, bingo = _file(folder, CAMERAS), _file(folder, BINGO)
+    if path is None or bingo is None:
+        raise InputNotFoundError(
+            f"has no ..._{BINGO if path else CAMERAS}",
+            where=folder,
+            remedy="export it: Process, Processing options, 1. Initial processing, Advanced",
+        )
+    offset_file = _file(folder, "offset.xyz")
+    offset = np.zeros(3)
+    if offset_file is not None:
+        cells = " ".join(line.text for line in read_lines(offset_file)).replace(",", " ")
+        offset = np.array(numbers(cells, offset_file, "offset", 3))
+    shots = _shots(path)
+    lenses = list(dict.fromkeys(shot.lens for shot in shots))
+    names = ["camera" if len(lenses) == 1 else f"camera-{k}" for k in range(1, len(lenses) + 1)]
+    cameras = tuple(_camera(lens, name, path) for lens, name in zip(lenses, names, strict=True))
+    member = [lenses.index(shot.lens) for shot in shots]
+    rotation = np.array([shot.rotation for shot in shots])
+    local = np.array([shot.position for shot in shots])
+    poses = from_vision(rotation, -np.einsum("nij,nj->ni", rotation, local))
+    poses[:, 3:] += offset
+    image_names = tuple(shot.name for shot in shots)
+    control, adjusted, remarks = _control(folder)
+    rows, unknown = _measurements(bingo, image_names, member, cameras, set(control))
+    if unknown:
+        remarks.append(f"{unknown} images of {bingo.name} are not calibrated: left out")
+    points = sorted({row[1] for row in rows})
+    entries = [
+        PointEntry(name, *control[name]) if name in control else PointEntry(name, "tie") for name in points
+    ]
+    place = {name: k for k, name in enumerate(points)}
+    observations = Observations(
+        "px",
+        "pixel",
+        np.array([row[0] for row in rows], dtype=np.int64),
+        np.array([place[row[1]] for row in rows], dtype=np.int64),
+        np.array([row[2:] for row in rows], dtype=float).reshape(-1, 2),
+        np.full((len(rows), 2), UNIT_SIGMA_PX),
+    )
+    block = Block(
+        path.name.removesuffix(CAMERAS).strip("_") or folder.parent.name,
+        "local",
+        "",
+        "control",
+        (),
+        cameras,
+        images(image_names, member, poses),
+        object_points(entries),
+        observations,
+        (fingerprint(path), fingerprint(bingo)),
+    )
+    block, weak = without_weak_points(block)
+    if weak:
+        remarks.append(f"{weak} points have one ray only: left out")
+    position, sigma, pose_sigma = _positions(folder, image_names)
+    return ForeignProject("Pix4D", block, position, sigma, pose_sigma, adjusted, remarks=tuple(remarks))
+
+
+def _file(folder: Path, ending: str) -> Path | None:
+    found = [p for p in sorted(folder.iterdir()) if p.name == ending or p.name.endswith(f"_{ending}")]
+    return min(found, key=lambda one: len(one.name), default=None)
+
+
+def _shots(path: Path) -> list[_Shot]:
+    """Images of the file: each begins with a name and two whole numbers, before a matrix."""
+    lines = read_lines(path, comment="")
+    starts = [k for k in range(len(lines) - _ROWS + 1) if _begins(lines, k)]
+    if not starts:
+        raise InputMalformedError("has no image", where=path, remedy="was it written completely?")
+    shots = []
+    for k, end in zip(starts, [*starts[1:], len(lines)], strict=True):
+        if end - k != _ROWS:
+            raise InputMalformedError(
+                f"has {end - k} lines for an image where {_ROWS} were expected",
+                where=lines[k].place,
+                remedy="was it written completely?",
+            )
+        name, width, height = lines[k].text.rsplit(None, 2)
+        w, h = image_size(float(width), float(height), lines[k].place)
+        rows = [numbers(line.text, line.place, "camera") for line in lines[k + 1 : k + _ROWS]]
+        matrix, rotation = np.array(rows[:3]), np.array(rows[6:])
+        if (
+            [len(row) for row in rows[3:6]] != [3, 2, 3]
+            or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4
+            or np.linalg.det(rotation) < 0
+        ):
+            raise InputMalformedError("is no image of this file", where=lines[k].place)
+        lens = (w, h, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *rows[3], *rows[4])
+        shots.append(_Shot(name.strip().strip('"'), lens, np.array(rows[5]), rotation))
+    return shots
+
+
+def _begins(lines: Sequence[Line], k: int) -> bool:
+    cells = lines[k].text.split()
+    matrix = [line.text.split() for line in lines[k + 1 : k + 4]]
+    whole = len(cells) >= 3 and all(cell.isdecimal() for cell in cells[-2:])
+    return whole and all(len(row) == 3 for row in matrix) and [float(c) for c in matrix[2]] == [0.0, 0.0, 1.0]
+
+
+def _camera(lens: tuple[float, ...], name: str, path: Path) -> Camera:
+    width, height, fx, fy, cx, cy, k1, k2, k3, t1, t2 = lens
+    size = int(width), int(height)
+    return from_pinhole(Pinhole(size, fx, fy, cx - 0.5, cy - 0.5, k1, k2, k3, t1, t2), name, path)
+
+
+def _table(path: Path | None) -> dict[str, list[float]]:
+    """Rows of a name and numbers, between commas or blanks; "none" and what is no number are NaN."""
+    rows = {}
+    for line in read_lines(path) if path is not None else ():
+        split = re.split(r"\s*[,;\t]\s*", line.text.strip()) if re.search(r"[,;\t]", line.text) else None
+        cells = split or line.text.split()
+        values = [_value(cell) for cell in cells[1:]]
+        if np.isfinite(values).any() or any(cell.lower() == "none" for cell in cells[1:]):
+            rows[cells[0].strip('"')] = values
+    return rows
+
+
+def _value(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return float("nan")
+
+
+def _control(
+    folder: Path,
+) -> tuple[dict[str, tuple[Role, list[float], list[float]]], dict[str, Floats], list[str]]:
+    """Surveyed points as measured, the same as adjusted, and what was assumed of them."""
+    measured = _table(_file(folder, "measured_gcps_position.txt"))
+    estimated = _table(_file(folder, "estimated_gcps_position.txt"))
+    for name, values in _table(_file(folder, "measured_estimated_gcps_position.txt")).items():
+        measured.setdefault(name, values[:3])
+        estimated.setdefault(name, values[3:6])
+    control: dict[str, tuple[Role, list[float], list[float]]] = {}
+    bare = []
+    for name, values in measured.items():
+        if len(values) < 3 or not np.isfinite(values[:3]).all():
+            continue
+        sigma = values[3:6]
+        stated = len(sigma) == 3 and all(0 < one < 100 for one in sigma)
+        bare += [] if stated else [name]
+        control[name] = ("control", values[:3], sigma if stated else list(ASSUMED_M))
+    remarks = []
+    manual = sorted(set(estimated) - set(control))
+    if manual:
+        remarks.append(f"{len(manual)} points have marks but were not surveyed: tie points")
+    if bare:
+        remarks.append(
+            f"{len(bare)} control points have no accuracy: {ASSUMED_M[0]} and {ASSUMED_M[2]} m assumed"
+        )
+    adjusted = {name: np.array(v[:3]) for name, v in estimated.items() if np.isfinite(v[:3]).all()}
+    return control, adjusted, remarks
+
+
+def _measurements(
+    path: Path, names: Sequence[str], member: Sequence[int], cameras: Sequence[Camera], control: set[str]
+) -> tuple[list[tuple[int, str, float, float]], int]:
+    """Rays (image, point, column, row) of BINGO's table, and how many of its images are not known."""
+    whole = {name.casefold(): k for k, name in enumerate(names)}
+    stems = {Path(name).stem.casefold(): k for k, name in enumerate(names)}
+    rays: dict[tuple[int, str], tuple[float, float]] = {}
+    image, pitch, unknown = -1, (0.0, 0.0), 0
+    sensors = _sensors(path.parent)
+    middle = (0.0, 0.0)
+    for line in read_lines(path, comment=""):
+        cells = line.text.split()
+        if cells[0] == "-99":
+            image = -1
+        elif len(cells) >= 3 and _is_number(cells[-1]) and _is_number(cells[-2]):
+            if image < 0:
+                continue
+            name = " ".join(cells[:-2])
+            # Control has a prefix that no other table has.
+            name = next((own for own in (name, name.removeprefix("GCP_")) if own in control), name)
+            x, y = number(cells[-2], line.place, "x"), number(cells[-1], line.place, "y")
+            rays.setdefault((image, name), (middle[0] + x / pitch[0], middle[1] - y / pitch[1]))
+        else:
+            title = " ".join(cells[:-1]) if len(cells) > 1 else cells[0]
+            found = whole.get(title.casefold(), stems.get(Path(title).stem.casefold(), -1))
+            image = stems.get(title.casefold(), found) if found < 0 else found
+            unknown += image < 0
+            if image >= 0:
+                own = cameras[member[image]]
+                pitch = _pitch(cells[-1], own, sensors, line)
+                middle = (own.size_px[0] - 1) / 2, (own.size_px[1] - 1) / 2
+    if not rays:
+        raise InputMalformedError("has no measurement of a calibrated image", where=path)
+    return [(i, name, x, y) for (i, name), (x, y) in rays.items()], unknown
+
+
+def _pitch(
+    camera: str, own: Camera, sensors: Sequence[tuple[float, float]], line: Line
+) -> tuple[float, float]:
+    """Size of a pixel, mm: the camera's name ends with width and height of the sensor, or a .cam has them."""
+    sides = re.search(r"_(\d+(?:\.\d+)?)[_x](\d+(?:\.\d+)?)\D*$", camera)
+    stated = [] if sides is None else [(float(sides[1]), float(sides[2]))]
+    for width, height in (*stated, *sensors):
+        pitch = (width / own.size_px[0], height / own.size_px[1])
+        # A sensor is named in mm; what is larger are pixels.
+        if 0 < pitch[0] < 0.1 and abs(pitch[0] / pitch[1] - 1) < 0.01:
+            return pitch
+    raise InputMalformedError(
+        f"no sensor width in mm is known that fits the images of camera {camera!r}",
+        where=line.place,
+        remedy="put the .cam files into the folder",
+    )
+
+
+def _sensors(folder: Path) -> list[tuple[float, float]]:
+    """Widths and heights of sensors that the .cam files assume, mm."""
+    text = "".join(p.read_text(encoding="utf-8", errors="replace") for p in sorted(folder.glob("*.cam")))
+    found = re.findall(r"sensor width of\s*([\d.]+)\s*x\s*([\d.]+)\s*mm", text)
+    return [(float(width), float(height)) for width, height in found]
+
+
+def _is_number(cell: str) -> bool:
+    return bool(np.isfinite(_value(cell)))
+
+
+def _positions(folder: Path, names: Sequence[str]) -> tuple[Floats, Floats, Floats]:
+    """Positions by GNSS, their accuracies as stated, and the sigmas that the program promises."""
+    count = len(names)
+    given, stated, promised = (
+        np.full((count, 3), np.nan),
+        np.full((count, 3), np.nan),
+        np.full((count, 6), np.nan),
+    )
+    row = {name.casefold(): k for k, name in enumerate(names)}
+    row |= {Path(name).stem.casefold(): k for k, name in enumerate(names)}
+    path = _file(folder, _ERRORS)
+    for line in read_lines(path) if path is not None else ():
+        cells = re.split(r"[,;\s]+", line.text.strip())
+        known = [j for j in (1, 0) if j < len(cells) and cells[j].casefold() in row]
+        if not known:
+            continue
+        k = row[cells[known[0]].casefold()]
+        values = [_value(cell) for cell in cells[known[0] + 1 :]]
+        # X Y Z adjusted and given, two or three accuracies, three angles, six uncertainties, one probability.
+        accuracies = len(values) - 16
+        if accuracies not in (2, 3):
+            raise InputMalformedError(
+                f"has {len(cells)} cells where 20 or 21 were expected", where=line.place
+            )
+        sigma = values[6 : 6 + accuracies]
+        given[k], stated[k] = values[3:6], sigma if accuracies == 3 else [sigma[0], sigma[0], sigma[1]]
+        tail = values[6 + accuracies + 3 :]
+        promised[k] = [*np.radians(tail[3:6]), *tail[:3]]
+    unknown = ~(stated > 0).all(axis=1)
+    given[unknown], stated[unknown] = np.nan, np.nan
+    return given, stated, promised
