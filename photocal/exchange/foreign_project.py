@@ -16,6 +16,8 @@ from photocal.exchange.reconstruction import of_block
 from photocal.geometry.camera import Camera
 
 Floats = NDArray[np.float64]
+# Sigmas of control points that nobody has given, X, Y, Z, m.
+ASSUMED_M = (0.02, 0.02, 0.03)
 # Affinities below are what a quotient of equal focal lengths leaves.
 _NOTHING = 1e-9
 _PROGRAMS = {
@@ -162,7 +164,7 @@ def _dbat_results(path: Path, block: Block) -> tuple[Camera, ...]:
 
 def _micmac(path: Path) -> ForeignProject:
     from photocal.exchange.markup import read_xml
-    from photocal.exchange.micmac import read_micmac
+    from photocal.exchange.micmac import PLACEHOLDER, read_micmac
 
     tables: dict[str, Path] = {}
     for one in sorted(path.parent.parent.glob("*.xml")):
@@ -171,7 +173,16 @@ def _micmac(path: Path) -> ForeignProject:
     if missing:
         raise InputNotFoundError(f"has no {missing[0]}", where=path.parent.parent, remedy="put it there")
     points, measures = (tables[tag] for tag in ("DicoAppuisFlottant", "SetOfMesureAppuisFlottants"))
-    return bare_project("MicMac", read_micmac(points, measures, path.parent), weighted=False)
+    given = bare_project("MicMac", read_micmac(points, measures, path.parent), weighted=False)
+    sigma = given.block.points.sigma
+    if not (sigma[np.isfinite(sigma)] == PLACEHOLDER).all():
+        return given
+    sigma = np.where(np.isfinite(sigma), ASSUMED_M, sigma)
+    block = replace(given.block, points=replace(given.block.points, sigma=sigma))
+    remark = (
+        f"all points have the uncertainty {PLACEHOLDER:g}, as if nobody had given one: {ASSUMED_M} m assumed"
+    )
+    return replace(given, block=block, remarks=(remark,))
 
 
 def _metashape_sigmas(path: Path, block: Block) -> dict[str, dict[str, float]]:
@@ -205,13 +216,13 @@ def _metashape_sigmas(path: Path, block: Block) -> dict[str, dict[str, float]]:
     return found
 
 
-def estimating_what_it_has(block: Block) -> Block:
-    """Estimate the parameters that the program's camera has; cameras that say what they estimate stay."""
+def estimating_what_it_has(block: Block, *, weighted: bool) -> Block:
+    """Estimate what the program's camera has that is not zero; with set-ups what they say is estimated."""
     from photocal.geometry.camera import PARAMETERS
 
     rest = np.where([name in ("B1", "B2") for name in PARAMETERS], _NOTHING, 0.0)
     cameras = tuple(
-        own if own.estimated.any() else replace(own, estimated=np.abs(own.values) > rest)
+        own if weighted and own.estimated.any() else replace(own, estimated=np.abs(own.values) > rest)
         for own in block.cameras
     )
     return replace(block, cameras=cameras)

@@ -28,6 +28,8 @@ from photocal.geometry.camera import Camera, camera
 Floats = NDArray[np.float64]
 
 CONVENTION = "eConvApero_DistM2C"
+# The uncertainty that the program writes where nobody has given one.
+PLACEHOLDER = 1.0
 
 
 @dataclass(frozen=True)

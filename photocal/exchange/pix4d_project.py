@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.block.model import Block, Observations, Role
-from photocal.exchange.foreign_project import ForeignProject, without_weak_points
+from photocal.exchange.foreign_project import ASSUMED_M, ForeignProject, without_weak_points
 from photocal.exchange.parts import PointEntry, images, object_points
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision
 from photocal.exchange.source import Line, fingerprint, image_size, number, numbers, read_lines
@@ -32,8 +32,6 @@ BINGO = "tp_bingo.txt"
 _ERRORS = "calibrated_external_camera_parameters_error.txt"
 # Whatever the project says of its measurements, they are weighted alike first.
 UNIT_SIGMA_PX = 1.0
-# Control without an accuracy: horizontal and height, m.
-ASSUMED_M = (0.02, 0.02, 0.03)
 _ROWS = 10
 
 

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import f
 
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.block.folder import read_block
-from photocal.block.network import block_frame
-from photocal.block.process import adjust_block
+from photocal.block.network import assemble, block_frame
 from photocal.block.setup import MountingKeys
 from photocal.exchange.foreign_project import (
     ForeignProject,
@@ -32,13 +32,16 @@ from photocal.measurement.marks import with_marks
 from photocal.measurement.marks_files import named_after
 from photocal.measurement.tracks import Tracks
 from photocal.measurement.views import intersected, views_of
+from photocal.results.adjusted import result_of
+from photocal.results.adjusting import adjust_block, adjusted
+from photocal.results.result import Result
 from photocal.run.adoption_figures import (
     camera_figures,
     control_figures,
     exterior_figures,
     position_figures,
     sigma_figures,
-    solved,
+    ties_of,
 )
 from photocal.run.block import mounting_text
 from photocal.run.folder_survey import ASSUMED_M
@@ -52,6 +55,8 @@ FEWEST_CONTROL = 3
 # How often the sigmas of image coordinates are estimated, where the program states none.
 _WEIGHTINGS = 2
 FEWEST_FREE = 5.0
+# Two variances are different from this significance on.
+LEAST = 0.0005
 
 
 def adopt(
@@ -80,7 +85,7 @@ def adopt(
 
     with progress("reading the project", None):
         foreign = with_control(read_foreign_project(path), path, gcp)
-        block, weak = without_weak_points(estimating_what_it_has(foreign.block))
+        block, weak = without_weak_points(estimating_what_it_has(foreign.block, weighted=foreign.weighted))
         foreign = replace(foreign, block=block)
     source, run = output / "block", output / "calibration"
     source.mkdir(parents=True, exist_ok=True)
@@ -93,7 +98,6 @@ def adopt(
     with progress("analysis", None):
         analyse_run(run, source)
     hidden = json.loads((run / "analysis.json").read_text(encoding="utf-8"))["findings"]
-    found = solved(read_block(source))
     figures = {
         "schema": SCHEMA,
         "program": foreign.program,
@@ -102,12 +106,12 @@ def adopt(
         "points": len(block.points.names),
         "observations": 2 * len(block.observations.image),
         "remarks": [*foreign.remarks, *([f"{weak} points have one ray only: left out"] if weak else [])],
-        "sigma0_squared": result["sigma0_squared"],
+        "sigma0_squared": result.sigma0_squared,
         "cameras": camera_figures(foreign, result),
-        "sigmas": sigma_figures(foreign, found),
+        "sigmas": sigma_figures(foreign, result),
         "positions": position_figures(foreign, result),
-        "control": control_figures(foreign, found),
-        "exterior": exterior_figures(foreign, found, run),
+        "control": control_figures(foreign, result),
+        "exterior": exterior_figures(foreign, result),
         "hidden": [finding["sentence"] for finding in hidden],
     }
     text = json.dumps(figures, indent=1, allow_nan=False) + "\n"
@@ -216,7 +220,7 @@ def _determined(folder: Path, foreign: ForeignProject) -> ForeignProject:
     """Hold the cameras where the block does not determine what the program's camera has."""
     _write(folder, foreign)
     try:
-        solved(read_block(folder))
+        _solved(folder)
     except (IllPosedError, NotConvergedError) as refusal:
         if not any(own.estimated.any() for own in foreign.block.cameras):
             raise
@@ -239,14 +243,23 @@ def _table(path: Path, head: Sequence[str], rows: Sequence[Sequence[str]]) -> No
 def _weighted(folder: Path, foreign: ForeignProject) -> None:
     """Estimate the sigmas of tie points and of marks from their residuals, px, and write them."""
     for _ in range(_WEIGHTINGS):
-        found = solved(read_block(folder))
-        seen = found.block.observations
-        sigma = seen.sigma.copy()
-        for mine in (found.tie, ~found.tie):
-            free = float(found.redundancy[mine].sum())
-            # A group that the adjustment follows says nothing of its sigma.
-            if free > FEWEST_FREE:
-                sigma[mine] = np.sqrt((found.residual[mine] ** 2).sum() / free)
-        _write(
-            folder, replace(foreign, block=replace(foreign.block, observations=replace(seen, sigma=sigma)))
-        )
+        result = _solved(folder)
+        residuals, tie = result.residuals, ties_of(result)
+        sigma = foreign.block.observations.sigma.copy()
+        free = [float(residuals.redundancy[mine].sum()) for mine in (tie, ~tie)]
+        squares = [float((residuals.residual[mine] ** 2).sum()) for mine in (tie, ~tie)]
+        sigma[:] = np.sqrt(sum(squares) / sum(free))
+        # Marks get a sigma of their own where theirs is another for certain.
+        if min(free) > FEWEST_FREE:
+            ratio = squares[1] / free[1] / (squares[0] / free[0])
+            if not LEAST < float(f.cdf(ratio, free[1], free[0])) < 1 - LEAST:
+                for mine, square, count in zip((tie, ~tie), squares, free, strict=True):
+                    sigma[mine] = np.sqrt(square / count)
+        observations = replace(foreign.block.observations, sigma=sigma)
+        _write(folder, replace(foreign, block=replace(foreign.block, observations=observations)))
+
+
+def _solved(folder: Path) -> Result:
+    block = read_block(folder)
+    assembly = assemble(block)
+    return result_of(block, *adjusted(assembly))

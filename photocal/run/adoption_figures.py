@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.adjustment.adjust import adjust
-from photocal.block.model import ROLES, Block
-from photocal.block.network import assemble
-from photocal.block.run import given_exposures, given_points
-from photocal.block.table import read_columns
 from photocal.exchange.foreign_project import ForeignProject
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import matrix_from_angles
-from photocal.measurement.tie_adjustment import pixel_residuals
+from photocal.results.result import Result
 
 Floats = NDArray[np.float64]
 
@@ -25,89 +18,67 @@ Floats = NDArray[np.float64]
 SHIFTED = 3.0
 
 
-def camera_figures(foreign: ForeignProject, result: dict[str, Any]) -> dict[str, Any]:
+def camera_figures(foreign: ForeignProject, result: Result) -> dict[str, Any]:
     """Their parameters of each camera and ours, with sigmas and the difference in ours."""
     figures: dict[str, Any] = {}
     stated = {own.id: own for own in (*foreign.block.cameras, *foreign.cameras)}
     for own in stated.values():
-        ours = result["cameras"][own.id]["parameters"]
-        promised = foreign.camera_sigma.get(own.id, {})
+        ours, promised = result.cameras[own.id], foreign.camera_sigma.get(own.id, {})
         figures[own.id] = {"unit": own.unit, "model": own.model, "parameters": {}}
         for name in PARAMETERS:
-            one, theirs = ours[name], own.value(name)
-            if not one["estimated"] and not theirs:
+            if name not in ours.free and not own.value(name):
                 continue
-            sigma = one["sigma"] if one["estimated"] else None
+            sigma = ours.sigma_of(name) if name in ours.free else None
             figures[own.id]["parameters"][name] = {
-                "theirs": theirs,
+                "theirs": own.value(name),
                 "their_sigma": promised.get(name),
-                "ours": one["value"],
+                "ours": ours.value(name),
                 "sigma": sigma,
-                "difference_in_sigmas": (one["value"] - theirs) / sigma if sigma else None,
+                "difference_in_sigmas": (ours.value(name) - own.value(name)) / sigma if sigma else None,
             }
     return figures
 
 
-@dataclass(frozen=True)
-class Solved:
-    """A block adjusted, in the order of its tables.
-
-    Attributes
-    ----------
-    tie : ndarray of bool, shape (observations,)
-    residual, redundancy : ndarray, shape (observations, 2)
-        px, computed minus measured.
-    points : ndarray, shape (points, 3)
-        m; NaN where a point is not in the network.
-    poses : ndarray, shape (images, 6)
-    """
-
-    block: Block
-    tie: NDArray[np.bool_]
-    residual: Floats
-    redundancy: Floats
-    points: Floats
-    poses: Floats
-
-
-def solved(block: Block) -> Solved:
-    """Adjust a block."""
-    assembly = assemble(block)
-    solution = adjust(assembly.network)
-    residual = pixel_residuals(assembly, solution)
-    redundancy = np.empty_like(residual)
-    redundancy[assembly.rays] = solution.redundancy
-    points = np.full((len(block.points.names), 3), np.nan)
-    points[assembly.points] = given_points(assembly, solution)[0]
-    tie = block.points.of_role("tie")[block.observations.point]
-    return Solved(block, tie, residual, redundancy, points, given_exposures(assembly, solution)[0])
-
-
-def sigma_figures(foreign: ForeignProject, found: Solved) -> list[dict[str, Any]]:
+def sigma_figures(foreign: ForeignProject, result: Result) -> list[dict[str, Any]]:
     """What each group of observations was promised to be, and what its residuals show."""
-    block, tie = found.block, found.tie
-    rows = []
+    tie, seen = ties_of(result), result.residuals
+    rows: list[dict[str, Any]] = []
     for name, mine in (("image coordinates of tie points", tie), ("marks of surveyed points", ~tie)):
-        free = float(found.redundancy[mine].sum())
+        free = float(seen.redundancy[mine].sum())
         if free > 1:
             stated = float(np.sqrt(np.mean(foreign.block.observations.sigma[mine] ** 2)))
-            seen = float(np.sqrt((found.residual[mine] ** 2).sum() / free))
+            found = float(np.sqrt((seen.residual[mine] ** 2).sum() / free))
             rows.append(
-                {"group": name, "unit": "px", "n": int(mine.sum()), "found": seen}
-                | {"stated": stated if foreign.weighted else None}
+                {
+                    "group": name,
+                    "unit": "px",
+                    "n": int(mine.sum()),
+                    "stated": stated if foreign.weighted else None,
+                    "found": found,
+                }
             )
-    control = np.flatnonzero(block.points.of_role("control"))
+    points = foreign.block.points
+    control = np.flatnonzero(points.of_role("control"))
     if len(control):
-        error = found.points[control] - block.points.values[control]
+        place = dict(zip(result.points.names, result.points.values, strict=True))
+        error = np.array([place[points.names[k]] - points.values[k] for k in control])
         for name, axes in (("control in plane", slice(0, 2)), ("control in height", slice(2, 3))):
-            rows.append(_group(name, error[:, axes], block.points.sigma[control][:, axes]))
+            rows.append(_group(name, error[:, axes], points.sigma[control][:, axes]))
     known = np.isfinite(foreign.position).all(axis=1)
     if known.any():
-        error = (found.poses[:, 3:] - foreign.position)[known]
+        error = (result.images.values[:, 3:] - foreign.position)[known]
         error -= np.mean(error, axis=0)
         for name, axes in (("positions in plane", slice(0, 2)), ("positions in height", slice(2, 3))):
             rows.append(_group(name, error[:, axes], foreign.position_sigma[known][:, axes]))
     return rows
+
+
+def ties_of(result: Result) -> NDArray[np.bool_]:
+    """Which observations are of tie points, shape (n,)."""
+    seen = result.residuals
+    roles = dict(zip(result.points.names, result.points.role, strict=True))
+    tie = np.array([roles.get(name, "tie") == "tie" for name in seen.point_names])
+    return np.asarray(tie[seen.point])
 
 
 def _group(name: str, error: Floats, stated: Floats) -> dict[str, Any]:
@@ -118,65 +89,62 @@ def _group(name: str, error: Floats, stated: Floats) -> dict[str, Any]:
     return {"group": name, "unit": "m", "n": len(error), "stated": typical, "found": rms}
 
 
-def position_figures(foreign: ForeignProject, result: dict[str, Any]) -> dict[str, Any] | None:
+def position_figures(foreign: ForeignProject, result: Result) -> dict[str, Any] | None:
     """The shift that all positions have in common, adjusted minus given."""
-    mounting = result.get("mounting")
+    mounting = result.mounting
     known = np.isfinite(foreign.position).all(axis=1)
     if mounting is None or not known.any():
         return None
     # The shift belongs to the observed positions: observed = true + shift.
-    shift = {axis: -mounting[f"shift_{axis}"]["value"] for axis in "xyz"}
-    sigma = {axis: mounting[f"shift_{axis}"]["sigma"] for axis in "xyz"}
+    shift = {axis: -mounting[f"shift_{axis}"].value for axis in "xyz"}
+    sigma = {axis: mounting[f"shift_{axis}"].sigma for axis in "xyz"}
     theirs = np.mean((foreign.block.images.values[:, 3:] - foreign.position)[known], axis=0)
     return {
         "images": int(known.sum()),
-        "estimated": bool(mounting["shift_x"]["estimated"]),
+        "estimated": bool(mounting["shift_x"].estimated),
         "common_shift_m": shift,
         "sigma_m": sigma,
         "theirs_m": dict(zip("xyz", theirs.tolist(), strict=True)),
     }
 
 
-def control_figures(foreign: ForeignProject, found: Solved) -> list[dict[str, Any]]:
+def control_figures(foreign: ForeignProject, result: Result) -> list[dict[str, Any]]:
     """Adjusted minus surveyed at control and check points, theirs and ours."""
-    block, places = found.block, found.points
+    survey = dict(zip(foreign.block.points.names, foreign.block.points.values, strict=True))
     rows = []
-    for k in np.flatnonzero(~block.points.of_role("tie")):
-        name, survey = block.points.names[k], block.points.values[k]
+    for k, (name, role) in enumerate(zip(result.points.names, result.points.role, strict=True)):
+        if role == "tie":
+            continue
         theirs = foreign.adjusted.get(name)
         rows.append(
             {
                 "point": name,
-                "role": ROLES[block.points.role[k]],
-                "rays": int((block.observations.point == k).sum()),
-                "theirs_m": None if theirs is None else (theirs - survey).tolist(),
-                "ours_m": None if np.isnan(places[k]).any() else (places[k] - survey).tolist(),
+                "role": role,
+                "rays": int(result.points.rays[k]),
+                "theirs_m": None if theirs is None else (theirs - survey[name]).tolist(),
+                "ours_m": (result.points.values[k] - survey[name]).tolist(),
             }
         )
     return rows
 
 
-def exterior_figures(foreign: ForeignProject, found: Solved, run: Path) -> dict[str, Any] | None:
+def exterior_figures(foreign: ForeignProject, result: Result) -> dict[str, Any] | None:
     """How far our orientations lie from theirs, and the sigmas that both promise (medians)."""
-    theirs, values = foreign.block.images.values, found.poses
+    theirs, values = foreign.block.images.values, result.images.values
     if np.isnan(theirs).any():
         return None
     away = values[:, 3:] - theirs[:, 3:]
     turn = matrix_from_angles(values[:, :3]) @ np.swapaxes(matrix_from_angles(theirs[:, :3]), 1, 2)
     angle = np.arccos(np.clip((np.trace(turn, axis1=1, axis2=2) - 1) / 2, -1, 1))
+    covariance = result.images.covariance
+    ours = None if covariance is None else np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, 3:])
     promised = foreign.pose_sigma[np.isfinite(foreign.pose_sigma).all(axis=1)]
     return {
         "position_rms_m": np.sqrt(np.mean(away**2, axis=0)).tolist(),
         "rotation_rms_deg": float(np.degrees(np.sqrt(np.mean(angle**2)))),
         "their_position_sigma_m": np.median(promised[:, 3:], axis=0).tolist() if len(promised) else None,
-        "our_position_sigma_m": _position_sigma(run),
+        "our_position_sigma_m": None if ours is None else np.median(ours, axis=0).tolist(),
     }
-
-
-def _position_sigma(run: Path) -> list[float]:
-    table = read_columns(run / "images.csv")
-    sigma = np.column_stack([table.numbers(f"s{axis}", empty=np.nan) for axis in "XYZ"])
-    return [float(value) for value in np.median(sigma, axis=0)]
 
 
 def adoption_text(figures: dict[str, Any]) -> str:

@@ -188,14 +188,16 @@ def of_foreign(path: Path, block: Block) -> Found:
 
 
 def _micmac(path: Path, _: Sizes) -> Found:
-    from photocal.exchange.micmac import read_ground_points, read_measures
+    from photocal.exchange.micmac import PLACEHOLDER, read_ground_points, read_measures
 
     try:
         ground = read_ground_points(path)
     except PhotocalError:
         return Found(path, marks=read_measures(path))
-    entries = [PointEntry(own.name, "control", own.xyz, own.sigma) for own in ground]
-    return Found(path, "local", object_points(entries))
+    assumed = all(sigma == PLACEHOLDER for own in ground for sigma in own.sigma)
+    sigma = (ASSUMED_M[0], *ASSUMED_M)
+    entries = [PointEntry(own.name, "control", own.xyz, sigma if assumed else own.sigma) for own in ground]
+    return Found(path, "local", object_points(entries), assumed=assumed)
 
 
 def _table(path: Path, _: Sizes) -> Found:

@@ -1,0 +1,209 @@
+"""`photocal adopt`: projects that were adjusted by us come back from every format as the same camera."""
+
+from __future__ import annotations
+
+import datetime as dt
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from photocal.block.model import ROLES
+from photocal.exchange.foreign_project import read_foreign_project
+from photocal.exchange.formats import export, named
+from photocal.exchange.pinhole import to_pinhole, to_vision
+from photocal.exchange.reconstruction import Reconstruction, as_block, of_result
+from photocal.exchange.writers import Choices
+from photocal.geometry.camera import PARAMETERS, Model, camera
+from photocal.measurement.block_files import write_block
+from photocal.results.adjusting import adjust_block
+from photocal.results.folder import read_result
+from photocal.run import adopt as module
+from photocal.run.adoption_figures import adoption_text
+from tests.photocal.exchange.conftest import reconstruction_of
+
+ESTIMATED = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
+SURVEY_M = np.array([0.02, 0.02, 0.03])
+SHIFT_M = 0.25
+OFFSET = np.array([677000.0, 7184000.0, 900.0])
+
+
+@pytest.fixture(scope="module")
+def adjusted(tmp_path_factory: pytest.TempPathFactory) -> Reconstruction:
+    """An adjustment with the lens model of vision programs."""
+    return made_of("brown-ideal", tmp_path_factory)
+
+
+@pytest.fixture(scope="module")
+def observed(tmp_path_factory: pytest.TempPathFactory) -> Reconstruction:
+    """The same with that of photogrammetric ones."""
+    return made_of("brown-observed", tmp_path_factory)
+
+
+def made_of(model: Model, tmp_path_factory: pytest.TempPathFactory) -> Reconstruction:
+    """An adjustment of ours: 0.4 px of noise, every fifth point surveyed to 2 and 3 cm."""
+    folder = tmp_path_factory.mktemp("own")
+    values = {"c": 20.0, "x0": 0.05, "y0": -0.03, "K1": -1e-5, "K2": 1e-8, "P1": 1e-6, "P2": -2e-6}
+    made = reconstruction_of((camera("1", model, "mm", (4608, 3456), (0.005, 0.005), values),))
+    seen = np.flatnonzero(np.bincount(made.point, minlength=len(made.xyz)) > 1)
+    keep = np.isin(made.point, seen)
+    survey = np.random.default_rng(5).normal(0, SURVEY_M, (len(seen), 3))
+    roles = tuple("control" if k % 5 == 0 else "tie" for k in range(len(seen)))
+    made = replace(
+        made,
+        point_names=tuple(made.point_names[j] for j in seen),
+        xyz=made.xyz[seen] + survey,
+        xyz_sigma=np.tile(SURVEY_M, (len(seen), 1)),
+        roles=roles,
+        image=made.image[keep],
+        point=np.searchsorted(seen, made.point[keep]),
+        pixels=made.pixels[keep],
+        residuals_px=made.residuals_px[keep],
+    )
+    # Set-ups of photogrammetric programs state 1 px; of the others the sigma is estimated.
+    block = as_block(made, "own", 0.4 if model == "brown-ideal" else 1.0, ())
+    estimated = np.array([name in ESTIMATED for name in PARAMETERS])
+    block = replace(block, cameras=tuple(replace(own, estimated=estimated) for own in block.cameras))
+    (folder / "block").mkdir()
+    write_block(folder / "block", block, {})
+    adjust_block(folder / "block", folder / "run")
+    # Control keeps its survey: what programs take over is what was measured.
+    run = of_result(read_result(folder / "run"))
+    control = np.array([role == "control" for role in run.roles])
+    order = {name: k for k, name in enumerate(made.point_names)}
+    rows = [order[name] for name in run.point_names]
+    xyz = np.where(control[:, None], made.xyz[rows], run.xyz)
+    return replace(run, xyz=xyz, xyz_sigma=np.tile(SURVEY_M, (len(xyz), 1)))
+
+
+def quiet(*_: Any) -> Any:
+    return nullcontext(lambda _: None)
+
+
+def adopted(folder: Path, monkeypatch: pytest.MonkeyPatch, **changes: Any) -> dict[str, Any]:
+    """Adopt without analysis and certificate, which have tests of their own."""
+    monkeypatch.setattr("photocal.report.analysis_file.analyse_run", lambda run, _: _no_findings(run))
+    monkeypatch.setattr("photocal.report.issue.issue", lambda *_, **__: None)
+    return module.adopt(folder, folder / "adopted", dt.date(2026, 1, 1), quiet, **changes)
+
+
+def _no_findings(run: Path) -> None:
+    (run / "analysis.json").write_text('{"findings": []}')
+
+
+def largest(figures: dict[str, Any]) -> float:
+    """Largest difference of the cameras, in standard deviations."""
+    (own,) = figures["cameras"].values()
+    assert set(own["parameters"]) >= set(ESTIMATED)
+    return max(abs(float(p["difference_in_sigmas"])) for p in own["parameters"].values() if p["sigma"])
+
+
+@pytest.mark.parametrize("form", ["opf", "micmac", "photomodeler", "dbat"])
+def test_the_same_camera(
+    tmp_path: Path, request: pytest.FixtureRequest, form: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = request.getfixturevalue("observed" if form in ("photomodeler", "dbat") else "adjusted")
+    export(named(form), tmp_path, given, Choices())
+    figures = adopted(tmp_path, monkeypatch)
+    assert largest(figures) < 0.1
+    assert "theirs" in adoption_text(figures)
+
+
+def pix4d(folder: Path, given: Reconstruction) -> None:
+    """Write a params folder as its description has it."""
+    own = given.cameras[0]
+    pinhole, _ = to_pinhole(own, "Pix4D")
+    rotation, _ = to_vision(given.poses)
+    width, height = own.size_px
+    head = "fileName imageWidth imageHeight\n" + "a line of the head\n" * 6 + "\n"
+    blocks, errors, bingo = [], [], []
+    for k, name in enumerate(given.image_names):
+        place = given.poses[k, 3:]
+        rows: list[Any] = [[pinhole.fx, 0, pinhole.cx + 0.5], [0, pinhole.fy, pinhole.cy + 0.5], [0, 0, 1]]
+        rows += [[pinhole.k1, pinhole.k2, pinhole.k3], [pinhole.p1, pinhole.p2], place, *rotation[k].tolist()]
+        lines = [f"{name} {width} {height}", *(" ".join(repr(float(v)) for v in row) for row in rows)]
+        blocks.append("\n".join(lines))
+        there = (place + OFFSET).tolist()
+        # All positions lie too low, by 2 cm as the user typed.
+        gnss = [*there[:2], there[2] - SHIFT_M]
+        angles = np.degrees(given.poses[k, :3]).tolist()
+        cells = [0, name, *there, *gnss, 0.02, 0.02, 0.02, *angles, *([0.004] * 6), 0.99]
+        errors.append(" ".join(str(cell) for cell in cells))
+        bingo.append(f"{Path(name).stem} H_{width * own.pitch[0]}_{height * own.pitch[1]}")
+        for ray in np.flatnonzero(given.image == k):
+            x = float(given.pixels[ray, 0] - (width - 1) / 2) * own.pitch[0]
+            y = float((height - 1) / 2 - given.pixels[ray, 1]) * own.pitch[1]
+            point = given.point_names[given.point[ray]]
+            bingo.append(f"{'GCP_' if given.roles[given.point[ray]] == 'control' else ''}{point} {x!r} {y!r}")
+        bingo.append("-99")
+    control = [k for k, role in enumerate(given.roles) if role == "control"]
+    measured = [
+        ",".join([given.point_names[k], *(repr(float(v)) for v in given.xyz[k] + OFFSET), "0.02,0.02,0.03"])
+        for k in control
+    ]
+    for ending, text in (
+        ("calibrated_camera_parameters.txt", head + "\n".join(blocks)),
+        ("calibrated_external_camera_parameters_error.txt", "\n".join(errors)),
+        ("offset.xyz", " ".join(map(str, OFFSET))),
+        ("measured_gcps_position.txt", "\n".join([*measured, "mtp1,none,none,none"])),
+        ("tp_bingo.txt", "\n".join(bingo)),
+    ):
+        (folder / f"field 3_{ending}").write_text(text + "\n")
+
+
+def test_a_pix4d_project(tmp_path: Path, adjusted: Reconstruction, monkeypatch: pytest.MonkeyPatch) -> None:
+    params = tmp_path / "1_initial" / "params"
+    params.mkdir(parents=True)
+    pix4d(params, adjusted)
+    foreign = read_foreign_project(tmp_path)
+    assert foreign.block.name == "field 3"
+    assert foreign.block.images.values[0, 3:] == pytest.approx(adjusted.poses[0, 3:] + OFFSET)
+    roles = [ROLES[k] for k in foreign.block.points.role]
+    assert roles.count("control") == adjusted.roles.count("control")
+    figures = adopted(tmp_path, monkeypatch)
+    # The positions weigh in here and did not there; their common shift is found and told.
+    shift = figures["positions"]
+    assert shift["common_shift_m"]["z"] == pytest.approx(SHIFT_M, abs=4 * shift["sigma_m"]["z"])
+    assert "not of one datum" in adoption_text(figures)
+    assert largest(figures) < 1.0
+
+
+def test_a_pix4d_project_without_positions_is_the_same_camera(
+    tmp_path: Path, adjusted: Reconstruction, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pix4d(tmp_path, adjusted)
+    next(tmp_path.glob("*_error.txt")).unlink()
+    assert largest(adopted(tmp_path, monkeypatch)) < 0.1
+
+
+@pytest.mark.parametrize("form", ["colmap", "opensfm"])
+def test_models_with_a_list_of_control(
+    tmp_path: Path, adjusted: Reconstruction, form: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ties = np.array([role == "tie" for role in adjusted.roles])
+    rays = ties[adjusted.point]
+    bare = replace(
+        adjusted,
+        roles=("tie",) * int(ties.sum()),
+        point_names=tuple(name for name, tie in zip(adjusted.point_names, ties, strict=True) if tie),
+        xyz=adjusted.xyz[ties],
+        xyz_sigma=adjusted.xyz_sigma[ties],
+        image=adjusted.image[rays],
+        point=(np.cumsum(ties) - 1)[adjusted.point[rays]],
+        pixels=adjusted.pixels[rays],
+        residuals_px=adjusted.residuals_px[rays],
+    )
+    export(named(form), tmp_path, bare, Choices())
+    rows = [
+        " ".join([*(repr(float(v)) for v in adjusted.xyz[j] + OFFSET), repr(float(x)), repr(float(y))])
+        + f" {adjusted.image_names[i]} P{adjusted.point_names[j]}"
+        for i, j, (x, y) in zip(adjusted.image, adjusted.point, adjusted.pixels, strict=True)
+        if not ties[j]
+    ]
+    (tmp_path / "gcp_list.txt").write_text("\n".join(["EPSG:32722", *rows]) + "\n")
+    figures = adopted(tmp_path, monkeypatch)
+    assert len(figures["control"]) == int((~ties).sum())
+    assert largest(figures) < 0.1
