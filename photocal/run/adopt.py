@@ -21,9 +21,9 @@ from photocal.block.setup import MountingKeys
 from photocal.exchange.foreign_project import (
     ForeignProject,
     estimating_what_it_has,
-    read_foreign_project,
     without_weak_points,
 )
+from photocal.exchange.project_detection import read_foreign_project
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.geometry.similarity import similarity
 from photocal.measurement.block_files import write_block

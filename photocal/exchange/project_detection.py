@@ -1,0 +1,153 @@
+"""Which program a folder is from, and the whole project that it holds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from drivers.errors import InputNotFoundError, PhotocalError
+from photocal.block.model import Block
+from photocal.exchange.foreign_project import ASSUMED_M, ForeignProject, bare_project
+from photocal.exchange.format_detection import read_foreign_block
+from photocal.exchange.models import COLMAP_FILES
+from photocal.exchange.pix4d_project import CAMERAS, read_pix4d_project
+from photocal.geometry.camera import Camera
+
+_PROGRAMS = {
+    ".psz": ("PhotoScan", True),
+    ".opf": ("OPF", False),
+    ".json": ("OpenSfM", False),
+    ".txt": ("PhotoModeler", True),
+    **dict.fromkeys((".ior", ".eor", ".obc", ".phc"), ("AICON", True)),
+}
+
+
+def read_foreign_project(path: Path) -> ForeignProject:
+    """Read a project: a folder, or one of the files that `photocal adjust` takes.
+
+    Raises
+    ------
+    InputNotFoundError
+        When nothing in it is known.
+    PhotocalError
+        For what cannot be read.
+    """
+    if path.is_file():
+        return _of_file(path)
+    if not path.is_dir():
+        raise InputNotFoundError("does not exist", where=path, remedy="name the folder of a project")
+    refusal: PhotocalError | None = None
+    for pattern, read in (
+        (f"*{CAMERAS}", lambda found: read_pix4d_project(found.parent)),
+        ("*.psz", _of_file),
+        ("project.opf", _of_file),
+        ("*.opf", _of_file),
+        ("cameras.bin", _of_file),
+        ("cameras.txt", _of_file),
+        ("reconstruction*.json", _of_file),
+        ("Ori-*/Orientation-*.xml", _micmac),
+        ("*.ior", _of_file),
+        ("*.xml", _of_file),
+        ("*.txt", _of_file),
+    ):
+        # What lies least deep is the project, what lies deeper its parts.
+        for found in sorted(path.rglob(pattern), key=lambda one: (len(one.parts), one.name)):
+            try:
+                return read(found)
+            except PhotocalError as failure:
+                refusal = refusal or (failure if pattern != "*.txt" else None)
+    if refusal is not None:
+        raise refusal
+    raise InputNotFoundError(
+        "holds no project that is known",
+        where=path,
+        remedy="name a Pix4D params folder, an export of Metashape or PhotoScan, or a folder of ODM, "
+        "OpenSfM, COLMAP or MicMac",
+    )
+
+
+def _of_file(path: Path) -> ForeignProject:
+    block = read_foreign_block(path)
+    kind = path.suffix.lower()
+    program, weighted = _PROGRAMS.get(kind, (path.name, True))
+    if path.stem in COLMAP_FILES and kind in (".txt", ".bin"):
+        program, weighted = "COLMAP", False
+    given = bare_project(program, block, weighted=weighted)
+    if kind != ".xml":
+        return given
+    from photocal.exchange.markup import read_xml
+
+    if read_xml(path).get("dbat_script_version"):
+        return replace(given, program="DBAT", cameras=_dbat_results(path, block))
+    return replace(given, program="Metashape", weighted=False, camera_sigma=_metashape_sigmas(path, block))
+
+
+def _dbat_results(path: Path, block: Block) -> tuple[Camera, ...]:
+    """Cameras that the program wrote below its set-up, by their names."""
+    from photocal.exchange.dbat import read_dbat_cameras
+    from photocal.exchange.dbat_camera import from_dbat
+
+    names = {own.id for own in block.cameras}
+    found: dict[str, Camera] = {}
+    for one in sorted(path.parent.glob("result*/*.xml")):
+        try:
+            found |= {own.name: from_dbat(own, own.name, one) for own in read_dbat_cameras(one)}
+        except PhotocalError:
+            continue
+    return tuple(own for name, own in found.items() if name in names)
+
+
+def _micmac(path: Path) -> ForeignProject:
+    from photocal.exchange.markup import read_xml
+    from photocal.exchange.micmac import PLACEHOLDER, read_micmac
+
+    tables: dict[str, Path] = {}
+    for one in sorted(path.parent.parent.glob("*.xml")):
+        tables.setdefault(read_xml(one).tag, one)
+    missing = [tag for tag in ("DicoAppuisFlottant", "SetOfMesureAppuisFlottants") if tag not in tables]
+    if missing:
+        raise InputNotFoundError(f"has no {missing[0]}", where=path.parent.parent, remedy="put it there")
+    points, measures = (tables[tag] for tag in ("DicoAppuisFlottant", "SetOfMesureAppuisFlottants"))
+    given = bare_project("MicMac", read_micmac(points, measures, path.parent), weighted=False)
+    sigma = given.block.points.sigma
+    if not (sigma[np.isfinite(sigma)] == PLACEHOLDER).all():
+        return given
+    sigma = np.where(np.isfinite(sigma), ASSUMED_M, sigma)
+    block = replace(given.block, points=replace(given.block.points, sigma=sigma))
+    remark = (
+        f"all points have the uncertainty {PLACEHOLDER:g}, as if nobody had given one: {ASSUMED_M} m assumed"
+    )
+    return replace(given, block=block, remarks=(remark,))
+
+
+def _metashape_sigmas(path: Path, block: Block) -> dict[str, dict[str, float]]:
+    """Standard deviations of the adjusted calibration, where the XML has their covariance."""
+    from photocal.exchange.markup import read_xml
+
+    found: dict[str, dict[str, float]] = {}
+    power = {"k1": ("K1", 2), "k2": ("K2", 4), "k3": ("K3", 6), "k4": ("K4", 8), "p1": ("P1", 1)}
+    power |= {
+        "f": ("c", 0),
+        "cx": ("x0", 0),
+        "cy": ("y0", 0),
+        "p2": ("P2", 1),
+        "b1": ("B1", 1),
+        "b2": ("B2", 1),
+    }
+    for sensor in read_xml(path).iter("sensor"):
+        name = sensor.get("label") or sensor.get("id") or "camera"
+        own = next((one for one in block.cameras if one.id == name), None)
+        names = (sensor.findtext("covariance/params") or "").split()
+        matrix = [float(cell) for cell in (sensor.findtext("covariance/coeffs") or "").split()]
+        if own is None or not names or len(matrix) != len(names) ** 2:
+            continue
+        sigma = np.sqrt(np.diag(np.reshape(matrix, (len(names), len(names)))))
+        c = own.value("c")
+        found[name] = {
+            power[key][0]: float(s) / c ** power[key][1]
+            for key, s in zip(names, sigma, strict=True)
+            if key in power
+        }
+    return found
