@@ -15,15 +15,12 @@ from acquire.log import foxglove
 from acquire.log.records import Channel
 from drivers import nmea, rtcm3
 from drivers.frames import Batch
-from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS, gps_to_utc_ns, week_to_ns
+from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS, gps_to_utc_ns
 from drivers.ubx import decode as ubx
 
 ELLIPSOIDAL = "above the ellipsoid"
 _PVT_FIXES = ("none", "dead_reckoning", "2d", "3d", "3d", "time_only")
 _GGA_FIXES = {1: "3d", 2: "differential", 3: "3d", 4: "rtk_fixed", 5: "rtk_float", 6: "dead_reckoning"}
-# TIM-TM2 flags
-_NEW_FALLING, _NEW_RISING, _TIME_VALID, _BASE_SHIFT = 0x04, 0x80, 0x40, 3
-_BASE_GNSS, _BASE_UTC = 1, 2
 
 
 class ReceiverDecoder:
@@ -89,23 +86,17 @@ class ReceiverDecoder:
 
     def _time_marks(self, batch: Batch, publish: NDArray[np.int64]) -> Iterator[Decoded]:
         marks = ubx.decode(batch, ubx.TIM_TM2)
-        f = marks.fields
-        base = f["flags"] >> _BASE_SHIFT & 3
-        for edge, bit, letter in (("rising", _NEW_RISING, "R"), ("falling", _NEW_FALLING, "F")):
-            new = (f["flags"] & bit) != 0
-            time = week_to_ns(f[f"wn{letter}"], 0.0) + (
-                f[f"towMs{letter}"].astype(np.int64) * 1_000_000 + f[f"towSubMs{letter}"]
-            )
-            # Time base 2 is UTC already, counted in weeks since the GPS epoch.
-            utc = np.where(base == _BASE_UTC, time + GPS_EPOCH_NS, gps_to_utc_ns(time))
-            sure = ((f["flags"] & _TIME_VALID) != 0) & ((base == _BASE_GNSS) | (base == _BASE_UTC))
+        for edge in ("rising", "falling"):
+            new = ubx.time_marks(marks.fields, rising=edge == "rising")
+            utc = np.where(new.base == ubx.BASE_UTC, new.time_ns + GPS_EPOCH_NS, gps_to_utc_ns(new.time_ns))
             columns = {
-                "sequence": f["count"][new],
+                "sequence": new.count,
                 "edge": edge,
-                "time": Times(np.where(sure, utc, -1)[new]),
-                "accuracy_ns": f["accEst"][new],
+                "time": Times(np.where(new.valid & (new.base != ubx.BASE_RECEIVER), utc, -1)),
+                "accuracy_ns": new.accuracy_ns,
             }
-            yield self._json("/camera/exposure", EXPOSURE, "TIM-TM2", columns, marks.index[new], publish)
+            index = marks.index[new.index]
+            yield self._json("/camera/exposure", EXPOSURE, "TIM-TM2", columns, index, publish)
 
     def _clocks(
         self, batch: Batch, log_ns: NDArray[np.int64], publish: NDArray[np.int64]

@@ -78,6 +78,8 @@ class LogReader:
         Whether the file ended with its footer.
     position : int
         Where in the file the next record begins.
+    wanted : callable, optional
+        Tells of which channels messages are given; otherwise of all.
     """
 
     path: Path
@@ -85,6 +87,7 @@ class LogReader:
     attachments: dict[str, Attachment] = field(default_factory=dict)
     complete: bool = False
     position: int = 0
+    wanted: Callable[[Channel], bool] | None = None
     _schemas: dict[int, Schema] = field(default_factory=dict)
     _channels: dict[int, Channel] = field(default_factory=dict)
 
@@ -205,6 +208,8 @@ class LogReader:
             raise ValueError("a message reaches over the end of its chunk")
         found = []
         for number, starts in places.items():
+            if self.wanted is not None and not self.wanted(self._channels[number]):
+                continue
             place = np.array(starts, np.int64)
             head = np.ndarray((end - width + 1,), records.MESSAGE_ROW, content, strides=(1,))[place]
             payloads = [content[a + width : a + 9 + s] for a, s in zip(starts, sizes[number], strict=True)]

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.frames import Batch, Wire, gather
+from drivers.gnsstime import week_to_ns
 
 NAV_POSLLH, NAV_PVT, NAV_HPPOSLLH, NAV_TIMEGPS, NAV_TIMEUTC, NAV_SVIN = (
     0x0102, 0x0107, 0x0114, 0x0120, 0x0121, 0x013B,
@@ -159,6 +160,56 @@ def decode(batch: Batch, kind: int) -> Messages:
     # NAV-PVT had 84 bytes before protocol 15: what it lacks reads as zero.
     index = index[payload >= (84 if kind == NAV_PVT else row.itemsize)]
     return Messages(index, gather(batch.data, batch.start[index] + 6, batch.length[index] - 8, row))
+
+
+# TIM-TM2: its flags, and the time bases.
+_NEW_FALLING, _TIME_VALID, _NEW_RISING, _BASE_SHIFT = 0x04, 0x40, 0x80, 3
+BASE_RECEIVER, BASE_GNSS, BASE_UTC = 0, 1, 2
+
+
+@dataclass(frozen=True, slots=True)
+class TimeMarks:
+    """New edges of one kind in TIM-TM2 messages.
+
+    Parameters
+    ----------
+    index : int64 (n,)
+        The message of each.
+    count : int64 (n,)
+        The receiver's count of rising edges.
+    time_ns : int64 (n,)
+        In the time base, since the GPS epoch, nanoseconds.
+    base : int64 (n,)
+        `BASE_RECEIVER`, `BASE_GNSS` or `BASE_UTC`: UTC is counted in weeks since the GPS epoch as well.
+    valid : bool (n,)
+        Whether the time is one: the first message of a recording may bring an edge of week 0.
+    accuracy_ns : int64 (n,)
+        Accuracy as the receiver claims it.
+    """
+
+    index: NDArray[np.int64]
+    count: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    base: NDArray[np.int64]
+    valid: NDArray[np.bool_]
+    accuracy_ns: NDArray[np.int64]
+
+
+def time_marks(fields: NDArray[Any], *, rising: bool) -> TimeMarks:
+    """Return the new edges of one kind from the fields of TIM-TM2: each message brings at most one."""
+    letter, bit = ("R", _NEW_RISING) if rising else ("F", _NEW_FALLING)
+    index = np.flatnonzero(fields["flags"] & bit)
+    new = fields[index]
+    time_ns = week_to_ns(new[f"wn{letter}"], 0.0)
+    time_ns = time_ns + new[f"towMs{letter}"].astype(np.int64) * 1_000_000 + new[f"towSubMs{letter}"]
+    return TimeMarks(
+        index,
+        new["count"].astype(np.int64),
+        time_ns,
+        (new["flags"] >> _BASE_SHIFT & 3).astype(np.int64),
+        ((new["flags"] & _TIME_VALID) != 0) & (new[f"wn{letter}"] > 0),
+        new["accEst"].astype(np.int64),
+    )
 
 
 @dataclass(frozen=True, slots=True)

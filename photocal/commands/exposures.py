@@ -104,6 +104,7 @@ def exposures(
     from photocal.navigation.exposure_report import exposures_text
     from photocal.navigation.exposure_run import Choices, run_exposures
     from photocal.navigation.exposure_write import write_run
+    from photocal.navigation.flight_log import FlightLog
     from photocal.navigation.image_checks import TieMatching
     from photocal.navigation.ppk_inputs import Sources
     from photocal.navigation.rig import Rig
@@ -134,7 +135,7 @@ def exposures(
             axes_of(tuple(camera_axes.split(","))),
         )
         sources = Sources(
-            logs, rover, base, tuple(nav or ()), base_position, rover_link, base_link
+            FlightLog(logs), rover, base, tuple(nav or ()), base_position, rover_link, base_link
         ).with_base(base_sigma, weather)
         choices = Choices(sources, images, mrk, edge, delay, delay_sigma, rig, clock_offset)
     choices = replace(choices, oriented=oriented)

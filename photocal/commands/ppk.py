@@ -62,6 +62,7 @@ def ppk(
 
     from acquire.outputs import output_folder
     from photocal.navigation.engine import Rtklib
+    from photocal.navigation.flight_log import FlightLog
     from photocal.navigation.ppk import options_for, process
     from photocal.navigation.ppk_inputs import Sources, gather_inputs
     from photocal.navigation.ppk_report import plot_ppk, ppk_figures, ppk_text
@@ -69,9 +70,9 @@ def ppk(
 
     engine = Rtklib()
     logs = tuple(flight or ())
-    sources = Sources(logs, rover, base, tuple(nav or ()), base_position, rover_link, base_link).with_base(
-        base_sigma, weather
-    )
+    sources = Sources(
+        FlightLog(logs), rover, base, tuple(nav or ()), base_position, rover_link, base_link
+    ).with_base(base_sigma, weather)
     with tempfile.TemporaryDirectory() as scratch:
         inputs, remarks = gather_inputs(sources, engine, Path(scratch))
         options = options_for(inputs.rover, inputs.base, rover_antenna_height, base_antenna_height, elevation)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,7 +11,7 @@ from drivers.mavlink.decode import decode
 from drivers.mavlink.dialect import ardupilotmega
 from photocal.navigation.device_clocks import AutopilotClock
 from photocal.navigation.events import Events, counter_jumps
-from photocal.navigation.flight_log import messages_of
+from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.time import UtcTime
 
 Integers = NDArray[np.int64]
@@ -27,14 +25,11 @@ _KINDS = {
 _EARLIEST_UTC_NS = 946_684_800 * 1_000_000_000
 
 
-def boot_exposures(logs: tuple[Path, ...], link: str | None, clock: AutopilotClock) -> dict[str, Events]:
+def boot_exposures(log: FlightLog, link: str | None, clock: AutopilotClock) -> dict[str, Events]:
     """Return the exposures whose only device time is that since boot, by the message that told them."""
     dialect = ardupilotmega()
     found: dict[str, list[tuple[Integers, Integers, Integers]]] = {}
-    for messages in messages_of(logs):
-        channel = messages.channel
-        if channel.encoding != Wire.MAVLINK.encoding or (link and channel.topic != f"/{link}/raw"):
-            continue
+    for _, messages in log.raw(Wire.MAVLINK, link=link):
         batch = batch_of_payloads(Wire.MAVLINK, messages.payloads, dialect)
         for name, (member, unit_ns, count) in _KINDS.items():
             got = decode(batch, dialect.number(name), dialect)

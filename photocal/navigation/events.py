@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError
-from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS, week_to_ns
-from photocal.navigation.flight_log import messages_of
+from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS
+from drivers.ubx import decode as ubx
+from photocal.navigation.flight_log import EXPOSURES, FlightLog
 from photocal.navigation.time import GpsTime, UtcTime
 
 Floats = NDArray[np.float64]
 RISING, FALLING = "rising", "falling"
-_NEW_FALLING, _TIME_VALID, _NEW_RISING, _BASE_SHIFT = 0x04, 0x40, 0x80, 3
-_BASE_RECEIVER, _BASE_GNSS, _BASE_UTC = 0, 1, 2
 _COUNTER = 1 << 16
 _MAVLINK = ("CAMERA_FEEDBACK", "CAMERA_IMAGE_CAPTURED", "CAMERA_TRIGGER")
 _CLAIMED = ("latitude_deg", "longitude_deg", "altitude_msl_m", "roll_deg", "pitch_deg", "yaw_deg")
@@ -113,41 +111,33 @@ def time_marks(
     InputMalformedError
         When the marks are in the receiver's own time, which nothing ties to GPS time.
     """
-    letter, bit = ("R", _NEW_RISING) if edge == RISING else ("F", _NEW_FALLING)
-    is_new = (fields["flags"] & bit) != 0
-    new = fields[is_new]
-    base = new["flags"] >> _BASE_SHIFT & 3
-    valid = ((new["flags"] & _TIME_VALID) != 0) & (new[f"wn{letter}"] > 0)
-    own = valid & (base == _BASE_RECEIVER)
+    new = ubx.time_marks(fields, rising=edge == RISING)
+    own = new.valid & (new.base == ubx.BASE_RECEIVER)
     if own.any():
         raise InputMalformedError(
             f"{int(own.sum())} time marks are in the receiver's own time base",
             where=f"link {link}",
             remedy="set the time base of CFG-TIMEx or TIM-TM2 to GNSS or UTC",
         )
-    stamp = week_to_ns(new[f"wn{letter}"], 0.0)
-    stamp = stamp + new[f"towMs{letter}"].astype(np.int64) * 1_000_000 + new[f"towSubMs{letter}"]
-    gps = stamp.copy()
-    utc = valid & (base == _BASE_UTC)
+    gps = new.time_ns.copy()
+    utc = new.valid & (new.base == ubx.BASE_UTC)
     if utc.any():
         # The week and its milliseconds count UTC from the GPS epoch: the leap seconds are missing in them.
-        gps[utc] = UtcTime(stamp[utc] + GPS_EPOCH_NS).to_gps(leap_s).ns
-    remarks = counter_jumps(new["count"].astype(np.int64), edge)
-    if not valid.all():
-        remarks.append(f"{int((~valid).sum())} {edge} edges without a valid time left out")
-    bases = {int(v) for v in np.unique(base[valid]).tolist()}
+        gps[utc] = UtcTime(new.time_ns[utc] + GPS_EPOCH_NS).to_gps(leap_s).ns
+    remarks = counter_jumps(new.count, edge)
+    if not new.valid.all():
+        remarks.append(f"{int((~new.valid).sum())} {edge} edges without a valid time left out")
+    bases = {int(v) for v in np.unique(new.base[new.valid]).tolist()}
     remarks.append("time base " + " and ".join({1: "GNSS", 2: "UTC"}.get(b, str(b)) for b in sorted(bases)))
-    kept = np.flatnonzero(valid)
+    kept = np.flatnonzero(new.valid)
     order = kept[np.argsort(gps[kept], kind="stable")]
-    accuracy = new["accEst"][order] * 1e-9
-    number = new["count"][order].astype(np.int64)
     return Events(
         f"TIM-TM2 {edge} of {link}",
         GpsTime(gps[order]),
-        number,
-        accuracy,
+        new.count[order],
+        np.asarray(new.accuracy_ns[order] * 1e-9, float),
         remarks,
-        stream_ns=None if stream_ns is None else stream_ns[is_new][order],
+        stream_ns=None if stream_ns is None else stream_ns[new.index][order],
     )
 
 
@@ -162,17 +152,15 @@ def counter_jumps(count: NDArray[np.int64], edge: str) -> list[str]:
     ]
 
 
-def logged_exposures(logs: tuple[Path, ...]) -> list[Events]:
-    """Return the exposures that autopilot or camera reported in flight logs, one `Events` per message.
+def logged_exposures(log: FlightLog) -> list[Events]:
+    """Return the exposures that autopilot or camera reported in a flight log, one `Events` per message.
 
     Exposures without a device time are left out and counted: the time of receipt is not that of the
     exposure. An exposure that came twice (over two links) counts once.
     """
     found: dict[str, dict[tuple[int, int], tuple[float, ...]]] = {}
     untimed: dict[str, int] = {}
-    for messages in messages_of(logs):
-        if messages.channel.topic != "/camera/exposure":
-            continue
+    for messages in log.topic(EXPOSURES):
         rows = zip(messages.payloads, messages.log_ns.tolist(), messages.publish_ns.tolist(), strict=True)
         for payload, log_ns, publish_ns in rows:
             row = json.loads(payload)

@@ -28,7 +28,6 @@ from photocal.navigation.exposure_sources import (
     vehicle_positions,
 )
 from photocal.navigation.exposures import CameraMatch, Exposures, at_camera, at_events, match_images
-from photocal.navigation.flight_log import named
 from photocal.navigation.host_time import autopilot_time
 from photocal.navigation.image_checks import TieMatching, check_images, check_oriented
 from photocal.navigation.image_metadata import ImageMetadata, clock_time_s, read_images
@@ -132,7 +131,7 @@ def run_exposures(choices: Choices, engine: Engine, folder: Path) -> ExposureRun
         When the log has neither events nor images, or nothing that tells positions.
     """
     sources = choices.sources
-    rover = read_receivers(sources.logs).get(sources.rover_link)
+    rover = read_receivers(sources.log).get(sources.rover_link)
     raw = rover is not None and bool(rover.epochs or rover.empty_epochs or rover.untimed_epochs)
     if not raw and sources.rover is None:
         return place_exposures(choices, None, None)
@@ -152,12 +151,12 @@ def place_exposures(
     if trajectory is not None and ppk is not None and "common" in ppk:
         trajectory = CommonErrors.from_json(ppk["common"]).corrected(trajectory)
     sources = choices.sources
-    receivers = read_receivers(sources.logs)
+    receivers = read_receivers(sources.log)
     gnss = _receiver_clock(receivers.get(sources.rover_link))
     flight = _Flight(
         receivers,
-        read_vehicle(sources.logs, sources.vehicle_link, gnss) if sources.logs else None,
-        listed_in(sources.logs) if choices.mrk is None else read_mrk(choices.mrk),
+        read_vehicle(sources.log, sources.vehicle_link, gnss) if sources.log else None,
+        listed_in(sources.log) if choices.mrk is None else read_mrk(choices.mrk),
         [] if choices.images is None else read_images(choices.images),
     )
     noted, others = events_of(sources, choices.edge, flight.receivers, flight.vehicle)
@@ -197,13 +196,13 @@ def _exposures(
 def _without_events(choices: Choices, flight: _Flight) -> ExposureRun:
     """Exposures of images that are their own events: by the host's time in their names, or by their EXIF."""
     images = flight.images
-    if not images or (choices.sources.logs and not all(image.from_name for image in images)):
+    if not images or (choices.sources.log and not all(image.from_name for image in images)):
         raise ConfigurationError(
             "has no camera events (time marks, CAMERA_* messages, CAM or TRIG records, an event list)",
-            where=named(choices.sources.logs) or None,
+            where=str(choices.sources.log) or None,
             remedy="give an event list with --mrk, or images with the time of the log in their names",
         )
-    if not choices.sources.logs:
+    if not choices.sources.log:
         events, placed = events_of_images(images)
         by_name = {image.name: image for image in images}
         ordered = sorted(images, key=clock_time_s)
@@ -217,7 +216,7 @@ def _without_events(choices: Choices, flight: _Flight) -> ExposureRun:
     vehicle_track = flight.vehicle
     if vehicle_track is None or len(vehicle_track.position_time) < 2:
         raise ConfigurationError(
-            "has no positions of an autopilot", where=named(choices.sources.logs), remedy="check the log"
+            "has no positions of an autopilot", where=choices.sources.log, remedy="check the log"
         )
     host = HostTime(np.array([round(clock_time_s(image) * 1e9) for image in images], np.int64))
     time, sigma = autopilot_time(vehicle_track, host)

@@ -42,13 +42,13 @@ def events_of(
         marks = time_marks(rover.marks(), edge, rover.link, stream_ns=rover.epochs_before_marks())
         if len(marks):
             found.append(marks)
-    logged = {events.source: events for events in logged_exposures(sources.logs) if len(events)}
+    logged = {events.source: events for events in logged_exposures(sources.log) if len(events)}
     clock_sigma_s = 0.0 if vehicle is None else vehicle.clock_sigma_s
     logged = {
         name: replace(own, accuracy_s=np.hypot(own.accuracy_s, clock_sigma_s)) for name, own in logged.items()
     }
     if vehicle is not None and vehicle.clock is not None and not logged:
-        logged = boot_exposures(sources.logs, sources.vehicle_link, vehicle.clock)
+        logged = boot_exposures(sources.log, sources.vehicle_link, vehicle.clock)
     order = (*_LOGGED, *(name for name in logged if name not in _LOGGED))
     # The whole of an imported event list is read elsewhere.
     found += [logged[source] for source in order if source in logged and source != _LISTED]

@@ -1,20 +1,66 @@
-"""One flight in one or several logs, read as one."""
+"""One flight in one or several logs that follow each other (rotated or resumed recordings), read once."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from acquire.log.reader import LogReader, Messages
+from acquire.log.records import Channel
+from drivers.frames import Wire
+
+EXPOSURES = "/camera/exposure"
+_RAW = {wire.encoding for wire in (Wire.UBX, Wire.RTCM3, Wire.NMEA, Wire.MAVLINK, Wire.MRK)}
+_DECODED = ("/position", "/fix", "/attitude")
 
 
-def messages_of(logs: tuple[Path, ...]) -> Iterator[Messages]:
-    """Give the messages of logs that follow each other (rotated or resumed recordings)."""
-    for path in logs:
-        for chunk in LogReader(path).chunks():
-            yield from chunk
+class FlightLog:
+    """The messages of a flight that bear on positions, attitudes and exposures.
+
+    The logs are opened and read when a message is first asked for, and never again: raw frames, event lists,
+    exposures, positions and attitudes are kept, all else is passed over.
+
+    Parameters
+    ----------
+    paths : iterable of Path
+        The logs in the order of time; may be empty.
+    """
+
+    def __init__(self, paths: Iterable[Path] = ()) -> None:
+        self.paths = tuple(paths)
+        self._messages: list[Messages] | None = None
+
+    def __bool__(self) -> bool:
+        return bool(self.paths)
+
+    def __str__(self) -> str:
+        return ", ".join(map(str, self.paths))
+
+    def raw(self, *wires: Wire, link: str | None = None) -> Iterator[tuple[Wire, Messages]]:
+        """Give the frames of some protocols, of one link or of all, and the protocol of each."""
+        by_encoding = {wire.encoding: wire for wire in wires}
+        for messages in self._read():
+            channel = messages.channel
+            wire = by_encoding.get(channel.encoding)
+            if wire is not None and (link is None or channel.topic == f"/{link}/raw"):
+                yield wire, messages
+
+    def topic(self, name: str) -> Iterator[Messages]:
+        """Give the decoded messages of a topic."""
+        return (m for m in self._read() if m.channel.topic == name and m.channel.schema is not None)
+
+    def _read(self) -> list[Messages]:
+        if self._messages is None:
+            self._messages = [
+                messages
+                for path in self.paths
+                for chunk in LogReader(path, wanted=_is_wanted).chunks()
+                for messages in chunk
+            ]
+        return self._messages
 
 
-def named(logs: tuple[Path, ...]) -> str:
-    """Return the names of the logs for a message."""
-    return ", ".join(map(str, logs))
+def _is_wanted(channel: Channel) -> bool:
+    if channel.schema is None:
+        return channel.encoding in _RAW and channel.topic.endswith("/raw")
+    return channel.topic == EXPOSURES or channel.topic.endswith(_DECODED)

@@ -12,7 +12,7 @@ from drivers.errors import InputMalformedError, InputNotFoundError
 from drivers.frames import Wire
 from drivers.mrk import parse_event
 from photocal.navigation.events import Events, counter_jumps
-from photocal.navigation.flight_log import messages_of, named
+from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import enu_axes, geocentric, geodetic
 
@@ -64,15 +64,10 @@ def read_mrk(path: Path) -> CameraEventList:
     return _listed(path.name, lines, path)
 
 
-def listed_in(logs: tuple[Path, ...]) -> CameraEventList | None:
-    """Return the event list that was imported into flight logs; None when there is none."""
-    lines = [
-        payload.decode("latin-1")
-        for messages in messages_of(logs)
-        if messages.channel.encoding == Wire.MRK.encoding
-        for payload in messages.payloads
-    ]
-    return _listed("MRK", lines, named(logs)) if lines else None
+def listed_in(log: FlightLog) -> CameraEventList | None:
+    """Return the event list that was imported into a flight log; None when there is none."""
+    lines = [payload.decode("latin-1") for _, messages in log.raw(Wire.MRK) for payload in messages.payloads]
+    return _listed("MRK", lines, log) if lines else None
 
 
 def _listed(name: str, lines: list[str], path: object) -> CameraEventList:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from drivers.errors import ConfigurationError, IllPosedError
 from drivers.gnsstime import GPS_EPOCH_NS
 from photocal.navigation.engine import Engine, RinexFiles
-from photocal.navigation.flight_log import named
+from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk import Inputs, parse_position
 from photocal.navigation.receiver_recording import (
     ReceiverRecording,
@@ -33,8 +33,8 @@ class Sources:
 
     Parameters
     ----------
-    logs : tuple of Path
-        Flight logs that follow each other; may be empty.
+    log : FlightLog
+        The flight; may be empty.
     rover, base : Path or None
         RINEX observation files; they go before the links of the log.
     navigation : tuple of str
@@ -51,7 +51,7 @@ class Sources:
         Measured at the base.
     """
 
-    logs: tuple[Path, ...] = ()
+    log: FlightLog = field(default_factory=FlightLog)
     rover: Path | None = None
     base: Path | None = None
     navigation: tuple[str, ...] = ()
@@ -96,15 +96,15 @@ def gather_inputs(sources: Sources, engine: Engine, folder: Path) -> tuple[Input
     IllPosedError
         When a recording has nothing to compute from.
     """
-    receivers = read_receivers(sources.logs)
+    receivers = read_receivers(sources.log)
     remarks: list[str] = []
     near = None
     navigation: list[Path] = []
     rover_path = sources.rover
     if rover_path is None:
-        logs = _needed(sources.logs, "rover")
-        recording = pick(receivers, sources.rover_link, "rover", logs)
-        refuse_unusable(recording, "rover", logs)
+        log = _needed(sources.log, "rover")
+        recording = pick(receivers, sources.rover_link, "rover", log)
+        refuse_unusable(recording, "rover", log)
         _refuse_without_ephemerides(recording, sources)
         made = converted(recording, engine, folder / "rover", None)
         rover_path = made.observations
@@ -114,9 +114,9 @@ def gather_inputs(sources: Sources, engine: Engine, folder: Path) -> tuple[Input
     near = rover.time[[0]]
     base_path, base_recording = sources.base, None
     if base_path is None:
-        logs = _needed(sources.logs, "base")
-        base_recording = pick(receivers, sources.base_link, "base", logs)
-        refuse_unusable(base_recording, "base", logs)
+        log = _needed(sources.log, "base")
+        base_recording = pick(receivers, sources.base_link, "base", log)
+        refuse_unusable(base_recording, "base", log)
         made = converted(base_recording, engine, folder / "base", near)
         base_path = made.observations
         navigation.append(made.navigation)
@@ -135,19 +135,19 @@ def gather_inputs(sources: Sources, engine: Engine, folder: Path) -> tuple[Input
     return Inputs(rover, base, files, position, source, sigma, sources.weather), remarks
 
 
-def _needed(logs: tuple[Path, ...], role: str) -> tuple[Path, ...]:
-    if not logs:
+def _needed(log: FlightLog, role: str) -> FlightLog:
+    if not log:
         raise ConfigurationError(
             f"the {role} is not named", remedy=f"give a flight log, or RINEX with --{role} and --nav"
         )
-    return logs
+    return log
 
 
 def _refuse_without_ephemerides(recording: ReceiverRecording, sources: Sources) -> None:
     if not recording.ephemeris_frames and not sources.navigation:
         raise IllPosedError(
             "the rover recorded no ephemerides (RXM-SFRBX)",
-            where=f"{named(sources.logs)}, link {recording.link}",
+            where=f"{sources.log}, link {recording.link}",
             remedy="give --nav FILE, or --nav base to use those that the base recorded",
         )
 

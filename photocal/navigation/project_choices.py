@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from photocal.navigation.exposure_run import Choices
+from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.rig import Rig, rig_of_mounting
 from photocal.navigation.troposphere import measured_weather
@@ -27,7 +28,7 @@ def choices_of_project(project: Project) -> Choices:
     flight = project.flight
     position = flight.base_position
     sources = Sources(
-        flight.logs,
+        FlightLog(flight.logs),
         flight.rover_rinex,
         flight.base_rinex,
         tuple(map(str, flight.navigation)),

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquire.log.reader import link_of
 from drivers.errors import ConfigurationError, IllPosedError
 from drivers.frames import Batch, Wire
 from drivers.gnsstime import week_to_ns
@@ -16,7 +17,7 @@ from drivers.identify import batch_of_payloads
 from drivers.mavlink.dialect import Dialect
 from drivers.rtcm3 import decode_stations
 from drivers.ubx import decode as ubx
-from photocal.navigation.flight_log import messages_of, named
+from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.geoid_separation import told_by_receiver
 
 Integers = NDArray[np.int64]
@@ -165,39 +166,35 @@ class ReceiverRecording:
         return np.full(3, self.surveyed_sigma_m / np.sqrt(3))
 
 
-def read_receivers(logs: tuple[Path, ...]) -> dict[str, ReceiverRecording]:
-    """Read the raw frames of every receiver in flight logs."""
+@lru_cache(maxsize=1)
+def read_receivers(log: FlightLog) -> dict[str, ReceiverRecording]:
+    """Read the raw frames of every receiver in a flight log; those of the same log are decoded once."""
     found: dict[str, ReceiverRecording] = {}
-    wires = {wire.encoding: wire for wire in (Wire.UBX, Wire.RTCM3, Wire.NMEA)}
-    for messages in messages_of(logs):
-        topic, encoding = messages.channel.topic, messages.channel.encoding
-        if encoding in wires and topic.endswith("/raw"):
-            link = topic.split("/")[1]
-            recording = found.setdefault(link, ReceiverRecording(link))
-            recording.first_log_ns = recording.first_log_ns or int(messages.log_ns[0])
-            recording.add(wires[encoding], messages.payloads, messages.log_ns)
+    for wire, messages in log.raw(Wire.UBX, Wire.RTCM3, Wire.NMEA):
+        link = link_of(messages.channel)
+        recording = found.setdefault(link, ReceiverRecording(link))
+        recording.first_log_ns = recording.first_log_ns or int(messages.log_ns[0])
+        recording.add(wire, messages.payloads, messages.log_ns)
     return found
 
 
-def pick(
-    receivers: dict[str, ReceiverRecording], link: str, role: str, logs: tuple[Path, ...]
-) -> ReceiverRecording:
+def pick(receivers: dict[str, ReceiverRecording], link: str, role: str, log: FlightLog) -> ReceiverRecording:
     """Return the recording of a link."""
     if link in receivers:
         return receivers[link]
     names = ", ".join(sorted(receivers)) or "none"
     raise ConfigurationError(
         f"has no GNSS link {link!r} for the {role}; links with raw frames: {names}",
-        where=named(logs),
+        where=log,
         remedy=f"name one with --{role}-link or give RINEX files",
     )
 
 
-def refuse_unusable(recording: ReceiverRecording, role: str, logs: tuple[Path, ...]) -> None:
+def refuse_unusable(recording: ReceiverRecording, role: str, log: FlightLog) -> None:
     """Refuse a recording that no position can be computed from."""
     if recording.epochs or recording.observation_frames:
         return
-    place = f"{named(logs)}, link {recording.link}"
+    place = f"{log}, link {recording.link}"
     if recording.untimed_epochs:
         raise IllPosedError(
             f"all {recording.untimed_epochs} RXM-RAWX epochs of the {role} have GPS week 0: the receiver "

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.navigation.baseline_network import Baseline, Mark, NetworkSolution, adjust_baselines
 from photocal.navigation.engine import Engine
+from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk import Inputs, PpkResult, options_for, process
 from photocal.navigation.ppk_inputs import converted
 from photocal.navigation.receiver_recording import pick, read_receivers, refuse_unusable
@@ -101,9 +102,9 @@ def _observations(
         raise InputNotFoundError("does not exist", where=source, remedy="check the set-up file")
     if source.suffix != _LOG:
         return read_observation_file(source), []
-    logs = (source,)
-    recording = pick(read_receivers(logs), link, role, logs)
-    refuse_unusable(recording, role, logs)
+    log = FlightLog((source,))
+    recording = pick(read_receivers(log), link, role, log)
+    refuse_unusable(recording, role, log)
     made = converted(recording, survey.engine, stem)
     recorded = [made.navigation] if made.navigation.exists() else []
     return read_observation_file(made.observations), recorded

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from drivers.mavlink.dialect import ardupilotmega
 from photocal.geometry.body import object_to_body
 from photocal.navigation.attitude import AttitudeTrack, rotations_of_quaternions
 from photocal.navigation.device_clocks import AutopilotClock, ComparedClocks
-from photocal.navigation.flight_log import messages_of
+from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.time import GpsTime, HostTime, UtcTime
 from photocal.navigation.time_sync import TimeSync
 from photocal.navigation.vehicle_clocks import VehicleClocks, vehicle_clocks
@@ -100,16 +99,14 @@ class _Received:
         return np.concatenate(self.host), np.concatenate(self.device), np.concatenate(self.fields)
 
 
-def read_vehicle(
-    logs: tuple[Path, ...], link: str | None = None, gnss: ComparedClocks | None = None
-) -> VehicleTrack:
-    """Read positions, attitudes and clocks of the autopilot from flight logs.
+def read_vehicle(log: FlightLog, link: str | None = None, gnss: ComparedClocks | None = None) -> VehicleTrack:
+    """Read positions, attitudes and clocks of the autopilot from a flight log.
 
     Raw MAVLink frames go first; what was imported from an autopilot's own log stands in decoded topics.
     """
-    found = _received(logs, link)
+    found = _received(log, link)
     if not any(received.fields for received in found.values()):
-        return _of_topics(logs, link or "vehicle")
+        return _of_topics(log, link or "vehicle")
     clocks = vehicle_clocks(found["SYSTEM_TIME"].joined(), found["TIMESYNC"].joined(), gnss)
     clock = clocks.clock
     untimed = 0
@@ -138,8 +135,8 @@ def read_vehicle(
     )
 
 
-def _of_topics(logs: tuple[Path, ...], link: str) -> VehicleTrack:
-    utc, host, place = decoded_positions(logs, link)
+def _of_topics(log: FlightLog, link: str) -> VehicleTrack:
+    utc, host, place = decoded_positions(log, link)
     unknown = np.full(len(utc), np.nan)
     return VehicleTrack(
         UtcTime(utc).to_gps(),
@@ -148,20 +145,17 @@ def _of_topics(logs: tuple[Path, ...], link: str) -> VehicleTrack:
         place[:, 1],
         place[:, 2],
         unknown,
-        decoded_attitude(logs, link),
+        decoded_attitude(log, link),
         _CARD_SIGMA_S,
     )
 
 
-def _received(logs: tuple[Path, ...], link: str | None) -> dict[str, _Received]:
+def _received(log: FlightLog, link: str | None) -> dict[str, _Received]:
     dialect = ardupilotmega()
     kinds = {name: dialect.number(name) for name in _KINDS}
     found = {name: _Received() for name in kinds}
     owner: int | None = None
-    for messages in messages_of(logs):
-        channel = messages.channel
-        if channel.encoding != Wire.MAVLINK.encoding or (link and channel.topic != f"/{link}/raw"):
-            continue
+    for _, messages in log.raw(Wire.MAVLINK, link=link):
         batch = batch_of_payloads(Wire.MAVLINK, messages.payloads, dialect)
         for name, kind in kinds.items():
             got = decode(batch, kind, dialect)

@@ -6,33 +6,29 @@ stand in the log's own topics, by the device's UTC.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.gnsstime import SECOND_NS
 from photocal.navigation.attitude import AttitudeTrack, rotations_of_quaternions
-from photocal.navigation.flight_log import messages_of
+from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.time import UtcTime
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-def decoded_positions(logs: tuple[Path, ...], link: str) -> tuple[Integers, Integers, Floats]:
+def decoded_positions(log: FlightLog, link: str) -> tuple[Integers, Integers, Floats]:
     """Return the positions in `/<link>/position`, or where there are none in `/gnss/<link>/fix`."""
-    found = _fixes(logs, f"/{link}/position")
-    return found if len(found[0]) else _fixes(logs, f"/gnss/{link}/fix")
+    found = _fixes(log, f"/{link}/position")
+    return found if len(found[0]) else _fixes(log, f"/gnss/{link}/fix")
 
 
-def _fixes(logs: tuple[Path, ...], topic: str) -> tuple[Integers, Integers, Floats]:
+def _fixes(log: FlightLog, topic: str) -> tuple[Integers, Integers, Floats]:
     from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 
     stamps, logged, places = [], [], []
-    for messages in messages_of(logs):
-        if messages.channel.topic != topic or messages.channel.encoding != "protobuf":
-            continue
+    for messages in log.topic(topic):
         for payload, log_ns in zip(messages.payloads, messages.log_ns.tolist(), strict=True):
             fix = LocationFix.FromString(payload)
             stamps.append(fix.timestamp.seconds * SECOND_NS + fix.timestamp.nanos)
@@ -42,14 +38,12 @@ def _fixes(logs: tuple[Path, ...], topic: str) -> tuple[Integers, Integers, Floa
     return utc, np.array(logged, np.int64)[first], np.array(places).reshape(-1, 3)[first]
 
 
-def decoded_attitude(logs: tuple[Path, ...], link: str) -> AttitudeTrack | None:
+def decoded_attitude(log: FlightLog, link: str) -> AttitudeTrack | None:
     """Return the rotations in `/<link>/attitude`: body (forward, right, down) to north, east, down."""
     from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 
     stamps, turns, source = [], [], ""
-    for messages in messages_of(logs):
-        if messages.channel.topic != f"/{link}/attitude" or messages.channel.encoding != "protobuf":
-            continue
+    for messages in log.topic(f"/{link}/attitude"):
         source = messages.channel.metadata.get("source", "attitude")
         for payload in messages.payloads:
             found = FrameTransform.FromString(payload)

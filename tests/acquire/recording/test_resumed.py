@@ -11,7 +11,7 @@ from drivers.frames import Wire
 from drivers.framing import StreamFramer
 from drivers.ubx import decode as ubx_decode
 from drivers.ubx import wire as ubx
-from photocal.navigation.flight_log import messages_of
+from photocal.navigation.flight_log import FlightLog
 from tests.acquire.live import Recorder, await_frame, free_port, is_bound, until
 
 
@@ -49,10 +49,7 @@ def test_both_logs_are_one_flight(tmp_path: Path) -> None:
     assert any(f"{logs[0]} has no end" in line for line in second.told)
     # What reads the logs for the trajectory sees one stream, the killed log unrepaired.
     frames = [
-        frame
-        for messages in messages_of(logs)
-        if messages.channel.topic == "/rover/raw"
-        for frame in messages.payloads
+        frame for _, messages in FlightLog(logs).raw(Wire.UBX, link="rover") for frame in messages.payloads
     ]
     epochs = ubx_decode.decode_rawx(StreamFramer((Wire.UBX,)).feed(b"".join(frames))).epochs
     assert epochs.fields["rcvTow"].tolist() == list(range(200))

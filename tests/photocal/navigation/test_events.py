@@ -14,9 +14,9 @@ from acquire.log.reader import Messages
 from acquire.log.records import Channel, Schema
 from drivers.errors import InputMalformedError
 from drivers.ubx.decode import LAYOUTS, TIM_TM2
-from photocal.navigation import events as events_module
 from photocal.navigation.events import FALLING, RISING, logged_exposures, time_marks
 from photocal.navigation.exposure_sources import events_of
+from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.mrk import listed_in, moved, read_mrk
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.receiver_recording import read_receivers
@@ -69,7 +69,7 @@ def test_counter_runs_over() -> None:
 
 @pytest.mark.shared
 def test_moving_rover(moving_run: Run) -> None:
-    recording = read_receivers((moving_run.log,))["rover"]
+    recording = read_receivers(FlightLog((moving_run.log,)))["rover"]
     rising = time_marks(recording.marks(), RISING, "rover")
     assert len(rising) == 589
     assert len(time_marks(recording.marks(), FALLING, "rover")) == 589
@@ -81,7 +81,7 @@ def test_moving_rover(moving_run: Run) -> None:
 def test_static_rover(m8p: Path, import_log: ImportLog) -> None:
     log = import_log("rover-only", {"rover": m8p / "rover-20181004-1237.ubx.gz"})
     # The first message brings no rising edge yet: its week and time are 0.
-    recording = read_receivers((log,))["rover"]
+    recording = read_receivers(FlightLog((log,)))["rover"]
     assert len(recording.marks()) == 7
     assert (time_marks(recording.marks(), RISING, "rover").time.ns > 0).all()
 
@@ -143,7 +143,7 @@ def test_events_of_autopilot_logs(monkeypatch: pytest.MonkeyPatch) -> None:
     # Logs from a memory card have no time of receipt: it repeats the device's.
     rows = [Row("CAM", 1.6e9 + k, k, latitude_deg=-22.0, altitude_msl_m=50.0 + k) for k in (3, 1, 2)]
     rows += [Row("TRIG", 1.6e9 + k - 0.1, k) for k in range(4)]
-    monkeypatch.setattr(events_module, "messages_of", lambda _logs: exposure_messages(rows, 0))
+    monkeypatch.setattr(FlightLog, "_read", lambda _: exposure_messages(rows, 0))
     none, empty = np.empty(0, np.int64), np.empty(0)
     vehicle = VehicleTrack(GpsTime(none), HostTime(none), empty, empty, empty, empty, None, 0.007)
     best, others = events_of(Sources(), "rising", {}, vehicle)
@@ -160,13 +160,13 @@ def test_events_of_autopilot_logs(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_exposures_without_a_device_time_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = [Row("CAMERA_FEEDBACK", 1.6e9 + k, k) for k in range(3)]
     twice = exposure_messages(rows, 50_000_000) * 2
-    monkeypatch.setattr(events_module, "messages_of", lambda _logs: twice)
+    monkeypatch.setattr(FlightLog, "_read", lambda _: twice)
     best, _ = events_of(Sources(), "rising", {}, None)
     assert best is not None
     # The same exposures came over two links.
     assert len(best) == 3
-    monkeypatch.setattr(events_module, "messages_of", lambda _logs: exposure_messages(rows, 0))
-    found = logged_exposures(())[0]
+    monkeypatch.setattr(FlightLog, "_read", lambda _: exposure_messages(rows, 0))
+    found = logged_exposures(FlightLog())[0]
     assert len(found) == 0
     assert found.remarks == ["CAMERA_FEEDBACK: 3 exposures without a device time left out"]
 
@@ -175,7 +175,7 @@ def test_exposures_without_a_device_time_are_counted(monkeypatch: pytest.MonkeyP
 def test_an_imported_event_list_is_the_same(shared: Path, import_log: ImportLog) -> None:
     path = shared / "data/rtk-mrk-gcp-helenenschacht/101FTASK_Timestamp.mrk"
     log = import_log("listed", {"drone": path})
-    listed, read = listed_in((log,)), read_mrk(path)
+    listed, read = listed_in(FlightLog((log,))), read_mrk(path)
     assert listed is not None
     assert len(listed.events) == 176
     assert np.array_equal(listed.events.time.ns, read.events.time.ns)

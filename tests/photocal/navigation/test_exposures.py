@@ -20,6 +20,7 @@ from photocal.block.setup import MountingKeys
 from photocal.navigation.attitude import from_angles
 from photocal.navigation.events import Events
 from photocal.navigation.exposures import Exposures, at_camera, at_events
+from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.interpolation import Placed
 from photocal.navigation.rig import Rig, rig_of_mounting
 from photocal.navigation.time import GpsTime, UtcTime
@@ -142,7 +143,7 @@ def test_images_named_by_the_recording_computer(
 @pytest.mark.shared
 def test_autopilot_time_orders_the_data(shared: Path, import_log: ImportLog) -> None:
     log = import_log("dronekit", {"vehicle": shared / "data/mavlink-tlog-dronekit/flight.tlog"})
-    track = read_vehicle((log,))
+    track = read_vehicle(FlightLog((log,)))
     # Of 2833 messages 150 came before the autopilot knew the date.
     assert len(track.position_time) == 2682
     assert (np.diff(track.position_time.ns) > 0).all()
@@ -171,7 +172,7 @@ def test_logs_from_an_autopilots_card(
     day: str,
     place: tuple[float, float],
 ) -> None:
-    track = read_vehicle((import_log("card", {"vehicle": shared / "data/autopilot-logs" / name}),))
+    track = read_vehicle(FlightLog((import_log("card", {"vehicle": shared / "data/autopilot-logs" / name}),)))
     assert track.attitude is not None
     assert (len(track.attitude), track.attitude.source) == (attitudes, source)
     assert track.attitude.time.to_utc().iso()[0].startswith(day)
@@ -239,9 +240,9 @@ def test_nothing_to_work_with(photocal: Photocal, tmp_path: Path) -> None:
 @pytest.mark.shared
 def test_decoded_topics_say_the_same_as_raw_frames(shared: Path, import_log: ImportLog) -> None:
     log = import_log("decoded", {"vehicle": shared / "data/mavlink-tlog-cuav-images/flight.tlog"})
-    raw = read_vehicle((log,))
+    raw = read_vehicle(FlightLog((log,)))
     assert raw.attitude is not None
-    decoded = decoded_attitude((log,), "vehicle")
+    decoded = decoded_attitude(FlightLog((log,)), "vehicle")
     assert decoded is not None
     assert decoded.source == raw.attitude.source == "ATTITUDE"
     assert abs(len(decoded) - len(raw.attitude)) <= 2
@@ -249,6 +250,6 @@ def test_decoded_topics_say_the_same_as_raw_frames(shared: Path, import_log: Imp
     place = np.searchsorted(decoded.time.ns, raw.attitude.time.ns[100:900] - 200_000_000)
     assert np.abs(decoded.time.ns[place] - raw.attitude.time.ns[100:900]).max() < 150_000_000
     assert np.abs(decoded.rotation[place] - raw.attitude.rotation[100:900]).max() < 1e-6
-    utc, _, position = decoded_positions((log,), "vehicle")
+    utc, _, position = decoded_positions(FlightLog((log,)), "vehicle")
     assert len(utc) >= len(raw.position_time) - 2
     assert np.median(position[:, 0]) == pytest.approx(np.median(raw.lat_deg), abs=1e-5)

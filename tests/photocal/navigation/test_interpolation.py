@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from photocal.navigation.events import RISING, time_marks
+from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.interpolation import interpolate, left_out, roughness
 from photocal.navigation.receiver_recording import read_receivers
 from photocal.navigation.time import GpsTime
@@ -96,7 +97,7 @@ def test_left_out_epochs_of_the_moving_rover(moving_run: Run) -> None:
 
 @pytest.mark.shared
 def test_every_edge_is_placed_or_named(moving_run: Run) -> None:
-    rising = time_marks(read_receivers((moving_run.log,))["rover"].marks(), RISING, "rover")
+    rising = time_marks(read_receivers(FlightLog((moving_run.log,)))["rover"].marks(), RISING, "rover")
     found = interpolate(recorded(moving_run), rising.time, rising.accuracy_s)
     assert found.placed.sum() >= 530
     assert (found.gap_s[found.placed] <= 1.5).all()

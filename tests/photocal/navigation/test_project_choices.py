@@ -48,7 +48,7 @@ def test_every_key_finds_its_place(tmp_path: Path) -> None:
     path.write_text(PROJECT)
     choices = choices_of_project(read_project(path))
     sources, rig = choices.sources, choices.rig
-    assert [log.name for log in sources.logs] == ["a.mcap", "b.mcap"]
+    assert [log.name for log in sources.log.paths] == ["a.mcap", "b.mcap"]
     assert (sources.vehicle_link, sources.rover_link) == ("drone", "rover")
     assert sources.base_position == "-22.7,-43.2,30.0"
     assert (sources.base_antenna_m, sources.rover_antenna_m) == (1.5, None)

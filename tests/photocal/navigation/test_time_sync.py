@@ -19,6 +19,7 @@ from drivers.mavlink.dialect import ardupilotmega
 from photocal.navigation.boot_events import boot_exposures
 from photocal.navigation.device_clocks import ComparedClocks, device_by_arrival
 from photocal.navigation.exposure_sources import events_of
+from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.host_time import autopilot_time
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.time import HostTime, UtcTime
@@ -137,28 +138,28 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 
 def test_exposures_by_boot_time_alone_are_placed(recording: Recording) -> None:
     # Without a receiver nothing tells the date.
-    alone = read_vehicle((recording.log,), "vehicle")
+    alone = read_vehicle(FlightLog((recording.log,)), "vehicle")
     assert alone.clock is None
     assert alone.sync is not None
-    track = read_vehicle((recording.log,), "vehicle", recording.gnss)
+    track = read_vehicle(FlightLog((recording.log,)), "vehicle", recording.gnss)
     assert track.clock is not None
-    made = boot_exposures((recording.log,), "vehicle", track.clock)["CAMERA_FEEDBACK"]
+    made = boot_exposures(FlightLog((recording.log,)), "vehicle", track.clock)["CAMERA_FEEDBACK"]
     assert len(made) == len(recording.shots_s)
     error = (made.time.to_utc().ns - UTC) / 1e9 - recording.shots_s
     # The receiver's delay is known to 30 ms; what the link adds varies by milliseconds.
     assert np.abs(error).max() < 0.03
     assert error.std() < 0.002
     assert made.accuracy_s == pytest.approx(0.03, abs=0.005)
-    best, _ = events_of(Sources((recording.log,), vehicle_link="vehicle"), "rising", {}, track)
+    best, _ = events_of(Sources(FlightLog((recording.log,)), vehicle_link="vehicle"), "rising", {}, track)
     assert best is not None
     assert best.time == made.time
     assert "TIMESYNC" in " ".join(best.remarks)
 
 
 def test_moments_of_the_host_agree_with_those_of_the_autopilot(recording: Recording) -> None:
-    track = read_vehicle((recording.log,), "vehicle", recording.gnss)
+    track = read_vehicle(FlightLog((recording.log,)), "vehicle", recording.gnss)
     assert track.clock is not None
-    made = boot_exposures((recording.log,), "vehicle", track.clock)["CAMERA_FEEDBACK"]
+    made = boot_exposures(FlightLog((recording.log,)), "vehicle", track.clock)["CAMERA_FEEDBACK"]
     time, sigma = autopilot_time(track, HostTime(host_ns(recording.shots_s)))
     # Both contain the same error of the receiver's delay: only the exchange lies between them.
     assert np.abs((time - made.time) / 1e9).max() < 0.003
@@ -168,4 +169,4 @@ def test_moments_of_the_host_agree_with_those_of_the_autopilot(recording: Record
 def test_a_wrong_clock_is_not_used(recording: Recording) -> None:
     fast = device_by_arrival("GNSS", UTC + BOOT - 315_964_782 * SECOND, UTC + BOOT // 5)
     assert fast is not None
-    assert read_vehicle((recording.log,), "vehicle", fast).clock is None
+    assert read_vehicle(FlightLog((recording.log,)), "vehicle", fast).clock is None
