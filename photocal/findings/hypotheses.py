@@ -17,6 +17,7 @@ SYMPTOMS = (
     "control-outside-prediction",
     "prediction-too-good",
     "global-test",
+    "sigmas-too-small",
     "method-refused",
 )
 

@@ -123,6 +123,7 @@ def _systematic(errors: SystematicErrors) -> dict[str, Any]:
         ],
         "together": [_estimate(one) for one in errors.estimates],
         "untested": list(errors.untested),
+        "stated_sigmas": [vars(one) for one in errors.sigmas],
         "free_in_block": [_estimate(one) for one in errors.own],
     }
 

@@ -9,6 +9,7 @@ from itertools import permutations, product
 import numpy as np
 from scipy import stats
 
+from photocal.adjustment.groups import GroupTest
 from photocal.findings.finding import Figure, Finding
 from photocal.findings.hypotheses import fault
 from photocal.georeferencing.comparison import BlockCheck, Judged
@@ -35,6 +36,7 @@ def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
     """Give what was found: mistakes and errors first, each under one name, then what follows of them."""
     listed = [*check.plausibility, *(_mistyped(one) for one in check.mistyped)]
     if check.systematic is not None:
+        listed += [_stated_sigma(one) for one in check.systematic.sigmas]
         listed += _causes(check.systematic.errors)
     for judged in check.judged:
         listed += _judged(judged)
@@ -74,6 +76,19 @@ def _mistyped(one: Mistyped) -> Finding:
     remedy = "" if one.slips else "look-at-point"
     cause = "slip" if one.slips else ""
     return Finding("control-mistyped", "grave", one.point, figures, cause=cause, remedy=remedy)
+
+
+def _stated_sigma(one: GroupTest) -> Finding:
+    """Name standard deviations that are wrong by a factor: too large ones only cost precision."""
+    figures: dict[str, Figure] = {
+        "what": one.name,
+        "factor": one.factor,
+        "lower": one.lower,
+        "upper": one.upper,
+    }
+    if one.factor > 1.0:
+        return Finding("sigmas-too-small", "doubtful", one.name, figures)
+    return Finding("sigmas-too-large", "note", one.name, figures)
 
 
 def _causes(errors: tuple[SystematicError, ...]) -> list[Finding]:

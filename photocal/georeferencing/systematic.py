@@ -16,6 +16,7 @@ from scipy import stats
 
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
+from photocal.adjustment.groups import GroupTest
 from photocal.adjustment.solution import Solution
 from photocal.block.model import Block
 from photocal.block.network import assemble
@@ -31,6 +32,7 @@ from photocal.georeferencing.freed_groups import (
     unknowns_of,
     with_freed,
 )
+from photocal.georeferencing.stated_sigmas import with_agreeing, wrong_sigma
 
 _ROUNDS = 4
 # Akaike (1974): models this close are not told apart; in units of v'Pv.
@@ -189,6 +191,9 @@ class SystematicErrors:
         Groups that could not be freed, with the reason.
     own : tuple of Estimate
         Values that the block itself leaves free, from its integrated adjustment.
+    sigmas : tuple of GroupTest
+        Groups whose stated standard deviations are wrong by a factor, which explains the block better than
+        any error does; the errors were looked for with the standard deviations that agree.
     """
 
     tested: tuple[Hypothesis, ...]
@@ -196,21 +201,30 @@ class SystematicErrors:
     estimates: tuple[Estimate, ...]
     untested: tuple[str, ...]
     own: tuple[Estimate, ...]
+    sigmas: tuple[GroupTest, ...] = ()
 
 
 def systematic_errors(
     block: Block, done: Callable[[], None] = lambda: None, table: tuple[Fault, ...] = FAULTS
 ) -> SystematicErrors:
     """Look for systematic errors of the georeference, the faults of a table."""
-    first = adjust(assemble(block).network)
-    done()
-    search = _Search(block, first, done, table)
+    sigmas: list[GroupTest] = []
+    while True:
+        first = adjust(assemble(block).network)
+        done()
+        search = _Search(block, first, done, table)
+        alone = search.beside(())
+        # An error competes by what it gains, less the logarithm of the observations for each unknown.
+        unknown = math.log(first.observations)
+        gains = (one.gain - (one.unknowns - 1) * unknown for one in alone if one.significant)
+        wrong = wrong_sigma(first, max(gains, default=0.0))
+        if wrong is None or wrong.name in (one.name for one in sigmas):
+            break
+        block, settled = with_agreeing(block, wrong)
+        sigmas.append(settled)
     accepted: tuple[str, ...] = ()
-    tested: tuple[Hypothesis, ...] = ()
     for turn in range(_ROUNDS):
-        tries = search.beside(accepted)
-        if turn == 0:
-            tested = tries
+        tries = search.beside(accepted) if turn else alone
         best = most_probable(tries, first.observations, table)
         if best is None:
             break
@@ -226,11 +240,12 @@ def systematic_errors(
         for e in estimates_of(block, block, first, one)
     )
     return SystematicErrors(
-        tested,
+        alone,
         errors,
         search.together(accepted),
         tuple(f"{name}: {reason}" for name, reason in search.refused.items()),
         own,
+        tuple(sigmas),
     )
 
 

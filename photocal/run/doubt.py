@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 Kind = Literal["warning", "consequence", "note"]
-_NOTES = ("not-separated", "not-determined", "no-control")
+_NOTES = ("not-separated", "not-determined", "no-control", "sigmas-too-large")
 
 
 @dataclass(frozen=True)

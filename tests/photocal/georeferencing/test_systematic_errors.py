@@ -89,6 +89,24 @@ def test_nothing_is_found_where_nothing_is(flown: Flown) -> None:
     }
 
 
+@pytest.mark.parametrize("factor", [1.0 / 3.0, 3.0])
+def test_wrong_sigmas_of_positions_are_named_as_that(flown: Flown, factor: float) -> None:
+    """Positions that are stated three times too good or too poor: no shift of strips or datum."""
+    block = flown(Errors(), 31)
+    stated = replace(block.positions, covariance=block.positions.covariance * factor**2)
+    found = systematic_errors(replace(block, positions=stated))
+    (sigma,) = found.sigmas
+    assert sigma.name == "position"
+    assert sigma.lower < 1.0 / factor < sigma.upper
+    assert found.errors == ()
+
+
+def test_an_error_is_not_taken_for_wrong_sigmas(flown: Flown) -> None:
+    found = systematic_errors(flown(Errors(datum_m=(0.0, 0.0, 0.085)), 33))
+    assert found.sigmas == ()
+    assert "datum-shift" in {found.errors[0].found.name, *found.errors[0].same}
+
+
 def test_vertical_lever_arm_is_said_to_be_like_a_height_datum(flown: Flown) -> None:
     found = systematic_errors(flown(Errors(lever_arm_m=(0.0, 0.0, 0.3)), 27))
     error = found.errors[0]

@@ -1,0 +1,97 @@
+"""Each group of observations against its stated standard deviations: before any cause is named."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from photocal.adjustment.network import Network
+from photocal.adjustment.solution import Group, Solution
+
+# With less redundancy a group says nothing about its own standard deviations.
+FEWEST = 2.0
+PROBABILITY = 0.95
+AXES = ("X", "Y", "Z")
+
+
+@dataclass(frozen=True)
+class GroupTest:
+    """One group of observations.
+
+    Attributes
+    ----------
+    name : str
+        `image CAMERA control` or `image CAMERA tie`, `control X`, or as `Solution.groups`.
+    factor, lower, upper : float
+        By which the stated standard deviations agree with the residuals, and its 95 % interval.
+    p_value : float
+        Two-sided, of v'Pv being chi-squared with the redundancy; cautious, since redundancy numbers between 0
+        and 1 scatter it less.
+    gain : float
+        Twice the logarithm of the likelihood that the factor gains (Wilks 1938): what a cause competes with.
+    """
+
+    name: str
+    observations: int
+    chi_squared: float
+    redundancy: float
+    factor: float
+    lower: float
+    upper: float
+    p_value: float
+    gain: float
+
+
+def group_tests(network: Network, solution: Solution) -> tuple[GroupTest, ...]:
+    """Test every group of observations that is checked by others."""
+    groups = [*_rays(network, solution), *_control(network, solution)]
+    groups += [group for group in solution.groups if group.name not in ("image", "control")]
+    return tuple(tested(group) for group in groups if group.redundancy >= FEWEST and group.chi_squared > 0.0)
+
+
+def tested(group: Group) -> GroupTest:
+    """Test one group."""
+    chi, r = group.chi_squared, group.redundancy
+    tail = (1.0 - PROBABILITY) / 2.0
+    lower, upper = (float(np.sqrt(chi / special.chdtri(r, p))) for p in (tail, 1.0 - tail))
+    p_value = 2.0 * min(float(special.chdtr(r, chi)), float(special.chdtrc(r, chi)))
+    gain = chi - r - r * float(np.log(chi / r))
+    factor = float(np.sqrt(chi / r))
+    return GroupTest(group.name, group.observations, chi, r, factor, lower, upper, min(p_value, 1.0), gain)
+
+
+def _rays(network: Network, solution: Solution) -> list[Group]:
+    """Image observations by camera, and by whether their point is known on the ground."""
+    known = network.points.held.any(axis=1) | (np.diagonal(network.points.weight, axis1=1, axis2=2) > 0).any(
+        1
+    )
+    camera = network.exposures.camera[network.rays.image]
+    kind = 2 * camera + known[network.rays.point]
+    count = 2 * len(network.cameras)
+    squares = np.sum((solution.residuals / network.rays.sigma) ** 2, axis=1)
+    sums = np.bincount(kind, squares, count), np.bincount(kind, solution.redundancy.sum(axis=1), count)
+    rays = np.bincount(kind, minlength=count)
+    return [
+        Group(f"image {own.id} {name}", 2 * int(rays[at]), float(sums[0][at]), float(sums[1][at]))
+        for k, own in enumerate(network.cameras)
+        for at, name in ((2 * k, "tie"), (2 * k + 1, "control"))
+    ]
+
+
+def _control(network: Network, solution: Solution) -> list[Group]:
+    """Coordinates of control points by axis; correlated ones share v'Pv by the terms of each."""
+    weight, off = network.points.weight, solution.points - network.points.values
+    own = np.diagonal(weight, axis1=1, axis2=2) > 0
+    parts = off * np.einsum("nab,nb->na", weight, off)
+    taken = np.einsum("nab,nba->na", weight, solution.point_covariance)
+    return [
+        Group(
+            f"control {axis}",
+            int(own[:, a].sum()),
+            float(parts[own[:, a], a].sum()),
+            float(np.sum(1.0 - taken[own[:, a], a])),
+        )
+        for a, axis in enumerate(AXES)
+    ]
