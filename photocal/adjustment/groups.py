@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
@@ -13,7 +13,8 @@ from photocal.adjustment.solution import Group, Solution
 # With less redundancy a group says nothing about its own standard deviations.
 FEWEST = 2.0
 PROBABILITY = 0.95
-AXES = ("X", "Y", "Z")
+CONTROL = ("control-X", "control-Y", "control-Z")
+RAYS = ("image-tie", "image-control")
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class GroupTest:
     Attributes
     ----------
     name : str
-        `image CAMERA control` or `image CAMERA tie`, `control X`, or as `Solution.groups`.
+        One of `RAYS`, one of `CONTROL`, or as `Solution.groups`.
     factor, lower, upper : float
         By which the stated standard deviations agree with the residuals, and its 95 % interval.
     p_value : float
@@ -31,6 +32,8 @@ class GroupTest:
         and 1 scatter it less.
     gain : float
         Twice the logarithm of the likelihood that the factor gains (Wilks 1938): what a cause competes with.
+    of : str
+        The camera of a group of rays.
     """
 
     name: str
@@ -42,13 +45,19 @@ class GroupTest:
     upper: float
     p_value: float
     gain: float
+    of: str = ""
 
 
 def group_tests(network: Network, solution: Solution) -> tuple[GroupTest, ...]:
     """Test every group of observations that is checked by others."""
-    groups = [*_rays(network, solution), *_control(network, solution)]
+    found = [replace(tested(group), of=camera) for camera, group in _rays(network, solution) if _has(group)]
+    groups = [*_control(network, solution)]
     groups += [group for group in solution.groups if group.name not in ("image", "control")]
-    return tuple(tested(group) for group in groups if group.redundancy >= FEWEST and group.chi_squared > 0.0)
+    return (*found, *(tested(group) for group in groups if _has(group)))
+
+
+def _has(group: Group) -> bool:
+    return group.redundancy >= FEWEST and group.chi_squared > 0.0
 
 
 def tested(group: Group) -> GroupTest:
@@ -62,21 +71,20 @@ def tested(group: Group) -> GroupTest:
     return GroupTest(group.name, group.observations, chi, r, factor, lower, upper, min(p_value, 1.0), gain)
 
 
-def _rays(network: Network, solution: Solution) -> list[Group]:
+def _rays(network: Network, solution: Solution) -> list[tuple[str, Group]]:
     """Image observations by camera, and by whether their point is known on the ground."""
-    known = network.points.held.any(axis=1) | (np.diagonal(network.points.weight, axis1=1, axis2=2) > 0).any(
-        1
-    )
+    weighted = np.diagonal(network.points.weight, axis1=1, axis2=2) > 0
+    known = np.any(network.points.held | weighted, axis=1)
     camera = network.exposures.camera[network.rays.image]
-    kind = 2 * camera + known[network.rays.point]
+    kind = 2 * camera + np.asarray(known)[network.rays.point]
     count = 2 * len(network.cameras)
     squares = np.sum((solution.residuals / network.rays.sigma) ** 2, axis=1)
     sums = np.bincount(kind, squares, count), np.bincount(kind, solution.redundancy.sum(axis=1), count)
     rays = np.bincount(kind, minlength=count)
     return [
-        Group(f"image {own.id} {name}", 2 * int(rays[at]), float(sums[0][at]), float(sums[1][at]))
+        (own.id, Group(name, 2 * int(rays[at]), float(sums[0][at]), float(sums[1][at])))
         for k, own in enumerate(network.cameras)
-        for at, name in ((2 * k, "tie"), (2 * k + 1, "control"))
+        for at, name in enumerate(RAYS, start=2 * k)
     ]
 
 
@@ -88,10 +96,10 @@ def _control(network: Network, solution: Solution) -> list[Group]:
     taken = np.einsum("nab,nba->na", weight, solution.point_covariance)
     return [
         Group(
-            f"control {axis}",
+            name,
             int(own[:, a].sum()),
             float(parts[own[:, a], a].sum()),
             float(np.sum(1.0 - taken[own[:, a], a])),
         )
-        for a, axis in enumerate(AXES)
+        for a, name in enumerate(CONTROL)
     ]

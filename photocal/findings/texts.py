@@ -127,6 +127,8 @@ def _head(finding: Finding) -> str:
 
 
 def _figure(key: str, value: Any, say: Catalogue, name: Callable[[str], str]) -> object:
+    if key == "group":
+        return say(f"group.{value}")
     if isinstance(value, str):
         return _term(value, say) if key in TERMS else name(value) if key in PARAMETERS else value
     if not isinstance(value, tuple | list):

@@ -81,7 +81,7 @@ def _mistyped(one: Mistyped) -> Finding:
 def _stated_sigma(one: GroupTest) -> Finding:
     """Name standard deviations that are wrong by a factor: too large ones only cost precision."""
     figures: dict[str, Figure] = {
-        "what": one.name,
+        "group": one.name,
         "factor": one.factor,
         "lower": one.lower,
         "upper": one.upper,

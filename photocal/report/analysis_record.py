@@ -47,6 +47,7 @@ def analysis_record(outcome: Outcome, say: Catalogue) -> dict[str, Any]:
             for name, one in zip(names, outcome.cameras, strict=True)
         },
         "observation_sigma": as_plain(asdict(search.sigma)),
+        "groups": [as_plain(asdict(one)) for one in search.groups],
         "variance_components": {
             "images": [as_plain(asdict(one)) for one in search.images],
             "axes": [as_plain(asdict(one)) for one in search.axes],

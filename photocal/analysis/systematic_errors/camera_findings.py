@@ -9,14 +9,12 @@ from photocal.analysis.significance import f_test
 from photocal.analysis.systematic_errors.extra_parameter import ExtraParameter
 from photocal.analysis.systematic_errors.ground_effect import SMALL_PX, SMALL_SIGMAS, ground_effect
 from photocal.analysis.systematic_errors.refit import Fit
-from photocal.analysis.systematic_errors.search import LEVEL, Round, Search, camera_estimates
+from photocal.analysis.systematic_errors.search import LEVEL, WRONG_SIGMA, Round, Search, camera_estimates
 from photocal.findings.finding import Figure, Finding, Severity, Size
 from photocal.geometry.camera import PARAMETERS, Camera
 
 # A jackknife error of a parameter this many times its formal one is worth a line.
 UNSTABLE = 3.0
-# Less than this is no wrong sigma: `brown-observed` alone stretches the noise at the edge by some percent.
-WRONG_SIGMA = 0.10
 # From here on a wrong sigma is not small, even if nothing else was found.
 BADLY_WRONG_SIGMA = 1.2
 ALPHA = 0.10

@@ -9,7 +9,7 @@ from photocal.analysis.systematic_errors.camera_findings import (
     of_sigma,
     of_significance,
 )
-from photocal.analysis.systematic_errors.image_findings import of_groups, of_images, of_maps
+from photocal.analysis.systematic_errors.image_findings import of_groups, of_images, of_maps, of_stated
 from photocal.analysis.systematic_errors.search import Search
 from photocal.findings.finding import Finding
 
@@ -32,6 +32,7 @@ def findings(search: Search) -> tuple[Finding, ...]:
     listed += of_bias(search)
     listed += of_significance(search)
     listed += of_jackknife(search)
+    listed += of_stated(search)
     listed += of_groups(search)
     listed += of_images(search)
     listed += of_maps(search)

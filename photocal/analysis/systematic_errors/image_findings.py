@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from photocal.analysis.systematic_errors.ground_effect import SMALL_PX
-from photocal.analysis.systematic_errors.search import LEVEL, Search
+from photocal.analysis.systematic_errors.search import LEVEL, WRONG_SIGMA, Search
 from photocal.analysis.systematic_errors.variance_components import VarianceComponent
 from photocal.findings.finding import Figure, Finding, Severity, Size
 
@@ -14,6 +14,31 @@ VISIBLE_SIGMAS = 2.5
 # Scatter against that of all together: from here on an axis or camera is listed, and no longer called small.
 WORTH_A_LINE = 1.05
 SMALL_RATIO = 1.25
+
+
+def of_stated(search: Search) -> list[Finding]:
+    """Name groups whose stated standard deviations are wrong by a factor."""
+    listed = []
+    for one in search.groups:
+        if one.p_value >= LEVEL / len(search.groups) or abs(one.factor - 1.0) < WRONG_SIGMA:
+            continue
+        # What is known beforehand is stated with caution: no error of measurement says otherwise.
+        if one.factor < 1.0 and one.name in ("camera", "mounting"):
+            continue
+        figures: dict[str, Figure] = {
+            "group": one.name,
+            "factor": one.factor,
+            "lower": one.lower,
+            "upper": one.upper,
+            "camera": one.of,
+        }
+        size = Size(one.factor, "1")
+        if one.factor > 1.0:
+            severity: Severity = "doubtful" if one.factor > SMALL_RATIO else "note"
+            listed.append(Finding("sigmas-too-small", severity, one.name, figures, size=size))
+        else:
+            listed.append(Finding("sigmas-too-large", "note", one.name, figures, size=size))
+    return listed
 
 
 def of_groups(search: Search) -> list[Finding]:

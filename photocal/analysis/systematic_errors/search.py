@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from photocal.adjustment.groups import GroupTest, group_tests
 from photocal.analysis.estimates import Array, Estimates
 from photocal.analysis.systematic_errors.candidates import Candidate, candidates
 from photocal.analysis.systematic_errors.extra_parameter import ExtraParameter, estimated_amount, judged
 from photocal.analysis.systematic_errors.image_shift import ImageShift, image_shifts
 from photocal.analysis.systematic_errors.jackknife import Jackknife, jackknife
-from photocal.analysis.systematic_errors.refit import Fit, fit, with_measurements
+from photocal.analysis.systematic_errors.refit import Fit, fit, with_measurements, with_sigmas
 from photocal.analysis.systematic_errors.residual_map import ResidualMap, residual_map
 from photocal.analysis.systematic_errors.variance_components import (
     AssumedSigma,
@@ -25,6 +26,8 @@ from photocal.geometry.camera import PARAMETERS, plane_to_pixel
 # Each family of tests alarms on a clean block in no more than 5 of 1000 cases.
 LEVEL = 0.005
 ROUNDS = 6
+# Less than this is no wrong sigma.
+WRONG_SIGMA = 0.10
 # Steps in which an error is corrected, until this share of its standard deviation is left of it.
 _STEPS, _NEAR = 5, 0.005
 # Candidates count as alike when their displacements are this parallel and their F this close.
@@ -60,6 +63,8 @@ class Search:
         The network as it was adjusted, and with all corrections.
     sigma : AssumedSigma
         Of the image coordinates, at the end.
+    groups : tuple of GroupTest
+        Each group of observations against its stated standard deviations, at the end.
     images, axes, cameras : tuple of VarianceComponent
         Scatter by image, by image axis and by camera, at the end.
     shifts : tuple of ImageShift
@@ -74,6 +79,7 @@ class Search:
     first: Fit
     last: Fit
     sigma: AssumedSigma
+    groups: tuple[GroupTest, ...]
     images: tuple[VarianceComponent, ...]
     axes: tuple[VarianceComponent, ...]
     cameras: tuple[VarianceComponent, ...]
@@ -123,6 +129,7 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
         first,
         last,
         sigma,
+        _groups(last, sigma),
         variance_components(last.network.image_names, both, flat, checked),
         variance_components(("x", "y"), axis, flat, checked),
         variance_components(tuple(one.id for one in last.network.cameras), camera, flat, checked),
@@ -196,6 +203,14 @@ def _corrected(before: Fit, worst: ExtraParameter) -> Round | None:
 
 def _same(one: Candidate, other: Candidate) -> bool:
     return (one.kind, one.name, one.camera) == (other.kind, other.name, other.camera)
+
+
+def _groups(last: Fit, sigma: AssumedSigma) -> tuple[GroupTest, ...]:
+    """Test groups of observations, with the sigma of the rays that was found where it differs."""
+    ratio = sigma.found / sigma.assumed
+    if sigma.p_value < LEVEL and abs(ratio - 1.0) > WRONG_SIGMA:
+        last = fit(with_sigmas(last.network, ratio), last.state)
+    return group_tests(last.network, last.solution)
 
 
 def _map(last: Fit, camera: int, factor: float) -> ResidualMap | None:

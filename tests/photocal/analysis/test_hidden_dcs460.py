@@ -139,4 +139,6 @@ def test_on_the_corrected_data_only_small_effects_remain(square: Search) -> None
         "Image 6",
     }
     assert all(": small" in said(one) for one in listed if one.code == "image")
-    assert {one.code for one in listed} == {"observation-sigma", "image"}
+    assert {one.code for one in listed} == {"observation-sigma", "image", "sigmas-too-large"}
+    # Control is stated to 3 mm and agrees with 1 mm in X and Y, as images do with 1.4 µm for 3.
+    assert {one.subject for one in listed if one.code == "sigmas-too-large"} == {"control-X", "control-Y"}
