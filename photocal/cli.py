@@ -13,6 +13,7 @@ from photocal.commands import (
     compare,
     export,
     exposures,
+    keys,
     mark,
     measure,
     new,
@@ -20,6 +21,7 @@ from photocal.commands import (
     plan,
     ppk,
     run,
+    sign,
     survey,
     targets,
     verify,
@@ -35,6 +37,8 @@ app.command()(targets.targets)
 app.command()(adjust.adjust)
 app.command()(certificate.certificate)
 app.command()(verify.verify)
+app.command()(keys.keys)
+app.command()(sign.sign)
 app.command()(analyse.analyse)
 app.command()(compare.compare)
 app.command()(check.check)

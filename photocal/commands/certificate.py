@@ -42,9 +42,11 @@ def certificate(
     Example: `photocal certificate run -o certificate --block block --language pt-BR`
     """
     from photocal.report.issue import FORMS, issue
+    from photocal.report.signing import own_key
     from photocal.results.origin import CARRIED
     from photocal.run.warnings import told_beside
 
+    own = own_key()
     with progress("certificate", 4) as step:
         document = issue(
             run,
@@ -55,6 +57,7 @@ def certificate(
             particulars=particulars,
             client=client,
             operator=operator,
+            key=own.fingerprint if own else "",
             told=told_beside(run),
             done=lambda: step(1),
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -28,9 +29,21 @@ def verify(
             help="Block folder with the inputs; that carried by the certificate, or near it, if not given."
         ),
     ] = None,
+    keys: Annotated[
+        Path | None, typer.Option(help="List of keys, `FINGERPRINT NAME` each: one of them must have signed.")
+    ] = None,
+    trust: Annotated[
+        bool, typer.Option("--trust", help="Remember the key, which you have compared, from now on.")
+    ] = False,
+    issued: Annotated[
+        Path | None, typer.Option("--journal", help="Journal of the issuer that must have this certificate.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
 ) -> None:
-    """Repeat the computation of a certificate from its inputs and compare every figure.
+    """Repeat a certificate from its inputs, compare every figure and page, and judge its signature.
+
+    Reproducible and authentic are two answers: anybody can make a certificate that can be repeated; only the
+    issuer's key can sign it.
 
     A calibration that another program printed (a TOML file) has no inputs: it is checked against itself.
 
@@ -39,47 +52,90 @@ def verify(
     if certificate.suffix == ".toml":
         _printed(certificate, as_json)
         return
-    from photocal.report.record import certified_result, read_record
-    from photocal.report.repetition import repeated
-    from photocal.report.verification import changed_documents, differences
-    from photocal.results.origin import changed_inputs
+    from photocal.report.record import NAME, read_record
+    from photocal.report.signing import SIGNATURE, against_journal, authenticity, journal, known_keys
+    from photocal.report.verification import changed_files
+    from photocal.results.origin import digest
 
     certified, folder = read_record(certificate)
-    source = _source(certified, folder, block)
-    changed = [str(one) for one in changed_inputs(certified_result(certified, folder).inputs, source.folder)]
-    documents = changed_documents(certified, folder)
+    files = changed_files(certified, folder)
+    changed: list[str] = []
     found: list[Difference] = []
-    if not changed:
-        with progress("repeating", None) as step:
-            found = differences(certified, repeated(certified, folder, source, lambda: step(1)))
-    problems = [*changed, *documents, *(f"{d.place} is {d.found}, certified {d.certified}" for d in found)]
+    if not any(name.endswith(" is a link") for name in files):
+        changed, found, pages = _repeat(certified, folder, block)
+        files += pages
+    signed = authenticity(folder, _named_key(certified), known_keys(keys))
+    if trust and signed.trust == "unknown" and not (changed or files or found):
+        from photocal.report.signing import trust as remember
+
+        remember(signed.name, signed.fingerprint)
+        signed = replace(signed, trust="trusted")
+    problems = [*changed, *files, *(f"{d.place} is {d.found}, certified {d.certified}" for d in found)]
+    reproducible = not problems
+    problems += signed.problems
+    if signed.trust == "changed":
+        problems.append(f"{SIGNATURE}: {signed}")
+    if issued is not None:
+        problems += against_journal(journal(issued), certified["number"], digest(folder / NAME))
+    if keys is not None and signed.trust in ("unsigned", "unknown"):
+        problems.append(f"not authentic: {signed}")
+    authentic = signed.trust == "trusted"
     answer(
         as_json,
         lambda: {
             "number": certified["number"],
             "verified": not problems,
+            "reproducible": reproducible,
+            "authentic": authentic,
+            "signature": {"trust": signed.trust, "name": signed.name, "fingerprint": signed.fingerprint},
             "changed_inputs": changed,
-            "changed_documents": documents,
+            "changed_files": files,
             "differences": [vars(d) for d in found],
+            "problems": problems,
         },
         lambda: "\n".join(
             [
-                f"certificate {certified['number']}, inputs in {source.folder}",
+                f"certificate {certified['number']}",
                 *(f"  {line}" for line in problems[:20]),
+                "reproducible: the inputs are the certified ones and give every figure and page again"
+                if reproducible
+                else "not reproducible",
+                f"{'authentic' if authentic else 'not authentic'}: {signed}",
             ]
-            + (
-                []
-                if problems
-                else ["verified: the inputs are the certified ones and give every figure again"]
-            )
         ),
     )
     if problems:
         raise InputMalformedError(
             f"not verified: {problems[0]}" + (f" and {len(problems) - 1} more" if len(problems) > 1 else ""),
             where=certificate,
-            remedy="ask the issuer for the inputs that belong to the certificate",
+            remedy="ask the issuer for the certificate as it was issued",
         )
+
+
+def _named_key(certified: dict[str, Any]) -> str:
+    responsible = certified["particulars"].get("responsible", {})
+    return str(responsible.get("key", "")) if isinstance(responsible, dict) else ""
+
+
+def _repeat(
+    certified: dict[str, Any], folder: Path, block: Path | None
+) -> tuple[list[str], list[Difference], list[str]]:
+    """Compute and print a certificate anew: changed inputs, other figures, pages that say something else."""
+    from photocal.report.record import certified_result
+    from photocal.report.repetition import as_certified, pages_of, record_of, repeated
+    from photocal.report.verification import PAGES, changed_pages, differences
+    from photocal.results.origin import changed_inputs
+
+    source = _source(certified, folder, block)
+    changed = [str(one) for one in changed_inputs(certified_result(certified, folder).inputs, source.folder)]
+    if changed:
+        return changed, [], []
+    with progress("repeating", None) as step:
+        run = as_certified(repeated(certified, folder, source, lambda: step(1)), certified, folder)
+        found = differences(certified, record_of(run, certified))
+        there = all((folder / name).is_file() for name in PAGES)
+        pages = changed_pages(folder, pages_of(run, certified)) if there and not found else []
+    return [], found, pages
 
 
 def _printed(path: Path, as_json: bool) -> None:
@@ -122,18 +178,17 @@ def _printed(path: Path, as_json: bool) -> None:
 
 
 def _source(certified: dict[str, Any], folder: Path, block: Path | None) -> Source:
-    """What was named, what the certificate carries, or what lies near it with the certified files."""
+    """What was named, or what the certificate carries."""
     from photocal.report.record import certified_result
-    from photocal.results.origin import CARRIED, Source, block_of_run
+    from photocal.results.origin import CARRIED, Source
 
-    result = certified_result(certified, folder)
-    setup = result.block.setup
-    if block is None and (folder / CARRIED).is_dir():
-        return Source(folder / CARRIED, setup)
-    if block is not None:
-        if not block.is_dir():
-            raise InputNotFoundError(
-                "no such folder", where=block, remedy="name the folder with the inputs by --block"
-            )
-        return Source(block, setup)
-    return block_of_run(folder, result, None, Path.cwd())
+    setup = certified_result(certified, folder).block.setup
+    if block is None and not (folder / CARRIED).is_dir():
+        raise InputNotFoundError(
+            "carries no inputs", where=folder, remedy="name the folder with the inputs by --block"
+        )
+    if block is not None and not block.is_dir():
+        raise InputNotFoundError(
+            "no such folder", where=block, remedy="name the folder with the inputs by --block"
+        )
+    return Source(block or folder / CARRIED, setup)

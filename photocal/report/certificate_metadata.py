@@ -101,6 +101,7 @@ class ResponsibleKeys(Table):
     name: str = ""
     title: str = ""
     registration: str = ""
+    key: str = ""
 
 
 class Particulars(Table):
@@ -118,7 +119,7 @@ class Particulars(Table):
 
 
 def read_particulars(
-    path: Path | None, date: dt.date, *, client: str = "", operator: str = ""
+    path: Path | None, date: dt.date, *, client: str = "", operator: str = "", key: str = ""
 ) -> Particulars:
     """Read the particulars of a certificate."""
     keys: dict[str, Any] = load_toml(path) if path is not None else {}
@@ -128,6 +129,9 @@ def read_particulars(
     document = keys.get("document", {})
     if isinstance(document, dict):
         keys["document"] = {**document, **{key: value for key, value in named.items() if value}}
+    responsible = keys.get("responsible", {})
+    if isinstance(responsible, dict) and key:
+        keys["responsible"] = {"key": key, **responsible}
     return _validated({**keys, "date": date}, path)
 
 

@@ -33,6 +33,7 @@ def issue(
     particulars: Path | None = None,
     client: str = "",
     operator: str = "",
+    key: str = "",
     told: ProcessingWarnings = NO_WARNINGS,
     done: Callable[[], None] = lambda: None,
 ) -> Document:
@@ -54,6 +55,8 @@ def issue(
         TOML file with what a person gives.
     client, operator : str
         For whom and by whom; go before those of the file.
+    key : str
+        Fingerprint of the key by which it will be signed; printed.
     told : ProcessingWarnings
         By the processing before the adjustment.
     done : callable
@@ -70,14 +73,14 @@ def issue(
         For inputs that cannot be read or have changed, and for figures that cannot be right.
     """
     say = catalogue(language)
-    given = read_particulars(particulars, day, client=client, operator=operator)
+    given = read_particulars(particulars, day, client=client, operator=operator, key=key)
     results = read_run(run)
     _refuse_a_guess(run, results.result)
     source = _source(run, results, block)
     done()
     document = certificate(results, given, say, told)
     done()
-    forms = {FORMS[0]: html(document).encode(), FORMS[1]: pdf(document, day)}
+    forms = printed(document, day)
     done()
     forms[NAME] = with_documents(record(results, given, say, told), forms)
     done()
@@ -87,6 +90,11 @@ def issue(
         if source is not None:
             carry(results.result.inputs, source, folder)
     return document
+
+
+def printed(document: Document, day: dt.date) -> dict[str, bytes]:
+    """Print a certificate: HTML page and PDF by the names of their files."""
+    return {FORMS[0]: html(document).encode(), FORMS[1]: pdf(document, day)}
 
 
 def _refuse_a_guess(run: Path, result: Result) -> None:

@@ -177,4 +177,7 @@ def signature(title: str, particulars: Particulars, say: Catalogue) -> Section:
         responsible.registration or say("signature.registration"),
     )
     where = f"{place}, {day}" if place else day
-    return Section(title, (Paragraph(say("ministry.responsibility")), Paragraph(where), Signature(lines)))
+    pieces = (Paragraph(say("ministry.responsibility")), Paragraph(where), Signature(lines))
+    if not responsible.key:
+        return Section(title, pieces)
+    return Section(title, (*pieces, Paragraph(say("signature.key", fingerprint=responsible.key))))

@@ -56,6 +56,7 @@ def record(
     dict
         Plain values, ready for JSON. `documents` is for the caller to fill.
     """
+    result = {key: value for key, value in result_json(run.result).items() if key in RESULT_KEYS}
     return {
         "schema": SCHEMA,
         "number": certificate_number(run, particulars, told),
@@ -64,7 +65,8 @@ def record(
         "particulars": particulars.model_dump(mode="json", exclude={"date"}),
         "warnings": list(told.warnings),
         "notes": list(told.notes),
-        "result": {key: value for key, value in result_json(run.result).items() if key in RESULT_KEYS},
+        # Where the block lay is nobody's concern: the certificate carries its inputs.
+        "result": {**result, "block": {**result["block"], "source": ""}},
         "exposures": _exposures(run),
         "cameras": {name: _camera(run, facts(run, name, particulars)) for name in run.result.cameras},
         "technical_reports": {
@@ -174,11 +176,11 @@ def read_record(path: Path) -> tuple[dict[str, Any], Path]:
         When it is cut, of another schema, or lacks what a verification needs.
     """
     file = path / NAME if path.is_dir() else path
-    if not file.is_file():
+    if file.is_symlink() or not file.is_file():
         raise InputNotFoundError("no such file", where=file, remedy="name certificate.json or its folder")
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as broken:
+    except (ValueError, RecursionError) as broken:
         raise InputMalformedError(
             f"is not complete JSON ({broken})",
             where=file,
@@ -217,6 +219,8 @@ def _complete(content: dict[str, Any], file: Path) -> None:
         dt.date.fromisoformat(content["date"])
         names = [(str(entry["path"]), str(entry["sha256"])) for entry in content["result"]["inputs"]]
         dict(content["documents"]), dict(content["particulars"]), str(content["language"])
+        names += [(str(entry["path"]), str(entry["sha256"])) for entry in content["run_files"]]
+        names.append((str(content["result"]["block"].get("setup", "")), ""))
         list(content["warnings"]), list(content["notes"])
     except (KeyError, TypeError, ValueError) as lacking:
         raise InputMalformedError(
@@ -225,7 +229,7 @@ def _complete(content: dict[str, Any], file: Path) -> None:
     for name, _ in names:
         # A certificate comes from elsewhere: it may not reach outside the folder of its inputs.
         path = PurePosixPath(name)
-        if path.is_absolute() or ".." in path.parts:
+        if path.is_absolute() or ".." in path.parts or "\\" in name or ":" in name:
             raise InputMalformedError(
                 f"input {name!r} lies outside the folder of the inputs",
                 where=file,

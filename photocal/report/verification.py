@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
-from photocal.results.origin import digest
+from photocal.report.issue import FORMS
+from photocal.report.record import NAME
+from photocal.report.signing import SIGNATURE
+from photocal.results.origin import CARRIED, digest
 
-# What may differ between two computations of the same: neither is a figure of the calibration.
-NOT_FIGURES = ("run_files", "documents", "iterations", "source", "result_sha256")
+PAGES = FORMS[:2]
+# The pages are compared themselves.
+NOT_FIGURES = ("documents",)
+# An iteration may be needed more or less ...
+ITERATIONS = 2
+# ... and a line may be drawn by this part of a point elsewhere.
+DRAWN = 0.02
+_DRAWN = re.compile(rb"<svg.*?</svg>", re.DOTALL)
+_NUMBER = re.compile(rb"(?<![\w#])-?\d+\.\d+")
 # Two machines sum in another order; a value may differ by this share of its standard deviation ...
 SHARE_OF_SIGMA = 1e-4
 # ... any other number by this share of itself, or, in metres, pixels and correlations, by this much.
@@ -31,27 +43,67 @@ class Difference:
     found: Any
 
 
-def changed_documents(certificate: dict[str, Any], folder: Path) -> list[str]:
-    """Name the printed forms beside a certificate that are not the certified ones; a missing one may be.
+def changed_files(certificate: dict[str, Any], folder: Path) -> list[str]:
+    """Name what lies in a certificate's folder and is not the certificate's, and what it lacks.
+
+    Nothing is read beyond the folder: links are named, not followed. The inputs are for `changed_inputs`.
+    """
+    carried = (f"{CARRIED}/{entry['path']}" for entry in certificate["result"]["inputs"])
+    own = {NAME, SIGNATURE, *PAGES, *carried}
+    folders = {parent.as_posix() for name in own for parent in PurePosixPath(name).parents}
+    named = []
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if path.is_symlink():
+            named.append(f"{name} is a link")
+        elif name not in (folders if path.is_dir() else own):
+            named.append(f"{name} is no part of the certificate")
+    documents = certificate["documents"]
+    named += [f"{name} is no document of a certificate" for name in sorted(documents.keys() - set(PAGES))]
+    for name in PAGES:
+        path = folder / name
+        if name not in documents:
+            named.append(f"{name} is not among the documents")
+        elif not path.is_file():
+            named.append(f"{name} is missing")
+        elif not path.is_symlink() and digest(path) != documents[name]:
+            named.append(f"{name} is not the one that was certified")
+    return named
+
+
+def changed_pages(folder: Path, pages: Mapping[str, bytes]) -> list[str]:
+    """Name the pages of a certificate that do not say what its figures give.
 
     Parameters
     ----------
-    certificate : dict
-        Machine-readable certificate.
-    folder : Path
-        The folder of the certificate.
-
-    Returns
-    -------
-    list of str
-        One phrase for each that has changed.
+    pages : mapping of str to bytes
+        Printed anew, by the names of their files.
     """
-    present = {Path(name).name: sha for name, sha in certificate["documents"].items()}
     return [
-        f"{name} is not the one that was certified"
-        for name, sha in present.items()
-        if (folder / name).is_file() and digest(folder / name) != sha
+        f"{name} does not say what the figures give"
+        for name, printed in pages.items()
+        if not _same_page((folder / name).read_bytes(), printed)
     ]
+
+
+def _same_page(certified: bytes, printed: bytes) -> bool:
+    """Whether two pages are the same but for the last digits of what is drawn."""
+    if certified == printed:
+        return True
+    first, second = _drawings(certified), _drawings(printed)
+    return (
+        _NUMBER.split(first) == _NUMBER.split(second)
+        and len(_DRAWN.findall(certified)) == len(_DRAWN.findall(printed))
+        and all(
+            abs(float(a) - float(b)) <= DRAWN
+            for a, b in zip(_NUMBER.findall(first), _NUMBER.findall(second), strict=True)
+        )
+        and _DRAWN.sub(b"", certified) == _DRAWN.sub(b"", printed)
+    )
+
+
+def _drawings(page: bytes) -> bytes:
+    return b"\0".join(_DRAWN.findall(page))
 
 
 def differences(certified: Any, found: Any, place: str = "", sigma: float = 0.0) -> list[Difference]:
@@ -121,6 +173,8 @@ def _tolerance(place: str, size: float, sigma: float) -> float:
     if sigma > 0.0:
         return max(SHARE_OF_SIGMA * sigma, 1e-12 * size)
     key = place.rsplit(".", 1)[-1].split("[")[0]
+    if key == "iterations":
+        return ITERATIONS
     if place.startswith(ANALYSIS):
         return max(ANALYSIS_RELATIVE * size, ANALYSIS_ABSOLUTE if key in NEARLY_ZERO else 0.0)
     # Coefficients may be as small as 1e-20: only figures of known size have an absolute tolerance.

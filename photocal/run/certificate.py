@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import datetime as dt
-import json
 from pathlib import Path
 
 from photocal.project import Project
+from photocal.report.signing import own_key
 from photocal.run.stage import Progress, Stage
 from photocal.run.warnings import gather, told_by
-
-WARNINGS = "warnings.json"
 
 
 def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple[Path, ...]) -> Stage:
@@ -19,14 +17,13 @@ def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple
     A certificate keeps its day until something that it says has changed.
     """
     keys = project.contents.certificate
+    own = own_key()
+    fingerprint = own.fingerprint if own else ""
     inputs = {} if keys.particulars is None else {"particulars": keys.particulars}
 
     def make(folder: Path, show: Progress) -> None:
         from photocal.report.issue import issue
 
-        warnings = gather(work)
-        text = json.dumps([one.as_json() for one in warnings], indent=1) + "\n"
-        (folder / WARNINGS).write_text(text, encoding="utf-8")
         with show("certificate", None):
             issue(
                 work / "analysis",
@@ -37,8 +34,9 @@ def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple
                 particulars=keys.particulars,
                 client=keys.client,
                 operator=keys.operator,
-                told=told_by(warnings),
+                key=fingerprint,
+                told=told_by(gather(work)),
             )
 
-    settings = keys.model_dump(mode="json", exclude={"particulars"})
+    settings = {**keys.model_dump(mode="json", exclude={"particulars"}), "key": fingerprint}
     return Stage("certificate", "certificate", make, inputs, settings, earlier)
