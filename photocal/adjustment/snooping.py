@@ -22,7 +22,7 @@ from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.kernels.residuals import evaluate
 from photocal.adjustment.network import Network, Points, Rays
-from photocal.adjustment.normal import Problem, normal_equations, prepare, values_of
+from photocal.adjustment.normal import Problem, normal_equations, other_equations, prepare, values_of
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration, minimise, moved_by, reduced_step
 from photocal.adjustment.state import State, start_state
@@ -37,6 +37,8 @@ SIGNIFICANCE = 0.001
 # Cauchy's function halves the weight of a ray at this multiple of the scale.
 HALF_WEIGHT = 3.0
 ROUNDS = 30
+# The robust start ends when a step takes less than this share of what is left.
+SETTLED = 1e-5
 
 
 @dataclass(frozen=True)
@@ -113,26 +115,47 @@ def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None
 
 
 def robust_state(problem: Problem, state: State, report: Callable[[Iteration], None] | None = None) -> State:
-    """State that gross errors do not bend, by iteratively reweighted least squares."""
-    for number in range(1, 31):
-        fit = ray_fit(problem, state)
-        factor = 1.0 / (1.0 + (fit / (HALF_WEIGHT * _scale(fit))) ** 2)
+    """State that gross errors do not bend, by iteratively reweighted least squares, damped where they climb."""
+    fit, damping = ray_fit(problem, state), 0.0
+    for number in range(1, 41):
+        scale = HALF_WEIGHT * _scale(fit)
+        factor = 1.0 / (1.0 + (fit / scale) ** 2)
         weight = problem.design.weight * factor[:, None]
         weighted = replace(problem, design=problem.design._replace(weight=weight))
-        for damping in (0.0, 1e-3, 1e-1, 1e1):
+        cost = _cost(problem, state, fit, scale)
+        while True:
             normal = normal_equations(weighted, state, damping)
             step = reduced_step(weighted, normal, damping)
             if step is not None:
-                break
-        else:
-            return state
-        state, decrement = moved_by(weighted, state, normal, step)
+                moved, decrement = moved_by(weighted, state, normal, step)
+                moved_fit = ray_fit(problem, moved)
+                lower = _cost(problem, moved, moved_fit, scale)
+                if lower <= cost * (1 + 1e-9):
+                    break
+            damping = max(1e-4, 10 * damping)
+            if damping > 1e3:
+                return state
+        state, fit = moved, moved_fit
         if report:
             report(Iteration(number, normal.chi_squared, decrement, damping))
         # The weights follow the residuals, so that the last digits of this state mean nothing.
-        if decrement < 1e-3 * np.sqrt(len(fit)):
+        settled = decrement < 1e-3 * np.sqrt(len(fit)) or lower > (1 - SETTLED) * cost
+        if damping <= 1e-3 and settled:
             break
+        damping = damping / 10 if damping > 1e-6 else 0.0
     return state
+
+
+def _cost(problem: Problem, state: State, fit: Floats, scale: float) -> float:
+    """Cauchy's function of the rays, and v'Pv of all other observations."""
+    points = problem.network.points
+    away = state.points - points.values
+    others = sum(equations.chi_squared() for equations in other_equations(problem, state).values())
+    return float(
+        scale**2 * np.log1p((fit / scale) ** 2).sum()
+        + np.einsum("na,nab,nb", away, points.weight, away)
+        + others
+    )
 
 
 def ray_fit(problem: Problem, state: State) -> Floats:

@@ -11,6 +11,9 @@ Floats = NDArray[np.float64]
 
 # Places whose second extent is a smaller share of their first lie too close to a line.
 LINE = 0.02
+FEWEST = 3
+# Triples that a robust similarity is sought among, and beyond how many medians a place does not fit it.
+SAMPLES, STRAY = 300, 4.0
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,7 @@ def similarity(source: Floats, target: Floats) -> Similarity | None:
     Similarity or None
         None for fewer than three places, or places in a line.
     """
-    if len(source) < 3:
+    if len(source) < FEWEST:
         return None
     middle, goal = source.mean(axis=0), target.mean(axis=0)
     a, b = source - middle, target - goal
@@ -59,4 +62,63 @@ def similarity(source: Floats, target: Floats) -> Similarity | None:
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     rotation = (u * sign) @ vt
     scale = float(np.sum(singular * sign) / np.sum(a**2))
+    return Similarity(scale, rotation, goal - scale * rotation @ middle)
+
+
+def robust_similarity(source: Floats, target: Floats) -> tuple[Similarity, NDArray[np.bool_]] | None:
+    """Similarity of least sum of misses among those of triples and of all, and the places that fit it.
+
+    Returns
+    -------
+    tuple or None
+        Fitted to the places that fit; None as in `similarity`.
+    """
+    count = len(source)
+    rng = np.random.default_rng(count)
+    choices = [np.arange(count)]
+    if count > FEWEST:
+        choices += [rng.choice(count, FEWEST, replace=False) for _ in range(SAMPLES)]
+    found = [move for chosen in choices if (move := similarity(source[chosen], target[chosen])) is not None]
+    if not found:
+        return None
+    best = min(found, key=lambda move: float(misses_of(move, source, target).sum()))
+    fits = np.ones(count, dtype=np.bool_)
+    for _ in range(5):
+        miss = misses_of(best, source, target)
+        least = 1e-9 * float(np.ptp(target))
+        fits = miss <= max(STRAY * float(np.median(miss)), least) if count > FEWEST + 1 else fits
+        best = similarity(source[fits], target[fits]) or best
+    return best, fits
+
+
+def misses_of(move: Similarity, source: Floats, target: Floats) -> Floats:
+    """Distance of each place from where a similarity takes it, shape (n,)."""
+    return np.asarray(np.linalg.norm(move.applied(source) - target, axis=1))
+
+
+def aligned_similarity(
+    source: Floats, target: Floats, axes: Floats, goals: Floats, weight: float
+) -> Similarity:
+    """Similarity of places that need not determine it: directions help with the rotation.
+
+    Parameters
+    ----------
+    source, target : ndarray, shape (n, 3)
+        One place and more.
+    axes, goals : ndarray, shape (k, 3)
+        Directions in both systems.
+    weight : float
+        Of a direction beside those of the places, m squared.
+
+    Returns
+    -------
+    Similarity
+        Of scale 1 where the places do not tell it.
+    """
+    middle, goal = source.mean(axis=0), target.mean(axis=0)
+    a, b = source - middle, target - goal
+    size = float(np.sum(a**2))
+    scale = float(np.sqrt(np.sum(b**2) / size)) if size > 0 and np.sum(b**2) > 0 else 1.0
+    u, _, vt = np.linalg.svd(scale * b.T @ a + weight * goals.T @ axes)
+    rotation = (u * [1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
     return Similarity(scale, rotation, goal - scale * rotation @ middle)

@@ -14,11 +14,11 @@ from drivers.errors import IllPosedError
 from photocal.block.model import Block
 from photocal.block.network import block_frame
 from photocal.geometry.oriented_images import OrientedImages
+from photocal.measurement.placing import Placed, oriented
 from photocal.measurement.ray_sigmas import GROSS
 from photocal.measurement.refine import HALF, Source, refine
-from photocal.measurement.start_block import NO_OBSERVATIONS, NO_POINTS, without_images
+from photocal.measurement.start_block import without_images
 from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, pixel_residuals
-from photocal.measurement.tie_block import orient
 from photocal.measurement.tracks import Tracks, of_images, spaced, thin, without_twins
 from photocal.measurement.views import intersected, misses, views_of
 from photocal.tasks.workers import Workers
@@ -55,11 +55,14 @@ class Oriented:
         All tracks that fit the final orientation, before they were thinned.
     left_out : tuple of dict
         Images that could not be oriented, with the reason.
+    warnings : tuple of str
+        What was found wrong, and what was done about it.
     """
 
     adjusted: Adjusted
     verified: Tracks
     left_out: tuple[dict[str, str], ...]
+    warnings: tuple[str, ...]
 
 
 def orient_ties(
@@ -74,9 +77,12 @@ def orient_ties(
     names = start.images.names
     start, tracks, kept, left_out = _connected(start, tracks)
     sizes = np.array([own.size_px for own in start.cameras], dtype=float)[start.images.camera]
-    poses, tracks, start, more, sizes, kept = _reached(start, tracks, sizes, kept)
+    placed, reached, more = _reached(start, tracks, sizes)
     left_out += more
-    first = adjust_ties(start, poses, _strong(tracks, sizes, FIRST_IN_A_CELL))
+    start, tracks = without_images(placed.block, ~reached), of_images(tracks, reached)
+    first = adjust_ties(start, placed.poses[reached], _strong(tracks, sizes[reached], FIRST_IN_A_CELL))
+    holds = np.isin(start.images.names, first.start.images.names)
+    tracks, kept, sizes = of_images(tracks, holds), kept[reached][holds], sizes[reached][holds]
     views = _views(first)
     tracks, points = _placed(views, thin(tracks, sizes, CELLS, MATCHED_IN_A_CELL))
     partners = _partners(pairs, kept, len(names))
@@ -84,9 +90,10 @@ def orient_ties(
     with progress("matching tie points precisely", 2 * len(kept)) as done:
         matched = refine(chosen, views, tracks, points, partners, processes, done)
     matched = without_twins(matched, TWIN_PX)
-    camera_kept = replace(start, cameras=first.block.cameras)
-    final = adjust_ties(camera_kept, first.values, _strong(spaced(matched, PATCH_PX), sizes, IN_A_CELL))
-    return Oriented(final, _verified(final, matched), tuple(left_out))
+    final = adjust_ties(first.start, first.values, _strong(spaced(matched, PATCH_PX), sizes, IN_A_CELL))
+    matched = of_images(matched, np.isin(first.start.images.names, final.start.images.names))
+    left_out += [*first.left_out, *final.left_out]
+    return Oriented(final, _verified(final, matched), tuple(left_out), placed.warnings)
 
 
 def _connected(start: Block, tracks: Tracks) -> tuple[Block, Tracks, Integers, list[dict[str, str]]]:
@@ -109,46 +116,15 @@ def _connected(start: Block, tracks: Tracks) -> tuple[Block, Tracks, Integers, l
         start, tracks, kept = without_images(start, few), of_images(tracks, ~few), kept[~few]
 
 
-def _reached(
-    start: Block, tracks: Tracks, sizes: Floats, kept: Integers
-) -> tuple[Floats, Tracks, Block, list[dict[str, str]], Floats, Integers]:
-    """Orient the images; those that are not reached are taken out."""
-    strong = _strong(tracks, sizes, FIRST_IN_A_CELL)
-    poses = orient(start, strong).images.values
-    lost: Flags = np.asarray(np.isnan(poses).any(axis=1))
-    if lost.all() and start.datum == "control":
-        _require_unjoined(start, strong)
+def _reached(start: Block, tracks: Tracks, sizes: Floats) -> tuple[Placed, Flags, list[dict[str, str]]]:
+    """Orient the images; which of them are, and why the others are not."""
+    placed = oriented(start, _strong(tracks, sizes, FIRST_IN_A_CELL))
     left_out = [
-        {
-            "image": start.images.names[k],
-            "reason": "its tie points do not orient it to the other images",
-        }
-        for k in np.flatnonzero(lost)
+        {"image": name, "reason": reason}
+        for name, reason in zip(start.images.names, placed.reasons, strict=True)
+        if reason
     ]
-    _require_two(~lost, left_out)
-    if lost.any():
-        start, tracks = without_images(start, lost), of_images(tracks, ~lost)
-    return poses[~lost], tracks, start, left_out, sizes[~lost], kept[~lost]
-
-
-def _require_unjoined(start: Block, tracks: Tracks) -> None:
-    """Images that tie points join are lost for another reason: nothing tells where the whole lies."""
-    nowhere = np.full_like(start.images.values, np.nan)
-    alone = replace(
-        start,
-        frame="local",
-        height="",
-        datum="free",
-        images=replace(start.images, values=nowhere, sigma=np.full_like(nowhere, np.inf)),
-        points=NO_POINTS,
-        observations=NO_OBSERVATIONS,
-    )
-    if np.isfinite(orient(alone, tracks).images.values).all(axis=1).any():
-        raise IllPosedError(
-            "the tie points join the images, but their positions and control do not say how the whole lies",
-            remedy="positions in a line leave the turn about it open: add images beside it, "
-            "or mark control points",
-        )
+    return placed, np.array([not reason for reason in placed.reasons]), left_out
 
 
 def _require_two(keep: Flags, left_out: list[dict[str, str]]) -> None:

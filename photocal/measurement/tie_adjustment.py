@@ -14,14 +14,17 @@ from photocal.block.model import Block, Images
 from photocal.block.network import NetworkOfBlock, assemble
 from photocal.geometry.camera import Camera
 from photocal.measurement.ray_sigmas import GROSS, ray_sigmas
+from photocal.measurement.start_block import without_images
 from photocal.measurement.tie_block import fitting, place, with_ties
-from photocal.measurement.tracks import Tracks
+from photocal.measurement.tracks import Tracks, of_images
 from photocal.results.adjusted import given_exposures, given_points
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 _ROUNDS = 8
+# Three rays give a pose that nothing checks.
+FEWEST_RAYS = 6
 
 
 @dataclass(frozen=True)
@@ -32,44 +35,104 @@ class Adjusted:
     ----------
     block : Block
         With its tie points; start values are the adjusted ones, observed values stay as observed.
+    start : Block
+        The same without tie points: cameras as adjusted, the images that kept their hold.
     tracks : Tracks
         The tie points that are left, in the order of the block.
     values : ndarray, shape (images, 6)
         Adjusted exterior orientations in the block's frame, of the observed ones too.
     rejected : int
         Rays that were taken out.
+    left_out : tuple of dict
+        Images that lost their hold, with the reason.
     """
 
     block: Block
+    start: Block
     tracks: Tracks
     values: Floats
     assembly: NetworkOfBlock
     solution: Solution
     rejected: int
+    left_out: tuple[dict[str, str], ...]
+
+
+@dataclass(frozen=True)
+class _Ties:
+    """What is being adjusted; images lose their hold, points and rays fall out."""
+
+    start: Block
+    poses: Floats
+    tracks: Tracks
+    sigma: Floats
+    left_out: tuple[dict[str, str], ...] = ()
+
+    def some(self, rays: Flags) -> _Ties:
+        """Keep some of the rays, and of those the points with two of them."""
+        left = np.bincount(self.tracks.track[rays], minlength=self.tracks.count)
+        kept = rays & (left >= 2)[self.tracks.track]
+        return replace(self, tracks=self.tracks.some(rays), sigma=self.sigma[kept])
+
+    def held(self) -> tuple[_Ties, Block]:
+        """Points that their rays determine, images that enough of them hold, and both as a block.
+
+        Observed positions and angles stay as they were observed.
+        """
+        ties = self
+        while True:
+            images = replace(ties.start.images, values=ties.poses)
+            values = place(replace(ties.start, images=images), ties.tracks)
+            known = np.asarray(np.isfinite(values).all(axis=1))
+            if not known.all():
+                ties, values = ties.some(known[ties.tracks.track]), values[known]
+            kept = replace(ties.start, images=_kept(ties.start, ties.poses))
+            block = with_ties(kept, ties.tracks, values, ties.sigma)
+            count = np.bincount(block.observations.image, minlength=len(images.names))
+            if (count >= FEWEST_RAYS).all():
+                return ties, block
+            ties = ties._without(count)
+
+    def _without(self, count: NDArray[np.int64]) -> _Ties:
+        """Take out the images that too few rays hold."""
+        few, names = count < FEWEST_RAYS, self.start.images.names
+        gone = [
+            {"image": names[k], "reason": f"only {count[k]} of its tie points fit the other images"}
+            for k in np.flatnonzero(few)
+        ]
+        if (~few).sum() < 2:
+            raise IllPosedError(
+                f"the tie points of no two images fit together ({gone[0]['image']}: {gone[0]['reason']})",
+                remedy="take images that overlap by 60 % and more, from different places",
+            )
+        ties = self.some(~few[self.tracks.image])
+        return replace(
+            ties,
+            start=without_images(self.start, few),
+            poses=self.poses[~few],
+            tracks=of_images(ties.tracks, ~few),
+            left_out=(*self.left_out, *gone),
+        )
 
 
 def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
-    """Adjust a block with tie points and take out the rays that do not fit."""
+    """Adjust a block with tie points; rays that do not fit, and images that lose their hold, are taken out."""
     total = len(tracks.track)
-    tracks = _placed(_oriented(start, poses), tracks)
-    sigma = np.ones(len(tracks.track))
+    ties, block = _Ties(start, poses, tracks, np.ones(total)).held()
+    ties, block = ties.some(fitting(block)[len(ties.start.observations.image) :]).held()
     for round_ in range(_ROUNDS):
-        block = _with_points(start, poses, tracks, sigma)
-        _require_rays(block)
         # Gross errors first: they must not go into the camera.
-        start, assembly, solution = _solved(start, assemble(block), held=round_ == 0)
-        poses = given_exposures(assembly, solution)[0]
+        start, assembly, solution = _solved(ties.start, block, held=round_ == 0)
+        ties = replace(ties, start=start, poses=given_exposures(assembly, solution)[0])
         size, redundancy = _by_ray(assembly, solution)
-        ties = slice(len(start.observations.image), None)
-        sigma = ray_sigmas(tracks.scale, tracks.image, size[ties], redundancy[ties])
+        own = slice(len(start.observations.image), None)
+        sigma = ray_sigmas(ties.tracks.scale, ties.tracks.image, size[own], redundancy[own])
         # A residual shows the part of the error that the redundancy number says.
-        standardised = size[ties] / (sigma * np.sqrt(2 * np.maximum(redundancy[ties], 0.05)))
+        standardised = size[own] / (sigma * np.sqrt(2 * np.maximum(redundancy[own], 0.05)))
         good = standardised <= (GROSS if round_ else 2 * GROSS)
+        ties, block = replace(ties, sigma=sigma).some(good).held()
         if round_ and good.all():
             break
-        tracks, sigma = _with(tracks, sigma, good)
-    block = _with_points(start, poses, tracks, sigma)
-    start, assembly, solution = _solved(start, assemble(block), held=False)
+    start, assembly, solution = _solved(ties.start, block, held=False)
     values = given_exposures(assembly, solution)[0]
     points = block.points.values.copy()
     tie = assembly.points >= len(start.points.names)
@@ -77,30 +140,12 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
     block = replace(
         block,
         cameras=start.cameras,
-        images=_kept(block, values),
+        datum=start.datum,
+        images=_kept(start, values),
         points=replace(block.points, values=points),
     )
-    return Adjusted(block, tracks, values, assembly, solution, total - len(tracks.track))
-
-
-def _placed(start: Block, tracks: Tracks) -> Tracks:
-    """Tracks whose rays meet and fit."""
-    values = place(start, tracks)
-    block = with_ties(start, tracks, values, np.ones(len(tracks.track)))
-    fit = fitting(block)[len(start.observations.image) :]
-    return tracks.some(fit)
-
-
-def _with(tracks: Tracks, sigma: Floats, good: Flags) -> tuple[Tracks, Floats]:
-    """Tracks and sigmas with the good rays only."""
-    left = np.bincount(tracks.track[good], minlength=tracks.count)
-    return tracks.some(good), sigma[good & (left >= 2)[tracks.track]]
-
-
-def _with_points(start: Block, poses: Floats, tracks: Tracks, sigma: Floats) -> Block:
-    """Block at its present values; observed positions and angles stay as they were observed."""
-    values = place(_oriented(start, poses), tracks, 0.0)
-    return with_ties(replace(start, images=_kept(start, poses)), tracks, values, sigma)
+    rejected = total - len(ties.tracks.track)
+    return Adjusted(block, start, ties.tracks, values, assembly, solution, rejected, ties.left_out)
 
 
 def _kept(start: Block, poses: Floats) -> Images:
@@ -108,32 +153,34 @@ def _kept(start: Block, poses: Floats) -> Images:
     return replace(images, values=np.where(np.isfinite(images.sigma), images.values, poses))
 
 
-def _oriented(block: Block, poses: Floats) -> Block:
-    return replace(block, images=replace(block.images, values=poses))
+def _solved(start: Block, block: Block, *, held: bool) -> tuple[Block, NetworkOfBlock, Solution]:
+    """Adjust, and give the cameras their new values; where the block does not bear them they are held.
 
-
-def _solved(start: Block, assembly: NetworkOfBlock, *, held: bool) -> tuple[Block, NetworkOfBlock, Solution]:
-    """Adjust, and give the cameras their new values; where the block does not bear them they are held."""
-    if held:
-        assembly = _with_cameras(assembly, _held(assembly.network.cameras))
-    try:
-        solution = adjust(assembly.network)
-    except (IllPosedError, NotConvergedError):
-        cameras = _held(assembly.network.cameras)
-        if not any(own.estimated.any() for own in assembly.network.cameras):
-            raise
-        start, assembly = replace(start, cameras=cameras), _with_cameras(assembly, cameras)
-        solution = adjust(assembly.network)
-    cameras = tuple(own.with_values(v) for own, v in zip(start.cameras, solution.cameras, strict=True))
-    return replace(start, cameras=cameras), assembly, solution
+    Where positions and control do not bear the datum, the block is adjusted free.
+    """
+    cameras = _held(start.cameras) if held else start.cameras
+    ways = [(start.cameras, cameras, start.datum), (_held(start.cameras), _held(cameras), start.datum)]
+    ways.append((start.cameras, cameras, "free"))
+    ways.append((_held(start.cameras), _held(cameras), "free"))
+    for number, (after, cameras, datum) in enumerate(ways, start=1):
+        if datum == "free":
+            images = replace(block.images, sigma=np.full_like(block.images.sigma, np.inf))
+            block, start = replace(block, datum="free", images=images), replace(start, datum="free")
+            start = replace(start, images=replace(start.images, sigma=images.sigma))
+        assembly = assemble(replace(block, cameras=cameras))
+        try:
+            solution = adjust(assembly.network)
+        except (IllPosedError, NotConvergedError):
+            if number == len(ways):
+                raise
+            continue
+        better = tuple(own.with_values(v) for own, v in zip(after, solution.cameras, strict=True))
+        return replace(start, cameras=better), assembly, solution
+    raise AssertionError
 
 
 def _held(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
     return tuple(replace(own, estimated=np.zeros_like(own.estimated)) for own in cameras)
-
-
-def _with_cameras(assembly: NetworkOfBlock, cameras: tuple[Camera, ...]) -> NetworkOfBlock:
-    return replace(assembly, network=replace(assembly.network, cameras=cameras))
 
 
 def pixel_residuals(assembly: NetworkOfBlock, solution: Solution) -> Floats:
@@ -151,14 +198,3 @@ def _by_ray(assembly: NetworkOfBlock, solution: Solution) -> tuple[Floats, Float
     redundancy = np.empty(len(assembly.rays))
     redundancy[assembly.rays] = solution.redundancy.mean(axis=1)
     return size, redundancy
-
-
-def _require_rays(block: Block) -> None:
-    few = np.flatnonzero(np.bincount(block.observations.image, minlength=len(block.images.names)) < 3)
-    if len(few):
-        name = block.images.names[few[0]]
-        raise IllPosedError(
-            "shares no points with the others that fit",
-            where=f"image {name}",
-            remedy="take it out, or add images that overlap it",
-        )

@@ -1,4 +1,4 @@
-"""Tie points added to a block, and the block oriented by them."""
+"""Tie points added to a block, and placed by its oriented images."""
 
 from __future__ import annotations
 
@@ -7,11 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.adjustment.network import Rays
-from photocal.adjustment.start.values import start_values
 from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.network import block_frame, observed_plane
-from photocal.geometry.oriented_images import given_places, given_poses, local_poses
+from photocal.geometry.oriented_images import given_places
 from photocal.geometry.resection import ray_residuals
 from photocal.measurement.tracks import Tracks
 from photocal.measurement.views import intersected, spread, views_of
@@ -47,27 +45,6 @@ def with_ties(block: Block, tracks: Tracks, values: Floats, sigma: Floats) -> Bl
             sigma=np.vstack([seen.sigma, np.column_stack([sigma, sigma])]),
         ),
     )
-
-
-def orient(block: Block, tracks: Tracks) -> Block:
-    """Find the exterior orientation of a block's images from tie points, positions and control."""
-    whole = with_ties(block, tracks, np.full((tracks.count, 3), np.nan), np.ones(len(tracks.track)))
-    frame = block_frame(whole)
-    given = local_poses(frame, block.images.values)
-    control = block.points.of_role("control")[:, None] & (block.datum == "control")
-    points = np.where(control, frame.to_local(block.points.values), np.nan)
-    points = np.vstack([points, np.full((tracks.count, 3), np.nan)])
-    rays = _rays(whole)
-    free = block.datum == "free" and not np.isfinite(given[:, 3:]).any()
-    turned = given.copy()
-    turned[:, :3] = np.nan
-    found = start_values(block.cameras, block.images.camera, turned, points, rays, free=free)
-    lost = np.zeros(len(given), dtype=np.bool_)
-    lost[found.lost] = True
-    # Positions in a line leave the turn about it open, but what was known before may close it.
-    found_poses = np.where(lost[:, None], given, found.exposures)
-    poses = np.where(lost[:, None] & np.isnan(given).any(axis=1, keepdims=True), np.nan, found_poses)
-    return replace(block, images=replace(block.images, values=given_poses(frame, poses)))
 
 
 def place(block: Block, tracks: Tracks, least_spread: float = LEAST_SPREAD) -> Floats:
@@ -106,10 +83,3 @@ def fitting(block: Block) -> Flags:
     typical = np.nanmedian(np.where(np.isfinite(miss) & tie, miss, np.nan))
     with np.errstate(invalid="ignore"):
         return np.asarray(miss <= START_GROSS * typical)
-
-
-def _rays(block: Block) -> Rays:
-    seen = block.observations
-    plane, sigma = observed_plane(block)
-    order = np.argsort(seen.point, kind="stable")
-    return Rays(seen.image[order], seen.point[order], plane[order], sigma[order])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from photocal.geometry.distortion import undistorted
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -22,8 +23,8 @@ class Sights:
 
     Attributes
     ----------
-    cameras : tuple of Camera
-        With values as good as they are known.
+    given, cameras : tuple of Camera
+        As they were given, what is known of them beforehand; and with values as good as they are known.
     camera_of : ndarray of int, shape (images,)
     points : int
         Number of object points.
@@ -33,6 +34,7 @@ class Sights:
         Undistorted image coordinates over the principal distance.
     """
 
+    given: tuple[Camera, ...]
     cameras: tuple[Camera, ...]
     camera_of: Integers
     points: int
@@ -60,6 +62,15 @@ class Sights:
         seen = csr_array((ones, (self.rays.image, self.rays.point)), shape=(self.images, self.points))
         return csr_array(seen @ seen.T)
 
+    def some(self, rays: Flags) -> Sights:
+        """Keep some of the rays."""
+        own = Rays(*(column[rays] for column in vars(self.rays).values()))
+        return replace(self, rays=own, slopes=self.slopes[rays])
+
+    def by(self, cameras: tuple[Camera, ...]) -> Sights:
+        """Undistort the rays anew by better cameras."""
+        return replace(self, cameras=cameras, slopes=_slopes(cameras, self.camera_of, self.rays))
+
 
 def sights(cameras: tuple[Camera, ...], camera_of: Integers, points: int, rays: Rays) -> Sights:
     """Undistort the rays of a block.
@@ -70,9 +81,13 @@ def sights(cameras: tuple[Camera, ...], camera_of: Integers, points: int, rays: 
     rays : Rays
         Sorted by point.
     """
+    return Sights(cameras, cameras, camera_of, points, rays, _slopes(cameras, camera_of, rays))
+
+
+def _slopes(cameras: tuple[Camera, ...], camera_of: Integers, rays: Rays) -> Floats:
     camera = camera_of[rays.image]
     slopes = np.empty(rays.plane.shape)
     for k, own in enumerate(cameras):
         mine = camera == k
         slopes[mine] = undistorted(own, rays.plane[mine]) / own.value("c")
-    return Sights(cameras, camera_of, points, rays, slopes)
+    return slopes

@@ -1,4 +1,4 @@
-"""A model: images oriented to each other, and the points where their rays meet."""
+"""A model: images oriented to each other, their cameras, and the points where their rays meet."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from photocal.adjustment.normal import prepare
 from photocal.adjustment.snooping import robust_state
 from photocal.adjustment.start.bearings import Sights
 from photocal.adjustment.state import start_state
+from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.resection import ray_residuals, resection
 from photocal.geometry.rotation import angles_from_matrix
 
@@ -23,16 +24,25 @@ Flags = NDArray[np.bool_]
 
 # Rays of a point have to meet at more than this angle (radians) to say how far it is.
 SHARP = np.radians(1.0)
-# An image is resected from this many points, or from fewer when there are no more.
-PLENTY, FEWEST = 10, 4
+# Images are resected from this many points, or from fewer when there are no more; those that see at least
+# this share of what the best one sees, together.
+PLENTY, FEWEST, BATCH = 10, 4, 0.5
 # The model is adjusted whenever it has grown by this share.
-GROWTH = 1.3
+GROWTH = 1.2
 # Adjustment may raise the median residual by this factor where it brings the points' own residuals down.
 STRAINED = 1.5
 # A ray is left out when it misses its point by this many times the median, within these bounds (in principal
 # distances); so many of one point at most.
-UNLIKE, LEAST, ASTRAY = 8.0, 2e-3, 0.05
+UNLIKE, LEAST, ASTRAY = 8.0, 2e-3, 0.03
 STRAY_RAYS = 3
+# A pose holds when this share of its rays fits; of few rays more, for three points fit any pose.
+SHARE, SHARE_OF_FEW, MANY = 0.3, 0.6, 12
+# Of the interior orientation only this is estimated here, where the camera is to be estimated at all, from
+# three images with so many rays each; with a prior sigma of c of this share of it where none is given, and
+# of the distortion at the corner of the image of this share of the radius.
+LENS = tuple(name in ("c", "K1", "K2") for name in PARAMETERS)
+CALIBRATING, RAYS_EACH = 3, 40
+C_SHARE, DISTORTION_SHARE = 0.2, 0.1
 
 
 @dataclass(frozen=True)
@@ -41,6 +51,8 @@ class Model:
 
     Attributes
     ----------
+    sights : Sights
+        The rays, by the cameras as the model has found them.
     rotation : ndarray, shape (images, 3, 3)
     centre : ndarray, shape (images, 3)
     points : ndarray, shape (points, 3)
@@ -48,6 +60,7 @@ class Model:
         Points that were given and keep their coordinates.
     """
 
+    sights: Sights
     rotation: Floats
     centre: Floats
     points: Floats
@@ -64,77 +77,88 @@ class Model:
         return np.asarray(np.isfinite(self.points[:, 0]))
 
 
-def empty_model(images: int, given: Floats) -> Model:
+def empty_model(sights: Sights, given: Floats) -> Model:
     """Make a model of points with given coordinates only, shape (points, 3), NaN for the others."""
     fixed = np.asarray(np.isfinite(given).all(axis=1))
     points = np.where(fixed[:, None], given, np.nan)
-    return Model(np.full((images, 3, 3), np.nan), np.full((images, 3), np.nan), points, fixed)
+    images = sights.images
+    return Model(sights, np.full((images, 3, 3), np.nan), np.full((images, 3), np.nan), points, fixed)
 
 
-def grown(model: Model, sights: Sights, limit: int | None = None) -> Model:
-    """Orient image after image, until no more can be reached."""
-    model = intersected(model, sights)
+def grown(model: Model, among: Flags, limit: int | None = None) -> Model:
+    """Orient image after image, until no more can be reached.
+
+    Parameters
+    ----------
+    among : ndarray of bool, shape (images,)
+        Images that may be oriented.
+    limit : int, optional
+        Number of images to stop at.
+    """
+    model = intersected(model)
     adjusted_at = int(model.oriented.sum())
-    failed = np.zeros(sights.images, dtype=np.bool_)
+    failed = ~among
     while limit is None or model.oriented.sum() < limit:
-        most = sights.images if limit is None else limit - int(model.oriented.sum())
-        model, tried = _next_images(model, sights, failed, most)
+        most = len(among) if limit is None else limit - int(model.oriented.sum())
+        model, tried = _next_images(model, failed, most)
         if not tried.any():
-            if not failed.any() or model.oriented.sum() == adjusted_at:
+            if (failed == ~among).all() or model.oriented.sum() == adjusted_at:
                 break
             # What could not be oriented is tried once more with better points.
-            model, failed = adjusted(model, sights), np.zeros_like(failed)
+            model, failed = adjusted(model), ~among
             adjusted_at = int(model.oriented.sum())
             continue
         failed |= tried & ~model.oriented
-        model = intersected(model, sights)
+        model = intersected(model)
         if model.oriented.sum() > GROWTH * adjusted_at:
-            model = adjusted(model, sights)
+            model = adjusted(model)
             adjusted_at = int(model.oriented.sum())
-    return adjusted(model, sights) if model.oriented.any() else model
+    return without_misfits(adjusted(model)) if model.oriented.any() else model
 
 
-def _next_images(model: Model, sights: Sights, failed: Flags, most: int) -> tuple[Model, Flags]:
+def _next_images(model: Model, failed: Flags, most: int) -> tuple[Model, Flags]:
     """Resect at most so many of the images that see most points of the model; which ones were tried."""
-    known = model.placed[sights.rays.point]
-    count = np.bincount(sights.rays.image[known], minlength=sights.images)
+    rays, slopes = model.sights.rays, model.sights.slopes
+    known = model.placed[rays.point]
+    count = np.bincount(rays.image[known], minlength=model.sights.images)
     count[model.oriented | failed] = 0
     tried = np.asarray(count >= max(FEWEST, min(PLENTY, int(count.max(initial=0)))))
     if (count >= PLENTY).any():
-        tried &= count >= 0.5 * count.max()
+        tried &= count >= BATCH * count.max()
     tried[np.argsort(-count, kind="stable")[most:]] = False
+    limit = fitting_limit(_residuals(model))
     rotation, centre = model.rotation.copy(), model.centre.copy()
     for image in np.flatnonzero(tried):
-        mine = np.flatnonzero(known & (sights.rays.image == image))
-        found = resection(model.points[sights.rays.point[mine]], sights.slopes[mine])
-        if found is not None and np.median(found.residual) < ASTRAY:
+        mine = np.flatnonzero(known & (rays.image == image))
+        found = resection(model.points[rays.point[mine]], slopes[mine])
+        # A camera that is not calibrated yet strains the first images more than those before.
+        if found is not None and np.sum(found.residual < 2 * limit) >= _enough(len(mine)):
             rotation[image], centre[image] = found.rotation, found.centre
     return replace(model, rotation=rotation, centre=centre), tried
 
 
-def intersected(model: Model, sights: Sights) -> Model:
+def _enough(count: int) -> float:
+    """How many of so many rays have to fit a pose."""
+    return max(FEWEST, min(SHARE_OF_FEW * count, MANY), SHARE * count)
+
+
+def intersected(model: Model) -> Model:
     """Place the points that rays of oriented images meet at, all but those that were given.
 
     Rays that miss by far more than most are left out, one of a point at a time.
     """
-    rays = np.flatnonzero(model.oriented[sights.rays.image] & ~model.fixed[sights.rays.point])
+    seen = model.sights
+    rays = np.flatnonzero(model.oriented[seen.rays.image] & ~model.fixed[seen.rays.point])
+    rays = rays[np.isfinite(seen.slopes[rays, 0])]
     if not len(rays):
         return model
     for _ in range(STRAY_RAYS + 1):
-        image, point = sights.rays.image[rays], sights.rays.point[rays]
-        found = intersect(
-            point,
-            sights.points,
-            model.centre[image],
-            model.rotation[image],
-            sights.slopes[rays],
-            np.ones(len(rays)),
-        )
-        residual = ray_residuals(
-            model.rotation[image], model.centre[image], found[point], sights.slopes[rays]
-        )
-        stray = _strays(residual)
-        count = np.bincount(point, minlength=sights.points)
+        image, point = seen.rays.image[rays], seen.rays.point[rays]
+        rotation, centre = model.rotation[image], model.centre[image]
+        found = intersect(point, seen.points, centre, rotation, seen.slopes[rays], np.ones(len(rays)))
+        residual = ray_residuals(rotation, centre, found[point], seen.slopes[rays])
+        stray = residual > fitting_limit(residual)
+        count = np.bincount(point, minlength=seen.points)
         order = np.lexsort((-np.nan_to_num(residual, nan=0.0, posinf=1e9), point))
         _, first = np.unique(point[order], return_index=True)
         worst = order[first]
@@ -142,49 +166,51 @@ def intersected(model: Model, sights: Sights) -> Model:
         if not len(out):
             break
         rays = np.delete(rays, out)
-    missed = np.bincount(point[stray], minlength=sights.points) > 0
-    found[missed | (_angles(model, sights, rays, found) < SHARP)] = np.nan
+    missed = np.bincount(point[stray], minlength=seen.points) > 0
+    found[missed | (_angles(model, rays, found) < SHARP)] = np.nan
     return replace(model, points=np.where(model.fixed[:, None], model.points, found))
 
 
-def _strays(residual: Floats) -> Flags:
-    """Rays that miss their points by far more than most; NaN is none."""
+def fitting_limit(residual: Floats) -> float:
+    """Residual beyond which a ray misses its point by far more than most; NaN counts for nothing."""
     known = residual[np.isfinite(residual)]
-    limit = np.clip(UNLIKE * np.median(known) if len(known) else 0.0, LEAST, ASTRAY)
-    return np.asarray(residual > limit)
+    return float(np.clip(UNLIKE * np.median(known) if len(known) else 0.0, LEAST, ASTRAY))
 
 
-def _angles(model: Model, sights: Sights, rays: Integers, points: Floats) -> Floats:
+def _angles(model: Model, rays: Integers, points: Floats) -> Floats:
     """Largest angle between a point's first ray and its others, radians; 0 for a single ray."""
-    image, point = sights.rays.image[rays], sights.rays.point[rays]
+    image, point = model.sights.rays.image[rays], model.sights.rays.point[rays]
     away = points[point] - model.centre[image]
     with np.errstate(invalid="ignore", divide="ignore"):
         away = away / np.linalg.norm(away, axis=1)[:, None]
-    first = np.searchsorted(point, np.arange(sights.points))
+    first = np.searchsorted(point, np.arange(len(points)))
     reference = away[np.minimum(first, len(rays) - 1)][point]
     angle = np.arccos(np.clip(np.sum(away * reference, axis=1), -1.0, 1.0))
-    largest = np.zeros(sights.points)
+    largest = np.zeros(len(points))
     np.fmax.at(largest, point, angle)
     return largest
 
 
-def adjusted(model: Model, sights: Sights) -> Model:
-    """Adjust poses and points robustly, with the cameras as they are.
+def adjusted(model: Model) -> Model:
+    """Adjust poses, points and what is to be estimated of the cameras, with the rays that fit.
 
     Points that were given hold the datum when there are enough of them; else the model floats.
     """
+    seen = model.sights
     images = np.flatnonzero(model.oriented)
-    taken = model.oriented[sights.rays.image] & model.placed[sights.rays.point]
-    count = np.bincount(sights.rays.point[taken], minlength=sights.points)
+    residual = _residuals(model)
+    # Given coordinates may be wrong, and a ray of one of them says what no other does.
+    taken = (residual <= fitting_limit(residual)) | (np.isfinite(residual) & model.fixed[seen.rays.point])
+    count = np.bincount(seen.rays.point[taken], minlength=seen.points)
     points = np.flatnonzero(count >= np.where(model.fixed, 1, 2))
-    rays = np.flatnonzero(taken & np.isin(sights.rays.point, points))
+    rays = np.flatnonzero(taken & np.isin(seen.rays.point, points))
     held = model.fixed[points]
     if len(images) < 2 or not len(rays):
         return model
     network = Network(
-        tuple(replace(c, estimated=np.zeros_like(c.estimated)) for c in sights.cameras),
+        _to_calibrate(seen, rays),
         Exposures(
-            sights.camera_of[images],
+            seen.camera_of[images],
             np.hstack([angles_from_matrix(model.rotation[images]), model.centre[images]]),
             np.full((len(images), 6), np.inf),
         ),
@@ -194,16 +220,16 @@ def adjusted(model: Model, sights: Sights) -> Model:
             np.zeros((len(points), 3, 3)),
         ),
         Rays(
-            np.searchsorted(images, sights.rays.image[rays]),
-            np.searchsorted(points, sights.rays.point[rays]),
-            sights.rays.plane[rays],
-            sights.rays.sigma[rays],
+            np.searchsorted(images, seen.rays.image[rays]),
+            np.searchsorted(points, seen.rays.point[rays]),
+            seen.rays.plane[rays],
+            seen.rays.sigma[rays],
         ),
         tuple(str(i) for i in images),
         tuple(str(j) for j in points),
         datum_points=None if held.any() else np.zeros(0, dtype=np.int64),
     )
-    start = start_state(network)
+    start = replace(start_state(network), cameras=np.array([own.values for own in seen.cameras]))
     with np.errstate(all="ignore"):
         state = robust_state(with_datum(prepare(network), start), start)
     rotation, centre = model.rotation.copy(), model.centre.copy()
@@ -211,16 +237,90 @@ def adjusted(model: Model, sights: Sights) -> Model:
     where = model.points.copy()
     where[points] = state.points
     better = replace(model, rotation=rotation, centre=centre, points=where)
-    return better if misfit(better, sights) < STRAINED * misfit(model, sights) else model
+    if any(own.estimated.any() for own in network.cameras):
+        cameras = tuple(own.with_values(v) for own, v in zip(seen.cameras, state.cameras, strict=True))
+        better = replace(better, sights=seen.by(cameras))
+    return better if misfit(better) < STRAINED * misfit(model) else model
 
 
-def misfit(model: Model, sights: Sights) -> float:
-    """Median residual of the rays in the model, in units of the principal distance."""
-    rays = np.flatnonzero(model.oriented[sights.rays.image] & model.placed[sights.rays.point])
-    if not len(rays):
-        return float("inf")
-    image, point = sights.rays.image[rays], sights.rays.point[rays]
-    residual = ray_residuals(
-        model.rotation[image], model.centre[image], model.points[point], sights.slopes[rays]
+def _to_calibrate(seen: Sights, rays: Integers) -> tuple[Camera, ...]:
+    """Cameras as they were given, with what so many rays can tell of them."""
+    camera = seen.camera_of[seen.rays.image[rays]]
+    found = []
+    for k, own in enumerate(seen.given):
+        images = len(np.unique(seen.rays.image[rays][camera == k]))
+        enough = images >= CALIBRATING and np.sum(camera == k) >= RAYS_EACH * images
+        corner = float(np.hypot(own.size_px[0] * own.pitch[0], own.size_px[1] * own.pitch[1])) / 2
+        loose = np.full(len(PARAMETERS), np.inf)
+        loose[0] = C_SHARE * own.value("c")
+        loose[3:5] = DISTORTION_SHARE / corner**2, DISTORTION_SHARE / corner**4
+        found.append(
+            replace(
+                own if enough else seen.cameras[k],
+                estimated=own.estimated & LENS & enough,
+                prior_sigma=np.minimum(loose, own.prior_sigma),
+                prior_correlation=None,
+                deviation_sigma=np.zeros(len(PARAMETERS)),
+            )
+        )
+    return tuple(found)
+
+
+def held_to_given(model: Model) -> Model:
+    """The same images and points with the principal distances that were given, reached in steps."""
+    seen = model.sights
+    first = [own.value("c") for own in seen.cameras]
+    for share in (0.25, 0.5, 0.75, 1.0):
+        cameras = []
+        for own, given, c in zip(model.sights.cameras, seen.given, first, strict=True):
+            values = own.values.copy()
+            values[0] = c + share * (given.value("c") - c)
+            estimated = own.estimated & (np.arange(len(PARAMETERS)) > 0)
+            cameras.append(replace(own.with_values(values), estimated=estimated))
+        stepped = replace(model.sights.by(tuple(cameras)), given=tuple(cameras))
+        model = adjusted(intersected(replace(model, sights=stepped)))
+    return without_misfits(intersected(model))
+
+
+def without_misfits(model: Model) -> Model:
+    """Take out the images whose rays do not fit the model, and what only they placed."""
+    residual = _residuals(model)
+    image = model.sights.rays.image
+    known = np.isfinite(residual)
+    total = np.bincount(image[known], minlength=model.sights.images)
+    fits = np.bincount(image[known & (residual <= fitting_limit(residual))], minlength=model.sights.images)
+    gone = model.oriented & (fits < [_enough(count) for count in total])
+    if not gone.any():
+        return model
+    rotation, centre = model.rotation.copy(), model.centre.copy()
+    rotation[gone], centre[gone] = np.nan, np.nan
+    return intersected(replace(model, rotation=rotation, centre=centre))
+
+
+def _residuals(model: Model) -> Floats:
+    """Residual of each ray, in units of the principal distance; NaN where image or point is unknown."""
+    image, point = model.sights.rays.image, model.sights.rays.point
+    known = np.flatnonzero(model.oriented[image] & model.placed[point])
+    residual = np.full(len(image), np.nan)
+    residual[known] = ray_residuals(
+        model.rotation[image[known]],
+        model.centre[image[known]],
+        model.points[point[known]],
+        model.sights.slopes[known],
     )
-    return float(np.median(residual))
+    return residual
+
+
+def misfit(model: Model) -> float:
+    """Median residual of the rays in the model, in units of the principal distance."""
+    residual = _residuals(model)
+    known = residual[~np.isnan(residual)]
+    return float(np.median(known)) if len(known) else float("inf")
+
+
+def support(model: Model) -> int:
+    """How many rays of points with three and more of them meet within the model."""
+    residual = _residuals(model)
+    fits = residual <= LEAST
+    count = np.bincount(model.sights.rays.point[fits], minlength=model.sights.points)
+    return int(count[count >= 3].sum())

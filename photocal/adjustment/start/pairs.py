@@ -8,41 +8,49 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.adjustment.start.bearings import Sights
-from photocal.adjustment.start.model import Model, empty_model, grown, misfit
+from photocal.adjustment.start.model import Model, empty_model, grown, misfit, support
 from photocal.geometry.relative_orientation import FEWEST, RelativeOrientation, relative_orientations
 
 Flags = NDArray[np.bool_]
 
 # Pairs that are looked at, and images that a trial model has.
-PAIRS, TRIALS, TRIAL_IMAGES = 24, 3, 4
+PAIRS, TRIALS, TRIAL_IMAGES = 24, 6, 4
 # Beyond this angle (radians) a wider base makes a pair no better.
 WIDE = np.radians(25.0)
+# A trial is good when its rays miss by this share of the principal distance, and this share of them meets.
+CLOSE, MEETING = 1e-3, 0.7
 
 
 def first_model(sights: Sights, free: Flags) -> Model | None:
-    """Small model of the images that orient each other best."""
-    pairs = _pairs(sights, free)
-    trials: list[Model] = []
-    for first, second, candidates in pairs[:TRIALS]:
-        trials += [
-            grown(_pair_model(sights, first, second, candidate), _only(sights, free), TRIAL_IMAGES)
-            for candidate in candidates
-        ]
-        trials = [trial for trial in trials if trial.oriented.sum() >= 2 and trial.placed.any()]
-        if trials and min(misfit(trial, sights) for trial in trials) < 1e-3:
+    """Small model of the images that orient each other best.
+
+    A pose that only the plane of the points suggested fits no third image: what counts is how many rays meet
+    in threes.
+    """
+    own = sights.some(free[sights.rays.image])
+    best: Model | None = None
+    for first, second, candidates in _pairs(sights, free)[:TRIALS]:
+        for candidate in candidates:
+            trial = grown(_pair_model(own, first, second, candidate), free, TRIAL_IMAGES)
+            if (
+                trial.oriented.sum() >= 2
+                and trial.placed.any()
+                and (best is None or _rank(trial) > _rank(best))
+            ):
+                best = trial
+        if best is not None and best.oriented.sum() == TRIAL_IMAGES and _good(best):
             break
-    # A pose that only the plane of the points suggested fits no third image.
-    return min(trials, key=lambda trial: (-int(trial.oriented.sum()), misfit(trial, sights)), default=None)
+    return None if best is None else replace(best, sights=sights.by(best.sights.cameras))
 
 
-def _only(sights: Sights, free: Flags) -> Sights:
-    """Sights of some images."""
-    keep = free[sights.rays.image]
-    rays = sights.rays
-    own = replace(
-        rays, image=rays.image[keep], point=rays.point[keep], plane=rays.plane[keep], sigma=rays.sigma[keep]
-    )
-    return replace(sights, rays=own, slopes=sights.slopes[keep])
+def _rank(trial: Model) -> tuple[int, int, float]:
+    return min(int(trial.oriented.sum()), 3), support(trial), -misfit(trial)
+
+
+def _good(trial: Model) -> bool:
+    seen = trial.oriented[trial.sights.rays.image]
+    count = np.bincount(trial.sights.rays.point[seen], minlength=trial.sights.points)
+    return misfit(trial) < CLOSE and support(trial) > MEETING * count[count >= 3].sum()
 
 
 def _pairs(sights: Sights, free: Flags) -> list[tuple[int, int, list[RelativeOrientation]]]:
@@ -67,7 +75,7 @@ def _pairs(sights: Sights, free: Flags) -> list[tuple[int, int, list[RelativeOri
 
 
 def _pair_model(sights: Sights, first: int, second: int, pair: RelativeOrientation) -> Model:
-    model = empty_model(sights.images, np.full((sights.points, 3), np.nan))
+    model = empty_model(sights, np.full((sights.points, 3), np.nan))
     model.rotation[[first, second]] = np.eye(3), pair.rotation
     model.centre[[first, second]] = np.zeros(3), pair.base
     return model

@@ -13,7 +13,7 @@ from photocal.adjustment.start.model import Model, adjusted, empty_model, grown,
 from photocal.adjustment.start.pairs import first_model
 from photocal.geometry.camera import Camera
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
-from photocal.geometry.similarity import Similarity, similarity
+from photocal.geometry.similarity import Similarity, robust_similarity
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -75,20 +75,35 @@ def start_values(
         Whether a network without control is wanted in a system of its own: that of the largest model.
     """
     seen = sights(cameras, camera_of, len(points), rays)
-    model = _known_poses(empty_model(len(camera_of), points), exposures)
-    complete = model.oriented
-    if complete.any() or _resectable(model, seen):
-        model = grown(model, seen)
+    model = _known_poses(empty_model(seen, points), exposures)
+    complete, everywhere = model.oriented, np.ones(seen.images, dtype=np.bool_)
+    if complete.any() or _resectable(model):
+        model = grown(model, everywhere)
     while not model.oriented.all():
-        more = _separate_model(model, seen, exposures, relations, free=free and not model.oriented.any())
+        more = _separate_model(model, exposures, relations, free=free and not model.oriented.any())
         if more is None:
             break
-        model = _joined(model, more, seen)
+        model = _joined(model, more)
     result = exposures.copy()
     new = model.oriented & ~complete
     result[new] = np.hstack([angles_from_matrix(model.rotation[new]), model.centre[new]])
     result[~model.oriented] = np.nan
     return StartValues(result, model.points, np.flatnonzero(~model.oriented))
+
+
+def free_models(seen: Sights) -> list[Model]:
+    """Models that relative orientation alone builds, each in a system of its own, that of most images first."""
+    remaining, found = np.ones(seen.images, dtype=np.bool_), list[Model]()
+    while remaining.sum() >= 2:
+        model = first_model(seen, remaining)
+        if model is None:
+            break
+        model = grown(model, remaining)
+        found.append(model)
+        remaining &= ~model.oriented
+        if not model.oriented.any():
+            break
+    return sorted(found, key=lambda model: -int(model.oriented.sum()))
 
 
 def _known_poses(model: Model, exposures: Floats) -> Model:
@@ -98,22 +113,21 @@ def _known_poses(model: Model, exposures: Floats) -> Model:
     return replace(model, rotation=rotation, centre=centre)
 
 
-def _resectable(model: Model, seen: Sights) -> bool:
+def _resectable(model: Model) -> bool:
     """Whether two images, or the only one, see five known points or more."""
+    seen = model.sights
     count = np.bincount(seen.rays.image[model.placed[seen.rays.point]], minlength=seen.images)
     return bool((count >= 5).sum() >= min(2, seen.images))
 
 
-def _separate_model(
-    model: Model, seen: Sights, exposures: Floats, relations: Relations, *, free: bool
-) -> Model | None:
+def _separate_model(model: Model, exposures: Floats, relations: Relations, *, free: bool) -> Model | None:
     """Model of images that are not oriented yet, in the object system; None when there is none."""
     remaining = ~model.oriented
     while remaining.any():
-        own = first_model(seen, remaining)
+        own = first_model(model.sights, remaining)
         if own is None:
             return None
-        own = grown(own, seen)
+        own = grown(own, np.ones_like(remaining))
         move = _to_object(model, own, exposures)
         if move is None and free:
             move = _scaled(own, relations)
@@ -136,22 +150,8 @@ def _to_object(model: Model, own: Model, exposures: Floats) -> Similarity | None
     places = np.where(model.oriented[:, None], model.centre, exposures[:, 3:])
     source = np.vstack([own.points[both], own.centre[centres]])
     target = np.vstack([model.points[both], places[centres]])
-    return _without_strays(source, target)
-
-
-def _without_strays(source: Floats, target: Floats) -> Similarity | None:
-    """Similarity; places that miss by far more than the others are left out."""
-    found = similarity(source, target)
-    for _ in range(5):
-        if found is None or len(source) < 5:
-            break
-        miss = np.linalg.norm(found.applied(source) - target, axis=1)
-        good = miss <= max(5 * float(np.median(miss)), 1e-9 * float(np.ptp(target)))
-        if good.all():
-            break
-        source, target = source[good], target[good]
-        found = similarity(source, target) or found
-    return found
+    found = robust_similarity(source, target)
+    return None if found is None else found[0]
 
 
 def _scaled(own: Model, relations: Relations) -> Similarity:
@@ -162,13 +162,13 @@ def _scaled(own: Model, relations: Relations) -> Similarity:
     return Similarity(scale, np.eye(3), np.zeros(3))
 
 
-def _joined(model: Model, more: Model, seen: Sights) -> Model:
-    """One model of two in the same system, adjusted and grown on."""
+def _joined(model: Model, more: Model) -> Model:
+    """One model of two in the same system, adjusted and grown on; cameras are those of the larger one."""
     new = more.oriented & ~model.oriented
     together = replace(
         model,
+        sights=model.sights if model.oriented.sum() > more.oriented.sum() else more.sights,
         rotation=np.where(new[:, None, None], more.rotation, model.rotation),
         centre=np.where(new[:, None], more.centre, model.centre),
     )
-    together = intersected(together, seen)
-    return grown(adjusted(together, seen), seen)
+    return grown(adjusted(intersected(together)), np.ones_like(new))

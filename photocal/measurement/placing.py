@@ -1,0 +1,269 @@
+"""Images oriented by their tie points alone, then placed by control points and positions.
+
+The shape of a block comes from its rays; what images say of their positions, which may be wrong by tens of
+metres, only places it. So a wrong position bends nothing and can be told from the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import IllPosedError
+from photocal.adjustment.network import Rays
+from photocal.adjustment.start.bearings import sights
+from photocal.adjustment.start.model import LENS, Model, held_to_given, misfit, support
+from photocal.adjustment.start.values import free_models
+from photocal.block.model import Block, Images
+from photocal.block.network import block_frame, observed_plane
+from photocal.geometry.camera import Camera
+from photocal.geometry.oriented_images import given_poses, local_poses
+from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
+from photocal.geometry.similarity import (
+    Similarity,
+    aligned_similarity,
+    misses_of,
+    robust_similarity,
+)
+from photocal.measurement.tie_block import with_ties
+from photocal.measurement.tracks import Tracks
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+# The principal distance that was given is kept where the rays fit it so well, and meet in threes so often,
+# as the one that they would choose: flat ground seen from one height says next to nothing about it.
+KEPT_MISFIT, KEPT_SUPPORT = 1.15, 0.9
+# Places whose errors leave a turn open by more than this (rad) do not say how the whole lies.
+OPEN_TURN = 0.25
+# How well a level camera, or attitudes of the vehicle, then say it, rad.
+LEVEL = 0.2
+# A position that misses by so many sigmas is wrong; positions that miss by so many all together are worse
+# than was assumed.
+WRONG_POSITION, WORSE_POSITIONS = 6.0, 2.0
+# Images of a model that is joined to another by positions alone, and how well these turn it (rad).
+FEWEST_JOINED, JOINED_TURN = 4, 0.05
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A block with oriented images.
+
+    Attributes
+    ----------
+    block : Block
+        Its cameras as good as they are known now, its datum and the sigmas of its positions as they are
+        borne out.
+    poses : ndarray, shape (images, 6)
+        In the block's frame; NaN for images that are not oriented.
+    reasons : tuple of str
+        Why not, for each image; empty for those that are.
+    warnings : tuple of str
+    """
+
+    block: Block
+    poses: Floats
+    reasons: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def oriented(block: Block, tracks: Tracks) -> Placed:
+    """Orient the images of a block by tracks, and place them by control points, positions and attitudes.
+
+    Raises
+    ------
+    IllPosedError
+        When no two images are oriented to each other.
+    """
+    whole = with_ties(block, tracks, np.full((tracks.count, 3), np.nan), np.ones(len(tracks.track)))
+    frame = block_frame(whole)
+    given = local_poses(frame, block.images.values)
+    cameras = tuple(replace(own, estimated=own.estimated | LENS) for own in block.cameras)
+    seen = sights(cameras, block.images.camera, len(whole.points.names), _rays(whole))
+    models = free_models(seen)
+    if not models or models[0].oriented.sum() < 2:
+        raise IllPosedError(
+            "the images cannot be oriented by tie points: no two of them show the same places from two sides",
+            remedy="take images that overlap by 60 % and more, from different places",
+        )
+    known = block.points.of_role("control")[:, None] & (block.datum == "control")
+    control = np.vstack(
+        [np.where(known, frame.to_local(block.points.values), np.nan), np.full((tracks.count, 3), np.nan)]
+    )
+    model, warnings = _calibrated(models[0], block.cameras)
+    block = replace(block, cameras=_cameras(block.cameras, model))
+    move, determined = _placing(model, control, given, _position_sigma(block, given))
+    if not determined:
+        block = replace(block, datum="free", images=_unobserved(block))
+        warnings.append(
+            "neither control nor positions say how the block lies (too few, in a line, or too uncertain for "
+            "its size): it is placed as if the cameras looked down, and adjusted free"
+        )
+    elif block.datum == "control":
+        block, said = _with_borne_out_positions(block, model, move, given)
+        warnings += said
+    model = _moved(model, move)
+    reasons = np.where(model.oriented, "", "its tie points do not orient it to the other images").astype(
+        object
+    )
+    for more in models[1:]:
+        own = more.oriented & ~model.oriented
+        count = int(own.sum())
+        reasons[own] = f"belongs to another block of {count} images, which shares no points with this one"
+        move, _ = _placing(more, control, given, _position_sigma(block, given))
+        if determined and count >= FEWEST_JOINED and _turn_sigma(more, move, given) < JOINED_TURN:
+            model = _together(model, _moved(more, move), own)
+            reasons[own] = ""
+    lost = ~model.oriented
+    poses = np.hstack([angles_from_matrix(model.rotation), model.centre])
+    # What was known of an image before is better than nothing.
+    complete = lost & np.isfinite(given).all(axis=1) & determined
+    poses[complete], reasons[complete] = given[complete], ""
+    return Placed(block, given_poses(frame, poses), tuple(reasons), tuple(warnings))
+
+
+def _rays(block: Block) -> Rays:
+    seen = block.observations
+    plane, sigma = observed_plane(block)
+    order = np.argsort(seen.point, kind="stable")
+    return Rays(seen.image[order], seen.point[order], plane[order], sigma[order])
+
+
+def _calibrated(model: Model, given: tuple[Camera, ...]) -> tuple[Model, list[str]]:
+    """The model with principal distances as given, where it bears them, else with its own."""
+    wanted = [own.estimated[0] for own in given]
+    if all(wanted):
+        return model, []
+    held = held_to_given(model)
+    if (
+        misfit(held) < KEPT_MISFIT * misfit(model)
+        and support(held) > KEPT_SUPPORT * support(model)
+        and (held.oriented == model.oriented).all()
+    ):
+        return held, []
+    return model, [
+        f"c of camera {own.id} was given as {own.value('c'):.5g} {own.unit}, which the rays do not fit: "
+        f"it is estimated, from {better.value('c'):.5g} {own.unit}"
+        for own, better in zip(given, model.sights.cameras, strict=True)
+        if not own.estimated[0]
+    ]
+
+
+def _cameras(given: tuple[Camera, ...], model: Model) -> tuple[Camera, ...]:
+    """Cameras with the values of the model; c is estimated where the model could not keep the given one."""
+    cameras = []
+    for own, better in zip(given, model.sights.cameras, strict=True):
+        estimated = own.estimated.copy()
+        estimated[0] |= better.value("c") != own.value("c")
+        # What is held keeps its value.
+        cameras.append(
+            replace(own, estimated=estimated, values=np.where(estimated, better.values, own.values))
+        )
+    return tuple(cameras)
+
+
+def _position_sigma(block: Block, given: Floats) -> float:
+    """Usual sigma of a coordinate of the positions, m; 0 where they are not observed."""
+    sigma = block.images.sigma[np.isfinite(given[:, 3:]).all(axis=1), 3:]
+    return float(np.median(sigma[np.isfinite(sigma)])) if np.isfinite(sigma).any() else 0.0
+
+
+def _placing(model: Model, control: Floats, given: Floats, sigma: float) -> tuple[Similarity, bool]:
+    """How a model is brought to the object, and whether control and positions determine that."""
+    points = model.placed & np.isfinite(control[:, 0])
+    images = model.oriented & np.isfinite(given[:, 3:]).all(axis=1)
+    both = (
+        np.vstack([model.points[points], model.centre[images]]),
+        np.vstack([control[points], given[images, 3:]]),
+    )
+    # Heights of positions may count from another surface: control alone, where it suffices.
+    for source, target, error in ((model.points[points], control[points], 0.0), (*both, sigma)):
+        found = robust_similarity(source, target)
+        if (
+            found is not None
+            and _turn(target[found[1]], misses_of(found[0], source, target)[found[1]], error) < OPEN_TURN
+        ):
+            return found[0], True
+    axes, goals = _directions(model, given)
+    source, target = both
+    if not len(source):
+        source, target = model.centre[model.oriented][:1], np.zeros((1, 3))
+    weight = max(sigma, 1e-3) ** 2 / LEVEL**2 * max(len(source), 1)
+    return aligned_similarity(source, target, axes, goals, weight), False
+
+
+def _turn(target: Floats, miss: Floats, sigma: float) -> float:
+    """By how much places of some sigma leave a turn about their line open, rad."""
+    extent = np.linalg.svd(target - target.mean(axis=0), compute_uv=False)
+    freedom = max(3 * len(target) - 7, 1)
+    error = max(float(np.sqrt(np.sum(miss**2) / freedom)), sigma)
+    return error / max(float(extent[1]), 1e-12)
+
+
+def _turn_sigma(model: Model, move: Similarity, given: Floats) -> float:
+    images = model.oriented & np.isfinite(given[:, 3:]).all(axis=1)
+    if images.sum() < FEWEST_JOINED:
+        return np.inf
+    target = given[images, 3:]
+    return _turn(target, misses_of(move, model.centre[images], target), 0.0)
+
+
+def _directions(model: Model, given: Floats) -> tuple[Floats, Floats]:
+    """Directions in the model, and what they are in the object: attitudes, or that cameras look down."""
+    images = model.oriented & np.isfinite(given[:, :3]).all(axis=1)
+    if images.any():
+        return (
+            model.rotation[images].reshape(-1, 3),
+            matrix_from_angles(given[images, :3]).reshape(-1, 3),
+        )
+    up = model.rotation[model.oriented, 2].mean(axis=0)
+    return (up / np.linalg.norm(up))[None], np.array([[0.0, 0.0, 1.0]])
+
+
+def _moved(model: Model, move: Similarity) -> Model:
+    return replace(
+        model,
+        rotation=move.applied_to_rotations(model.rotation),
+        centre=move.applied(model.centre),
+        points=move.applied(model.points),
+    )
+
+
+def _together(model: Model, more: Model, own: Flags) -> Model:
+    return replace(
+        model,
+        rotation=np.where(own[:, None, None], more.rotation, model.rotation),
+        centre=np.where(own[:, None], more.centre, model.centre),
+    )
+
+
+def _unobserved(block: Block) -> Images:
+    return replace(block.images, sigma=np.full_like(block.images.sigma, np.inf))
+
+
+def _with_borne_out_positions(
+    block: Block, model: Model, move: Similarity, given: Floats
+) -> tuple[Block, list[str]]:
+    """Block without positions that are wrong, the sigmas of the others as large as their misses."""
+    sigma = block.images.sigma.copy()
+    observed = model.oriented & np.isfinite(sigma[:, 3:]).all(axis=1) & (sigma[:, 3:] > 0).all(axis=1)
+    if observed.sum() < FEWEST_JOINED:
+        return block, []
+    miss = move.applied(model.centre[observed]) - given[observed, 3:]
+    ratio = np.linalg.norm(miss / sigma[observed, 3:], axis=1) / np.sqrt(3)
+    factor = max(1.0, float(np.median(ratio)) / 0.9)
+    wrong = ratio > WRONG_POSITION * factor
+    said = [
+        f"position of image {block.images.names[k]} is {np.linalg.norm(miss[j]):.0f} m off: not used"
+        for j, k in enumerate(np.flatnonzero(observed))
+        if wrong[j]
+    ]
+    sigma[np.flatnonzero(observed)[wrong], 3:] = np.inf
+    if factor > WORSE_POSITIONS:
+        said.append(
+            f"the positions fit the rays {factor:.1f} times worse than their sigmas say: these are enlarged"
+        )
+        sigma[:, 3:] *= factor
+    return replace(block, images=replace(block.images, sigma=sigma)), said
