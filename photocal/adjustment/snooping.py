@@ -115,7 +115,7 @@ def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None
 
 
 def robust_state(problem: Problem, state: State, report: Callable[[Iteration], None] | None = None) -> State:
-    """State that gross errors do not bend, by iteratively reweighted least squares, damped where they climb."""
+    """State that gross errors do not bend, by damped iteratively reweighted least squares."""
     fit, damping = ray_fit(problem, state), 0.0
     for number in range(1, 41):
         scale = HALF_WEIGHT * _scale(fit)

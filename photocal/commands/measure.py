@@ -256,6 +256,7 @@ def _ties_text(record: dict[str, Any], output: Path) -> str:
         f"points kept: {record['points']}, {share:.0f} % with four and more rays",
         f"observations rejected: {record['rejected_observations']} of {record['observations']}",
         f"sigma of an image coordinate: {record['sigma_px']:.2f} px; rms {record['rms_px']:.2f} px",
+        *(record["warnings"] if record["kind"] == "tie points" else ()),
         *(f"c from: {source}" for source in record.get("principal_distance_from", ())),
         *(line for own in record["cameras"] for line in _camera_lines(own)),
         *(f"left out: {entry['image']}: {entry['reason']}" for entry in record["left_out"]),

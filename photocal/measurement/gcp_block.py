@@ -89,7 +89,7 @@ def measure_gcp(
         "control": {"file": control_file.name, "sigma_assumed_m": list(sigma_m), "marks": len(given.marks)},
         "unknown_marks": [f"{mark.point} in {mark.image}" for mark in unknown],
         "suspected_marks": suspects,
-        "warnings": said + warnings_of(unknown, (), suspects, found.left_out),
+        "warnings": said + list(found.warnings) + warnings_of(unknown, (), suspects, found.left_out),
     }
     return TieBlock(found.adjusted.block, record)
 

@@ -100,6 +100,7 @@ def measure_ties(paths: Sequence[Path], name: str, plan: MatchingPlan, progress:
     record = {
         **tie_record(sighted, found),
         "kind": "tie points",
+        "warnings": list(found.warnings),
         "principal_distance_from": sorted({stated_camera("", f).source for f in sighted.facts}),
         "positions": position_figures(sighted.facts, position_sigma(sighted.facts)),
         "origin": {"latitude_deg": origin[0], "longitude_deg": origin[1], "height_m": origin[2]}

@@ -34,8 +34,10 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 # The principal distance that was given is kept where the rays fit it so well, and meet in threes so often,
-# as the one that they would choose: flat ground seen from one height says next to nothing about it.
-KEPT_MISFIT, KEPT_SUPPORT = 1.15, 0.9
+# as the one that they would choose: flat ground seen from one height says next to nothing about it, and what
+# the model of the camera lacks goes into it. Beyond these shares of it, it is never believed.
+KEPT_MISFIT, KEPT_SUPPORT = 1.5, 0.9
+CREDIBLE = (0.7, 1.4)
 # Places whose errors leave a turn open by more than this (rad) do not say how the whole lies.
 OPEN_TURN = 0.25
 # How well a level camera, or attitudes of the vehicle, then say it, rad.
@@ -105,9 +107,8 @@ def oriented(block: Block, tracks: Tracks) -> Placed:
         block, said = _with_borne_out_positions(block, model, move, given)
         warnings += said
     model = _moved(model, move)
-    reasons = np.where(model.oriented, "", "its tie points do not orient it to the other images").astype(
-        object
-    )
+    unreached = "its tie points do not orient it to the other images"
+    reasons = np.where(model.oriented, "", unreached).astype(object)
     for more in models[1:]:
         own = more.oriented & ~model.oriented
         count = int(own.sum())
@@ -137,11 +138,10 @@ def _calibrated(model: Model, given: tuple[Camera, ...]) -> tuple[Model, list[st
     if all(wanted):
         return model, []
     held = held_to_given(model)
-    if (
-        misfit(held) < KEPT_MISFIT * misfit(model)
-        and support(held) > KEPT_SUPPORT * support(model)
-        and (held.oriented == model.oriented).all()
-    ):
+    share = [b.value("c") / o.value("c") for o, b in zip(given, model.sights.cameras, strict=True)]
+    credible = all(CREDIBLE[0] < one < CREDIBLE[1] for one in share)
+    bears = misfit(held) < KEPT_MISFIT * misfit(model) and support(held) > KEPT_SUPPORT * support(model)
+    if held.oriented.sum() >= 2 and ((bears and (held.oriented == model.oriented).all()) or not credible):
         return held, []
     return model, [
         f"c of camera {own.id} was given as {own.value('c'):.5g} {own.unit}, which the rays do not fit: "
@@ -181,11 +181,10 @@ def _placing(model: Model, control: Floats, given: Floats, sigma: float) -> tupl
     # Heights of positions may count from another surface: control alone, where it suffices.
     for source, target, error in ((model.points[points], control[points], 0.0), (*both, sigma)):
         found = robust_similarity(source, target)
-        if (
-            found is not None
-            and _turn(target[found[1]], misses_of(found[0], source, target)[found[1]], error) < OPEN_TURN
-        ):
-            return found[0], True
+        if found is not None:
+            move, fits = found
+            if _turn(target[fits], misses_of(move, source, target)[fits], error) < OPEN_TURN:
+                return move, True
     axes, goals = _directions(model, given)
     source, target = both
     if not len(source):

@@ -123,7 +123,7 @@ def measure_project(
         block = replace(block, datum="free")
     soft = _softened(block)
     oriented = orient_ties(soft, sighted.sources, sighted.tracks, sighted.pairs, plan.processes, progress)
-    released = _released(oriented.adjusted, soft, block)
+    released = _released(oriented.adjusted, block)
     suspects = suspected_marks(released, control)
     record = {
         **tie_record(sighted, oriented),
@@ -142,7 +142,8 @@ def measure_project(
         "suspected_marks": suspects,
         "warnings": [
             *found.warnings,
-            *warnings_of(unknown, found.strangers, suspects, oriented.left_out),
+            *oriented.warnings,
+            *warnings_of(unknown, found.strangers, suspects, (*oriented.left_out, *released.left_out)),
         ],
     }
     return TieBlock(_restored(oriented.adjusted, released, block), record)
@@ -272,28 +273,30 @@ def _softened(block: Block) -> Block:
     return replace(block, cameras=cameras, images=replace(block.images, sigma=sigma))
 
 
-def _released(held: Adjusted, soft: Block, block: Block) -> Adjusted:
+def _released(held: Adjusted, block: Block) -> Adjusted:
     """Adjust once more with all parameters that the project estimates.
 
     Only now the residuals are those of the measurements: a principal point that is held wrongly would go
     into the sigmas. The exterior orientation of it is not used, for c may drift with the heights.
     """
-    gone = ~np.isin(soft.images.names, held.block.images.names)
     given = {own.id: own for own in block.cameras}
-    start = without_images(soft, gone)
     cameras = tuple(
         replace(own, estimated=given[own.id].estimated, prior_sigma=given[own.id].prior_sigma)
-        for own in held.block.cameras
+        for own in held.start.cameras
     )
-    return adjust_ties(replace(start, cameras=cameras), held.values, held.tracks)
+    return adjust_ties(replace(held.start, cameras=cameras), held.values, held.tracks)
 
 
 def _restored(held: Adjusted, released: Adjusted, block: Block) -> Block:
     """The measured block with cameras, surveyed coordinates and observed values as they were given."""
-    names = held.block.images.names
+    names = released.block.images.names
     bare = without_images(block, ~np.isin(block.images.names, names))
-    poses = np.where(np.isfinite(bare.images.sigma), bare.images.values, held.values)
-    oriented = replace(held.block, images=replace(held.block.images, values=held.values))
+    kept = np.isin(held.block.images.names, names)
+    borne = np.where(np.isfinite(bare.images.sigma), released.start.images.sigma, np.inf)
+    bare = replace(bare, datum=released.start.datum, images=replace(bare.images, sigma=borne))
+    poses = np.where(np.isfinite(borne), bare.images.values, held.values[kept])
+    oriented = without_images(held.start, ~kept)
+    oriented = replace(oriented, images=replace(oriented.images, values=held.values[kept]))
     values = place(oriented, released.tracks, 0.0)
     sigma = released.block.observations.sigma[len(bare.observations.image) :, 0]
     bare = replace(bare, images=replace(bare.images, values=poses))

@@ -90,9 +90,9 @@ class _Ties:
             count = np.bincount(block.observations.image, minlength=len(images.names))
             if (count >= FEWEST_RAYS).all():
                 return ties, block
-            ties = ties._without(count)
+            ties = ties.without_few(count)
 
-    def _without(self, count: NDArray[np.int64]) -> _Ties:
+    def without_few(self, count: NDArray[np.int64]) -> _Ties:
         """Take out the images that too few rays hold."""
         few, names = count < FEWEST_RAYS, self.start.images.names
         gone = [
@@ -115,7 +115,7 @@ class _Ties:
 
 
 def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
-    """Adjust a block with tie points; rays that do not fit, and images that lose their hold, are taken out."""
+    """Adjust a block with tie points; rays that do not fit and images without hold are taken out."""
     total = len(tracks.track)
     ties, block = _Ties(start, poses, tracks, np.ones(total)).held()
     ties, block = ties.some(fitting(block)[len(ties.start.observations.image) :]).held()

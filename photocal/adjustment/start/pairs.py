@@ -32,11 +32,8 @@ def first_model(sights: Sights, free: Flags) -> Model | None:
     for first, second, candidates in _pairs(sights, free)[:TRIALS]:
         for candidate in candidates:
             trial = grown(_pair_model(own, first, second, candidate), free, TRIAL_IMAGES)
-            if (
-                trial.oriented.sum() >= 2
-                and trial.placed.any()
-                and (best is None or _rank(trial) > _rank(best))
-            ):
+            holds = trial.oriented.sum() >= 2 and trial.placed.any()
+            if holds and (best is None or _rank(trial) > _rank(best)):
                 best = trial
         if best is not None and best.oriented.sum() == TRIAL_IMAGES and _good(best):
             break

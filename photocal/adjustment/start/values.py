@@ -92,7 +92,7 @@ def start_values(
 
 
 def free_models(seen: Sights) -> list[Model]:
-    """Models that relative orientation alone builds, each in a system of its own, that of most images first."""
+    """Models from relative orientation alone, each in a system of its own, that of most images first."""
     remaining, found = np.ones(seen.images, dtype=np.bool_), list[Model]()
     while remaining.sum() >= 2:
         model = first_model(seen, remaining)

@@ -1,9 +1,10 @@
-"""Blocks that tie points join, but that nothing places."""
+"""Blocks oriented by tie points: what places them, what is wrong with that, and what does not belong."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from photocal.block.model import Block, Images
 from photocal.geometry.camera import camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.oriented_ties import orient_ties
+from photocal.measurement.placing import oriented
 from photocal.measurement.start_block import NO_OBSERVATIONS, NO_POINTS
 from photocal.measurement.tracks import Tracks
 
@@ -26,12 +28,14 @@ def _quiet(_: str, __: float | None) -> Iterator[Callable[[float], None]]:
     yield lambda _: None
 
 
-def _tracks(places: Floats) -> Tracks:
-    """Rays of 150 points of hilly ground in level images."""
+def _tracks(places: Floats, tilt: float = 0.0) -> Tracks:
+    """Rays of 150 points of hilly ground, in images that are tilted along and across (rad)."""
     rng = np.random.default_rng(5)
     ground = np.column_stack([rng.uniform(-15, 15, (150, 2)), rng.uniform(-4, 4, 150)])
     count = len(places)
-    poses = np.hstack([np.zeros((count, 3)), places])
+    angles = np.zeros((count, 3))
+    angles[:, :2] = tilt * np.column_stack([np.cos(np.arange(count)), np.sin(2.0 * np.arange(count))])
+    poses = np.hstack([angles, places])
     views = OrientedImages(("i",) * count, (LENS,), np.zeros(count, np.int64), poses)
     track, image = np.repeat(np.arange(150), count), np.tile(np.arange(count), 150)
     return Tracks(track, image, views.project(image, ground[track]), np.ones(len(track)))
@@ -45,12 +49,60 @@ def _block(places: Floats) -> Block:
     return Block("b", "local", "", "control", (), (LENS,), images, NO_POINTS, NO_OBSERVATIONS, ())
 
 
-def test_positions_in_a_line_are_named_as_the_reason() -> None:
-    """Any turn about the line fits: the images are joined, but not placed."""
+def test_positions_in_a_line_place_a_level_block_and_that_is_told() -> None:
+    """Any turn about the line fits: cameras that look down close it, and the block is adjusted free."""
     places = np.array([[-6.0, 0, 40], [0, 0, 40], [6.0, 0, 40]])
-    pairs = np.array([[0, 1], [0, 2], [1, 2]])
-    with pytest.raises(IllPosedError, match="join the images, but their positions and control do not say"):
-        orient_ties(_block(places), [], _tracks(places), pairs, 1, _quiet)
+    found = oriented(_block(places), _tracks(places))
+    assert found.block.datum == "free"
+    assert any("in a line" in said for said in found.warnings)
+    assert np.abs(found.poses[:, 3:] - places).max() < 0.1
+    assert np.abs(found.poses[:, :2]).max() < 0.01
+
+
+def test_positions_tens_of_metres_off_bend_nothing() -> None:
+    """One is 300 m off: named and not used; all are 20 m off: their sigmas are enlarged."""
+    rng = np.random.default_rng(8)
+    places = np.array([[x, y, 40.0] for x in (-9.0, -3, 3, 9) for y in (-6.0, 6)])
+    tracks = _tracks(places)
+    wrong = places + rng.normal(0, 0.3, places.shape)
+    wrong[2] += [0, 300, 0]
+    found = oriented(_block(wrong), tracks)
+    assert found.block.datum == "control"
+    assert any("2.jpg is 300 m off" in said for said in found.warnings)
+    assert np.isinf(found.block.images.sigma[2, 3:]).all()
+    relative = np.linalg.norm(np.diff(found.poses[:, 3:], axis=0), axis=1)
+    assert relative == pytest.approx(np.linalg.norm(np.diff(places, axis=0), axis=1), rel=0.05)
+
+
+@pytest.mark.parametrize("share", [0.8, 1.25])
+def test_a_wrong_principal_distance_costs_iterations_only(share: float) -> None:
+    """Tilted views show c (parallel ones stretch with the heights): a fifth off, it is found and told."""
+    places = np.array([[x, y, 30.0 + 2 * x] for x in (-6.0, -2, 2, 6) for y in (-6.0, 6)])
+    start = _block(places)
+    values = LENS.values.copy()
+    values[0] *= share
+    found = oriented(replace(start, cameras=(LENS.with_values(values),)), _tracks(places, 0.2))
+    assert found.block.cameras[0].value("c") == pytest.approx(900.0, rel=1e-3)
+    assert found.block.cameras[0].estimated[0]
+    assert any("was given as" in said for said in found.warnings)
+
+
+def test_images_from_elsewhere_are_another_block() -> None:
+    """Two groups that share nothing: the larger one is oriented, the others are named."""
+    places = np.array([[x, y, 40.0] for x in (-6.0, 0, 6) for y in (-5.0, 5)])
+    one = _tracks(places)
+    other = _tracks(places[:3])
+    both = Tracks(
+        np.concatenate([one.track, other.track + 150]),
+        np.concatenate([one.image, other.image + 6]),
+        np.vstack([one.pixels, other.pixels[:, ::-1] * [1.0, 0.8]]),
+        np.ones(len(one.track) + len(other.track)),
+    )
+    found = oriented(_block(np.vstack([places, places[:3] + np.array([500.0, 0, 0])])), both)
+    assert all(reason == "" for reason in found.reasons[:6])
+    assert all(
+        "another block of 3 images" in reason or "do not orient" in reason for reason in found.reasons[6:]
+    )
 
 
 def test_images_that_share_nothing_are_named() -> None:
