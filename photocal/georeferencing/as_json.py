@@ -12,7 +12,7 @@ from photocal.accuracy.discrepancies import SIGN
 from photocal.findings.catalogue import Catalogue, catalogue
 from photocal.findings.texts import finding_json
 from photocal.georeferencing.comparison import BlockCheck, Judged
-from photocal.georeferencing.differences import CRITICAL_W, ELLIPSE_PROBABILITY, Differences
+from photocal.georeferencing.differences import CRITICAL_W, ELLIPSE_PROBABILITY, Differences, JointTest
 from photocal.georeferencing.findings import block_findings
 from photocal.georeferencing.freed_groups import Estimate
 from photocal.georeferencing.separation import Separation
@@ -94,7 +94,16 @@ def _differences(found: Differences) -> dict[str, Any]:
         "errors_over_prediction": finite(found.ratio),
         "critical_w": CRITICAL_W,
         "ellipse_probability": ELLIPSE_PROBABILITY,
+        "joint": None if found.joint is None else _joint(found.joint),
         "points": [_point(found, k) for k in range(len(found.names))],
+    }
+
+
+def _joint(one: JointTest) -> dict[str, Any]:
+    return {
+        **vars(one),
+        "mean": dict(zip(_AXES, one.mean.tolist(), strict=True)),
+        "mean_sigma": dict(zip(_AXES, one.mean_sigma.tolist(), strict=True)),
     }
 
 

@@ -85,6 +85,14 @@ def _points(judged: Judged) -> list[str]:
     for found in (judged.check, judged.control):
         if not found.names:
             continue
+        if found.joint is not None:
+            one = found.joint
+            pairs = zip("XYZ", one.mean, one.mean_sigma, strict=True)
+            means = ", ".join(f"{axis} {mean:+.4f} +- {sigma:.4f}" for axis, mean, sigma in pairs)
+            lines.append(
+                f"{judged.found.method}, check points jointly: d' C^-1 d {one.chi_squared:.1f} over "
+                f"{one.degrees_of_freedom} (p {one.p_value:.3f}); mean {means} (p {one.mean_p_value:.3f})"
+            )
         lines.append(f"{judged.found.method}, {found.role} points: d, predicted sigma of the point, w")
         for name, d, s, w in zip(found.names, found.d, found.product_sigma, found.w, strict=True):
             tested = " ".join("     -" if math.isnan(x) else f"{x:6.2f}" for x in w.tolist())

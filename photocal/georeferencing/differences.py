@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.linalg import block_diag
 
 from photocal.accuracy.discrepancies import Discrepancies
 from photocal.adjustment.ellipses import Ellipses, ellipses
@@ -20,6 +21,50 @@ ELLIPSE_PROBABILITY = 0.95
 # Two-sided 0.1 %, Baarda's usual choice (1968) for single tests.
 CRITICAL_W = float(stats.norm.ppf(1.0 - 0.001 / 2.0))
 CRITICAL_POINT = float(stats.chi2(3).ppf(1.0 - 0.001))
+
+
+@dataclass(frozen=True)
+class JointTest:
+    """All check points together: their adjusted coordinates have most of their errors in common.
+
+    Attributes
+    ----------
+    chi_squared, p_value : float
+        d' C^-1 d with the covariance C of all adjusted points together and of the survey, and its two-sided
+        probability with `degrees_of_freedom`.
+    mean, mean_sigma : ndarray, shape (3,)
+        Mean difference and its standard deviation from C, m.
+    mean_p_value : float
+        Probability of so large a mean without a bias.
+    """
+
+    degrees_of_freedom: int
+    chi_squared: float
+    p_value: float
+    mean: Floats
+    mean_sigma: Floats
+    mean_p_value: float
+
+
+def joint_test(d: Floats, covariance: Floats) -> JointTest:
+    """Judge differences jointly.
+
+    Parameters
+    ----------
+    d : ndarray, shape (n, 3)
+        m.
+    covariance : ndarray, shape (3 n, 3 n)
+        Of all of them.
+    """
+    factor = np.linalg.cholesky(covariance)
+    chi_squared = float(np.sum(np.linalg.solve(factor, d.ravel()) ** 2))
+    average = np.tile(np.eye(3), len(d)) / len(d)
+    of_mean = average @ covariance @ average.T
+    mean = d.mean(axis=0)
+    along = float(mean @ np.linalg.solve(of_mean, mean))
+    tail = min(float(stats.chi2.sf(chi_squared, d.size)), float(stats.chi2.cdf(chi_squared, d.size)))
+    sigma = np.sqrt(np.diag(of_mean))
+    return JointTest(d.size, chi_squared, 2.0 * tail, mean, sigma, float(stats.chi2.sf(along, 3)))
 
 
 @dataclass(frozen=True)
@@ -43,6 +88,8 @@ class Differences:
         d' C^-1 d, chi-squared with 3 degrees of freedom when the prediction holds; NaN where C is singular.
     ellipses : Ellipses
         Of the computed position, in the X, Y plane.
+    joint : JointTest or None
+        All check points together; None where their covariance is not known.
     """
 
     role: Role
@@ -54,6 +101,7 @@ class Differences:
     w: Floats
     distance: Floats
     ellipses: Ellipses
+    joint: JointTest | None = None
 
     def discrepancies(self) -> Discrepancies:
         """Give them to the statistics and the standards."""
@@ -109,4 +157,12 @@ def differences(block: Block, found: Georeferenced, role: Role) -> Differences:
         w,
         distance,
         ellipses(product, ELLIPSE_PROBABILITY) if len(d) else ellipses(np.zeros((0, 3, 3)), 0.95),
+        _joint(d, found.joint, survey) if role == "check" else None,
     )
+
+
+def _joint(d: Floats, joint: Floats | None, survey: Floats) -> JointTest | None:
+    """Test the check points jointly, their survey independent from point to point."""
+    if joint is None or len(joint) != d.size:
+        return None
+    return joint_test(d, joint + block_diag(*survey))

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, IllPosedError
 from photocal.adjustment.adjust import adjust
+from photocal.adjustment.factored import factored
+from photocal.adjustment.joint import joint_covariance as covariance_of
 from photocal.adjustment.mounting import NO_ATTITUDES, NO_MOUNTING, NO_POSITIONS, Attitudes, Positions
 from photocal.adjustment.solution import GlobalTest, Solution, global_test
 from photocal.block.model import ROLES, Block, Role
@@ -25,6 +27,8 @@ Integers = NDArray[np.int64]
 Method = Literal["direct", "integrated", "indirect"]
 # Three points orient an image in up to four ways and nothing checks them.
 _FEWEST_RAYS = 4
+# A column of the covariance for each coordinate.
+_MOST_JOINT = 200
 METHODS: tuple[Method, ...] = ("direct", "integrated", "indirect")
 
 
@@ -64,6 +68,9 @@ class Georeferenced:
         omega, phi, kappa (rad), X, Y, Z (m); NaN where the method has none.
     solution : Solution or None
         The adjustment; None for direct georeferencing.
+    joint : ndarray or None
+        Covariance of the check points among them, shape (3 n, 3 n), in the order of `points`; None for direct
+        georeferencing, and for more of them than `_MOST_JOINT`.
     """
 
     method: Method
@@ -78,6 +85,7 @@ class Georeferenced:
     degrees_of_freedom: int
     test: GlobalTest | None
     solution: Solution | None
+    joint: Floats | None = None
 
 
 def of_method(
@@ -252,6 +260,15 @@ def _adjusted(block: Block, method: Method, note: str) -> Georeferenced:
     control = block.points.of_role("control")
     wanted = np.isin(assembly.points, ground_points(block))
     points = assembly.points[wanted]
+    checks = [
+        name
+        for j, name in enumerate(assembly.network.point_names)
+        if wanted[j] and not control[assembly.points[j]]
+    ]
+    joint = None
+    if 0 < len(checks) <= _MOST_JOINT:
+        at = factored(assembly.network, solution.state)
+        joint = covariance_of(at, [("point", name) for name in checks]).covariance
     labels = {
         "integrated": "integrated: positions, attitudes, control and image observations adjusted together",
         "indirect": "indirect: control and image observations only",
@@ -269,6 +286,7 @@ def _adjusted(block: Block, method: Method, note: str) -> Georeferenced:
         solution.degrees_of_freedom,
         global_test(solution.chi_squared, solution.degrees_of_freedom),
         solution,
+        joint,
     )
 
 
