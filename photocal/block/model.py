@@ -136,7 +136,7 @@ class FiducialFit:
     sigma0: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Block:
     """Everything in a block folder.
 
@@ -172,3 +172,12 @@ class Block:
     attitudes: Attitudes = NO_ATTITUDES
     mounting: Mounting = NO_MOUNTING
     fiducial_fits: tuple[FiducialFit, ...] = ()
+
+    def __repr__(self) -> str:
+        """Say in one line what it holds."""
+        roles = ", ".join(f"{int(self.points.of_role(role).sum())} {role}" for role in ROLES)
+        return (
+            f"Block {self.name}: {len(self.images.names)} images, {len(self.points.names)} points ({roles}), "
+            f"{len(self.observations.image)} rays, {len(self.cameras)} camera(s), frame {self.frame}, "
+            f"datum {self.datum}"
+        )

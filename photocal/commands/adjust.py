@@ -7,15 +7,12 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal, cast
 
 import typer
 
 from acquire.console import answer
 from drivers.errors import ConfigurationError
-
-if TYPE_CHECKING:
-    from photocal.results.result import Result
 
 
 def adjust(
@@ -64,7 +61,7 @@ def adjust(
     wanted = Wanted(ellipses, reliability, components, parse_joint(joint))
     with iteration_lines("adjusting") as report:
         result = adjust_block(block, output, test, report, wanted, read_any_block)
-    answer(as_json, lambda: result_json(result), lambda: _text(result, output))
+    answer(as_json, lambda: result_json(result), lambda: f"{result!r}\nwritten to {output}")
 
 
 @contextmanager
@@ -80,37 +77,3 @@ def iteration_lines(title: str) -> Iterator[Callable[[Any], None]]:
             )
 
     yield line
-
-
-def _text(result: Result, output: Path) -> str:
-    """What a person wants to know first."""
-    test = result.global_test
-    counts = (
-        f"{result.observations} observations, {result.unknowns} unknowns, "
-        f"{result.degrees_of_freedom} degrees of freedom"
-    )
-    lines = [f"{result.block.name}: converged after {result.iterations} iterations, {counts}"]
-    if test:
-        verdict = "accepted" if test.accepted else "REJECTED"
-        lines.append(
-            f"chi-squared {result.chi_squared:.2f}, expected {test.lower:.1f} to {test.upper:.1f} "
-            f"(95 %): {verdict}; a posteriori variance factor {result.sigma0_squared:.4f}"
-        )
-    for name, camera in result.cameras.items():
-        lines.append(f"camera {name} ({camera.model}, {camera.unit})")
-        lines += [
-            f"  {key:<3}{camera.value(key):>15.8g}  +- {camera.sigma_of(key):.3g}" for key in camera.free
-        ]
-    lines += [
-        f"sigma of {one.name}: {one.factor:.3f} +- {one.sigma:.3f} times the given one"
-        for one in result.variance_components
-        if one.sigma is not None
-    ]
-    if result.rejected:
-        lines.append(f"{len(result.rejected)} observation(s) rejected as gross errors")
-    rmse = [(axis, value) for axis, value in result.checks.rmse_m.items() if value is not None]
-    if result.checks.n:
-        shown = ", ".join(f"{axis} {value * 1000:.1f}" for axis, value in rmse)
-        lines.append(f"check points: {result.checks.n}, RMSE {shown} mm")
-    lines.append(f"written to {output}")
-    return "\n".join(lines)

@@ -30,7 +30,7 @@ AFFINITY_MATRICES: dict[AffinityForm, tuple[list[list[float]], list[list[float]]
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Camera:
     """A camera and what is known of its interior orientation.
 
@@ -94,6 +94,15 @@ class Camera:
     given: Floats | None = None
     sigma: Floats | None = None
     correlation: Floats | None = None
+
+    def __repr__(self) -> str:
+        width, height = self.size_px
+        lines = [f"Camera {self.id}: {self.model}, {self.unit}, {width} x {height} px"]
+        for name in self.used or ("c",):
+            state = "estimated" if name in self.free else "held"
+            known = f"+- {self.sigma_of(name):.3g}" if name in self.free and self.sigma is not None else state
+            lines.append(f"  {name:<3}{self.value(name):>15.8g}  {known}")
+        return "\n".join(lines)
 
     @property
     def free(self) -> tuple[str, ...]:

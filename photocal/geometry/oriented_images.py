@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class OrientedImages:
     """Images with their cameras and exterior orientation.
 
@@ -40,6 +40,14 @@ class OrientedImages:
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def __repr__(self) -> str:
+        head = ("image", "X", "Y", "Z", "omega", "phi", "kappa")
+        lines = [f"{len(self)} images (m, deg)", f"{head[0]:<20}" + "".join(f"{h:>13}" for h in head[1:])]
+        for name, place, angles in zip(self.names[:8], self.station, self.angles_deg, strict=False):
+            cells = [f"{v:>13.3f}" for v in place] + [f"{v:>13.4f}" for v in angles]
+            lines.append(f"{name[:20]:<20}" + "".join(cells))
+        return "\n".join(lines + ["..."] * (len(self) > 8))
 
     @cached_property
     def station(self) -> Floats:

@@ -58,8 +58,30 @@ def adjust_block(
     """
     began = time.perf_counter()
     block = read(source)
+    read_s = time.perf_counter() - began
+    result, assembly, solution = _adjusted_block(block, snooping, report, wanted)
+    result = replace(
+        result,
+        block=_with_origin(result.block, source, block, output),
+        timing_s={"read": read_s, **result.timing_s},
+    )
+    with output_folder(output) as aside:
+        write_result(aside, result)
+        write_more(aside, block, assembly, solution, result.points.covariance, wanted)
+    return result
+
+
+def adjust_network(block: Block, snooping: Test | None = None, wanted: Wanted = NOTHING_MORE) -> Result:
+    """Adjust a block that is at hand; parameters and errors as of `adjust_block`."""
+    return _adjusted_block(block, snooping, None, wanted)[0]
+
+
+def _adjusted_block(
+    block: Block, snooping: Test | None, report: Report | None, wanted: Wanted
+) -> tuple[Result, NetworkOfBlock, Solution]:
+    began = time.perf_counter()
     assembly = assemble(block)
-    timing = {"read": time.perf_counter() - began}
+    timing = {"assemble": time.perf_counter() - began}
     assembly, solution = adjusted(assembly, snooping, report)
     components: tuple[Component, ...] = ()
     if wanted.components:
@@ -68,15 +90,11 @@ def adjust_block(
         components = found.components
     timing |= solution.timing_s
     result = result_of(block, assembly, solution, snooping=snooping, components=components, timing_s=timing)
-    result = replace(
-        result,
-        block=_with_origin(result.block, source, block, output),
-        **more_figures(assembly, result.points.covariance, wanted),
+    return (
+        replace(result, **more_figures(assembly, result.points.covariance, wanted)),
+        assembly,
+        solution,
     )
-    with output_folder(output) as aside:
-        write_result(aside, result)
-        write_more(aside, block, assembly, solution, result.points.covariance, wanted)
-    return result
 
 
 def _with_origin(facts: BlockFacts, source: Path, block: Block, output: Path) -> BlockFacts:

@@ -218,7 +218,7 @@ class Figures:
     timing_s: dict[str, float] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Result(Figures):
     """The result of an adjustment.
 
@@ -239,6 +239,44 @@ class Result(Figures):
     points: AdjustedPoints
     residuals: Residuals
     files: tuple[InputFile, ...] = ()
+
+    def __repr__(self) -> str:
+        """What a person wants to know first."""
+        test = self.global_test
+        counts = (
+            f"{self.observations} observations, {self.unknowns} unknowns, "
+            f"{self.degrees_of_freedom} degrees of freedom"
+        )
+        lines = [f"{self.block.name}: converged after {self.iterations} iterations, {counts}"]
+        if test:
+            verdict = "accepted" if test.accepted else "REJECTED"
+            lines.append(
+                f"chi-squared {self.chi_squared:.2f}, expected {test.lower:.1f} to {test.upper:.1f} "
+                f"(95 %): {verdict}; a posteriori variance factor {self.sigma0_squared:.4f}"
+            )
+        for name, camera in self.cameras.items():
+            lines.append(f"camera {name} ({camera.model}, {camera.unit})")
+            lines += [
+                f"  {key:<3}{camera.value(key):>15.8g}  +- {camera.sigma_of(key):.3g}" for key in camera.free
+            ]
+        lines += [
+            f"sigma of {one.name}: {one.factor:.3f} +- {one.sigma:.3f} times the given one"
+            for one in self.variance_components
+            if one.sigma is not None
+        ]
+        if self.rejected:
+            lines.append(f"{len(self.rejected)} observation(s) rejected as gross errors")
+        rmse = [(axis, value) for axis, value in self.checks.rmse_m.items() if value is not None]
+        if self.checks.n:
+            shown = ", ".join(f"{axis} {value * 1000:.1f}" for axis, value in rmse)
+            lines.append(f"check points: {self.checks.n}, RMSE {shown} mm")
+        return "\n".join(lines)
+
+    def tables(self) -> dict[str, Any]:
+        """Images, points and residuals as Arrow tables (degrees, m, unit of the rays)."""
+        from photocal.results.folder import tables
+
+        return tables(self)
 
     def images_of(self, camera: str) -> Integers:
         """Which images a camera took."""

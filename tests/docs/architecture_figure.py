@@ -83,7 +83,7 @@ BOXES = (
     Box("log · channels", "raw frames, and decoded", ("acquire.log", "acquire.channels"), 176, 344, 5, "3"),
     Box("transports", "serial, UDP, TCP, NTRIP", ("acquire.transports",), 176, 190, 6),
     Box("drivers", "bytes to messages and back; no file, no clock", ("drivers",), 20, 1140, 8, "1"),
-    Box("commands", "what a person types", ("photocal.commands", "photocal.cli"), 560, 600, 0),
+    Box("commands", "what a person types", ("photocal.commands", "photocal.cli", "photocal.api"), 560, 600, 0),
     Box("run", "the stages of a project, kept by content", ("photocal.run",), 560, 370, 1),
     Box("navigation", "PPK, exposures", ("photocal.navigation",), 560, 150, 2, "4"),
     Box("report", "certificate, verification", ("photocal.report",), 780, 230, 2, "9"),

@@ -1,0 +1,274 @@
+"""The public face of photocal for Python: `import photocal` offers what stands here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from drivers.errors import ConfigurationError
+from photocal.adjustment.network import RELATIONS, Relations
+from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations
+from photocal.geometry.camera import Camera, camera
+from photocal.geometry.oriented_images import OrientedImages
+from photocal.results.folder import read_result, write_result
+from photocal.results.result import Result
+
+if TYPE_CHECKING:
+    from photocal.analysis.outcome import Outcome
+    from photocal.georeferencing.comparison import BlockCheck
+    from photocal.results.more_tables import Wanted
+
+__all__ = [
+    "Block",
+    "Camera",
+    "Images",
+    "ObjectPoints",
+    "Observations",
+    "OrientedImages",
+    "Result",
+    "adjust",
+    "analyse",
+    "block_of_arrays",
+    "camera",
+    "check",
+    "read_block",
+    "read_log",
+    "read_result",
+    "with_relations",
+    "write_block",
+    "write_result",
+]
+
+Floats = NDArray[np.float64]
+# What a calibration estimates unless it is told otherwise.
+USUAL = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
+
+
+def read_block(path: str | Path) -> Block:
+    """Read a block folder, or the set-up file of another program (DBAT, COLMAP, Metashape, OPF ...).
+
+    Raises
+    ------
+    PhotocalError
+        For what cannot be read, with file and line.
+    """
+    from photocal.exchange.any_block import read_any_block
+
+    return read_any_block(Path(path))
+
+
+def write_block(folder: str | Path, block: Block) -> None:
+    """Write a block as a folder of plain files that `read_block` and `photocal adjust` take."""
+    from photocal.measurement.block_files import write_block as write
+
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    write(Path(folder), block, {})
+
+
+def block_of_arrays(
+    object_points: ArrayLike,
+    image_points: ArrayLike,
+    size_px: tuple[int, int],
+    *,
+    sigma_px: float,
+    sigma_m: float | None,
+    lens: Camera | None = None,
+    point_names: Sequence[str] = (),
+    image_names: Sequence[str] = (),
+    check: Sequence[str] = (),
+) -> Block:
+    """Make a block of two arrays: where points are, and where images show them.
+
+    Parameters
+    ----------
+    object_points : array_like, shape (n, 3)
+        X, Y, Z, m.
+    image_points : array_like, shape (m, n, 2)
+        Column and row of each point in each image, px; the centre of the upper-left pixel is (0, 0). NaN
+        where an image does not show a point.
+    size_px : (int, int)
+        Width and height of the images.
+    sigma_px : float
+        Standard deviation of a column or row.
+    sigma_m : float or None
+        Standard deviation of the object coordinates; 0 holds them, None takes them as start values of a free
+        network.
+    lens : Camera, optional
+        What to start from and what to estimate. Without it: model brown-ideal in px, c from 1.2 times the
+        longer side, and c, x0, y0, K1, K2, P1, P2 are estimated.
+    point_names, image_names : sequence of str, optional
+        Numbers from 1 when left out.
+    check : sequence of str, optional
+        Points whose coordinates judge the result and take no part in it.
+
+    Raises
+    ------
+    ConfigurationError
+        For arrays whose shapes do not fit.
+    """
+    points, pixels = np.array(object_points, dtype=float), np.array(image_points, dtype=float)
+    if points.ndim != 2 or points.shape[1] != 3 or pixels.ndim != 3 or pixels.shape[1:] != (len(points), 2):
+        raise ConfigurationError(
+            f"object_points has shape {points.shape}, image_points {pixels.shape}",
+            remedy="give shapes (n, 3) and (m, n, 2), with NaN where an image does not show a point",
+        )
+    count = len(pixels)
+    start = {"c": 1.2 * max(size_px)}
+    lens = lens or camera("camera", "brown-ideal", "px", size_px, (1.0, 1.0), start, estimate=USUAL)
+    image, point = np.nonzero(np.isfinite(pixels).all(axis=2))
+    names = tuple(point_names) or tuple(str(k + 1) for k in range(len(points)))
+    roles = ["check" if name in set(check) else "tie" if sigma_m is None else "control" for name in names]
+    role = np.array([ROLES.index(one) for one in roles], dtype=np.int64)
+    known = np.full(points.shape, np.inf)
+    known[role == ROLES.index("control")] = np.inf if sigma_m is None else sigma_m
+    return Block(
+        "arrays",
+        "local",
+        "",
+        "free" if sigma_m is None else "control",
+        (),
+        (lens,),
+        Images(
+            tuple(image_names) or tuple(str(k + 1) for k in range(count)),
+            np.zeros(count, dtype=np.int64),
+            np.full((count, 6), np.nan),
+            np.full((count, 6), np.inf),
+        ),
+        ObjectPoints(names, points, known, role),
+        Observations("px", "pixel", image, point, pixels[image, point], np.full((len(image), 2), sigma_px)),
+        (),
+    )
+
+
+def with_relations(
+    block: Block,
+    kind: Literal["distance", "height_difference", "azimuth"],
+    rows: Iterable[tuple[str, str, float, float]],
+) -> Block:
+    """Add observations between points: scale bars, levelled height differences, azimuths.
+
+    Parameters
+    ----------
+    rows : iterable of (from, to, value, sigma)
+        Names of the points; m, or radians from the Y axis towards X. A very small sigma makes a constraint.
+
+    Raises
+    ------
+    ConfigurationError
+        For a point that the block does not have.
+    """
+    given, number = list(rows), {name: k for k, name in enumerate(block.points.names)}
+    for name in (name for row in given for name in row[:2]):
+        if name not in number:
+            raise ConfigurationError(
+                f"point {name} is not in the block", where=kind, remedy="correct the name"
+            )
+    more = (
+        np.full(len(given), RELATIONS.index(kind)),
+        np.array([number[first] for first, *_ in given], dtype=np.int64),
+        np.array([number[second] for _, second, *_ in given], dtype=np.int64),
+        np.array([value for *_, value, _ in given], dtype=float),
+        np.array([sigma for *_, sigma in given], dtype=float),
+    )
+    old = vars(block.relations).values()
+    return replace(
+        block, relations=Relations(*(np.concatenate(pair) for pair in zip(old, more, strict=True)))
+    )
+
+
+def adjust(block: Block, *, snooping: Literal["w", "tau"] | None = None, components: bool = False) -> Result:
+    """Adjust a block by least squares: cameras, orientations and points with their covariances.
+
+    Parameters
+    ----------
+    snooping : {"w", "tau"}, optional
+        Search for gross errors with this test (Baarda 1968; Pope 1976).
+    components : bool
+        Estimate the standard deviation of each group of observations, and use it (Foerstner 1979).
+
+    Raises
+    ------
+    PhotocalError
+        For a block that does not determine its unknowns, or an adjustment that does not converge.
+    """
+    from photocal.results.adjusting import adjust_network
+
+    return adjust_network(block, snooping, _wanted(components=components))
+
+
+def _wanted(*, components: bool) -> Wanted:
+    from photocal.results.more_tables import Wanted
+
+    return Wanted(components=components)
+
+
+def analyse(
+    block: Block, result: Result | None = None, *, alpha: float = 0.10, threshold: float = 0.8
+) -> Outcome:
+    """Look for what an adjustment hides: systematic errors, insignificant and correlated parameters.
+
+    Parameters
+    ----------
+    result : Result, optional
+        Of this very block: rejected observations stay away, estimated sigmas are used.
+    alpha : float
+        Significance level of the F tests.
+    threshold : float
+        Absolute value from which correlations are named.
+    """
+    from photocal.analysis.outcome import analyse_network
+    from photocal.analysis.systematic_errors.left_out import Checks
+    from photocal.block.network import assemble
+    from photocal.results.adjusted import network_of
+
+    assembly = assemble(block) if result is None else network_of(block, result)
+    rows = np.flatnonzero(block.points.of_role("check")[assembly.points])
+    checks = Checks(rows, assembly.frame.to_local(block.points.values[assembly.points[rows]]))
+    return analyse_network(assembly.network, checks, alpha, threshold)
+
+
+def check(block: Block, *, standards: Sequence[str] = (), scale: float | None = None) -> BlockCheck:
+    """Georeference a block three ways (direct, integrated, indirect) and judge it at its check points.
+
+    Parameters
+    ----------
+    standards : sequence of str
+        Such as "decree-89817", "pec-pcd", "asprs-2024", or paths of TOML files.
+    scale : float, optional
+        Denominator of the map scale to judge at.
+    """
+    from photocal.accuracy.assessment import Question
+    from photocal.accuracy.standard_file import load_standard
+    from photocal.georeferencing.comparison import check_block
+
+    chosen = tuple(load_standard(name) for name in standards)
+    return check_block(block, chosen, Question(scale_denominator=scale))
+
+
+def read_log(path: str | Path, topics: Sequence[str] = ()) -> dict[str, dict[str, NDArray[Any]]]:
+    """Read a flight log into arrays, one for each field of each topic.
+
+    Parameters
+    ----------
+    topics : sequence of str
+        Those that are wanted; all decoded ones when left out.
+
+    Returns
+    -------
+    dict
+        By topic: `log_ns` and `publish_ns` (times of receipt and of the device, UTC, int64 ns), and the
+        fields of the messages, nested ones as `rotation.w`. Of raw frames, which must be named: `payload`.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        When it is no flight log, or damaged.
+    """
+    from acquire.log.arrays import arrays_of_log
+
+    return arrays_of_log(Path(path), frozenset(topics))
