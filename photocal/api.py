@@ -40,7 +40,6 @@ __all__ = [
     "read_log",
     "read_result",
     "with_relations",
-    "write_block",
     "write_result",
 ]
 
@@ -60,14 +59,6 @@ def read_block(path: str | Path) -> Block:
     from photocal.exchange.any_block import read_any_block
 
     return read_any_block(Path(path))
-
-
-def write_block(folder: str | Path, block: Block) -> None:
-    """Write a block as a folder of plain files that `read_block` and `photocal adjust` take."""
-    from photocal.measurement.block_files import write_block as write
-
-    Path(folder).mkdir(parents=True, exist_ok=True)
-    write(Path(folder), block, {})
 
 
 def block_of_arrays(

@@ -10,4 +10,10 @@ for topic, columns in log.items():
 
 fix = photocal.read_log("flight.mcap", ["/gnss/rover/fix"])["/gnss/rover/fix"]
 seconds = (fix["publish_ns"] - fix["publish_ns"][0]) / 1e9
-print("rate", round(1 / np.median(np.diff(seconds)), 2), "Hz; heights", fix["altitude"].min(), fix["altitude"].max())
+print(
+    "rate",
+    round(1 / np.median(np.diff(seconds)), 2),
+    "Hz; heights",
+    fix["altitude"].min(),
+    fix["altitude"].max(),
+)

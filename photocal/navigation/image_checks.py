@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from drivers.errors import PhotocalError
+from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.oriented_ties import Progress
 from photocal.navigation.check import Check
 from photocal.navigation.exposures import Exposures
 from photocal.navigation.image_metadata import ImageMetadata
-from photocal.navigation.oriented_images import OrientedImages, oriented_by_ties
+from photocal.navigation.oriented_images import oriented_by_ties
 from photocal.navigation.oriented_rotations import boresight_check, compare_with_oriented
 from photocal.navigation.position_check import judge_positions
 from photocal.navigation.rig import Rig
@@ -36,7 +37,7 @@ class TieMatching:
 def check_oriented(oriented: OrientedImages, exposures: Exposures, rig: Rig, source: str) -> list[Check]:
     """Hold exposures against images that an adjustment oriented."""
     found = [
-        judge_positions("positions of the adjusted images", exposures, oriented.place, rig, "similarity")
+        judge_positions("positions of the adjusted images", exposures, oriented.station, rig, "similarity")
     ]
     pairs = compare_with_oriented(exposures, oriented, rig)
     if pairs:

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.similarity import similarity
 from photocal.navigation.check import Check
 from photocal.navigation.exposures import Exposures, orientations
-from photocal.navigation.oriented_images import OrientedImages
 from photocal.navigation.rig import Rig
 from photocal.navigation.rotation_check import ROUGH_DEG, PairRotation, least_turn, places_of, stored_turns
 
@@ -33,7 +33,7 @@ def compare_with_oriented(exposures: Exposures, oriented: OrientedImages, rig: R
         turns, angle = least_turn(measured, recorded[b] @ recorded[a].T)
         ways = (
             rotation[a] @ _direction(where[b] - where[a])
-            for rotation, where in ((oriented.rotation, oriented.place), (recorded, place))
+            for rotation, where in ((oriented.rotation, oriented.station), (recorded, place))
         )
         along = float(next(ways) @ next(ways))
         found.append(PairRotation(a, b, 0, turns, angle, along))
@@ -52,7 +52,7 @@ def boresight_check(exposures: Exposures, oriented: OrientedImages, rig: Rig) ->
     if len(rows) < _LEAST or not np.isfinite(place[rows]).all():
         text = f"{len(rows)} images have both rotations, at least {_LEAST} are needed"
         return Check("boresight", "not possible", compared, text, {})
-    aligned = similarity(oriented.place[rows], place[rows])
+    aligned = similarity(oriented.station[rows], place[rows])
     if aligned is None:
         return Check("boresight", "not possible", compared, "the exposures lie on one line", {})
     quarter = stored_turns(compare_with_oriented(exposures, oriented, rig))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from tests.docs import architecture_figure, command_pages
+from tests.docs import api_page, architecture_figure, command_pages
 
 command_pages.main()
 architecture_figure.main()
+api_page.main()

@@ -9,6 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from photocal.geometry.oriented_images import OrientedImages
+from photocal.geometry.oriented_images import oriented_images as as_images
 from photocal.geometry.rotation import angles_from_matrix
 from photocal.navigation.attitude import from_angles
 from photocal.navigation.check import Check
@@ -16,7 +18,7 @@ from photocal.navigation.events import Events
 from photocal.navigation.exposure_run import Choices, place_exposures
 from photocal.navigation.exposures import Exposures, at_events, orientations
 from photocal.navigation.interpolation import Placed
-from photocal.navigation.oriented_images import OrientedImages, oriented_images
+from photocal.navigation.oriented_images import oriented_images
 from photocal.navigation.oriented_rotations import boresight_check, compare_with_oriented
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.rig import Rig
@@ -85,7 +87,8 @@ def block(exposures: Exposures, rotation: Floats, stored: dict[int, int]) -> Ori
     place = (geocentric(p.lat_deg, p.lon_deg, p.height_m) - centre) @ enu_axes(ORIGIN[0], ORIGIN[1]).T
     turn = enu_axes(40.0, 130.0)
     quarters = Rotation.from_rotvec([[0, 0, -np.pi / 2 * stored.get(k, 0)] for k in range(24)]).as_matrix()
-    return OrientedImages(1.7 * place @ turn.T + [500.0, -20.0, 3.0], quarters @ rotation @ turn.T)
+    unknown = np.full(len(place), -1)
+    return as_images((), unknown, quarters @ rotation @ turn.T, 1.7 * place @ turn.T + [500.0, -20.0, 3.0])
 
 
 def test_a_boresight_is_found_whatever_the_frame_and_the_way_images_are_stored() -> None:
@@ -118,13 +121,13 @@ def test_rotations_without_noise_agree(tmp_path: Path) -> None:
     rows = [
         f"{name},{','.join(f'{v:.6f}' for v in (*place, *angles))}"
         for name, place, angles in zip(
-            exposures.image, own.place, np.degrees(angles_from_matrix(own.rotation)), strict=True
+            exposures.image, own.station, np.degrees(angles_from_matrix(own.rotation)), strict=True
         )
     ]
     table.write_text("\n".join(["image,X,Y,Z,omega,phi,kappa", *rows]) + "\n")
     oriented = oriented_images(tmp_path, [*exposures.image, "missing.JPG"])
     assert np.isnan(oriented.rotation[-1]).all()
-    read = OrientedImages(oriented.place[:-1], oriented.rotation[:-1])
+    read = oriented.only(range(len(oriented) - 1))
     rig = Rig(angle_sigma=SIGMAS, boresight=TURN)
     for pair in compare_with_oriented(exposures, read, rig):
         assert pair.quarter_turns == 0

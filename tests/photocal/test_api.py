@@ -1,0 +1,127 @@
+"""The public face: quick to import, short to print, and its examples run as they stand."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import photocal
+from acquire.log.foxglove import location_fixes, schema
+from acquire.log.records import Channel
+from acquire.log.writer import LogWriter
+from drivers.errors import ConfigurationError
+from tests.docs.api_page import EXAMPLES, PAGE, page
+
+START_NS, FIXES = 1_700_000_000_000_000_000, 50
+
+
+def flight_log(path: Path) -> None:
+    """A receiver's positions at 5 Hz, and its status as JSON with one field left out now and then."""
+    times = START_NS + 200_000_000 * np.arange(FIXES)
+    unknown = np.full(FIXES, np.nan)
+    places = np.full(FIXES, -22.12), np.full(FIXES, -51.41), np.linspace(400.0, 410.0, FIXES)
+    fixes = location_fixes("antenna", times, *places, unknown, unknown)
+    with path.open("wb") as stream:
+        log = LogWriter(stream)
+        number = np.arange(FIXES)
+        channel = Channel("/gnss/rover/fix", "protobuf", schema("foxglove.LocationFix"))
+        log.messages(channel, fixes, times, times, number)
+        raw = Channel("/rover/raw", "ubx")
+        log.messages(raw, [b"\xb5b"] * FIXES, times, times, number)
+        log.close()
+
+
+def run_example(name: str, folder: Path) -> str:
+    command = [sys.executable, "-W", "error", EXAMPLES / name]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def numbers(text: str) -> list[float]:
+    return [float(one) for one in re.findall(r"[-+]?\d+\.?\d*(?:e[-+]\d+)?", text)]
+
+
+def test_import_is_quick_and_loads_nothing() -> None:
+    heavy = ("numpy", "pyarrow", "pydantic", "numba")
+    code = f"import sys, photocal; print([m for m in {heavy} if m in sys.modules])"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert told.strip() == "[]"
+
+
+def test_what_is_offered_is_there_and_described() -> None:
+    for name in dir(photocal):
+        assert (getattr(photocal, name).__doc__ or "").strip(), name
+    with pytest.raises(AttributeError):
+        _ = photocal.nothing_of_this_name
+    assert PAGE.read_text(encoding="utf-8") == page(), "run `make manual`"
+
+
+def test_calibration_from_arrays(tmp_path: Path) -> None:
+    example = (EXAMPLES / "calibrate_from_arrays.py").read_text(encoding="utf-8")
+    assert len(example.partition("# The calibration.\n")[2].splitlines()) < 10
+    told = run_example("calibrate_from_arrays.py", tmp_path)
+    c, sigma, truth = numbers(re.findall(r"c is .*", told)[0])
+    assert abs(c - truth) < 3.5 * sigma
+    assert "accepted" in told
+
+
+def test_a_scale_bar_gives_the_scale(tmp_path: Path) -> None:
+    free, barred = (numbers(line)[-1] for line in run_example("add_a_constraint.py", tmp_path).splitlines())
+    assert free == pytest.approx(1.0, abs=0.1)
+    assert abs(barred) < 0.1
+
+
+def test_check_points_tell_the_models_apart(tmp_path: Path) -> None:
+    short, long = (numbers(line) for line in run_example("compare_camera_models.py", tmp_path).splitlines())
+    assert short[-1] > 5 * long[-1]
+    assert "v'Pv / r" in run_example("compare_camera_models.py", tmp_path)
+
+
+def test_flights_scatter_as_the_plan_promises(tmp_path: Path) -> None:
+    promised, found = (
+        np.array(numbers(line.partition("mm:" if "mm:" in line else "flights:")[2]))
+        for line in run_example("monte_carlo_of_a_flight.py", tmp_path).splitlines()
+    )
+    # Errors of the control are common to the check points of a flight.
+    np.testing.assert_allclose(found, promised, rtol=0.35)
+
+
+def test_a_flight_log_becomes_arrays(tmp_path: Path) -> None:
+    flight_log(tmp_path / "flight.mcap")
+    told = run_example("read_a_flight_log.py", tmp_path)
+    assert "/gnss/rover/fix 50 messages" in told
+    assert "/rover/raw" not in told
+    assert numbers(told.splitlines()[-1])[:1] == [5.0]
+    assert numbers(told.splitlines()[-1])[-2:] == [400.0, 410.0]
+    raw = photocal.read_log(tmp_path / "flight.mcap", ["/rover/raw"])
+    assert raw["/rover/raw"]["payload"][0] == b"\xb5b"
+
+
+def block_of(rng: np.random.Generator) -> photocal.Block:
+    return photocal.block_of_arrays(
+        rng.normal(size=(9, 3)), rng.normal(size=(30, 9, 2)), (40, 30), sigma_px=1.0, sigma_m=None
+    )
+
+
+def test_things_print_as_short_tables() -> None:
+    block = block_of(np.random.default_rng(1))
+    given = block.images
+    images = photocal.OrientedImages(given.names, block.cameras, given.camera, np.zeros((30, 6)))
+    shown = ((block, "30 images, 9 points"), (block.cameras[0], "brown-ideal"), (images, "kappa"))
+    for thing, words in shown:
+        assert words in repr(thing)
+        assert "array(" not in repr(thing)
+        assert len(repr(thing).splitlines()) < 15
+
+
+def test_arrays_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"shape \(4, 2\)"):
+        photocal.block_of_arrays(np.zeros((4, 2)), np.zeros((1, 4, 2)), (4, 3), sigma_px=1.0, sigma_m=None)
+    with pytest.raises(ConfigurationError, match="point x is not in the block"):
+        photocal.with_relations(block_of(np.random.default_rng(1)), "distance", [("1", "x", 1.0, 0.1)])
