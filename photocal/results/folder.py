@@ -23,7 +23,7 @@ from photocal.block.model import InputFile
 from photocal.block.table import read_table
 from photocal.geometry.camera import PARAMETERS, Affinity, AffinityForm, Camera, Model, camera
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.results.result import AdjustedPoints, Figures, Residuals, Result
+from photocal.results.result import ANGLES, PLACE, SHOWN, AdjustedPoints, Figures, Residuals, Result
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -35,10 +35,6 @@ AGAIN = "run `photocal adjust` again"
 # Residual tables longer than this are written as Parquet.
 LONG_TABLE = 500_000
 LARGEST_JSON = 1 << 28
-
-_ANGLES, _PLACE = ("omega", "phi", "kappa"), ("X", "Y", "Z")
-# Radians and metres to what the tables have.
-_SHOWN = np.array([*np.degrees(np.ones(3)), 1.0, 1.0, 1.0])
 
 Kind = TypeVar("Kind")
 
@@ -148,7 +144,7 @@ def _camera_json(own: Camera) -> dict[str, Any]:
 
 def write_result(folder: Path, result: Result) -> None:
     """Write `result.json` and the tables beside it into a folder that exists."""
-    for name, table in tables(result).items():
+    for name, table in result.tables().items():
         if name == "residuals" and table.num_rows > LONG_TABLE:
             pyarrow.parquet.write_table(table, folder / f"{name}.parquet")
         else:
@@ -164,49 +160,16 @@ def write_csv(path: Path, table: Any) -> None:
     pyarrow.csv.write_csv(table, path, pyarrow.csv.WriteOptions(quoting_style="needed"))
 
 
-def tables(result: Result) -> dict[str, Any]:
-    """Images, points and residuals as Arrow tables, as in the run folder (degrees, m, unit of the rays)."""
-    images, points, rays = result.images, result.points, result.residuals
-    values, sigma = images.values * _SHOWN, images.sigma * _SHOWN
-    of_images: dict[str, Any] = {
-        "image": pa.array(images.names, pa.string()),
-        "camera": pa.array([images.cameras[k].id for k in images.camera], pa.string()),
-    }
-    for kind, prefix in ((values, ""), (sigma, "s")):
-        for k, name in enumerate(_PLACE):
-            of_images[prefix + name] = kind[:, 3 + k]
-        for k, name in enumerate(_ANGLES):
-            of_images[prefix + name[0] if prefix else name] = kind[:, k]
-    of_points: dict[str, Any] = {
-        "point": pa.array(points.names, pa.string()),
-        "role": pa.array(points.role, pa.string()),
-        **{name: points.values[:, k] for k, name in enumerate(_PLACE)},
-        **{f"s{name}": points.sigma[:, k] for k, name in enumerate(_PLACE)},
-        "rays": points.rays,
-    }
-    seen: dict[str, Any] = {
-        "image": pa.DictionaryArray.from_arrays(rays.image, pa.array(rays.image_names, pa.string())),
-        "point": pa.DictionaryArray.from_arrays(rays.point, pa.array(rays.point_names, pa.string())),
-    }
-    columns = {name: names.dictionary_decode() for name, names in seen.items()}
-    columns |= {axis: rays.measured[:, k] for k, axis in enumerate("xy")}
-    for name, pair in (("v", rays.residual), ("r", rays.redundancy), ("w", rays.standardised)):
-        for k, axis in enumerate("xy"):
-            # Of an observation that takes no part, or that no other checks, cells are empty.
-            columns[name + axis] = pa.array(pair[:, k], from_pandas=True)
-    return {"images": pa.table(of_images), "points": pa.table(of_points), "residuals": pa.table(columns)}
-
-
 def _covariances(result: Result) -> Any:
     """One row for each image (deg, m), point (m) and camera: its unknowns and the lower triangle by rows."""
     rows: list[tuple[str, Sequence[str], Sequence[str], Floats]] = [
         (
             "image",
             result.images.names,
-            (*_ANGLES, *_PLACE),
-            result.images.covariances * np.outer(_SHOWN, _SHOWN),
+            (*ANGLES, *PLACE),
+            result.images.covariances * np.outer(SHOWN, SHOWN),
         ),
-        ("point", result.points.names, _PLACE, result.points.covariance),
+        ("point", result.points.names, PLACE, result.points.covariance),
     ]
     for name, own in result.cameras.items():
         rows.append(("camera", (name,), own.free, own.covariance_of(own.free)[None]))
@@ -376,15 +339,15 @@ def _camera(name: str, own: _Camera, path: Path) -> Camera:
 
 def _images(folder: Path, cameras: dict[str, Camera]) -> OrientedImages:
     path = folder / "images.csv"
-    table = read_table(path, ("image", "camera", *_PLACE, *_ANGLES), IMAGE_SIGMAS)
+    table = read_table(path, ("image", "camera", *PLACE, *ANGLES), IMAGE_SIGMAS)
     names = table.unique_names("image")
     which, found = table.names("camera")
     number = {name: k for k, name in enumerate(cameras)}
     for name in found:
         if name not in number:
             raise InputMalformedError(f"camera {name} is not in {RESULT}", where=path, remedy=AGAIN)
-    values = np.column_stack([table.numbers(column) for column in (*_ANGLES, *_PLACE)]) / _SHOWN
-    sigma = np.column_stack([table.numbers(column, empty=np.nan) for column in IMAGE_SIGMAS]) / _SHOWN
+    values = np.column_stack([table.numbers(column) for column in (*ANGLES, *PLACE)]) / SHOWN
+    sigma = np.column_stack([table.numbers(column, empty=np.nan) for column in IMAGE_SIGMAS]) / SHOWN
     camera_of = np.array([number[name] for name in found], dtype=np.int64)[which]
     covariance = image_covariances(folder, names, sigma)
     return OrientedImages(names, tuple(cameras.values()), camera_of, values, covariance)
@@ -392,22 +355,20 @@ def _images(folder: Path, cameras: dict[str, Camera]) -> OrientedImages:
 
 def image_covariances(folder: Path, names: tuple[str, ...], sigma: Floats) -> Floats:
     """Covariances (rad, m, shape (n, 6, 6)): whole where the folder has them, else the sigmas squared."""
-    whole = read_covariances(folder / COVARIANCE, "image", names, (*_ANGLES, *_PLACE))
-    return np.where(np.isfinite(whole), whole / np.outer(_SHOWN, _SHOWN), _diagonal(sigma))
+    whole = read_covariances(folder / COVARIANCE, "image", names, (*ANGLES, *PLACE))
+    return np.where(np.isfinite(whole), whole / np.outer(SHOWN, SHOWN), _diagonal(sigma))
 
 
 def _points(folder: Path) -> AdjustedPoints:
-    table = read_table(
-        folder / "points.csv", ("point", "role", *_PLACE), (*(f"s{a}" for a in _PLACE), "rays")
-    )
+    table = read_table(folder / "points.csv", ("point", "role", *PLACE), (*(f"s{a}" for a in PLACE), "rays"))
     names = table.unique_names("point")
     index, roles = table.names("role")
-    sigma = np.column_stack([table.numbers("s" + axis, empty=np.nan) for axis in _PLACE])
-    whole = read_covariances(folder / COVARIANCE, "point", names, _PLACE)
+    sigma = np.column_stack([table.numbers("s" + axis, empty=np.nan) for axis in PLACE])
+    whole = read_covariances(folder / COVARIANCE, "point", names, PLACE)
     return AdjustedPoints(
         names,
         tuple(roles[k] for k in index),
-        np.column_stack([table.numbers(axis) for axis in _PLACE]),
+        np.column_stack([table.numbers(axis) for axis in PLACE]),
         np.where(np.isfinite(whole), whole, _diagonal(sigma)),
         table.numbers("rays", empty=0.0).astype(np.int64),
     )

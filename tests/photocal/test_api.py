@@ -37,7 +37,7 @@ def flight_log(path: Path) -> None:
 
 
 def run_example(name: str, folder: Path) -> str:
-    command = [sys.executable, "-W", "error", EXAMPLES / name]
+    command = [sys.executable, "-W", "error", str(EXAMPLES / name)]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
