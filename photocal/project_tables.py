@@ -308,8 +308,6 @@ class Contents(Table):
         given = [name for name in sections if getattr(self, name)]
         if self.measurements is not None and self.measurements.block is not None and given:
             raise ValueError(f"[{given[0]}] stands beside a ready block, which has all of this: remove one")
-        if self.measurements is not None and self.measurements.observations and self.flight is None:
-            raise ValueError("observations in [measurements] need [flight]: add it, or give a block folder")
         if len({one.id for one in self.camera}) < len(self.camera):
             raise ValueError("two cameras have the same id: rename one")
         return self

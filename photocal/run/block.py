@@ -18,6 +18,9 @@ _FROM_EXPOSURES = ("positions.csv", "attitudes.csv")
 
 def block_stage(project: Project, exposures: Path | None, measurements: Path) -> Stage:
     """Describe the stage, which follows those whose folders are given; exposures None without a flight."""
+    from photocal.block.folder import read_block
+    from photocal.run.project_checks import check_rays
+
     distances = project.control.distances
 
     def make(folder: Path, _: Progress) -> None:
@@ -36,6 +39,7 @@ def block_stage(project: Project, exposures: Path | None, measurements: Path) ->
         keys = project.rig.mounting().model_copy(update=_shared_by_the_flight(exposures))
         text = setup.read_text(encoding="utf-8") + "\n" + mounting_text(keys)
         setup.write_text(text, encoding="utf-8")
+        check_rays(read_block(folder), project.control.points)
 
     inputs = {} if distances is None else {"distances": distances}
     if exposures is None:

@@ -60,8 +60,12 @@ def _without_exposure(exposures: Path) -> list[str]:
 
 def _make(project: Project, exposures: Path | None, folder: Path, show: Progress) -> None:
     from photocal.measurement.block_files import write_block
+    from photocal.measurement.project_block import control_points
     from photocal.run.given_observations import given_block
+    from photocal.run.project_checks import check_near, picture_places
 
+    if exposures is None:
+        check_near(project, control_points(project), picture_places(project))
     if project.contents.measurements is not None and exposures is not None:
         starts = read_images(exposures / "images.csv", project.cameras)
         # The orientations are start values: what was observed stands in positions.csv and attitudes.csv.

@@ -165,6 +165,10 @@ def summary_text(figures: dict[str, Any]) -> str:
     lines += _warning_lines(figures["warnings"])
     if figures["certificate"] is not None:
         lines.append(_line("certificate", figures["certificate"]))
+    # Whoever reads one line reads the last.
+    first = next((one for one in figures["warnings"] if one["kind"] == "warning"), None)
+    if first is not None:
+        lines.append(_line("look at first", f"{first['code']}: {first['text']}"))
     return "\n".join(lines)
 
 

@@ -17,6 +17,7 @@ from photocal.run.folders import alone
 from photocal.run.georeferencing import georeferencing_stage
 from photocal.run.measurements import measurements_stage
 from photocal.run.ppk import ppk_stage
+from photocal.run.project_checks import check_project, explained
 from photocal.run.stage import Progress, Stage, StageResult, made_in, update_stage
 
 _MEMORY = ".digests.json"
@@ -31,7 +32,8 @@ def stages(project: Project, day: dt.date) -> tuple[Stage, ...]:
         first: tuple[Stage, ...] = (given_block_stage(given.block),)
     else:
         ppk, exposures, measurements = (work / name for name in ("ppk", "exposures", "measurements"))
-        flown = project.contents.flight is not None
+        # Observations that were given have no other start values than those of a flight.
+        flown = project.contents.flight is not None or given is not None
         placed = exposures if flown else None
         first = (
             *((ppk_stage(project), exposures_stage(project, ppk)) if flown else ()),
@@ -86,6 +88,7 @@ def run_project(
             raise ConfigurationError(
                 f"{name!r} is no stage of this project", where=option, remedy=f"take {', '.join(names)}"
             )
+    check_project(project)
     with alone(project.output):
         digests = Digests(project.output / _MEMORY, again=rehash)
         made: list[StageResult] = []
@@ -106,5 +109,5 @@ def run_project(
         finally:
             digests.keep()
     if failure is not None:
-        raise failure
+        raise explained(project, failure) from failure
     return tuple(made)

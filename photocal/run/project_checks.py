@@ -1,0 +1,361 @@
+"""What is wrong with a project before anything is measured: found by trying the exchange and seeing it fit.
+
+A slip of the pen in a project (a zone, exchanged axes, feet) makes every later figure absurd, and the last of
+them says least. So coordinates are compared here with each other, and where they contradict, the usual slips
+are tried one by one: the one that makes them agree is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError, PhotocalError
+from photocal.block.folder import read_block
+from photocal.block.model import Block, ObjectPoints
+from photocal.block.network import block_frame
+from photocal.exchange.parts import PointEntry, object_points
+from photocal.geometry.oriented_images import given_places
+from photocal.measurement.control_files import ControlMarks, in_map_system
+from photocal.measurement.georeferenced import map_places
+from photocal.measurement.image_facts import ImageFacts, read_facts
+from photocal.measurement.image_file import list_images
+from photocal.measurement.project_block import control_points
+from photocal.measurement.tracks import Tracks
+from photocal.measurement.views import intersected, views_of
+from photocal.project import Project
+
+Floats = NDArray[np.float64]
+
+# How far control may lie from a base station, and from what pictures say of their place.
+FAR_FROM_BASE_M, FAR_FROM_PICTURES_M = 50_000.0, 5_000.0
+# Pictures show the ground to so many flying heights beside them.
+REACH_HEIGHTS, REACH_M = 2.0, 20.0
+# Rays of exposures by GNSS and inertial unit meet a point to this, over its distance, and at least in m.
+RAYS, RAYS_M = 0.15, 15.0
+# A hypothesis must leave so much less than the contradiction.
+EXPLAINS = 0.2
+# Points whose second extent is a smaller share of the first lie in one line.
+LINE = 0.02
+FEWEST = 3
+_PICTURES = 10
+_UNITS = {"feet": 0.3048, "millimetres": 0.001, "centimetres": 0.01, "kilometres": 1000.0}
+
+
+def check_project(project: Project) -> None:
+    """Complain of a system, of control and of places that cannot be right together.
+
+    Raises
+    ------
+    ConfigurationError
+        With the cause.
+    PhotocalError
+        For control that cannot be read.
+    """
+    given = project.contents.measurements
+    if given is not None and given.block is not None:
+        return
+    place = _place(project)
+    _check_system(project, place)
+    control = control_points(project)
+    _check_heights(project, control)
+    if place is not None:
+        _check_place(project, control, *place)
+    elif not _has_positions(project):
+        _check_line(project, control)
+
+
+Place = tuple[float, float, str, float]
+
+
+def _place(project: Project) -> Place | None:
+    """Latitude, longitude (deg), what says so, and how far control may lie from there."""
+    flight = project.contents.flight
+    if flight is not None and flight.base_position is not None:
+        latitude, longitude, _ = flight.base_position
+        return latitude, longitude, "base_position in [flight]", FAR_FROM_BASE_M
+    placed = [own for own in _facts(project) if own.has_position]
+    if not placed:
+        return None
+    middle = np.median([(own.latitude_deg, own.longitude_deg) for own in placed], axis=0)
+    return float(middle[0]), float(middle[1]), "the pictures' positions", FAR_FROM_PICTURES_M
+
+
+def picture_places(project: Project) -> Floats:
+    """Positions that the pictures state, in the project's system; none in a local one."""
+    facts = _facts(project, None)
+    if project.crs == "local" or not facts:
+        return np.empty((0, 3))
+    return map_places(facts, project.crs)
+
+
+def _facts(project: Project, most: int | None = _PICTURES) -> list[ImageFacts]:
+    images = project.contents.images
+    if images is None or images.folder is None:
+        return []
+    facts = []
+    for path in list_images(images.folder)[:most]:
+        try:
+            facts.append(read_facts(path))
+        except PhotocalError:
+            continue
+    return facts
+
+
+def _has_positions(project: Project) -> bool:
+    return project.contents.flight is not None or any(own.has_position for own in _facts(project))
+
+
+def _check_system(project: Project, place: Place | None) -> None:
+    if project.crs == "local":
+        return
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        system = CRS.from_user_input(project.crs)
+    except CRSError as refusal:
+        raise ConfigurationError(
+            f"crs = {project.crs!r} is no system that is known",
+            where=project.path,
+            remedy=_proposal(place),
+        ) from refusal
+    level = system.sub_crs_list[0] if system.is_compound else system
+    if level.is_geographic or level.is_geocentric:
+        raise ConfigurationError(
+            f"crs = {project.crs!r} ({level.name}) has no map coordinates: degrees cannot be adjusted",
+            where=project.path,
+            remedy=_proposal(place),
+        )
+    unit = level.axis_info[0].unit_name
+    if unit != "metre":
+        raise ConfigurationError(
+            f"crs = {project.crs!r} ({level.name}) is in {unit}, not in metres",
+            where=project.path,
+            remedy=_proposal(place),
+        )
+
+
+def _proposal(place: Place | None) -> str:
+    if place is None:
+        return 'write the map system of the control points, such as "EPSG:31982"'
+    zone = _zone(place[0], place[1])
+    return f"write a map system, such as {zone} for the place of {place[2]}"
+
+
+def _zone(latitude: float, longitude: float) -> str:
+    entry = PointEntry("place", "control", (longitude, latitude, 0.0), (1.0, 1.0, 1.0))
+    return in_map_system(ControlMarks("EPSG:4326", object_points([entry]), ())).crs
+
+
+def _check_heights(project: Project, control: ObjectPoints) -> None:
+    """Heights that nobody has surveyed."""
+    used = control.of_role("control") & np.isfinite(control.sigma[:, 2])
+    heights = control.values[used, 2]
+    if project.crs == "local" or len(heights) < FEWEST or np.ptp(heights) > 0:
+        return
+    raise ConfigurationError(
+        f"the heights of all {len(heights)} control points are {heights[0]:g}, which no survey gives",
+        where=project.control.points,
+        remedy="give their heights, or leave sZ empty: then they count in plane only",
+    )
+
+
+def _check_line(project: Project, control: ObjectPoints) -> None:
+    """Control in one line, where nothing else stops the block from turning about it."""
+    used = control.values[control.of_role("control")]
+    if len(used) < 2:
+        return
+    extent = np.linalg.svd(used - used.mean(axis=0), compute_uv=False)
+    if len(used) < FEWEST or extent[1] < LINE * extent[0]:
+        raise ConfigurationError(
+            f"the {len(used)} control points lie in one line: the block can turn about it",
+            where=project.control.points,
+            remedy="survey a point beside the line, or give pictures with positions",
+        )
+
+
+def _check_place(
+    project: Project, control: ObjectPoints, latitude: float, longitude: float, what: str, far: float
+) -> None:
+    """Control in its system against a place that is known in degrees."""
+    if project.crs == "local" or not len(control.names):
+        return
+    middle = np.nanmedian(control.values[:, :2], axis=0)
+    stated = _away(latitude, longitude, project.crs, middle)
+    if stated <= far:
+        return
+    table, file = project.control.points, project.path
+    tried: list[tuple[str, Path | None, float, float, str, Floats]] = [
+        (
+            "E and N of the control points are exchanged",
+            table,
+            latitude,
+            longitude,
+            project.crs,
+            middle[::-1],
+        )
+    ]
+    if (np.abs(control.values[:, :2]) <= (180, 90)).all():
+        raise ConfigurationError(
+            "the control points are in degrees, crs is in metres",
+            where=table,
+            remedy=f"take them to {project.crs}, or let photocal new do it",
+        )
+    for unit, factor in _UNITS.items():
+        cause = f"the control points are in {unit}"
+        tried.append((cause, table, latitude, longitude, project.crs, middle * factor))
+    if abs(longitude) <= 90:
+        cause = f"latitude and longitude of {what} are exchanged"
+        tried.append((cause, file, longitude, latitude, project.crs, middle))
+    for word, north, east in (
+        ("latitude", -1.0, 1.0),
+        ("longitude", 1.0, -1.0),
+        ("latitude and longitude", -1.0, -1.0),
+    ):
+        cause = f"the sign of the {word} of {what} is wrong"
+        tried.append((cause, file, north * latitude, east * longitude, project.crs, middle))
+    for crs in _neighbours(project.crs, latitude, longitude):
+        cause = f"crs = {project.crs!r} is not the zone of the control points: that is {crs}"
+        tried.append((cause, file, latitude, longitude, crs, middle))
+    for cause, where, north, east, crs, place in tried:
+        if _away(north, east, crs, place) <= far:
+            raise ConfigurationError(cause, where=where, remedy=f"then they fit {what}: correct it")
+    raise ConfigurationError(
+        f"the control points lie {stated / 1000:.0f} km from {what}, and no exchange of axes, signs, units "
+        "or zones explains it",
+        where=table,
+        remedy="check crs, control and positions",
+    )
+
+
+def _away(latitude: float, longitude: float, crs: str, place: Floats) -> float:
+    """Distance in the plane of a system, m; infinite where the system does not reach."""
+    fact = ImageFacts("", (1, 1), latitude_deg=latitude, longitude_deg=longitude, altitude_m=0.0)
+    try:
+        distance = float(np.hypot(*(map_places([fact], crs)[0, :2] - place)))
+    except PhotocalError:
+        return np.inf
+    return distance if np.isfinite(distance) else np.inf
+
+
+def _neighbours(crs: str, latitude: float, longitude: float) -> Iterator[str]:
+    """Zones at the place: of the same datum, and of WGS 84, north and south."""
+    from pyproj import CRS
+    from pyproj.aoi import AreaOfInterest
+    from pyproj.database import query_utm_crs_info
+
+    system = CRS.from_user_input(crs)
+    datum = system.name.split(" / ")[0]
+    for name in dict.fromkeys((datum, "WGS 84")):
+        for sign in (1, -1):
+            area = AreaOfInterest(longitude, sign * latitude, longitude, sign * latitude)
+            for info in query_utm_crs_info(name, area, contains=True):
+                yield f"{info.auth_name}:{info.code}"
+
+
+def check_near(project: Project, control: ObjectPoints, places: Floats) -> None:
+    """Complain of control that no picture can show, for it lies beside all positions.
+
+    Parameters
+    ----------
+    places : ndarray, shape (images, 3)
+        In the project's system; NaN where unknown.
+    """
+    places = places[np.isfinite(places).all(axis=1)]
+    points = control.values[control.of_role("control")]
+    if not len(places) or not len(points):
+        return
+    height = float(np.median(places[:, 2]) - np.median(points[:, 2]))
+    reach = REACH_HEIGHTS * abs(height) + REACH_M
+    gap = np.linalg.norm(points[:, None, :2] - places[None, :, :2], axis=2).min(axis=1)
+    if gap.min() > reach:
+        raise ConfigurationError(
+            f"the control points lie beside the pictures: the nearest is {gap.min():.0f} m from the nearest "
+            f"position, {height:.0f} m below it",
+            where=project.control.points,
+            remedy="are they of this flight, and in the datum of crs?",
+        )
+
+
+def check_rays(block: Block, control_file: Path | None, *, alike: bool = False) -> None:
+    """Complain of control far from where rays of oriented exposures meet, naming the slip that explains it.
+
+    Parameters
+    ----------
+    block : Block
+        Whose images are oriented by GNSS and inertial unit.
+    alike : bool
+        Complain of control that is shifted all alike, too: base, datum and antenna can do that, and an
+        adjustment that succeeds tells them apart.
+    """
+    frame = block_frame(block)
+    rows = np.flatnonzero(~block.points.of_role("tie") & np.isfinite(block.points.values).all(axis=1))
+    seen = block.observations
+    order = np.flatnonzero(np.isin(seen.point, rows))
+    order = order[np.argsort(seen.point[order], kind="stable")]
+    which, track = np.unique(seen.point[order], return_inverse=True)
+    if not len(rows):
+        return
+    if not len(which):
+        raise ConfigurationError(
+            f"none of the {len(rows)} surveyed points is measured in an image",
+            where=control_file,
+            remedy=f"are the names the same? The table has {block.points.names[rows[0]]}",
+        )
+    tracks = Tracks(track, seen.image[order], seen.values[order], np.ones(len(order)))
+    met = given_places(frame, intersected(views_of(block, frame), tracks))
+    good = np.isfinite(met).all(axis=1) & (np.bincount(track, minlength=len(which)) >= 2)
+    if good.sum() < FEWEST:
+        return
+    met, survey, roles = met[good], block.points.values[which[good]], which[good]
+    centre = np.nanmedian(block.images.values[:, 3:], axis=0)
+    limit = max(RAYS_M, RAYS * float(np.median(np.linalg.norm(met - centre, axis=1))))
+    miss = float(np.median(np.linalg.norm(survey - met, axis=1)))
+    if miss <= limit:
+        return
+    slips = [(c, float(np.median(np.linalg.norm(x - met, axis=1)))) for c, x in _slips(survey)]
+    for most in (limit, EXPLAINS * miss):
+        for cause, left in slips:
+            if left <= most and left < EXPLAINS * miss:
+                remedy = f"then they lie {left:.1f} m from the rays, not {miss:.0f} m"
+                raise ConfigurationError(cause, where=control_file, remedy=remedy)
+    shifted = survey + np.median(met - survey, axis=0)
+    if np.median(np.linalg.norm(shifted - met, axis=1)) <= max(limit, EXPLAINS * miss):
+        if not alike:
+            return
+        east, north, up = np.median(survey - met, axis=0)
+        raise ConfigurationError(
+            f"the control points lie all {east:+.0f} m east, {north:+.0f} m north and {up:+.0f} m up from "
+            "where the rays of the exposures meet them",
+            where=control_file,
+            remedy="check base_position, the datum of control and crs, and the place of the control points",
+        )
+    raise ConfigurationError(
+        f"the control points lie {miss:.0f} m from where the rays of the exposures meet them",
+        where=control_file,
+        remedy=f"check crs, datum and names, first of {block.points.names[roles[0]]}",
+    )
+
+
+def explained(project: Project, failure: PhotocalError) -> PhotocalError:
+    """Give what made a stage fail, where the block of a flight shows it; else the failure itself."""
+    if project.contents.flight is None or not (project.output / "block" / "block.toml").exists():
+        return failure
+    try:
+        check_rays(read_block(project.output / "block"), project.control.points, alike=True)
+    except PhotocalError as cause:
+        return cause
+    return failure
+
+
+def _slips(survey: Floats) -> Iterator[tuple[str, Floats]]:
+    """What people mistake, with the coordinates as they would be without it."""
+    yield "E and N of the control points are exchanged", survey[:, [1, 0, 2]]
+    for unit, factor in _UNITS.items():
+        yield f"the heights of the control points are in {unit}", survey * [1, 1, factor]
+        yield f"the control points are in {unit}", survey * factor
+    yield "the heights of the control points have the wrong sign", survey * [1, 1, -1]
