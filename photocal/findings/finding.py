@@ -80,3 +80,8 @@ class Finding:
     def small(self) -> bool:
         """Whether it may be left as it is."""
         return self.severity in ("note", "passed", "untested")
+
+
+def untested(code: str, cause: str, figures: Mapping[str, Any] | None = None) -> Finding:
+    """Give what could not be looked at, and why not."""
+    return Finding(code, "untested", figures=figures or {}, cause=cause)

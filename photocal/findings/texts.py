@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
 from drivers.errors import InputMalformedError
-from photocal.findings.catalogue import Catalogue
+from photocal.findings.catalogue import Catalogue, catalogue
 from photocal.findings.digits import Number, symbol
 from photocal.findings.finding import Finding
 
@@ -22,6 +22,7 @@ TERMS = (
 )  # fmt: skip
 # Figures that are phrases of the catalogue with what is put into them, "code first second".
 PHRASES = {"alike": "candidate", "slips": "slip", "changes": "change"}
+PHRASES |= {"lever": "lever", "exchanged": "lever"}
 # Longer lists of points and images end with a number.
 _NAMED = 8
 
@@ -93,6 +94,15 @@ def finding_json(finding: Finding, say: Catalogue) -> dict[str, Any]:
     return {key: _plain(value) for key, value in record.items()}
 
 
+def told(findings: Iterable[Finding]) -> dict[str, Any]:
+    """Give findings for a record: as JSON values, and as English sentences."""
+    listed, say = tuple(findings), catalogue("en")
+    return {
+        "findings": [finding_json(one, say) for one in listed],
+        "warnings": [finding_text(one, say, plain) for one in listed],
+    }
+
+
 def findings_of(content: object, where: object) -> tuple[Finding, ...]:
     """Read back a list of what `finding_json` gave.
 
@@ -135,7 +145,8 @@ def _figure(key: str, value: Any, say: Catalogue, name: Callable[[str], str]) ->
         return Number(math.nan if value is None else float(value), say.mark)
     texts = [str(one) for one in value]
     if key in PHRASES:
-        return say("join.and").join(_phrase(PHRASES[key], one, say, name) for one in texts)
+        joint = ", " if PHRASES[key] == "lever" else say("join.and")
+        return joint.join(_phrase(PHRASES[key], one, say, name) for one in texts)
     if key in TERMS:
         return say("join.and").join(_term(one, say) for one in texts)
     if key in PARAMETERS:

@@ -133,7 +133,9 @@ def _systematic(error: SystematicError) -> Finding:
     found = error.found
     shown = [e for e in found.estimates if e.significant] or list(found.estimates)
     figures: dict[str, Figure] = {"numbers": tuple(estimate_text(e) for e in shown), "same": error.same}
-    return Finding(found.name, "grave", figures=figures, clauses=("same",) if error.same else ())
+    return Finding(
+        found.name, "grave", figures=figures, clauses=("correction", *(["same"] * bool(error.same)))
+    )
 
 
 def _shift(estimates: tuple[Estimate, ...], in_plane: bool, change: Hypothesis | None) -> Finding | None:
@@ -155,7 +157,7 @@ def _shift(estimates: tuple[Estimate, ...], in_plane: bool, change: Hypothesis |
     if not noteworthy or not in_plane:
         return None
     shift = tuple(f"{axis.upper()} {one.correction:+.3f} +- {one.sigma:.3f}" for axis, one in axes.items())
-    return Finding("base-position", "grave", figures={"numbers": shift})
+    return Finding("base-position", "grave", figures={"numbers": shift}, clauses=("against-control",))
 
 
 def _swapped_axes(estimates: tuple[Estimate, ...]) -> Finding | None:
@@ -178,7 +180,7 @@ def _swapped_axes(estimates: tuple[Estimate, ...]) -> Finding | None:
         return None
     estimate, stated = (tuple(f"{v:+.3f}" for v in vector) for vector in (value, given))
     figures: dict[str, Figure] = {"stated": stated, "numbers": estimate, "changes": best[1]}
-    return Finding("lever-arm-axes", "grave", figures=figures)
+    return Finding("lever-arm-axes", "grave", figures=figures, clauses=("stated-and-found",))
 
 
 def _changes(order: tuple[int, ...], sign: tuple[float, ...]) -> tuple[str, ...]:

@@ -56,7 +56,7 @@ def measure_board(
     name : str
         Of the block.
     done : callable
-        ProcessingWarnings 1 after each image.
+        Told 1 after each image.
 
     Raises
     ------

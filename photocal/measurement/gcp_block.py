@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
+from photocal.findings.finding import Finding
+from photocal.findings.texts import told
 from photocal.measurement.control_files import ControlMarks, in_map_system, read_control_marks
 from photocal.measurement.georeferenced import map_places
 from photocal.measurement.image_facts import ImageFacts
@@ -19,7 +21,12 @@ from photocal.measurement.marks_files import named_after
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.measure_ties import TieBlock, sight, stated_footprints, tie_record
 from photocal.measurement.oriented_ties import Progress, orient_ties
-from photocal.measurement.project_block import FEWEST_CONTROL, OTHER_SURFACE_M, suspected_marks, warnings_of
+from photocal.measurement.project_block import (
+    FEWEST_CONTROL,
+    OTHER_SURFACE_M,
+    findings_of_marks,
+    suspected_marks,
+)
 from photocal.measurement.start_block import start_block
 
 
@@ -80,7 +87,7 @@ def measure_gcp(
         start.images.sigma[known, 5] = OTHER_SURFACE_M
     found = orient_ties(start, sighted.sources, sighted.tracks, sighted.pairs, plan.processes, progress)
     suspects = suspected_marks(found.adjusted, given.points)
-    said = [f"point {point} has marks but no coordinates" for point in given.without_coordinates]
+    bare = [Finding("no-coordinates", "doubtful", point) for point in given.without_coordinates]
     record = {
         **tie_record(sighted, found),
         "kind": "tie and control points",
@@ -89,7 +96,7 @@ def measure_gcp(
         "control": {"file": control_file.name, "sigma_assumed_m": list(sigma_m), "marks": len(given.marks)},
         "unknown_marks": [f"{mark.point} in {mark.image}" for mark in unknown],
         "suspected_marks": suspects,
-        "warnings": said + list(found.warnings) + warnings_of(unknown, (), suspects, found.left_out),
+        **told([*bare, *found.findings, *findings_of_marks(unknown, (), suspects, found.left_out)]),
     }
     return TieBlock(found.adjusted.block, record)
 

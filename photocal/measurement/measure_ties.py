@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import InputNotFoundError, PhotocalError
 from photocal.block.model import Block
+from photocal.findings.texts import told
 from photocal.measurement.geographic import local_places
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.maker_camera import stated_camera
@@ -100,7 +101,7 @@ def measure_ties(paths: Sequence[Path], name: str, plan: MatchingPlan, progress:
     record = {
         **tie_record(sighted, found),
         "kind": "tie points",
-        "warnings": list(found.warnings),
+        **told(found.findings),
         "principal_distance_from": sorted({stated_camera("", f).source for f in sighted.facts}),
         "positions": position_figures(sighted.facts, position_sigma(sighted.facts)),
         "origin": {"latitude_deg": origin[0], "longitude_deg": origin[1], "height_m": origin[2]}

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from drivers.errors import IllPosedError
 from photocal.block.model import Block
 from photocal.block.network import block_frame
+from photocal.findings.finding import Finding
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.placing import Placed, oriented
 from photocal.measurement.ray_sigmas import GROSS
@@ -55,14 +56,14 @@ class Oriented:
         All tracks that fit the final orientation, before they were thinned.
     left_out : tuple of dict
         Images that could not be oriented, with the reason.
-    warnings : tuple of str
+    findings : tuple of Finding
         What was found wrong, and what was done about it.
     """
 
     adjusted: Adjusted
     verified: Tracks
     left_out: tuple[dict[str, str], ...]
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
 def orient_ties(
@@ -93,7 +94,7 @@ def orient_ties(
     final = adjust_ties(first.start, first.values, _strong(spaced(matched, PATCH_PX), sizes, IN_A_CELL))
     matched = of_images(matched, np.isin(first.start.images.names, final.start.images.names))
     left_out += [*first.left_out, *final.left_out]
-    return Oriented(final, _verified(final, matched), tuple(left_out), placed.warnings)
+    return Oriented(final, _verified(final, matched), tuple(left_out), placed.findings)
 
 
 def _connected(start: Block, tracks: Tracks) -> tuple[Block, Tracks, Integers, list[dict[str, str]]]:
@@ -109,6 +110,7 @@ def _connected(start: Block, tracks: Tracks) -> tuple[Block, Tracks, Integers, l
             {
                 "image": start.images.names[k],
                 "reason": f"shares only {seen[k]} tie points with the other images",
+                "code": "few-ties",
             }
             for k in np.flatnonzero(few)
         ]
@@ -120,7 +122,7 @@ def _reached(start: Block, tracks: Tracks, sizes: Floats) -> tuple[Placed, Flags
     """Orient the images; which of them are, and why the others are not."""
     placed = oriented(start, _strong(tracks, sizes, FIRST_IN_A_CELL))
     left_out = [
-        {"image": name, "reason": reason}
+        {"image": name, "reason": reason, "code": "not-joined"}
         for name, reason in zip(start.images.names, placed.reasons, strict=True)
         if reason
     ]

@@ -18,6 +18,7 @@ from photocal.adjustment.start.model import LENS, Model, held_to_given, misfit, 
 from photocal.adjustment.start.values import free_models
 from photocal.block.model import Block, Images
 from photocal.block.network import block_frame, observed_plane
+from photocal.findings.finding import Finding
 from photocal.geometry.camera import Camera
 from photocal.geometry.oriented_images import given_poses, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
@@ -62,13 +63,13 @@ class Placed:
         In the block's frame; NaN for images that are not oriented.
     reasons : tuple of str
         Why not, for each image; empty for those that are.
-    warnings : tuple of str
+    findings : tuple of Finding
     """
 
     block: Block
     poses: Floats
     reasons: tuple[str, ...]
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
 def oriented(block: Block, tracks: Tracks) -> Placed:
@@ -94,18 +95,15 @@ def oriented(block: Block, tracks: Tracks) -> Placed:
     control = np.vstack(
         [np.where(known, frame.to_local(block.points.values), np.nan), np.full((tracks.count, 3), np.nan)]
     )
-    model, warnings = _calibrated(models[0], block.cameras)
+    model, findings = _calibrated(models[0], block.cameras)
     block = replace(block, cameras=_cameras(block.cameras, model))
     move, determined = _placing(model, control, given, _position_sigma(block, given))
     if not determined:
         block = replace(block, datum="free", images=_unobserved(block))
-        warnings.append(
-            "neither control nor positions say how the block lies (too few, in a line, or too uncertain for "
-            "its size): it is placed as if the cameras looked down, and adjusted free"
-        )
+        findings.append(Finding("block-not-placed", "doubtful"))
     elif block.datum == "control":
-        block, said = _with_borne_out_positions(block, model, move, given)
-        warnings += said
+        block, more_findings = _with_borne_out_positions(block, model, move, given)
+        findings += more_findings
     model = _moved(model, move)
     unreached = "its tie points do not orient it to the other images"
     reasons = np.where(model.oriented, "", unreached).astype(object)
@@ -122,7 +120,7 @@ def oriented(block: Block, tracks: Tracks) -> Placed:
     # What was known of an image before is better than nothing.
     complete = lost & np.isfinite(given).all(axis=1) & determined
     poses[complete], reasons[complete] = given[complete], ""
-    return Placed(block, given_poses(frame, poses), tuple(reasons), tuple(warnings))
+    return Placed(block, given_poses(frame, poses), tuple(reasons), tuple(findings))
 
 
 def _rays(block: Block) -> Rays:
@@ -132,7 +130,7 @@ def _rays(block: Block) -> Rays:
     return Rays(seen.image[order], seen.point[order], plane[order], sigma[order])
 
 
-def _calibrated(model: Model, given: tuple[Camera, ...]) -> tuple[Model, list[str]]:
+def _calibrated(model: Model, given: tuple[Camera, ...]) -> tuple[Model, list[Finding]]:
     """The model with principal distances as given, where it bears them, else with its own."""
     wanted = [own.estimated[0] for own in given]
     if all(wanted):
@@ -143,12 +141,12 @@ def _calibrated(model: Model, given: tuple[Camera, ...]) -> tuple[Model, list[st
     bears = misfit(held) < KEPT_MISFIT * misfit(model) and support(held) > KEPT_SUPPORT * support(model)
     if held.oriented.sum() >= 2 and ((bears and (held.oriented == model.oriented).all()) or not credible):
         return held, []
-    return model, [
-        f"c of camera {own.id} was given as {own.value('c'):.5g} {own.unit}, which the rays do not fit: "
-        f"it is estimated, from {better.value('c'):.5g} {own.unit}"
-        for own, better in zip(given, model.sights.cameras, strict=True)
-        if not own.estimated[0]
-    ]
+    findings = []
+    for own, better in zip(given, model.sights.cameras, strict=True):
+        if not own.estimated[0]:
+            figures = {"given": own.value("c"), "unit": own.unit, "value": better.value("c")}
+            findings.append(Finding("c-refuted-by-rays", "doubtful", own.id, figures))
+    return model, findings
 
 
 def _cameras(given: tuple[Camera, ...], model: Model) -> tuple[Camera, ...]:
@@ -244,7 +242,7 @@ def _unobserved(block: Block) -> Images:
 
 def _with_borne_out_positions(
     block: Block, model: Model, move: Similarity, given: Floats
-) -> tuple[Block, list[str]]:
+) -> tuple[Block, list[Finding]]:
     """Block without positions that are wrong, the sigmas of the others as large as their misses."""
     sigma = block.images.sigma.copy()
     observed = model.oriented & np.isfinite(sigma[:, 3:]).all(axis=1) & (sigma[:, 3:] > 0).all(axis=1)
@@ -254,15 +252,13 @@ def _with_borne_out_positions(
     ratio = np.linalg.norm(miss / sigma[observed, 3:], axis=1) / np.sqrt(3)
     factor = max(1.0, float(np.median(ratio)) / 0.9)
     wrong = ratio > WRONG_POSITION * factor
-    said = [
-        f"position of image {block.images.names[k]} is {np.linalg.norm(miss[j]):.0f} m off: not used"
+    findings = [
+        Finding("position-off", "doubtful", block.images.names[k], {"off_m": float(np.linalg.norm(miss[j]))})
         for j, k in enumerate(np.flatnonzero(observed))
         if wrong[j]
     ]
     sigma[np.flatnonzero(observed)[wrong], 3:] = np.inf
     if factor > WORSE_POSITIONS:
-        said.append(
-            f"the positions fit the rays {factor:.1f} times worse than their sigmas say: these are enlarged"
-        )
+        findings.append(Finding("positions-worse", "doubtful", figures={"factor": factor}))
         sigma[:, 3:] *= factor
-    return replace(block, images=replace(block.images, sigma=sigma)), said
+    return replace(block, images=replace(block.images, sigma=sigma)), findings

@@ -15,6 +15,8 @@ from drivers.errors import ConfigurationError, InputNotFoundError, PhotocalError
 from photocal.block.folder import read_points
 from photocal.block.model import Block, Images, ObjectPoints
 from photocal.exchange.parts import Mark
+from photocal.findings.finding import Finding
+from photocal.findings.texts import told
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
 from photocal.geometry.oriented_images import local_poses
@@ -140,11 +142,15 @@ def measure_project(
         "unknown_marks": [f"{mark.point} in {mark.image}" for mark in unknown],
         "unknown_targets": list(found.strangers),
         "suspected_marks": suspects,
-        "warnings": [
-            *found.warnings,
-            *oriented.warnings,
-            *warnings_of(unknown, found.strangers, suspects, (*oriented.left_out, *released.left_out)),
-        ],
+        **told(
+            [
+                *found.findings,
+                *oriented.findings,
+                *findings_of_marks(
+                    unknown, found.strangers, suspects, (*oriented.left_out, *released.left_out)
+                ),
+            ]
+        ),
     }
     return TieBlock(_restored(oriented.adjusted, released, block), record)
 
@@ -328,18 +334,21 @@ def suspected_marks(adjusted: Adjusted, control: ObjectPoints) -> list[dict[str,
     ]
 
 
-def warnings_of(
+def findings_of_marks(
     unknown: Sequence[Mark],
     strangers: Sequence[str],
     suspects: Sequence[dict[str, Any]],
     left_out: Sequence[dict[str, str]],
-) -> list[str]:
-    """What must not pass silently, in words."""
-    said = [f"image {entry['image']} is left out: {entry['reason']}" for entry in left_out]
-    said += [f"mark of {mark.point} in {mark.image}: no such image or control point" for mark in unknown]
-    said += [f"a target without a name: {name}" for name in strangers]
-    said += [
-        f"mark of {s['point']} in {s['image']} is {s['residual_px']:.1f} px off ({s['in_sigmas']:.1f} sigma)"
-        for s in suspects
-    ]
-    return said
+) -> list[Finding]:
+    """Find what must not pass silently: images, marks and targets that take no part, marks far off."""
+    findings = []
+    for cause in dict.fromkeys(entry.get("code", "unusable") for entry in left_out):
+        images = tuple(one["image"] for one in left_out if one.get("code", "unusable") == cause)
+        findings.append(Finding("image-left-out", "doubtful", figures={"images": images}, cause=cause))
+    findings += [Finding("unknown-mark", "doubtful", f"{mark.point} ({mark.image})") for mark in unknown]
+    findings += [Finding("unknown-target", "doubtful", name) for name in strangers]
+    for one in suspects:
+        figures = {"point": one["point"], "image": one["image"]}
+        figures |= {"px": one["residual_px"], "sigmas": one["in_sigmas"]}
+        findings.append(Finding("mark-off", "doubtful", f"{one['point']} ({one['image']})", figures))
+    return findings

@@ -9,6 +9,7 @@ from typing import Any
 from drivers.errors import ConfigurationError
 from photocal.block.model import ObjectPoints
 from photocal.exchange.parts import Mark
+from photocal.findings.finding import Finding
 from photocal.measurement.coded_targets import find_coded_targets
 from photocal.measurement.orientation import Orientation
 from photocal.measurement.oriented_ties import Progress
@@ -33,7 +34,7 @@ class Targets:
     marks: tuple[Mark, ...]
     strangers: tuple[str, ...]
     record: dict[str, Any]
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
 def targets_of_project(
@@ -48,7 +49,7 @@ def targets_of_project(
     given = project.control
     marks: list[Mark] = []
     strangers: list[str] = []
-    warnings: list[str] = []
+    findings: list[Finding] = []
     record: dict[str, Any] = {"coded": 0}
     _require_points(project, control)
     for coded in given.coded_targets:
@@ -59,7 +60,7 @@ def targets_of_project(
     record["coded"] = len(marks)
     kinds = ", ".join(dict.fromkeys(own.kind for own in given.plain_targets))
     if given.plain_targets and exposures is None:
-        warnings.append(f"targets ({kinds}) are not sought: no exposures say where, run photocal exposures")
+        findings.append(Finding("targets-not-sought", "doubtful", kinds))
     elif exposures is not None and given.plain_targets:
         with progress("looking for targets", len(sources)) as done:
             plain = find_plain_targets(sources, exposures, control, given.plain_targets, workers, done)
@@ -70,11 +71,11 @@ def targets_of_project(
             "ambiguous": list(plain.ambiguous),
             "too_small": list(plain.too_small),
         }
-        warnings += [f"ambiguous, not used: {refusal}" for refusal in plain.ambiguous]
-        warnings += [f"too small, not sought: {refusal}" for refusal in plain.too_small]
+        findings += [Finding("target-ambiguous", "doubtful", refusal) for refusal in plain.ambiguous]
+        findings += [Finding("target-too-small", "doubtful", refusal) for refusal in plain.too_small]
         if plain.sought and not plain.marks:
-            warnings.append(f"none of {plain.sought} predicted targets ({kinds}) was found")
-    return Targets(tuple(marks), tuple(strangers), record, tuple(warnings))
+            findings.append(Finding("no-target-found", "doubtful", kinds, {"n": float(plain.sought)}))
+    return Targets(tuple(marks), tuple(strangers), record, tuple(findings))
 
 
 def _require_points(project: Project, control: ObjectPoints) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import IllPosedError
-from photocal.navigation.check import Check
+from photocal.findings.finding import Finding, untested
 from photocal.navigation.events import Events
 from photocal.navigation.exposures import Exposures, at_camera
 from photocal.navigation.image_metadata import ImageMetadata
@@ -66,7 +66,7 @@ class Evidence:
     ppk: dict[str, Any] | None
 
 
-def check_exposures(evidence: Evidence) -> list[Check]:
+def check_exposures(evidence: Evidence) -> list[Finding]:
     """Run every check that the data allow; the rest say why they are not possible."""
     return [
         _time_base(evidence),
@@ -77,12 +77,11 @@ def check_exposures(evidence: Evidence) -> list[Check]:
     ]
 
 
-def _time_base(e: Evidence) -> Check:
+def _time_base(e: Evidence) -> Finding:
     """Hold the time marks against the epochs around them in the receiver's own stream."""
-    compared = "time of each time mark against the RXM-RAWX epoch before it in the stream"
-    stream = e.events.stream_ns
+    code, stream = "event-time-base", e.events.stream_ns
     if stream is None or not (stream > 0).any():
-        return Check("event-time-base", "not possible", compared, "no time marks between RXM-RAWX epochs", {})
+        return untested(code, "no-marks-in-stream")
     there = stream > 0
     late = (e.events.noted_ns[there] - stream[there]) / 1e9
     middle = float(np.median(late))
@@ -90,35 +89,20 @@ def _time_base(e: Evidence) -> Check:
     figures = {"median_s": middle, "leap_seconds": leap}
     near = min((0.0, leap, -leap), key=lambda step: abs(middle - step))
     if abs(middle) < leap / 2:
-        return Check(
-            "event-time-base",
-            "passed",
-            compared,
-            f"time marks and the epochs that they came with agree to {abs(middle):.1f} s",
-            figures,
-        )
-    cause = (
-        f", the {leap:.0f} leap seconds between GPS time and UTC: the receiver states the wrong time base"
-        if near
-        else ""
-    )
-    return Check(
-        "event-time-base", "failed", compared,
-        f"time marks are {middle:+.1f} s off the epochs that they came with{cause}", figures,
-    )  # fmt: skip
+        return Finding(code, "passed", figures=figures)
+    return Finding(code, "grave", figures=figures, cause="leap-seconds" if near else "")
 
 
-def _height_kind(e: Evidence) -> Check:
+def _height_kind(e: Evidence) -> Finding:
     """Hold ellipsoidal heights against heights above sea level: they must differ by the geoid."""
-    compared = "heights of the trajectory less the autopilot's heights above sea level, against the geoid"
     code = "height-kind"
     if e.trajectory is None:
-        return Check(code, "not possible", compared, "no trajectory of PPK", {})
+        return untested(code, "no-trajectory")
     told = [*(e.rover.geoid_m if e.rover is not None else [])]
     if not told and e.vehicle is not None and e.vehicle.geoid_m is not None:
         told = [e.vehicle.geoid_m]
     if not told:
-        return Check(code, "not possible", compared, "no receiver tells the geoid's height", {})
+        return untested(code, "no-geoid-told")
     geoid = float(np.median(told))
     apart = _above_sea(e)
     base = None if e.ppk is None else e.ppk["base"].get("up_off_code_solution_m")
@@ -127,20 +111,14 @@ def _height_kind(e: Evidence) -> Check:
     seen = [] if apart is None else [apart]
     seen += [] if base is None else [geoid + float(base)]
     if not seen:
-        return Check(code, "not possible", compared, "nothing tells a height above sea level", figures)
+        return untested(code, "no-sea-level", figures)
     if abs(geoid) < 2 * _PRESSURE_M:
-        text = f"the geoid is {geoid:+.1f} m here: too little to tell the kinds of heights apart"
-        return Check(code, "not possible", compared, text, figures)
-    value = float(np.mean(seen))
-    said = f"heights lie {value:+.1f} m above those above sea level, the geoid {geoid:+.1f} m"
+        return untested(code, "flat-geoid", figures)
+    figures["above_m"] = value = float(np.mean(seen))
     if abs(value - geoid) < min(abs(geoid) / 2, 3 * _PRESSURE_M):
-        return Check(code, "passed", compared, said, figures)
-    cause = (
-        ": they are orthometric, not ellipsoidal; give the base's ellipsoidal height"
-        if abs(value) < abs(geoid) / 2
-        else ": check the height of the base and its antenna"
-    )
-    return Check(code, "failed", compared, said + cause, figures)
+        return Finding(code, "passed", figures=figures)
+    cause = "orthometric-heights" if abs(value) < abs(geoid) / 2 else "base-height"
+    return Finding(code, "grave", figures=figures, cause=cause)
 
 
 def _above_sea(e: Evidence) -> float | None:
@@ -155,18 +133,17 @@ def _above_sea(e: Evidence) -> float | None:
     return float(np.median((ours.height_m - v.height_msl_m)[ours.placed]))
 
 
-def _autopilot_clock(e: Evidence) -> Check:
+def _autopilot_clock(e: Evidence) -> Finding:
     """Hold the autopilot's positions against the trajectory: a time offset lies along the velocity."""
-    compared = "the autopilot's positions by its own clock against the trajectory"
     code = "autopilot-clock"
     if e.vehicle is None or e.trajectory is None or len(e.vehicle.position_time) < 2:
-        return Check(code, "not possible", compared, "no autopilot's positions beside a trajectory", {})
+        return untested(code, "no-autopilot-positions")
     v = e.vehicle
     n = len(v.position_time)
     ours = interpolate(e.trajectory, v.position_time, np.zeros(n), np.zeros((n, 3)))
     rows = ours.placed & (np.linalg.norm(np.nan_to_num(ours.velocity_m_s), axis=1) > 1.0)
     if rows.sum() < 20:
-        return Check(code, "not possible", compared, "the vehicle hardly moved in the common time", {})
+        return untested(code, "hardly-moved")
     origin = np.array([np.mean(c[rows]) for c in (ours.lat_deg, ours.lon_deg, ours.height_m)])
     here = enu_offsets(ours.lat_deg[rows], ours.lon_deg[rows], ours.height_m[rows], origin)
     # Heights of an autopilot follow the air pressure: they say nothing of the time.
@@ -176,24 +153,23 @@ def _autopilot_clock(e: Evidence) -> Check:
     try:
         found = compare_positions(pairs)
     except IllPosedError as refusal:
-        return Check(code, "not possible", compared, str(refusal), {})
+        return untested(code, "ill-posed", {"reason": str(refusal)})
     best = found.best
     # A position that is ahead of ours was measured later than its stamp says.
     late = 0.0 if best is None else float(best.value[0])
-    figures = {"late_s": late, "detectable_s": found.detectable_s, "rms_m": found.rms_m.tolist()}
+    figures = {
+        "late_s": late,
+        "late_ms": abs(late) * 1e3,
+        "detectable_s": found.detectable_s,
+        "detectable_ms": found.detectable_s * 1e3,
+        "rms_m": found.rms_m.tolist(),
+    }
     if abs(late) <= max(_LATE_ATTITUDE_S, found.detectable_s):
-        limit = f"errors over {found.detectable_s * 1e3:.0f} ms would show"
-        return Check(
-            code, "passed", compared, f"the autopilot's clock agrees with GNSS time; {limit}", figures
-        )
-    text = (
-        f"the autopilot's clock is {abs(late) * 1e3:.0f} ms {'slow' if late > 0 else 'fast'}: "
-        "attitudes, and events that it noted, are off by as much"
-    )
-    return Check(code, "failed", compared, text, figures)
+        return Finding(code, "passed", figures=figures)
+    return Finding(code, "grave", figures=figures, clauses=("slow" if late > 0 else "fast",))
 
 
-def _other_positions(e: Evidence) -> list[Check]:
+def _other_positions(e: Evidence) -> list[Finding]:
     """Hold the exposures against every other position that was told for them."""
     found = []
     exposures = e.antenna if e.listed is not None else at_camera(e.antenna, e.rig)
@@ -210,9 +186,9 @@ def _sources(e: Evidence) -> list[tuple[str, Floats, str, str]]:
     sources = []
     if e.listed is not None and e.trajectory is not None:
         place = np.stack([e.listed.lat_deg, e.listed.lon_deg, e.listed.height_m], axis=1)
-        sources.append(("positions of the vehicle's event list", place, "shift", "camera"))
+        sources.append(("vehicle-event-list", place, "shift", "camera"))
     if e.trajectory is not None and e.events.claimed is not None:
-        sources.append((f"positions in {e.events.source}", e.events.claimed[:, :3], "shift", "antenna"))
+        sources.append(("event-source", e.events.claimed[:, :3], "shift", "antenna"))
     by_name = {image.name: image.facts for image in e.images}
     facts = [by_name.get(name.split(" ")[0]) for name in e.antenna.image]
     stated = [f for f in facts if f is not None and f.has_position]
@@ -221,23 +197,13 @@ def _sources(e: Evidence) -> list[tuple[str, Floats, str, str]]:
         for row, f in enumerate(facts):
             if f is not None:
                 place[row] = f.latitude_deg, f.longitude_deg, f.altitude_m
-        sources.append(("positions that the images state", place, "shift", "antenna"))
+        sources.append(("image-positions", place, "shift", "antenna"))
     return sources
 
 
-def _out_of_sight(e: Evidence) -> list[Check]:
+def _out_of_sight(e: Evidence) -> list[Finding]:
     """Say what nothing at this stage can show."""
-    said = [
-        (
-            "antenna-height",
-            "a wrong antenna height shifts all heights alike: it shows at control points (photocal check)",
-        )
-    ]
+    hidden = [untested("antenna-height", "shows-at-control")]
     if e.rig.lever_m is not None and np.count_nonzero(e.rig.lever_m):
-        said.append(
-            (
-                "boresight",
-                "boresight and a vertical error of the lever arm show only with image observations",
-            )
-        )
-    return [Check(code, "not possible", "nothing at this stage", text, {}) for code, text in said]
+        hidden.append(untested("boresight", "shows-in-images"))
+    return hidden

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from photocal.navigation.check import Check, findings
+from photocal.findings.catalogue import catalogue
+from photocal.findings.finding import Finding
+from photocal.findings.texts import finding_json
 from photocal.navigation.common_errors import common_text
 from photocal.navigation.device_clocks import ComparedClocks, clock_sentences
 from photocal.navigation.events import Events
 from photocal.navigation.exposures import CameraMatch, Exposures
+from photocal.navigation.interpolation import LARGEST_GAP_S
 
 _LISTED = 12
 
@@ -20,13 +24,14 @@ def exposure_figures(
     events: Events,
     cameras: list[CameraMatch],
     clocks: list[ComparedClocks],
-    checks: list[Check],
+    checks: list[Finding],
     ppk: dict[str, Any] | None,
 ) -> dict[str, Any]:
     """Return the figures of a run, ready for JSON; `findings` are the warnings among them."""
     placed = exposures.placed
     status = placed.status[placed.placed]
-    unmatched = _unmatched(cameras)
+    failed = [check for check in checks if not check.small]
+    found = (*failed, *_unmatched(cameras, events), *_missing(exposures))
     return {
         "schema": "photocal.exposures/1",
         "events": len(events),
@@ -45,8 +50,8 @@ def exposure_figures(
         "sigma": _sigmas(exposures),
         "cameras": [_camera(found, events) for found in cameras],
         "clocks": [clock.figures() for clock in clocks],
-        "checks": [vars(check) for check in checks],
-        "findings": [*findings(checks), *unmatched, *_missing(exposures)],
+        "checks": [_check(check) for check in checks],
+        "findings": [finding_json(one, catalogue("en")) for one in found],
         "common": None if ppk is None else ppk.get("common"),
         "ppk": ppk,
     }  # fmt: skip
@@ -96,31 +101,40 @@ def _camera(found: CameraMatch, events: Events) -> dict[str, Any]:
     }
 
 
-def _unmatched(cameras: list[CameraMatch]) -> list[dict[str, str]]:
-    found = []
+def _check(check: Finding) -> dict[str, Any]:
+    """A check as a JSON value, with what schema 1 calls its outcome."""
+    verdict = {"passed": "passed", "untested": "not possible"}.get(check.severity, "failed")
+    return {**finding_json(check, catalogue("en")), "verdict": verdict}
+
+
+def _unmatched(cameras: list[CameraMatch], events: Events) -> Iterator[Finding]:
+    """Find images and events without a partner."""
     for camera in cameras:
-        images = [camera.names[i] for i in camera.matching.unmatched_images.tolist()]
-        if images:
-            told = ", ".join(images[:5]) + (", ..." if len(images) > 5 else "")
-            text = f"{camera.camera}: {len(images)} images belong to no event: {told}"
-            found.append({"code": "unmatched-images", "text": text})
-    return found
+        m = camera.matching
+        images = {"images-without-event": m.unmatched_images, "images-ambiguous": m.ambiguous_images}
+        for code, rows in images.items():
+            names = tuple(camera.names[i] for i in rows.tolist())
+            if names:
+                yield Finding(code, "doubtful", camera.camera, {"n": float(len(names)), "images": names})
+        numbers = tuple(str(events.number[i]) for i in m.unmatched_events.tolist())
+        if numbers:
+            figures = {"n": float(len(numbers)), "events": numbers}
+            yield Finding("events-without-image", "doubtful", camera.camera, figures)
 
 
-def _missing(exposures: Exposures) -> list[dict[str, str]]:
-    """Return what lacks a position or an attitude, where that is not so for all."""
-    found = []
+def _missing(exposures: Exposures) -> Iterator[Finding]:
+    """Find what lacks a position or an attitude; without any attitude none was recorded."""
     there, turned = exposures.placed.placed, exposures.attitude.known
-    lost = int((~there).sum())
-    if lost:
-        first = exposures.reason(int(np.flatnonzero(~there)[0]))
-        text = f"{lost} of {len(exposures)} exposures have no position (the first: {first})"
-        found.append({"code": "exposures-without-position", "text": text})
-    lost = int((there & ~turned).sum())
-    if lost and turned.any():
-        text = f"{lost} of {len(exposures)} exposures have no attitude: the telemetry has gaps"
-        found.append({"code": "telemetry-gap", "text": text})
-    return found
+    gap = exposures.placed.gap_s
+    without = {"outside-trajectory": ~there & ~np.isfinite(gap), "gap": ~there & np.isfinite(gap)}
+    for cause, lost in without.items():
+        if lost.any():
+            figures: dict[str, Any] = {"events": tuple(str(n) for n in exposures.number[lost].tolist())}
+            figures |= {"n": float(lost.sum()), "gap_s": float(np.max(gap[lost])), "limit_s": LARGEST_GAP_S}
+            yield Finding("exposure-not-placed", "doubtful", figures=figures, cause=cause)
+    count = float((there & ~turned).sum())
+    if count and turned.any():
+        yield Finding("telemetry-gap", "doubtful", figures={"n": count, "all": float(len(exposures))})
 
 
 def exposures_text(figures: dict[str, Any]) -> str:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import ConfigurationError
+from photocal.findings.finding import Finding
 from photocal.navigation.attitude import Attitudes
-from photocal.navigation.check import Check
 from photocal.navigation.common_errors import CommonErrors
 from photocal.navigation.device_clocks import ComparedClocks, device_by_arrival
 from photocal.navigation.engine import Engine
@@ -97,7 +97,7 @@ class ExposureRun:
         Images and events.
     images : list of ImageMetadata
         What was read of the images.
-    checks : list of Check
+    checks : list of Finding
         What was checked, and how.
     figures : dict
         Ready for JSON.
@@ -108,7 +108,7 @@ class ExposureRun:
     trajectory: Trajectory | None
     cameras: list[CameraMatch]
     images: list[ImageMetadata]
-    checks: list[Check]
+    checks: list[Finding]
     figures: dict[str, Any]
 
 
@@ -249,13 +249,13 @@ def _judged(
     checks = check_exposures(evidence)
     if choices.oriented is not None:
         oriented = oriented_images(choices.oriented, exposures.image)
-        checks += check_oriented(oriented, exposures, choices.rig, "the adjustment")
+        checks += check_oriented(oriented, exposures, choices.rig, "the-adjustment")
     elif choices.ties is not None:
         checks += check_images(exposures, images, choices.rig, choices.ties)
     if choices.oriented is not None or choices.ties is not None:
         # What was said to be out of sight is in sight now.
-        seen = {check.code for check in checks if check.verdict != "not possible"}
-        checks = [c for c in checks if c.verdict != "not possible" or c.code not in seen]
+        seen = {check.code for check in checks if check.severity != "untested"}
+        checks = [c for c in checks if c.severity != "untested" or c.code not in seen]
     figures = exposure_figures(exposures, events, cameras, clocks, checks, ppk)
     return ExposureRun(antenna, exposures, trajectory, cameras, flight.images, checks, figures)
 

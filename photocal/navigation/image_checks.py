@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from drivers.errors import PhotocalError
+from photocal.findings.finding import Finding, untested
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.oriented_ties import Progress
-from photocal.navigation.check import Check
 from photocal.navigation.exposures import Exposures
 from photocal.navigation.image_metadata import ImageMetadata
 from photocal.navigation.oriented_images import oriented_by_ties
@@ -34,11 +34,9 @@ class TieMatching:
     progress: Progress
 
 
-def check_oriented(oriented: OrientedImages, exposures: Exposures, rig: Rig, source: str) -> list[Check]:
+def check_oriented(oriented: OrientedImages, exposures: Exposures, rig: Rig, source: str) -> list[Finding]:
     """Hold exposures against images that an adjustment oriented."""
-    found = [
-        judge_positions("positions of the adjusted images", exposures, oriented.station, rig, "similarity")
-    ]
+    found = [judge_positions("adjusted-images", exposures, oriented.station, rig, "similarity")]
     pairs = compare_with_oriented(exposures, oriented, rig)
     if pairs:
         found.append(rotation_check(exposures, pairs, source))
@@ -48,7 +46,7 @@ def check_oriented(oriented: OrientedImages, exposures: Exposures, rig: Rig, sou
 
 def check_images(
     exposures: Exposures, images: list[ImageMetadata], rig: Rig, how: TieMatching
-) -> list[Check]:
+) -> list[Finding]:
     """Hold exposures against their images, oriented together by tie points.
 
     Two images alone would not do: over flat ground a tilt and a shift look alike.
@@ -57,6 +55,5 @@ def check_images(
     try:
         oriented = oriented_by_ties(paths, exposures.image, how.plan, how.progress)
     except PhotocalError as refusal:
-        compared = "rotations between neighbouring images by tie points against the recorded attitudes"
-        return [Check(CODE, "not possible", compared, refusal.what, {})]
-    return check_oriented(oriented, exposures, rig, "tie points of all images")
+        return [untested(CODE, "images-not-oriented", {"source": "tie-points", "reason": refusal.what})]
+    return check_oriented(oriented, exposures, rig, "tie-points")

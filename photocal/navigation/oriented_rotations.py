@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from photocal.findings.finding import Finding, untested
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.similarity import similarity
-from photocal.navigation.check import Check
 from photocal.navigation.exposures import Exposures, orientations
 from photocal.navigation.rig import Rig
 from photocal.navigation.rotation_check import ROUGH_DEG, PairRotation, least_turn, places_of, stored_turns
@@ -40,21 +42,19 @@ def compare_with_oriented(exposures: Exposures, oriented: OrientedImages, rig: R
     return found
 
 
-def boresight_check(exposures: Exposures, oriented: OrientedImages, rig: Rig) -> Check:
+def boresight_check(exposures: Exposures, oriented: OrientedImages, rig: Rig) -> Finding:
     """Return the constant turn between recorded attitudes and the camera as a check.
 
     The block is turned into east, north, up by its positions (a similarity); the median of what is left is
     taken about each camera axis, images that are stored turned taken upright.
     """
-    compared = "rotations of the adjusted images against the recorded attitudes, their median"
     rows = _common(exposures, oriented)
     place = places_of(exposures)
     if len(rows) < _LEAST or not np.isfinite(place[rows]).all():
-        text = f"{len(rows)} images have both rotations, at least {_LEAST} are needed"
-        return Check("boresight", "not possible", compared, text, {})
+        return untested("boresight", "few-rotations", {"n": float(len(rows)), "needed": float(_LEAST)})
     aligned = similarity(oriented.station[rows], place[rows])
     if aligned is None:
-        return Check("boresight", "not possible", compared, "the exposures lie on one line", {})
+        return untested("boresight", "on-one-line")
     quarter = stored_turns(compare_with_oriented(exposures, oriented, rig))
     turned = Rotation.from_rotvec([[0, 0, np.pi / 2 * quarter.get(row, 0)] for row in rows.tolist()])
     upright = turned.as_matrix() @ aligned.applied_to_rotations(oriented.rotation[rows])
@@ -66,19 +66,17 @@ def boresight_check(exposures: Exposures, oriented: OrientedImages, rig: Rig) ->
     sigma = spread * np.sqrt(np.pi / 2 / len(rows) * _inflation(turn - value))
     told = np.radians(ROUGH_DEG) if rig.angle_sigma is None else float(np.max(rig.angle_sigma))
     limit = _SIGMAS * np.sqrt(sigma**2 + rig.boresight_sigma**2 + told**2)
-    figures = {
+    figures: dict[str, Any] = {
         "images": len(rows),
         "turn_deg": np.degrees(value).tolist(),
         "sigma_deg": np.degrees(sigma).tolist(),
         "scatter_deg": np.degrees(spread).tolist(),
     }
-    parts = ", ".join(
-        f"{v:+.2f} (sigma {s:.2f}) about {axis}"
-        for v, s, axis in zip(np.degrees(value), np.degrees(sigma), "xyz", strict=True)
-    )
-    text = f"the camera is turned against the recorded attitudes by {parts}, deg, beyond the boresight given"
-    bad = bool((np.abs(value) > limit).any())
-    return Check("boresight", "failed" if bad else "passed", compared, text, figures)
+    turns = zip(np.degrees(value), np.degrees(sigma), "xyz", strict=True)
+    figures["numbers"] = tuple(f"{axis} {v:+.2f} +- {s:.2f}" for v, s, axis in turns)
+    if (np.abs(value) > limit).any():
+        return Finding("boresight", "grave", figures=figures, clauses=("turned-by",))
+    return Finding("boresight", "passed", figures=figures)
 
 
 def _common(exposures: Exposures, oriented: OrientedImages) -> NDArray[np.int64]:

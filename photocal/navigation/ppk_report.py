@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from photocal.findings.catalogue import catalogue
+from photocal.findings.finding import Finding
+from photocal.findings.texts import finding_json
 from photocal.navigation.common_errors import common_text
 from photocal.navigation.engine_output import FIXED
 from photocal.navigation.ppk import PpkResult
 from photocal.navigation.trajectory import enu_offsets, geodetic
 
 _LISTED_GAPS = 10
-_GOOD_SHARE = 90.0
+_GOOD_SHARE = 95.0
 # Code positions of single frequency receivers are good to two or three metres.
 _SUSPECT_BASE_M = 5.0
 # The engine uses older observations of the base no more.
@@ -31,6 +35,7 @@ def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
     first, last = max(rover.ns[0], base.ns[0]), min(rover.ns[-1], base.ns[-1])
     lat, lon, height = (float(v[0]) for v in geodetic(result.inputs.base_m[None]))
     counts = {name: int((trajectory.status == name).sum()) for name in ("fixed", "float", "single")}
+    say = catalogue("en")
     figures: dict[str, Any] = {
         "schema": "photocal.ppk/1",
         "engine": result.engine,
@@ -63,7 +68,7 @@ def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
         "rover_epochs_without_position": len(rover) - len(trajectory) if result.mode != "static" else 0,
         "fixed_percent": 100.0 * counts["fixed"] / len(trajectory),
         "remarks": remarks,
-        "findings": _findings(result, counts, len(trajectory)),
+        "findings": [finding_json(one, say) for one in _findings(result, counts, len(trajectory))],
     }
     if result.judgement is not None:
         figures["validation"] = _validation(result)
@@ -78,24 +83,20 @@ def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
     return figures
 
 
-def _findings(result: PpkResult, counts: dict[str, int], epochs: int) -> list[dict[str, str]]:
-    """Return what should not pass silently into results: code and sentence."""
-    found = []
+def _findings(result: PpkResult, counts: dict[str, int], epochs: int) -> Iterator[Finding]:
+    """Find what should not pass silently into results."""
     fixed = 100.0 * counts["fixed"] / epochs
     if fixed < _GOOD_SHARE:
-        text = f"only {fixed:.0f} % of the positions are fixed: the rest is good to decimetres at best"
-        found.append({"code": "ppk-not-fixed", "text": text})
+        figures = {"percent": fixed, "n_float": float(counts["float"]), "n_single": float(counts["single"])}
+        yield Finding("ppk-not-fixed", "doubtful", figures=figures)
     off = float(np.linalg.norm(result.base_off_code_m))
     if off > _SUSPECT_BASE_M:
-        text = f"the base's position is {off:.1f} m from its own code solution: check its coordinates"
-        found.append({"code": "base-position", "text": text})
+        yield Finding("base-position", "grave", figures={"off_m": off}, clauses=("off-code",))
     lost = [(t, s) for t, s in result.base_gaps_s if s > _LONG_GAP_S]
     if lost:
-        text = (
-            f"the base has {len(lost)} gaps over {_LONG_GAP_S:g} s, the longest of {lost[0][1]:.0f} s from "
-        )
-        found.append({"code": "base-gaps", "text": text + f"{lost[0][0].iso()[0]} GPS time"})
-    return found
+        longest: dict[str, Any] = {"n": float(len(lost)), "limit_s": _LONG_GAP_S}
+        longest |= {"longest_s": float(lost[0][1]), "from_gps": lost[0][0].iso()[0]}
+        yield Finding("base-gaps", "doubtful", figures=longest)
 
 
 def _span(file: Any) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from photocal.navigation.check import Check
+from photocal.findings.finding import Finding, untested
 from photocal.navigation.exposures import Exposures
 from photocal.navigation.trajectory import enu_offsets
 
@@ -93,16 +93,17 @@ def stored_turns(pairs: list[PairRotation]) -> dict[int, int]:
     return {row: turn for row, turn in turns.items() if turn}
 
 
-def rotation_check(exposures: Exposures, pairs: list[PairRotation], source: str) -> Check:
+def rotation_check(exposures: Exposures, pairs: list[PairRotation], source: str) -> Finding:
     """Return what the comparison shows as a check."""
-    compared = f"rotations between neighbouring images by {source} against the recorded attitudes"
     if not pairs:
-        return Check(CODE, "not possible", compared, "no neighbours with common points", {})
+        return untested(CODE, "no-neighbours", {"source": source})
     angles = np.array([pair.angle_deg for pair in pairs])
     turned = stored_turns(pairs)
     # Over a turn of the vehicle attitudes lag behind: pairs within a strip are told apart from those across.
     within = np.array([pair.quarter_turns == 0 for pair in pairs])
     figures: dict[str, Any] = {
+        "source": source,
+        "n": len(pairs),
         "pairs": [
             {
                 "first": exposures.image[pair.first],
@@ -119,19 +120,12 @@ def rotation_check(exposures: Exposures, pairs: list[PairRotation], source: str)
             {"image": exposures.image[row], "degrees": 90 * turn} for row, turn in sorted(turned.items())
         ],
     }
-    said = f"{len(pairs)} pairs differ by {figures['median_deg']:.2f} deg (median)"
-    if within.any() and not within.all():
-        said += f", the {int(within.sum())} without such a turn between them by "
-        said += f"{figures['median_same_way_deg']:.2f} deg"
+    clauses = ("within",) if within.any() and not within.all() else ()
+    figures["within"] = int(within.sum())
     if turned:
-        rows = sorted(turned)
-        names = [exposures.image[row] for row in rows]
-        told = (
-            f"{names[0]} to {names[-1]}" if rows == list(range(rows[0], rows[-1] + 1)) else ", ".join(names)
-        )
-        degrees = " or ".join(sorted({str(90 * turn) for turn in turned.values()}))
-        text = f"{len(rows)} images are stored turned by {degrees} deg against their attitude: {told}; {said}"
-        return Check(CODE, "failed", compared, text, figures)
-    bad = figures["median_deg"] > ROUGH_DEG
-    text = said + (": the attitudes do not belong to these images" if bad else "")
-    return Check(CODE, "failed" if bad else "passed", compared, text, figures)
+        figures["images"] = tuple(exposures.image[row] for row in sorted(turned))
+        figures["turns_deg"] = tuple(sorted({str(90 * turn) for turn in turned.values()}))
+        return Finding(CODE, "grave", figures=figures, clauses=("stored-turned", "pairs-differ", *clauses))
+    if figures["median_deg"] > ROUGH_DEG:
+        return Finding(CODE, "grave", figures=figures, clauses=("other-images", "pairs-differ", *clauses))
+    return Finding(CODE, "passed", figures=figures, clauses=clauses)

@@ -8,6 +8,7 @@ import math
 from drivers.errors import InputMalformedError
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import fixed, measured, relation
+from photocal.findings.finding import Finding
 from photocal.findings.texts import finding_text
 from photocal.geometry.camera import Camera
 from photocal.report.acceptance import verdict
@@ -36,7 +37,7 @@ from photocal.report.ministry_sections import (
 )
 from photocal.report.sensor import sensor_residuals
 from photocal.report.stored_analysis import Run
-from photocal.report.warning_sections import NO_WARNINGS, ProcessingWarnings, warned, warning_sections
+from photocal.report.warning_sections import warned, warning_sections
 
 # Findings of the plausibility that a reader must see first.
 WEAK = "weak_principal_distance"
@@ -44,7 +45,7 @@ WORDS = ("table", "figure", "page", "of", "contents")
 
 
 def certificate(
-    run: Run, particulars: Particulars, say: Catalogue, told: ProcessingWarnings = NO_WARNINGS
+    run: Run, particulars: Particulars, say: Catalogue, told: tuple[Finding, ...] = ()
 ) -> Document:
     """Compose the certificate.
 
@@ -56,7 +57,7 @@ def certificate(
         What a person gives.
     say : Catalogue
         Language.
-    told : ProcessingWarnings
+    told : tuple of Finding
         By the processing before the adjustment.
 
     Raises
@@ -86,11 +87,11 @@ def _subtitle(run: Run, say: Catalogue) -> str:
     return say("title.subtitle" if calibrated else "title.subtitle_held", cameras=", ".join(cameras))
 
 
-def certificate_number(run: Run, particulars: Particulars, told: ProcessingWarnings = NO_WARNINGS) -> str:
+def certificate_number(run: Run, particulars: Particulars, told: tuple[Finding, ...] = ()) -> str:
     """Make a certificate's number from date, inputs, software and particulars, in whatever language."""
     software = run.result.software
     files = (f"{f.path} {f.sha256}" for f in run.result.inputs)
-    content = [f"{software.name} {software.version}", *files, repr(particulars), *told.warnings, *told.notes]
+    content = [f"{software.name} {software.version}", *files, repr(particulars), *map(repr, told)]
     digest = hashlib.sha256("\n".join(content).encode()).hexdigest()
     return f"PC-{particulars.date:%Y%m%d}-{digest[:8].upper()}"
 

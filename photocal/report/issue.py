@@ -9,6 +9,7 @@ from pathlib import Path
 from acquire.outputs import output_folder
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.findings.catalogue import catalogue
+from photocal.findings.finding import Finding
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import read_particulars
 from photocal.report.document import Document
@@ -16,7 +17,6 @@ from photocal.report.html import html
 from photocal.report.pdf import pdf
 from photocal.report.record import NAME, record, with_documents
 from photocal.report.stored_analysis import Run, read_run
-from photocal.report.warning_sections import NO_WARNINGS, ProcessingWarnings
 from photocal.results.origin import Source, block_of_run, carry
 from photocal.results.result import Result
 
@@ -34,7 +34,7 @@ def issue(
     client: str = "",
     operator: str = "",
     key: str = "",
-    told: ProcessingWarnings = NO_WARNINGS,
+    told: tuple[Finding, ...] = (),
     done: Callable[[], None] = lambda: None,
 ) -> Document:
     """Write the certificate of a run.
@@ -57,7 +57,7 @@ def issue(
         For whom and by whom; go before those of the file.
     key : str
         Fingerprint of the key by which it will be signed; printed.
-    told : ProcessingWarnings
+    told : tuple of Finding
         By the processing before the adjustment.
     done : callable
         Called after each of four steps.

@@ -13,6 +13,8 @@ import numpy as np
 
 from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.findings.catalogue import Catalogue
+from photocal.findings.finding import Finding
+from photocal.findings.texts import finding_json
 from photocal.report.acceptance import verdict
 from photocal.report.certificate import certificate_number
 from photocal.report.certificate_metadata import Particulars
@@ -21,7 +23,6 @@ from photocal.report.distortion import farthest_corner, radial_profile
 from photocal.report.ministry import entries, read_layout
 from photocal.report.ministry_rows import Context
 from photocal.report.stored_analysis import Run
-from photocal.report.warning_sections import NO_WARNINGS, ProcessingWarnings
 from photocal.results.folder import checked, result_json
 from photocal.results.result import Figures
 
@@ -36,7 +37,7 @@ RESULT_KEYS = (
 
 
 def record(
-    run: Run, particulars: Particulars, say: Catalogue, told: ProcessingWarnings = NO_WARNINGS
+    run: Run, particulars: Particulars, say: Catalogue, told: tuple[Finding, ...] = ()
 ) -> dict[str, Any]:
     """Make the machine-readable certificate.
 
@@ -48,7 +49,7 @@ def record(
         What a person gave.
     say : Catalogue
         Language of the technical report's texts.
-    told : ProcessingWarnings
+    told : tuple of Finding
         By the processing before the adjustment.
 
     Returns
@@ -63,8 +64,8 @@ def record(
         "date": particulars.date.isoformat(),
         "language": say.language,
         "particulars": particulars.model_dump(mode="json", exclude={"date"}),
-        "warnings": list(told.warnings),
-        "notes": list(told.notes),
+        "warnings": [finding_json(one, say) for one in told if one.severity != "note"],
+        "notes": [finding_json(one, say) for one in told if one.severity == "note"],
         # Where the block lay is nobody's concern: the certificate carries its inputs.
         "result": {**result, "block": {**result["block"], "source": ""}},
         "exposures": _exposures(run),
@@ -139,7 +140,7 @@ def _report(context: Context) -> list[dict[str, str]]:
 
 
 def plain_record(
-    run: Run, particulars: Particulars, say: Catalogue, told: ProcessingWarnings = NO_WARNINGS
+    run: Run, particulars: Particulars, say: Catalogue, told: tuple[Finding, ...] = ()
 ) -> dict[str, Any]:
     """Make the certificate as it comes back from JSON: lists for tuples."""
     content: dict[str, Any] = json.loads(json.dumps(record(run, particulars, say, told), allow_nan=False))

@@ -12,13 +12,14 @@ from typing import Any
 from photocal.block.model import InputFile
 from photocal.exchange.any_block import read_any_block
 from photocal.findings.catalogue import Catalogue, catalogue
+from photocal.findings.finding import Finding
+from photocal.findings.texts import findings_of
 from photocal.report.analysis_file import analyse_run
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Particulars, given_particulars
 from photocal.report.issue import printed
 from photocal.report.record import certified_result, plain_record
 from photocal.report.stored_analysis import Run, read_run
-from photocal.report.warning_sections import ProcessingWarnings
 from photocal.results.adjusting import adjust_block
 from photocal.results.folder import RESULT
 from photocal.results.more_tables import Wanted
@@ -86,7 +87,7 @@ def pages_of(run: Run, certified: dict[str, Any]) -> dict[str, bytes]:
     return printed(certificate(run, *_told_by(certified)), dt.date.fromisoformat(certified["date"]))
 
 
-def _told_by(certified: dict[str, Any]) -> tuple[Particulars, Catalogue, ProcessingWarnings]:
+def _told_by(certified: dict[str, Any]) -> tuple[Particulars, Catalogue, tuple[Finding, ...]]:
     particulars = given_particulars(certified["particulars"], certified["date"])
-    told = ProcessingWarnings(tuple(certified["warnings"]), tuple(certified["notes"]))
+    told = findings_of([*certified["warnings"], *certified["notes"]], "certificate.json")
     return particulars, catalogue(certified["language"]), told

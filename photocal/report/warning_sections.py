@@ -1,56 +1,27 @@
-"""What the processing before the adjustment told: a fault may not pass silently into a certificate."""
+"""What the processing before the adjustment found: a fault may not pass silently into a certificate."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from photocal.findings.catalogue import Catalogue
+from photocal.findings.finding import Finding
+from photocal.findings.texts import finding_text
 from photocal.report.document import Column, Section, Statement, Table
 
 
-@dataclass(frozen=True)
-class ProcessingWarnings:
-    """What the processing told, each a sentence.
-
-    Attributes
-    ----------
-    warnings : tuple of str
-        Faults: what was measured is not as it should be.
-    notes : tuple of str
-        Limits: what this flight cannot tell, though nothing is wrong with it.
-    """
-
-    warnings: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-
-
-NO_WARNINGS = ProcessingWarnings()
-
-
-def warned(told: ProcessingWarnings, say: Catalogue) -> list[Statement]:
-    """Say at the head of a document that there are warnings.
-
-    Parameters
-    ----------
-    say : Catalogue
-        Language.
-
-    Returns
-    -------
-    list of Statement
-        One, or none.
-    """
-    if not told.warnings:
+def warned(findings: tuple[Finding, ...], say: Catalogue) -> list[Statement]:
+    """Say at the head of a document that there are warnings; nothing where there are none."""
+    warnings = [one for one in findings if one.severity != "note"]
+    if not warnings:
         return []
-    text = say("warnings.verdict", count=len(told.warnings), first=told.warnings[0])
+    text = say("warnings.verdict", count=len(warnings), first=finding_text(warnings[0], say))
     return [Statement("bad", say("warnings.title"), text)]
 
 
-def warning_sections(told: ProcessingWarnings, say: Catalogue) -> list[Section]:
+def warning_sections(findings: tuple[Finding, ...], say: Catalogue) -> list[Section]:
     """List warnings and notes."""
-    kinds = (("warning", told.warnings), ("note", told.notes))
     tables = []
-    for kind, texts in kinds:
+    for kind in ("warning", "note"):
+        texts = [finding_text(one, say) for one in findings if (one.severity == "note") == (kind == "note")]
         columns = (Column("", align="right"), Column(say(f"warnings.{kind}"), align="left"))
         rows = tuple((str(n), text) for n, text in enumerate(texts, start=1))
         if rows:

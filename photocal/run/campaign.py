@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import ConfigurationError, PhotocalError
+from photocal.findings.catalogue import catalogue
+from photocal.findings.texts import finding_text, plain
 from photocal.project import read_project
 from photocal.run.stage import Progress, StageResult
 from photocal.run.summary import summary
-from photocal.run.warnings import gather
+from photocal.run.warnings import gather, kind
 from photocal.run.workflow import run_project
 
 Task = tuple[Path, dt.date, str | None, str | None, bool]
@@ -168,6 +170,7 @@ def run_one(
     except PhotocalError:
         # What other stages found doubtful is often why one cannot go on.
         for warning in gather(project.output, {one.name for one in made}):
-            say(f"{project.name}: {warning.kind}: {warning.code}: {warning.text}")
+            text = finding_text(warning, catalogue("en"), plain)
+            say(f"{project.name}: {kind(warning)}: {warning.code}: {text}")
         raise
     return summary(project.name, project.output, made)

@@ -8,7 +8,7 @@ from pathlib import Path
 from photocal.project import Project
 from photocal.report.signing import own_key
 from photocal.run.stage import Progress, Stage
-from photocal.run.warnings import gather, told_by
+from photocal.run.warnings import gather
 
 
 def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple[Path, ...]) -> Stage:
@@ -35,7 +35,7 @@ def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple
                 client=keys.client,
                 operator=keys.operator,
                 key=fingerprint,
-                told=told_by(gather(work)),
+                told=gather(work),
             )
 
     settings = {**keys.model_dump(mode="json", exclude={"particulars"}), "key": fingerprint}

@@ -7,10 +7,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from photocal.findings.catalogue import catalogue
+from photocal.findings.texts import finding_json
 from photocal.results.folder import read_result
 from photocal.results.result import Result
 from photocal.run.stage import StageResult
-from photocal.run.warnings import gather, read_json
+from photocal.run.warnings import gather, kind, read_json
 
 SCHEMA = "photocal.run/1"
 _WORD = 14
@@ -35,7 +37,7 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
     dict
         Ready for JSON; null where a stage was not made.
     """
-    done = {one.name for one in made}
+    done, say = {one.name for one in made}, catalogue("en")
 
     def figures(stage: str, file: str) -> dict[str, Any] | None:
         return read_json(work / stage / file) if stage in done else None
@@ -56,7 +58,7 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
         "calibration": None if result is None else _calibration(result),
         "check_points": None if check is None else _check_points(check),
         "classes": None if check is None else _classes(check),
-        "warnings": [one.as_json() for one in gather(work, done)],
+        "warnings": [{"kind": kind(one), **finding_json(one, say)} for one in gather(work, done)],
         "certificate": str(work / "certificate") if "certificate" in done else None,
     }
 
@@ -234,12 +236,12 @@ def _class_texts(standards: list[dict[str, Any]]) -> Iterator[str]:
 
 
 def _warning_lines(warnings: list[dict[str, str]]) -> Iterator[str]:
-    for kind in ("warning", "consequence", "note"):
-        texts = [f"{one['code']}: {one['text']}" for one in warnings if one["kind"] == kind]
-        if not texts and kind == "warning":
+    for group in ("warning", "consequence", "note"):
+        texts = [f"{one['code']}: {one['text']}" for one in warnings if one["kind"] == group]
+        if not texts and group == "warning":
             texts = ["none"]
         for k, text in enumerate(texts):
-            yield _line(f"{kind}s" if k == 0 else "", text)
+            yield _line(f"{group}s" if k == 0 else "", text)
 
 
 def with_sigma(value: float, sigma: float) -> str:

@@ -4,46 +4,27 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Container, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from photocal.report.warning_sections import NO_WARNINGS, ProcessingWarnings
-from photocal.run.doubt import Doubt
-from photocal.run.root_causes import causes_first
+from photocal.findings.finding import Finding
+from photocal.findings.hypotheses import FAULTS, fault
+from photocal.findings.texts import findings_of
 from photocal.run.stage import made_in
 
-LEAST_FIXED_PERCENT = 95.0
 # A parameter that goes so many of its prior sigmas away.
 CONTRADICTED = 4.0
-# Findings of the exposures that are told image by image.
-_SAID_ABOVE = ("unmatched-images", "exposures-without-position")
-_NAMED = 5
-_UNMATCHED = (
-    (
-        "unmatched_images",
-        "image",
-        "images-without-event",
-        "without an event: no mark was recorded when they were taken, or it was lost.",
-    ),
-    ("ambiguous_images", "image", "images-ambiguous", "that may belong to several events: left out."),
-    (
-        "unmatched_events",
-        "event",
-        "events-without-image",
-        "without an image: images are missing from the folder, or were never written.",
-    ),
-)
+# With two thirds of the positions fixed, it is they that carry what is found.
+_JUDGED_FROM_PERCENT = 200.0 / 3.0
+# What else looks like what the search for systematic errors blames: told instead of it.
+_EXCUSES = ("rolling-shutter", "ppk-not-fixed")
+_ORDER = ("refused", "grave", "doubtful", "consequence", "note")
+_NOT_CHECKED = Finding("not-checked", "doubtful", stage="certificate")
 
 
-_NOT_CHECKED = Doubt(
-    "certificate",
-    "not-checked",
-    "the stage georeferencing was not made: nobody has looked for faults of positions, mounting and control.",
-)
-
-
-def gather(work: Path, stages: Container[str] | None = None) -> tuple[Doubt, ...]:
-    """Collect the warnings of the stages: causes, consequences, notes, each in the order of the stages.
+def gather(work: Path, stages: Container[str] | None = None) -> tuple[Finding, ...]:
+    """Collect the findings of the stages: causes, consequences, notes, each in the order of the stages.
 
     Parameters
     ----------
@@ -54,21 +35,22 @@ def gather(work: Path, stages: Container[str] | None = None) -> tuple[Doubt, ...
 
     Returns
     -------
-    tuple of Doubt
-        Each code and text once.
+    tuple of Finding
+        Each once.
     """
-    found: dict[tuple[str, str], Doubt] = {}
+    listed: list[Finding] = []
     for stage, name, read in _SOURCES:
-        counts = stages is None or stage in stages
-        figures = read_json(work / stage / name) if counts else None
-        for code, text in read(figures) if figures is not None else ():
-            found.setdefault((code, text), Doubt(stage, code, text))
+        path = work / stage / name
+        content = read_json(path) if stages is None or stage in stages else None
+        for one in read(content, path) if content is not None else ():
+            if not any((one.code, one.subject) == (other.code, other.subject) for other in listed):
+                listed.append(replace(one, stage=stage))
     ppk = read_json(work / "ppk" / "ppk.json")
-    return causes_first(found.values(), 100.0 if ppk is None else float(ppk["fixed_percent"]))
+    return causes_first(listed, 100.0 if ppk is None else float(ppk["fixed_percent"]))
 
 
-def told_beside(run: Path) -> ProcessingWarnings:
-    """Give what the whole processing told to a certificate that is made of one of its stages.
+def told_beside(run: Path) -> tuple[Finding, ...]:
+    """Give what the whole processing found to a certificate that is made of one of its stages.
 
     Parameters
     ----------
@@ -77,24 +59,56 @@ def told_beside(run: Path) -> ProcessingWarnings:
 
     Returns
     -------
-    ProcessingWarnings
+    tuple of Finding
         Nothing for a folder of `photocal adjust`, which has no stages beside it.
     """
     work = run.resolve().parent
     if not (made_in(work) / run.resolve().name).is_dir():
-        return NO_WARNINGS
-    found = gather(work)
-    if not (work / "georeferencing").is_dir():
-        found += (_NOT_CHECKED,)
-    return told_by(found)
+        return ()
+    return gather(work) if (work / "georeferencing").is_dir() else (*gather(work), _NOT_CHECKED)
 
 
-def told_by(doubts: Iterable[Doubt]) -> ProcessingWarnings:
-    """Sort warnings and notes for a certificate."""
-    kinds: tuple[list[str], list[str]] = ([], [])
-    for one in doubts:
-        kinds[one.kind == "note"].append(f"{one.code}: {one.text}")
-    return ProcessingWarnings(tuple(kinds[0]), tuple(kinds[1]))
+def kind(finding: Finding) -> str:
+    """Whether it tells a fault, what follows from faults that are told, or a limit of the flight."""
+    return finding.severity if finding.severity in ("consequence", "note") else "warning"
+
+
+def causes_first(given: Iterable[Finding], fixed_percent: float) -> tuple[Finding, ...]:
+    """Mark what follows from other findings, and put it behind them.
+
+    A surveyor who reads two causes does not know which to believe. The search for systematic errors names
+    no more than the observations need; here the other stages come in: what positions without fixed
+    ambiguities contradict, or images whose rows are not of one moment, is no proof against base, antenna,
+    lever arm or zoom.
+
+    Parameters
+    ----------
+    fixed_percent : float
+        Share of the positions that have fixed ambiguities.
+    """
+    findings = tuple(given)
+    codes = {one.code for one in findings}
+    if fixed_percent >= _JUDGED_FROM_PERCENT:
+        codes.discard("ppk-not-fixed")
+    excuse = next((entry for code in _EXCUSES if code in codes and (entry := fault(code))), None)
+    if excuse is not None:
+        findings = tuple(
+            _not_judged(one, excuse.code)
+            if one.stage == "georeferencing" and one.code in excuse.imitates
+            else one
+            for one in findings
+        )
+    codes = {one.code for one in findings}
+    symptoms = {code for one in FAULTS if one.code in codes for code in one.symptoms}
+    findings = tuple(replace(f, severity="consequence") if f.code in symptoms else f for f in findings)
+    order = ("warning", "consequence", "note")
+    return tuple(sorted(findings, key=lambda one: order.index(kind(one))))
+
+
+def _not_judged(one: Finding, cause: str) -> Finding:
+    """The same, where something else is known to be wrong that looks like it."""
+    said = replace(one, code="not-judged", severity="consequence", subject=one.code, clauses=(), cause=cause)
+    return replace(said, figures={**one.figures, "same": (one.code,)})
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
@@ -105,81 +119,32 @@ def read_json(path: Path) -> dict[str, Any] | None:
     return content
 
 
-def _of_ppk(figures: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    told = list(_told(figures))
-    fixed = float(figures["fixed_percent"])
-    if fixed < LEAST_FIXED_PERCENT and "ppk-not-fixed" not in dict(told):
-        text = (
-            f"{fixed:.1f} % of the epochs have fixed ambiguities, {figures['float']} are float and "
-            f"{figures['single']} single: positions there are decimetres, not centimetres."
-        )
-        yield "ppk-not-fixed", text
-    yield from told
+def _stored(content: dict[str, Any], path: Path) -> Iterator[Finding]:
+    yield from (one for one in findings_of(content.get("findings"), path) if one.severity in _ORDER)
 
 
-def _of_exposures(figures: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    for camera in figures["cameras"]:
-        for key, noun, code, text in _UNMATCHED:
-            if camera[key]:
-                yield code, f"{_listed(camera[key], noun)} {text}"
-    for event in figures["not_placed"][:_NAMED]:
-        yield "exposure-not-placed", f"event {event['event']} has no position: {event['reason']}."
-    for check in figures.get("checks", ()):
-        if check["verdict"] == "failed":
-            yield check["code"], check["text"]
-    without = int(figures["placed"]) - int(figures["with_attitude"])
-    told = list(_told(figures))
-    if without > 0 and "telemetry-gap" not in dict(told):
-        yield "telemetry-gap", f"{without} exposures have no attitude: telemetry was lost."
-    yield from ((code, text) for code, text in told if code not in _SAID_ABOVE)
-
-
-def _of_measurements(record: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    for left in record.get("left_out", ())[:_NAMED]:
-        yield "image-left-out", f"image {left['image']} takes no part: {left['reason']}."
-    yield from _told(record)
-    for text in record.get("warnings", ()):
-        yield "measurement", str(text)
-
-
-def _of_calibration(result: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _of_calibration(result: dict[str, Any], _: Path) -> Iterator[Finding]:
     """Parameters that left what was known of them: something else went into them."""
     for name, camera in result["cameras"].items():
         for key, one in camera["parameters"].items():
             prior, given = one["prior_sigma"], one.get("given")
             if not prior or given is None or abs(one["value"] - given) <= CONTRADICTED * prior:
                 continue
-            text = (
-                f"{key} of camera {name} became {one['value']:.6g} {camera['unit']}, "
-                f"{abs(one['value'] - given) / prior:.1f} prior sigmas from the {given:.6g} that was given: "
-                "this flight hardly determines it, and what the model lacks goes into it."
-            )
-            yield "prior-contradicted", text
+            figures = {"camera": name, "parameter": key, "value": one["value"], "unit": camera["unit"]}
+            figures |= {"given": given, "sigmas": abs(one["value"] - given) / prior}
+            yield Finding("prior-contradicted", "doubtful", f"{name} {key}", figures)
 
 
-def _of_analysis(figures: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _of_analysis(content: dict[str, Any], path: Path) -> Iterator[Finding]:
     """What the other stages cannot see; the rest of the analysis has its own part of the certificate."""
-    for finding in figures["findings"]:
-        if finding["kind"] == "rolling-shutter" and not finding["small"]:
-            yield "rolling-shutter", finding["sentence"]
+    yield from (one for one in _stored(content, path) if fault(one.code) and not one.small)
 
 
-def _told(figures: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    for finding in figures.get("findings", ()):
-        yield finding["code"], finding["text"]
-
-
-def _listed(names: list[Any], noun: str) -> str:
-    shown = ", ".join(str(name) for name in names[:_NAMED])
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return f"{len(names)} {noun}{'s' if len(names) > 1 else ''} ({shown}{more})"
-
-
-_SOURCES: tuple[tuple[str, str, Callable[[dict[str, Any]], Iterator[tuple[str, str]]]], ...] = (
-    ("ppk", "ppk.json", _of_ppk),
-    ("exposures", "exposures.json", _of_exposures),
-    ("measurements", "measurement.json", _of_measurements),
+_SOURCES: tuple[tuple[str, str, Callable[[dict[str, Any], Path], Iterator[Finding]]], ...] = (
+    ("ppk", "ppk.json", _stored),
+    ("exposures", "exposures.json", _stored),
+    ("measurements", "measurement.json", _stored),
     ("calibration", "result.json", _of_calibration),
-    ("georeferencing", "check.json", _told),
+    ("georeferencing", "check.json", _stored),
     ("analysis", "analysis.json", _of_analysis),
 )

@@ -73,7 +73,7 @@ def run_project(
     rehash : bool
         Whether every file is read again, also large ones that look unchanged.
     told : callable
-        ProcessingWarnings of each stage that is done.
+        Told of each stage that is done.
 
     Raises
     ------

@@ -13,18 +13,8 @@ import photocal
 from drivers.errors import ConfigurationError
 from photocal.findings.catalogue import LANGUAGES, catalogue
 
-OF_FINDINGS = (
-    "finding",
-    "passed",
-    "untested",
-    "clause",
-    "cause",
-    "remedy",
-    "term",
-    "slip",
-    "change",
-    "candidate",
-)
+OF_FINDINGS = ("finding", "passed", "untested", "clause", "cause", "remedy")
+OF_FINDINGS += ("term", "slip", "change", "candidate", "lever")
 
 
 def fields(text: str) -> set[str]:

@@ -18,6 +18,7 @@ from photocal.measurement.oriented_ties import orient_ties
 from photocal.measurement.placing import oriented
 from photocal.measurement.start_block import NO_OBSERVATIONS, NO_POINTS
 from photocal.measurement.tracks import Tracks
+from tests.photocal.findings.english import english
 
 Floats = NDArray[np.float64]
 LENS = camera("c", "brown-ideal", "px", (1000, 800), (1.0, 1.0), {"c": 900.0})
@@ -54,7 +55,7 @@ def test_positions_in_a_line_place_a_level_block_and_that_is_told() -> None:
     places = np.array([[-6.0, 0, 40], [0, 0, 40], [6.0, 0, 40]])
     found = oriented(_block(places), _tracks(places))
     assert found.block.datum == "free"
-    assert any("in a line" in said for said in found.warnings)
+    assert any("in a line" in english(one) for one in found.findings)
     assert np.abs(found.poses[:, 3:] - places).max() < 0.1
     assert np.abs(found.poses[:, :2]).max() < 0.01
 
@@ -68,7 +69,7 @@ def test_positions_tens_of_metres_off_bend_nothing() -> None:
     wrong[2] += [0, 300, 0]
     found = oriented(_block(wrong), tracks)
     assert found.block.datum == "control"
-    assert any("2.jpg is 300 m off" in said for said in found.warnings)
+    assert any("2.jpg is 300 m off" in english(one) for one in found.findings)
     assert np.isinf(found.block.images.sigma[2, 3:]).all()
     relative = np.linalg.norm(np.diff(found.poses[:, 3:], axis=0), axis=1)
     assert relative == pytest.approx(np.linalg.norm(np.diff(places, axis=0), axis=1), rel=0.05)
@@ -84,7 +85,7 @@ def test_a_wrong_principal_distance_costs_iterations_only(share: float) -> None:
     found = oriented(replace(start, cameras=(LENS.with_values(values),)), _tracks(places, 0.2))
     assert found.block.cameras[0].value("c") == pytest.approx(900.0, rel=1e-3)
     assert found.block.cameras[0].estimated[0]
-    assert any("was given as" in said for said in found.warnings)
+    assert any("was given as" in english(one) for one in found.findings)
 
 
 def test_images_from_elsewhere_are_another_block() -> None:

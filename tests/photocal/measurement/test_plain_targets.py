@@ -278,12 +278,8 @@ def test_what_a_project_lacks_is_said(field: Field, tmp_path: Path) -> None:
 
     without = targets_of_project(project, _sources(field, tmp_path), None, points, 1, quiet)  # type: ignore[arg-type]
     assert without.marks == ()
-    assert without.warnings == (
-        (
-            "targets (cross, hourglass, disc, ring) are not sought: no exposures say where, "
-            "run photocal exposures"
-        ),
-    )
+    (finding,) = without.findings
+    assert (finding.code, finding.subject) == ("targets-not-sought", "cross, hourglass, disc, ring")
     few = replace(points, names=("A", *points.names[1:]))
     with pytest.raises(ConfigurationError, match=r"\(cross\) name point P1, which control.csv lacks"):
         targets_of_project(project, [], None, few, 1, quiet)  # type: ignore[arg-type]

@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from photocal.findings.finding import Finding
 from photocal.navigation.attitude import from_angles
-from photocal.navigation.check import Check
 from photocal.navigation.events import Events
 from photocal.navigation.exposure_checks import Evidence, check_exposures
 from photocal.navigation.exposures import Exposures, at_camera, at_events
@@ -21,6 +21,7 @@ from photocal.navigation.rig import Rig
 from photocal.navigation.time import GpsTime, HostTime
 from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric, geodetic
 from photocal.navigation.vehicle import VehicleTrack
+from tests.photocal.findings.english import english
 
 Floats = NDArray[np.float64]
 ORIGIN = np.array([-25.45, -49.23, 950.0])
@@ -87,7 +88,7 @@ def seen_by_images(noise_m: float = 0.02) -> Floats:
     return np.asarray(1.003 * place @ turn.T + [500.0, -200.0, 30.0])
 
 
-def judged(late_s: float = 0.0, lever: Floats = LEVER) -> Check:
+def judged(late_s: float = 0.0, lever: Floats = LEVER) -> Finding:
     rig = Rig(lever, np.full(3, 0.01), SIGMAS)
     ours = at_camera(shots(trajectory(), late_s)[0], rig)
     return judge_positions("positions of the adjusted images", ours, seen_by_images(), rig, "similarity")
@@ -95,7 +96,7 @@ def judged(late_s: float = 0.0, lever: Floats = LEVER) -> Check:
 
 def test_a_right_flight_passes() -> None:
     check = judged()
-    assert check.verdict == "passed", check.text
+    assert check.severity == "passed", english(check)
     # The lever arm's centimetre is 1.4 ms of flight.
     assert check.figures["detectable_time_offset_s"] < 0.017 / 2
     assert max(check.figures["rms_enu_m"]) < 0.03
@@ -103,21 +104,21 @@ def test_a_right_flight_passes() -> None:
 
 def test_17_ms_at_7_m_s() -> None:
     check = judged(late_s=0.017)
-    assert (check.verdict, check.code) == ("failed", "time-offset")
+    assert (check.severity, check.code) == ("grave", "time-offset")
     assert check.figures["value"][0] == pytest.approx(0.017, abs=0.003)
-    assert "later than stamped" in check.text
+    assert "later than stamped" in english(check)
 
 
 def test_swapped_axes_of_the_lever_arm() -> None:
     # Forward and down exchanged: 0.35 m ahead instead of 0.10 m.
     check = judged(lever=LEVER[[2, 1, 0]])
-    assert check.verdict == "failed"
+    assert check.severity == "grave"
     assert "lever-arm-axes" in (check.code, *check.figures["as_good"])
-    assert "lever arm" in check.text
+    assert "lever arm" in english(check)
     # The lever arm itself is known to some centimetres only: named all the same.
     check = judged(lever=LEVER[[2, 1, 0]] + [0.02, -0.03, 0.02])
-    assert check.verdict == "failed"
-    assert "axes" in check.text
+    assert check.severity == "grave"
+    assert "Axes" in english(check)
 
 
 def test_a_wrong_sign_of_the_lever_arm_across() -> None:
@@ -129,8 +130,8 @@ def test_a_wrong_sign_of_the_lever_arm_across() -> None:
     place = (geocentric(truth.lat_deg, truth.lon_deg, truth.height_m) - CENTRE) @ AXES.T
     place = place + np.random.default_rng(6).normal(0, 0.02, place.shape)
     check = judge_positions("images", ours, np.asarray(place), rig, "similarity")
-    assert (check.verdict, check.code) == ("failed", "lever-arm-axes")
-    assert "+0.100 forward, +0.300 right, +0.350 down" in check.text
+    assert (check.severity, check.code) == ("grave", "lever-arm-axes")
+    assert "+0.100 forward, +0.300 right, +0.350 down" in english(check)
 
 
 def test_false_alarms_are_rare() -> None:
@@ -140,8 +141,8 @@ def test_false_alarms_are_rare() -> None:
     place = (geocentric(p.lat_deg, p.lon_deg, p.height_m) - CENTRE) @ AXES.T
     rng = np.random.default_rng(7)
     failed = sum(
-        judge_positions("x", ours, place + rng.normal(0, 0.02, place.shape), rig, "similarity").verdict
-        == "failed"
+        judge_positions("x", ours, place + rng.normal(0, 0.02, place.shape), rig, "similarity").severity
+        == "grave"
         for _ in range(100)
     )
     assert failed <= 1
@@ -164,7 +165,7 @@ def test_positions_that_wander_are_no_lever_arm() -> None:
         for k in range(len(there)):
             wander[k] = keep[k] * wander[k - 1] + kicks[k]
         check = judge_positions("x", ours, there + wander * metre_in_deg, rig, "shift")
-        failed += check.verdict == "failed"
+        failed += check.severity == "grave"
     assert failed <= 2
 
 
@@ -186,25 +187,25 @@ def evidence(path: Trajectory, late_s: float = 0.0, **changed: object) -> Eviden
     return replace(made, **changed)  # type: ignore[arg-type]
 
 
-def verdict(made: Evidence, code: str) -> Check:
+def verdict(made: Evidence, code: str) -> Finding:
     return next(check for check in check_exposures(made) if check.code == code)
 
 
 def test_orthometric_heights_declared_ellipsoidal() -> None:
-    assert verdict(evidence(trajectory()), "height-kind").verdict == "passed"
+    assert verdict(evidence(trajectory()), "height-kind").severity == "passed"
     # The base's height given above sea level: the whole trajectory is lower by the geoid's height.
     low = evidence(trajectory(-GEOID), ppk={"base": {"up_off_code_solution_m": 1.0 - GEOID}})
     check = verdict(low, "height-kind")
-    assert check.verdict == "failed"
-    assert "orthometric, not ellipsoidal" in check.text
+    assert check.severity == "grave"
+    assert "orthometric, not ellipsoidal" in english(check)
     flat = evidence(trajectory(), rover=ReceiverRecording("rover", geoid_m=[2.0]))
-    assert verdict(flat, "height-kind").verdict == "not possible"
+    assert verdict(flat, "height-kind").severity == "untested"
 
 
 def test_clock_of_the_autopilot() -> None:
-    assert verdict(evidence(trajectory()), "autopilot-clock").verdict == "passed"
+    assert verdict(evidence(trajectory()), "autopilot-clock").severity == "passed"
     check = verdict(evidence(trajectory(), late_s=0.2), "autopilot-clock")
-    assert check.verdict == "failed"
+    assert check.severity == "grave"
     assert check.figures["late_s"] == pytest.approx(0.2, abs=0.03)
 
 
@@ -221,26 +222,26 @@ def test_no_clock_is_blamed_for_positions_that_wander() -> None:
         vehicle = replace(made.vehicle, lat_deg=lat, lon_deg=lon)
         check = verdict(replace(made, vehicle=vehicle), "autopilot-clock")
         surely = abs(check.figures["late_s"]) > check.figures["detectable_s"]
-        assert (check.verdict == "failed") == surely
+        assert (check.severity == "grave") == surely
         spared += not surely and abs(check.figures["late_s"]) > 0.05
     assert spared >= 1
 
 
-@pytest.mark.parametrize(("off_s", "expected"), [(0.0, "passed"), (-18.0, "failed"), (18.0, "failed")])
+@pytest.mark.parametrize(("off_s", "expected"), [(0.0, "passed"), (-18.0, "grave"), (18.0, "grave")])
 def test_time_base_of_the_marks(off_s: float, expected: str) -> None:
     path = trajectory()
     _, events = shots(path)
     stream = events.time.ns - 150_000_000 - round(off_s * 1e9)
     marked = replace(events, stream_ns=stream).delayed(0.004)
     check = verdict(evidence(path, events=marked), "event-time-base")
-    assert check.verdict == expected
-    assert ("leap seconds" in check.text) == (expected == "failed")
+    assert check.severity == expected
+    assert ("leap seconds" in english(check)) == (expected == "grave")
 
 
 def test_what_cannot_be_seen_is_said() -> None:
     made = evidence(trajectory(), trajectory=None, rig=Rig(LEVER, np.zeros(3), SIGMAS))
     said = {check.code: check for check in check_exposures(made)}
-    assert said["antenna-height"].verdict == "not possible"
-    assert "control points" in said["antenna-height"].text
-    assert said["boresight"].verdict == "not possible"
-    assert said["height-kind"].text == "no trajectory of PPK"
+    assert said["antenna-height"].severity == "untested"
+    assert "control points" in english(said["antenna-height"])
+    assert said["boresight"].severity == "untested"
+    assert english(said["height-kind"]) == "No trajectory of PPK."

@@ -18,6 +18,7 @@ from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.rig import Rig
 from photocal.navigation.rotation_check import PairRotation, stored_turns
 from tests.photocal.conftest import Answer
+from tests.photocal.findings.english import english
 
 Photocal = Callable[..., Answer]
 
@@ -75,16 +76,16 @@ def test_a_strip_stored_upside_down(shared: Path, tmp_path: Path) -> None:
     )
     checks = {own.code: own for own in place_exposures(choices, None, None).checks}
     check = checks["image-rotations"]
-    assert check.verdict == "failed"
+    assert check.severity == "grave"
     # README of the data.
     turned = check.figures["stored_turned"]
     assert [entry["image"] for entry in turned] == [f"DJI_{n:04d}.JPG" for n in range(24, 30)]
     assert {entry["degrees"] for entry in turned} == {180}
-    assert "DJI_0024.JPG to DJI_0029.JPG" in check.text
+    assert "DJI_0024.JPG to DJI_0029.JPG" in english(check)
     # Gimbal angles are good to a degree from image to image, also where the strip changes.
     assert len(check.figures["pairs"]) == 17
     assert check.figures["median_deg"] < 1.0
-    assert checks["boresight"].verdict == "passed"
+    assert checks["boresight"].severity == "passed"
 
 
 @pytest.mark.shared
@@ -97,5 +98,5 @@ def test_images_that_do_not_overlap_say_so(shared: Path, tmp_path: Path) -> None
     ties = TieMatching(MatchingPlan(tmp_path / "cache", 1, FeatureSettings(500, 600)), silent)
     run = place_exposures(Choices(Sources(), folder, ties=ties), None, None)
     check = {own.code: own for own in run.checks}["image-rotations"]
-    assert check.verdict == "not possible"
-    assert check.text
+    assert check.severity == "untested"
+    assert english(check)

@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from photocal.findings.finding import Finding
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.oriented_images import oriented_images as as_images
 from photocal.geometry.rotation import angles_from_matrix
 from photocal.navigation.attitude import from_angles
-from photocal.navigation.check import Check
 from photocal.navigation.events import Events
 from photocal.navigation.exposure_run import Choices, place_exposures
 from photocal.navigation.exposures import Exposures, at_events, orientations
@@ -25,6 +25,7 @@ from photocal.navigation.rig import Rig
 from photocal.navigation.rotation_check import rotation_check
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import enu_axes, geocentric, geodetic
+from tests.photocal.findings.english import english
 
 Floats = NDArray[np.float64]
 ORIGIN = np.array([-25.45, -49.23, 950.0])
@@ -104,14 +105,14 @@ def test_a_boresight_is_found_whatever_the_frame_and_the_way_images_are_stored()
     # Relative rotations contain the noise of two attitudes, and little of the boresight.
     assert check.figures["median_deg"] < 1.5
     found = boresight_check(exposures, oriented, Rig(angle_sigma=SIGMAS))
-    assert found.verdict == "failed"
+    assert found.severity == "grave"
     value, sigma = np.array(found.figures["turn_deg"]), np.array(found.figures["sigma_deg"])
     assert (sigma < 0.4).all()
     assert (np.abs(value - np.degrees(TURN)) < 4 * np.maximum(sigma, 0.05)).all()
     # Once it is given nothing is left.
     right = Rig(angle_sigma=SIGMAS, boresight=TURN, boresight_sigma=np.radians([0.1, 0.1, 0.1]))
     again = boresight_check(exposures, oriented, right)
-    assert again.verdict == "passed", again.text
+    assert again.severity == "passed", english(again)
 
 
 def test_rotations_without_noise_agree(tmp_path: Path) -> None:
@@ -143,7 +144,7 @@ def test_gimbal_angles_of_a_recorded_flight(shared: Path, tmp_path: Path) -> Non
     rig = Rig(angle_sigma=np.radians([1.0, 1.0, 2.0]))
     images = shared / "data/uav-brighton-beach/images"
     run = place_exposures(Choices(Sources(), images, rig=rig, oriented=table), None, None)
-    found: dict[str, Check] = {check.code: check for check in run.checks}
+    found: dict[str, Finding] = {check.code: check for check in run.checks}
     rotations, boresight = found["image-rotations"], found["boresight"]
     assert len(rotations.figures["pairs"]) == 17
     assert rotations.figures["median_deg"] < 1.0
@@ -152,5 +153,5 @@ def test_gimbal_angles_of_a_recorded_flight(shared: Path, tmp_path: Path) -> Non
     turned = rotations.figures["stored_turned"]
     assert [entry["image"] for entry in turned] == [f"DJI_{n:04d}.JPG" for n in range(24, 30)]
     assert {entry["degrees"] for entry in turned} == {180}
-    assert boresight.verdict == "passed"
+    assert boresight.severity == "passed"
     assert max(np.abs(boresight.figures["turn_deg"][:2])) < 2.0

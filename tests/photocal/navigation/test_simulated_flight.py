@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from photocal.navigation.check import Check
+from photocal.findings.finding import Finding
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.exposure_report import exposures_text
 from photocal.navigation.exposure_run import Choices, ExposureRun, place_exposures, run_exposures
 from photocal.navigation.project_choices import choices_of_project
 from photocal.project import read_project
+from tests.photocal.findings.english import english
 from tests.photocal.navigation.conftest import needs_engine
 from tests.simulated import FLIGHT, fly
 
@@ -51,8 +52,8 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Flight:
     return Flight(choices, run, float(np.median(shutter)) / 1e9)
 
 
-def failed(run: ExposureRun) -> dict[str, Check]:
-    return {check.code: check for check in run.checks if check.verdict == "failed"}
+def failed(run: ExposureRun) -> dict[str, Finding]:
+    return {check.code: check for check in run.checks if check.severity == "grave"}
 
 
 def test_a_right_project_passes(flight: Flight) -> None:
@@ -79,7 +80,7 @@ def test_swapped_axes_of_the_lever_arm(flight: Flight) -> None:
     run = flight.again(replace(flight.choices, rig=replace(rig, lever_m=rig.lever_m[[2, 1, 0]])))
     check = failed(run)["lever-arm-axes"]
     right = ", ".join(f"{v:+.3f} {n}" for v, n in zip(rig.lever_m, ("forward", "right", "down"), strict=True))
-    assert right in check.text
+    assert right in english(check)
     assert any(found["code"] == "lever-arm-axes" for found in run.figures["findings"])
 
 
@@ -90,6 +91,6 @@ def test_orthometric_heights_declared_ellipsoidal(flight: Flight, tmp_path: Path
     lower = replace(sources, base_position=f"{lat},{lon},{float(height) - GEOID_M}")
     run = run_exposures(replace(flight.choices, sources=lower, oriented=None), Rtklib(), tmp_path)
     check = failed(run)["height-kind"]
-    assert "orthometric, not ellipsoidal" in check.text
+    assert "orthometric, not ellipsoidal" in english(check)
     assert check.figures["geoid_m"] == pytest.approx(GEOID_M, abs=0.5)
     assert any(found["code"] == "base-position" for found in run.figures["ppk"]["findings"])

@@ -11,6 +11,7 @@ import pytest
 
 from photocal.block.folder import read_block
 from photocal.findings.catalogue import catalogue
+from photocal.findings.finding import Finding
 from photocal.report.analysis_file import analyse_run
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import read_particulars
@@ -22,7 +23,6 @@ from photocal.report.ministry import entries, read_layout
 from photocal.report.ministry_rows import Context
 from photocal.report.record import record
 from photocal.report.stored_analysis import Run, read_run
-from photocal.report.warning_sections import ProcessingWarnings
 from photocal.results.adjusting import adjust_block
 from photocal.results.folder import read_result
 from tests.photocal.georeferencing.flights import Plan, fly
@@ -90,21 +90,23 @@ def test_without_analysis_it_is_said(analysed: Run) -> None:
 
 def test_warnings_reach_every_form(analysed: Run) -> None:
     given, say = read_particulars(None, DAY), catalogue("en")
-    told = ProcessingWarnings(("PPK: 62 % of the epochs are fixed.",), ("one height only",))
+    fixed = {"percent": 62.0, "n_float": 9.0, "n_single": 0.0}
+    told = (Finding("ppk-not-fixed", "doubtful", figures=fixed), Finding("one-height", "note"))
     warned = certificate(analysed, given, say, told)
-    assert "62 % of the epochs" in warned.verdicts[-1].text
-    assert "62 % of the epochs" in words(warned)
+    assert "62.0 % of the epochs" in warned.verdicts[-1].text
+    assert "62.0 % of the epochs" in words(warned)
     assert warned.number != certificate(analysed, given, say).number
     plain = record(analysed, given, say, told)
-    assert (plain["warnings"], plain["notes"]) == (list(told.warnings), list(told.notes))
+    assert [one["code"] for one in plain["warnings"]] == ["ppk-not-fixed"]
+    assert [one["code"] for one in plain["notes"]] == ["one-height"]
     json.dumps(plain, allow_nan=False)
 
 
 def test_a_limit_of_the_flight_is_no_warning(analysed: Run) -> None:
     given, say = read_particulars(None, DAY), catalogue("en")
-    noted = certificate(analysed, given, say, ProcessingWarnings(notes=("one height only",)))
+    noted = certificate(analysed, given, say, (Finding("one-height", "note"),))
     assert noted.verdicts == certificate(analysed, given, say).verdicts
-    assert "one height only" in words(noted)
+    assert "One flying height" in words(noted)
 
 
 def test_table_3_is_original_less_adjusted(tmp_path: Path) -> None:
