@@ -43,11 +43,11 @@ def monitor(
     """
     from acquire.monitor.live import read_all
     from acquire.monitor.sources import tail_of
-    from acquire.monitor.view_model import picture
+    from acquire.monitor.view_model import view_of
 
     tail = tail_of(source)
     if as_json:
-        answer(True, lambda: picture(read_all(tail)).as_json(), str)
+        answer(True, lambda: view_of(read_all(tail)).as_json(), str)
     elif foxglove:
         from acquire.monitor.foxglove_server import serving_foxglove
         from acquire.web import read_address
@@ -71,7 +71,7 @@ def _show(tail: Tail, address: str | None, mute: bool, listen: Callable[[list[Me
     from acquire.monitor.page import Latest, application
     from acquire.web import read_address, serving
 
-    latest = Latest()
+    latest = Latest(lambda: tail.path.parent if tail.path else None)
     with serving(application(latest), read_address(address)) as url:
         typer.echo(f"open {url}")
         follow(tail, latest.publish, stop, listen)
@@ -86,12 +86,12 @@ def _in_terminal(
     from acquire.monitor.chart import layers
     from acquire.monitor.live import follow, read_all
     from acquire.monitor.terminal import render
-    from acquire.monitor.view_model import picture
+    from acquire.monitor.view_model import view_of
 
     console = Console()
     if not console.is_terminal:
         state = read_all(tail)
-        console.print(render(picture(state), layers(state), console.width, console.height))
+        console.print(render(view_of(state), layers(state), console.width, console.height))
         return
     told = 0
     with Live(console=console, screen=True, auto_refresh=False) as live:
@@ -101,6 +101,6 @@ def _in_terminal(
             if not mute and any(a.number > told and a.level == "bad" for a in state.alarms):
                 console.bell()
             told = state.raised
-            live.update(render(picture(state), layers(state), console.width, console.height), refresh=True)
+            live.update(render(view_of(state), layers(state), console.width, console.height), refresh=True)
 
         follow(tail, show, stop, listen)

@@ -14,6 +14,8 @@ FAULTS = (
     "Switch on a fault; may be repeated: wrong_antenna_height, base_off, event_time_base, late_shutter, "
     "lever_arm_axis, zoom, control_digits, missing_images, telemetry_gap, cycle_slips."
 )
+# How long after the start a flight with the clocks of now begins: the recorder is started meanwhile.
+_LEAD_S = 60
 app = application("Simulate flights: a minute of telemetry, a whole survey with its truth, devices on ports.")
 
 
@@ -118,6 +120,12 @@ def serve(
     at_once: Annotated[
         bool, typer.Option("--at-once", help="Begin at once, not when the recorder speaks to the devices.")
     ] = False,
+    now: Annotated[
+        bool,
+        typer.Option(
+            "--now", help="For practice: fly the plan anew, with all clocks as of now; begins in a minute."
+        ),
+    ] = False,
     linger: Annotated[float, typer.Option(min=0, help="Seconds to stay after the end.")] = 3.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
@@ -126,7 +134,10 @@ def serve(
     The flight begins when `acquire record` has spoken to the devices.
 
     Example: `acquire simulate serve flight --speed 10`, beside it `acquire record flight/site/record.toml`
+
+    To practise with recorder and monitor: `acquire simulate serve small --now`
     """
+    import datetime as dt
     import time
 
     from acquire.outputs import output_file
@@ -134,10 +145,20 @@ def serve(
     from acquire.simulate.playback import FlightClock
     from acquire.simulate.played_flight import read_flight
 
-    flight = read_flight(flown)
+    start_s = time.time() + _LEAD_S
+    if now and speed != 1:
+        raise ConfigurationError(
+            "clocks that run faster are not those of now", remedy="leave --speed out, or --now"
+        )
+    flight = read_flight(flown, dt.datetime.fromtimestamp(start_s, dt.UTC) if now else None)
+    if now and time.time() > start_s:
+        raise ConfigurationError(
+            f"took longer than {_LEAD_S} s to be flown", where=flown, remedy="practise with a smaller plan"
+        )
     settings = record or (flown / "site" / "record.toml" if flown.is_dir() else Path("record.toml"))
     waits = () if at_once else awaited(flight, base_on_tcp=base_on_tcp)
-    clock = FlightClock(waits, speed)
+    begins_s = time.monotonic() + start_s - time.time() if now else None
+    clock = FlightClock(waits, speed, begins_s=begins_s)
     end_s = flight.end_s
     with on_ports(flight, clock, udp_port=udp_port, base_on_tcp=base_on_tcp) as urls:
         text = record_settings(flight, urls, Path("recording"))
@@ -155,8 +176,8 @@ def serve(
             shown = 0.0
             while shown < end_s:
                 time.sleep(0.05)
-                now = min(max(clock.flight_s(), 0.0), end_s)
-                advance(now - shown)
-                shown = now
+                flown_s = min(max(clock.flight_s(), 0.0), end_s)
+                advance(flown_s - shown)
+                shown = flown_s
         typer.echo(f"flown: {end_s:.0f} s", err=True)
         time.sleep(linger)

@@ -7,35 +7,24 @@ const BEEP_EVERY_MS = 2500;
 const alarms = {
   flight: null,
   last: 0, // number of the last alarm that was told
-  heard: 0, // number of the last one that a person has confirmed
+  heard: 0, // number of the last one that a person has confirmed, here or elsewhere
   open: [],
   lost: "", // since when the connection is lost
   lastBeep: 0,
 
-  take(picture) {
-    if (this.flight !== picture.flight) {
-      this.flight = picture.flight;
-      const kept = JSON.parse(sessionStorage.getItem("heard") || "null");
-      const newest = picture.alarms.at(-1)?.number ?? 0;
-      // Who opens the page sees what was; who reloads it goes on.
-      this.heard = kept?.flight === this.flight ? kept.number : newest;
-      this.last = this.heard;
-      this.keep();
-    }
-    this.open = picture.alarms.filter((a) => a.number > this.heard && a.level !== "note");
-    const fresh = this.open.filter((a) => a.number > this.last);
-    this.last = picture.alarms.at(-1)?.number ?? this.last;
-    if (fresh.length) sound.beep(fresh.some((a) => a.level === "bad") ? "bad" : "warn");
+  take(view) {
+    const fresh = view.alarms.filter((a) => a.number > this.last && a.number > view.heard && a.level !== "note");
+    if (this.flight !== view.flight) this.flight = view.flight;
+    else if (fresh.length) sound.beep(fresh.some((a) => a.level === "bad") ? "bad" : "warn");
+    this.heard = view.heard;
+    this.last = view.alarms.at(-1)?.number ?? 0;
+    this.open = view.alarms.filter((a) => a.number > this.heard && a.level !== "note");
     this.draw();
   },
 
-  keep() {
-    sessionStorage.setItem("heard", JSON.stringify({ flight: this.flight, number: this.heard }));
-  },
-
+  // The server keeps it, beside the log: whoever opens the page later sees what nobody has confirmed yet.
   confirm() {
-    this.heard = this.last;
-    this.keep();
+    fetch("/heard", { method: "POST", body: String(this.last) });
     this.open = [];
     this.draw();
   },
@@ -60,7 +49,7 @@ const alarms = {
     const urgent = this.lost || this.open.some((a) => a.level === "bad");
     const title = this.lost || (this.open.length ? sentence(this.open.at(-1)) : "");
     const flash = title && Math.floor(now / 1000) % 2 === 0;
-    document.title = flash ? `\u26a0 ${title}` : $("recording").textContent + " \u2013 monitor";
+    document.title = flash ? `\u26a0 ${title}` : $("overall").textContent + " \u2013 monitor";
     if (urgent && now - this.lastBeep > BEEP_EVERY_MS) sound.beep("bad");
   },
 };

@@ -22,7 +22,7 @@ _A, _E2 = 6378137.0, 0.00669437999014
 _LEAST_EXTENT_M = 20.0
 
 
-def sketch(layers: Sequence[Layer], width: int, height: int) -> Text:
+def braille_map(layers: Sequence[Layer], width: int, height: int) -> Text:
     """Draw layers, north up.
 
     Parameters

@@ -1,6 +1,6 @@
 "use strict";
 
-// The figures of a picture as elements of the page.
+// The figures of a view as elements of the page.
 
 const $ = (id) => document.getElementById(id);
 
@@ -99,19 +99,50 @@ function link(row) {
   return element;
 }
 
-function rest(picture) {
-  const rows = [["disk", word(picture.disk.state)]];
-  rows.push(["log", make("span", "", bytes(picture.bytes))]);
-  for (const row of picture.clocks) rows.push([`clock, ${row.link}`, word(row.state)]);
-  for (const row of picture.batteries) {
-    const parts = [row.voltage_v === null ? null : `${row.voltage_v.toFixed(1)} V`];
-    if (row.percent !== null) parts.push(`${row.percent} %`);
-    rows.push([`battery, ${row.link}`, make("b", "", parts.filter(Boolean).join(", "))]);
-  }
+function rest(view) {
+  const rows = [["disk", word(view.disk.state)]];
+  rows.push(["log", make("span", "", bytes(view.bytes))]);
+  for (const row of view.clocks) rows.push([`clock, ${row.link}`, word(row.state)]);
   return rows.flatMap(([label, value]) => {
     const shown = make("dd");
     shown.append(value);
     return [make("dt", "", label), shown];
+  });
+}
+
+// ---- what a pilot looks for -------------------------------------------------------------------------------
+
+const SHOWN_ALARMS = 3;
+const ORDER = ["bad", "warn", "good", "off"];
+
+// The worst of some words: of several receivers or cameras the one that needs a person.
+function worst(words) {
+  return words.slice().sort((a, b) => ORDER.indexOf(a.level) - ORDER.indexOf(b.level))[0];
+}
+
+function tiles(view) {
+  const [vehicle] = view.vehicles;
+  const unknown = { text: "\u2013", level: "off" };
+  const height = vehicle?.height_m ?? null;
+  const counted = view.cameras.filter((row) => row.triggered || row.reported);
+  const taken = counted.reduce((sum, row) => sum + Math.max(row.reported, row.triggered - row.missed), 0);
+  const missed = counted.reduce((sum, row) => sum + row.missed, 0);
+  const lost = missed ? `, ${missed} missed` : "";
+  const level = worst(view.cameras.map((row) => row.state))?.level ?? "off";
+  const shown = [
+    ["above take-off", height === null ? unknown : { text: `${height.toFixed(0)} m`, level: "plain" }],
+    [vehicle?.armed ? "mode, armed" : "mode", vehicle?.mode ?? unknown],
+    ["battery", worst(view.batteries.map((row) => row.state)) ?? unknown],
+    ["fix", worst(view.receivers.map((row) => row.fix)) ?? unknown],
+    ["pictures", counted.length ? { text: `${taken}${lost}`, level: level === "good" ? "plain" : level } : unknown],
+    ["disk", { text: view.disk.state.text.split(",")[0], level: view.disk.state.level }],
+  ];
+  return shown.map(([label, state]) => {
+    const tile = make("div");
+    const value = make("dd");
+    value.append(word(state));
+    tile.append(make("dt", "", label), value);
+    return tile;
   });
 }
 
@@ -129,16 +160,22 @@ function fill(id, elements, otherwise) {
   $(id).replaceChildren(...(elements.length ? elements : [make("p", "empty", otherwise)]));
 }
 
-function show(picture) {
-  const recording = $("recording");
-  recording.textContent = picture.recording.text;
-  recording.dataset.level = picture.recording.level;
-  $("file").textContent = picture.file;
-  $("duration").textContent = duration(picture.duration_s);
-  fill("receivers", picture.receivers.map(receiver), "no receiver has spoken yet");
-  fill("cameras", picture.cameras.map(camera), "no picture yet");
-  fill("links", picture.links.map(link), "no link has spoken yet");
-  $("rest").replaceChildren(...rest(picture));
-  $("alarms").replaceChildren(...picture.alarms.slice().reverse().map(alarmLine));
-  if (!picture.alarms.length) $("alarms").append(make("li", "empty", "none"));
+function show(view) {
+  const overall = $("overall");
+  overall.textContent = view.overall.text;
+  overall.dataset.level = view.overall.level;
+  $("tiles").replaceChildren(...tiles(view));
+  $("file").textContent = view.file;
+  $("duration").textContent = duration(view.duration_s);
+  fill("receivers", view.receivers.map(receiver), "no receiver has spoken yet");
+  fill("cameras", view.cameras.map(camera), "no picture yet");
+  fill("links", view.links.map(link), "no link has spoken yet");
+  $("rest").replaceChildren(...rest(view));
+  const lines = view.alarms.slice().reverse().map(alarmLine);
+  $("alarms").replaceChildren(...lines.slice(0, SHOWN_ALARMS));
+  if (!lines.length) $("alarms").append(make("li", "empty", "none"));
+  const before = $("before");
+  before.hidden = lines.length <= SHOWN_ALARMS;
+  before.firstElementChild.textContent = `${lines.length - SHOWN_ALARMS} before`;
+  before.lastElementChild.replaceChildren(...lines.slice(SHOWN_ALARMS));
 }

@@ -8,7 +8,7 @@ from typing import Any
 
 from acquire.log.reader import Messages
 from acquire.log.records import Channel, Schema
-from acquire.monitor.token_proxy import gate, hidden_host
+from acquire.monitor.token_proxy import hidden_host, token_proxy
 from acquire.web import Address
 from drivers.errors import ConfigurationError, ProgramMissingError
 
@@ -73,7 +73,7 @@ def serving_foxglove(address: Address) -> Iterator[tuple[Callable[[list[Messages
                 channel.log(payload, log_time=time_ns)
 
     try:
-        with gate(address, (host, server.port)) as url:
+        with token_proxy(address, (host, server.port)) as url:
             yield listen, url
     finally:
         for channel in served.values():

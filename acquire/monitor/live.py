@@ -10,7 +10,7 @@ from pathlib import Path
 
 from acquire.log.reader import Messages
 from acquire.monitor.disk_status import looked
-from acquire.monitor.reducer import fold
+from acquire.monitor.reducer import state_after
 from acquire.monitor.state import Look, State
 from acquire.monitor.tail import Tail
 
@@ -44,7 +44,7 @@ def follow(
         if tail.flight != state.flight:
             state = State(flight=tail.flight)
         for chunk in chunks:
-            state = fold(state, chunk)
+            state = state_after(state, chunk)
             listen(chunk)
         if chunks or time.monotonic() >= look_at:
             look_at = time.monotonic() + _LOOK_EVERY_S
@@ -63,7 +63,7 @@ def read_all(tail: Tail) -> State:
         if tail.flight != state.flight:
             state = State(flight=tail.flight)
         for chunk in chunks:
-            state = fold(state, chunk)
+            state = state_after(state, chunk)
     return looked(state, look(tail))
 
 

@@ -78,10 +78,11 @@ const map = {
     const order = ["track", "picture", "station", "missed"];
     const sorted = [...this.layers.values()].sort((a, b) => order.indexOf(a.kind) - order.indexOf(b.kind));
     for (const layer of sorted) DRAW[layer.kind](pen, layer, at);
-    // No line may cross a name.
-    for (const layer of sorted) NAME[layer.kind]?.(pen, layer, at);
     if (this.origin) scaleBar(pen, height, step, step * this.scale);
     northArrow(pen, width);
+    // No line may cross a name, and no name another one, the edge or what lies over the map.
+    names.begin(canvas, width, height, this.origin ? step * this.scale : 0);
+    for (const layer of sorted.reverse()) NAME[layer.kind]?.(pen, layer, at);
     for (const item of document.querySelectorAll(".legend li")) {
       item.hidden = !sorted.some((layer) => layer.kind === item.dataset.kind);
     }
@@ -90,7 +91,7 @@ const map = {
   },
 
   grid(pen, width, height, step) {
-    pen.strokeStyle = "#dfe4e7";
+    pen.strokeStyle = colour("grid");
     pen.lineWidth = 1;
     pen.beginPath();
     const west = this.centre[0] - width / 2 / this.scale;
@@ -209,15 +210,50 @@ const NAME = {
     if (layer.places.length) beside(pen, layer.name, at(layer.places.at(-1)), colour("track"));
   },
   missed(pen, layer, at) {
-    layer.places.forEach((place, row) => beside(pen, layer.labels[row] ?? "", at(place), colour("bad")));
+    layer.places.forEach((place, row) => beside(pen, layer.labels[row] ?? "", at(place), colour("bad-ink")));
   },
   station(pen, layer, at) {
     beside(pen, layer.name, at(layer.places[0]), colour("good"));
   },
 };
 
-function beside(pen, text, [x, y], fill) {
-  label(pen, text, x + 12, y, fill);
+// Where names are: each finds a free place around its point, or is left to the lists beside the map.
+const names = {
+  taken: [], // left, top, right, bottom, pixels
+
+  begin(canvas, width, height, bar) {
+    this.room = [2, 2, width - 2, height - 2];
+    this.taken = [[8, height - 44, 24 + Math.max(bar, 60), height], [width - 44, 0, width, 60]];
+    const own = canvas.getBoundingClientRect();
+    for (const over of document.querySelectorAll(".zoom, .legend:not([hidden])")) {
+      const box = over.getBoundingClientRect();
+      this.taken.push([box.left - own.left, box.top - own.top, box.right - own.left, box.bottom - own.top]);
+    }
+  },
+
+  find([x, y], width) {
+    const high = 10;
+    const places = [];
+    for (const far of [12, 26, 44]) {
+      places.push([x + far, y], [x - far - width, y], [x - width / 2, y - far - 4], [x - width / 2, y + far + 4]);
+      places.push([x + far, y - far], [x + far, y + far], [x - far - width, y - far], [x - far - width, y + far]);
+    }
+    for (const [left, middle] of places) {
+      const box = [left - 3, middle - high, left + width + 3, middle + high];
+      const inside = box[0] >= this.room[0] && box[1] >= this.room[1] && box[2] <= this.room[2] && box[3] <= this.room[3];
+      if (inside && !this.taken.some((b) => box[0] < b[2] && b[0] < box[2] && box[1] < b[3] && b[1] < box[3])) {
+        this.taken.push(box);
+        return [left, middle];
+      }
+    }
+    return null;
+  },
+};
+
+function beside(pen, text, point, fill) {
+  pen.font = "700 14px system-ui, sans-serif";
+  const place = text && names.find(point, pen.measureText(text).width);
+  if (place) label(pen, text, place[0], place[1], fill);
 }
 
 function label(pen, text, x, y, fill) {

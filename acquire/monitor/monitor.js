@@ -14,10 +14,10 @@ const feed = {
     this.tried = Date.now();
     this.source?.close();
     this.source = new EventSource("/feed");
-    this.source.addEventListener("picture", (event) => this.take(() => {
-      const picture = JSON.parse(event.data);
-      show(picture);
-      alarms.take(picture);
+    this.source.addEventListener("view", (event) => this.take(() => {
+      const view = JSON.parse(event.data);
+      show(view);
+      alarms.take(view);
     }));
     this.source.addEventListener("chart", (event) => this.take(() => map.take(JSON.parse(event.data))));
     // A source that failed is closed: the watch below opens the next one.

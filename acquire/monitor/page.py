@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import StreamingResponse
+from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
 from acquire.monitor.chart import layers
 from acquire.monitor.state import State
-from acquire.monitor.view_model import picture
+from acquire.monitor.view_model import view_of
 from acquire.web import packaged
 
 _SCRIPTS = ("figures", "alarms", "map", "monitor")
@@ -26,19 +28,59 @@ _FILES = {
 _POLL_S = 0.1
 # Seven decimals of a degree are a centimetre.
 _DECIMALS = 7
+_LONGEST_REQUEST = 20
 
 
 class Latest:
     """The newest state, between the thread that makes states and those who show them."""
 
-    def __init__(self) -> None:
+    def __init__(self, folder: Callable[[], Path | None] = lambda: None) -> None:
         self.number = 0
         self.state = State()
+        self._folder = folder
+        self._flight = ""
+        self._heard: int | None = None
+        self._heard_ns = 0
 
     def publish(self, state: State) -> None:
         """Take a new state."""
+        if state.flight != self._flight:
+            self._flight, self._heard, self._heard_ns = state.flight, None, self._kept_ns(state.flight)
         self.state = state
         self.number += 1
+
+    def heard(self) -> int:
+        """Return the number of the last alarm that a person has confirmed.
+
+        Numbers begin anew with each view of a flight; what was confirmed before it is known by its time.
+        """
+        if self._heard is not None:
+            return self._heard
+        old = [alarm.number for alarm in self.state.alarms if alarm.time_ns <= self._heard_ns]
+        return max(old, default=0)
+
+    def confirm(self, number: int) -> None:
+        """Take note that a person has seen the alarms up to one, and keep that beside the log."""
+        self._heard = number
+        times = [alarm.time_ns for alarm in self.state.alarms if alarm.number <= number]
+        path = self._path(self._flight)
+        self._heard_ns = max([self._heard_ns, *times])
+        self.number += 1
+        if path is not None:
+            # A log on a disk that cannot be written is shown all the same.
+            with contextlib.suppress(OSError):
+                path.write_text(str(self._heard_ns), encoding="ascii")
+
+    def _kept_ns(self, flight: str) -> int:
+        path = self._path(flight)
+        try:
+            return 0 if path is None else int(path.read_text(encoding="ascii"))
+        except (OSError, ValueError):
+            return 0
+
+    def _path(self, flight: str) -> Path | None:
+        folder = self._folder()
+        return None if folder is None or not flight else folder / f".{flight}.heard"
 
 
 def application(latest: Latest) -> Starlette:
@@ -53,7 +95,19 @@ def application(latest: Latest) -> Starlette:
     async def feed(_: Request) -> StreamingResponse:
         return StreamingResponse(_events(latest), media_type="text/event-stream")
 
-    return Starlette(routes=[*packaged("acquire.monitor", _FILES), Route("/feed", feed)])
+    async def heard(request: Request) -> Response:
+        body = b""
+        async for piece in request.stream():
+            body += piece
+            if len(body) > _LONGEST_REQUEST:
+                return Response(status_code=413)
+        if not body.isdigit():
+            return Response(status_code=400)
+        latest.confirm(int(body))
+        return Response(status_code=204)
+
+    routes = [Route("/feed", feed), Route("/heard", heard, methods=["POST"])]
+    return Starlette(routes=[*packaged("acquire.monitor", _FILES), *routes])
 
 
 async def _events(latest: Latest) -> AsyncIterator[str]:
@@ -65,7 +119,7 @@ async def _events(latest: Latest) -> AsyncIterator[str]:
             await asyncio.sleep(_POLL_S)
             continue
         seen, state = latest.number, latest.state
-        yield _event("picture", picture(state).as_json())
+        yield _event("view", {**view_of(state).as_json(), "heard": latest.heard()})
         yield _event("chart", _news(state, drawn))
 
 

@@ -17,12 +17,14 @@ from acquire.monitor.fixes import correction_age_s, fed, number, receiver_after
 from acquire.monitor.state import Battery, Link, State, in_order, raised
 from acquire.monitor.track import Track, extended, place_at
 from acquire.monitor.traffic import OCTETS, link_after
+from acquire.monitor.vehicle import vehicle_after
 from acquire.recording.alarms import ALARM
+from drivers.frames import Wire
 
 # Error and worse, as MAVLink counts severity.
 _SEVERE = 3
 _LEVELS = {"lost": "bad", "silent": "bad", "disk_full": "bad", "disk_low": "bad", "clock_jump": "bad"}
-_LEVELS |= {"source_changed": "warn", "device": "warn"}
+_LEVELS |= {"source_changed": "warn", "device": "warn", "flood": "warn"}
 _TEXTS = {"link", "edge", "fix", "kind", "text"}
 _TROUBLE = {"lost", "silent"}
 _RELIEF = {"back", "heard_again"}
@@ -30,7 +32,7 @@ _RELIEF = {"back", "heard_again"}
 V = TypeVar("V")
 
 
-def fold(state: State, chunk: Sequence[Messages]) -> State:
+def state_after(state: State, chunk: Sequence[Messages]) -> State:
     """Return the state after the messages of a chunk."""
     times = [ns for part in chunk if len(part.log_ns) for ns in (part.log_ns.min(), part.log_ns.max())]
     if not times:
@@ -68,7 +70,11 @@ def _octets(state: State, part: Messages) -> State:
     if what not in OCTETS:
         return state
     link = link_after(state.links.get(name, Link()), what, part)
-    return replace(state, links=_with(state.links, name, link))
+    state = replace(state, links=_with(state.links, name, link))
+    vehicle = state.vehicles.get(name)
+    if part.channel.encoding == Wire.MAVLINK.encoding and what == "raw":
+        vehicle = vehicle_after(vehicle, part)
+    return state if vehicle is None else replace(state, vehicles=_with(state.vehicles, name, vehicle))
 
 
 def _fix_status(state: State, part: Messages) -> State:

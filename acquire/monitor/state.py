@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from acquire.monitor.exposures import Exposures
 from acquire.monitor.track import Track
+from acquire.monitor.vehicle import Vehicle
 
 # How many alarms are kept.
 _MOST_ALARMS = 200
@@ -155,7 +156,7 @@ class State:
         Name of its first file.
     first_ns, last_ns : int
         Receipt of the first and the last message, UTC; 0 before there was one.
-    links, receivers, exposures, tracks, batteries : mapping
+    links, receivers, exposures, tracks, batteries, vehicles : mapping
         By name of link or receiver.
     pictures : mapping of str to Track
         Where pictures were taken, by the link and the kind of their report.
@@ -188,6 +189,7 @@ class State:
     stations: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     marks: Mapping[str, Exposures] = field(default_factory=dict)
     batteries: Mapping[str, Battery] = field(default_factory=dict)
+    vehicles: Mapping[str, Vehicle] = field(default_factory=dict)
     alarms: tuple[Alarm, ...] = ()
     raised: int = 0
     look: Look | None = None

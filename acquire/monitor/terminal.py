@@ -11,10 +11,11 @@ from rich.table import Table
 from rich.text import Text
 
 from acquire.channels.decoded import SECOND_NS
-from acquire.monitor.braille_map import sketch
+from acquire.console import printable
+from acquire.monitor.braille_map import braille_map
 from acquire.monitor.chart import Layer
 from acquire.monitor.state import Alarm
-from acquire.monitor.view_model import CameraRow, LinkRow, Picture, ReceiverRow, Word
+from acquire.monitor.view_model import CameraRow, LinkRow, ReceiverRow, View, Word
 
 # Sign and word differ as well as the colour.
 _SIGNS = {"good": "✓", "warn": "▲", "bad": "✕", "off": "·", "note": "–"}
@@ -25,12 +26,12 @@ _LEAST_WITH_MAP, _MAP_SHARE, _LEAST_MAP = 76, 0.27, 20
 _LONGEST_NAME = 12
 
 
-def render(picture: Picture, layers: Sequence[Layer], width: int, height: int) -> RenderableType:
+def render(view: View, layers: Sequence[Layer], width: int, height: int) -> RenderableType:
     """Return the view for a window.
 
     Parameters
     ----------
-    picture : Picture
+    view : View
         The figures.
     layers : sequence of Layer
         The map; it is left out where there is no room.
@@ -39,29 +40,29 @@ def render(picture: Picture, layers: Sequence[Layer], width: int, height: int) -
     """
     map_width = max(_LEAST_MAP, round(_MAP_SHARE * width)) if width >= _LEAST_WITH_MAP else 0
     left = width - map_width - (2 if map_width else 0)
-    sections = _sections(picture, left)
+    sections = _sections(view, left)
     used = 1 + len(sections)
     room = max(height - used - 2, 1)
-    figures = Group(*sections, _heading("alarms (UTC)"), _alarms(picture.alarms, room))
+    figures = Group(*sections, _heading("alarms (UTC)"), _alarms(view.alarms, room))
     if not map_width:
-        return Group(_head(picture), figures)
+        return Group(_head(view), figures)
     both = Table.grid(padding=(0, 2, 0, 0))
     both.add_column(width=left)
     both.add_column(width=map_width)
-    both.add_row(figures, sketch(layers, map_width, height - 1))
-    return Group(_head(picture), both)
+    both.add_row(figures, braille_map(layers, map_width, height - 1))
+    return Group(_head(view), both)
 
 
-def _sections(picture: Picture, width: int) -> list[RenderableType]:
+def _sections(view: View, width: int) -> list[RenderableType]:
     """Return headings and lines, each one line high."""
     found: list[RenderableType] = []
-    names = [row.name for row in picture.receivers] + [row.name for row in picture.links]
+    names = [row.name for row in view.receivers] + [row.name for row in view.links]
     wide = min(max(map(len, ["disk", *names])), _LONGEST_NAME)
     groups: dict[str, Sequence[str | Text]] = {
-        "fix": [_receiver(row, wide) for row in picture.receivers] or ["no receiver has spoken yet"],
-        "pictures": [_camera(row, wide) for row in picture.cameras] or ["no picture yet"],
-        "links": [_link(row, wide) for row in picture.links] or ["no link has spoken yet"],
-        "computer and vehicle": _rest(picture, wide),
+        "fix": [_receiver(row, wide) for row in view.receivers] or ["no receiver has spoken yet"],
+        "pictures": [_camera(row, wide) for row in view.cameras] or ["no view yet"],
+        "links": [_link(row, wide) for row in view.links] or ["no link has spoken yet"],
+        "computer and vehicle": _rest(view, wide),
     }
     for heading, lines in groups.items():
         found.append(_heading(heading))
@@ -69,12 +70,12 @@ def _sections(picture: Picture, width: int) -> list[RenderableType]:
     return found
 
 
-def _head(picture: Picture) -> RenderableType:
+def _head(view: View) -> RenderableType:
     line = Table.grid(expand=True)
     line.add_column(ratio=1, no_wrap=True, overflow="ellipsis")
     line.add_column(justify="right", no_wrap=True)
-    name = Text.assemble(_word(picture.recording), "  ", picture.file)
-    line.add_row(name, Text(duration(picture.duration_s), style="bold"))
+    name = Text.assemble(_word(view.overall), "  ", view.file)
+    line.add_row(name, Text(duration(view.duration_s), style="bold"))
     return line
 
 
@@ -103,18 +104,19 @@ def _link(row: LinkRow, wide: int) -> Text:
     return Text.assemble(_name(row.name, wide), _word(row.state), rates, gaps, damage)
 
 
-def _rest(picture: Picture, wide: int) -> list[Text]:
-    lines = [Text.assemble(_name("disk", wide), _word(picture.disk.state), f"  log {size(picture.bytes)}")]
-    batteries = {row.link: row for row in picture.batteries}
-    clocks = {row.link: row for row in picture.clocks}
-    for link in sorted({*batteries, *clocks}):
+def _rest(view: View, wide: int) -> list[Text]:
+    lines = [Text.assemble(_name("disk", wide), _word(view.disk.state), f"  log {size(view.bytes)}")]
+    batteries = {row.link: row.state for row in view.batteries}
+    clocks = {row.link: row.state for row in view.clocks}
+    vehicles = {row.link: row for row in view.vehicles}
+    for link in sorted({*batteries, *clocks, *vehicles}):
         parts: list[str | Text] = [_name(link, wide)]
-        if link in clocks:
-            parts += ["clock ", _word(clocks[link].state), "  "]
-        if link in batteries:
-            battery = batteries[link]
-            parts += ["battery", "" if battery.voltage_v is None else f" {battery.voltage_v:.1f} V"]
-            parts += ["" if battery.percent is None else f" {battery.percent} %"]
+        if link in vehicles:
+            height_m = vehicles[link].height_m
+            parts += [_word(vehicles[link].mode), "  "]
+            parts += [] if height_m is None else [Text(f"{height_m:.0f} m", style="bold"), "  "]
+        parts += [_word(batteries[link]), "  "] if link in batteries else []
+        parts += ["clock ", _word(clocks[link])] if link in clocks else []
         lines.append(Text.assemble(*parts))
     return lines
 
@@ -125,7 +127,7 @@ def _alarms(alarms: Sequence[Alarm], room: int) -> RenderableType:
     lines = []
     for alarm in alarms[: -room - 1 : -1]:
         time = dt.datetime.fromtimestamp(alarm.time_ns / SECOND_NS, dt.UTC).strftime("%H:%M:%S ")
-        text = f"{alarm.link}: {alarm.text}" if alarm.link else alarm.text
+        text = printable(f"{alarm.link}: {alarm.text}" if alarm.link else alarm.text)
         line = Text.assemble((time, "dim"), (f"{_SIGNS[alarm.level]} {text}", _PAST.get(alarm.level, "")))
         line.no_wrap, line.overflow = True, "ellipsis"
         lines.append(line)
@@ -137,12 +139,13 @@ def _heading(text: str) -> Rule:
 
 
 def _name(text: str, width: int) -> Text:
+    text = printable(text)
     short = text if len(text) <= width else f"{text[: width - 1]}…"
     return Text(f"{short:<{width}} ", style="bold")
 
 
 def _word(word: Word) -> Text:
-    return Text(f"{_SIGNS[word.level]} {word.text}", style=_STYLES.get(word.level, ""))
+    return Text(f"{_SIGNS[word.level]} {printable(word.text)}", style=_STYLES.get(word.level, ""))
 
 
 def _cut(line: str | Text, width: int) -> Text:

@@ -29,7 +29,7 @@ def hidden_host() -> str:
 
 
 @contextmanager
-def gate(address: Address, behind: tuple[str, int]) -> Iterator[str]:
+def token_proxy(address: Address, behind: tuple[str, int]) -> Iterator[str]:
     """Let connections through to a server until the end of the block, if their address has the token."""
     token = secrets.token_urlsafe(TOKEN_BYTES)
     listener = address.listen()
@@ -50,7 +50,7 @@ def gate(address: Address, behind: tuple[str, int]) -> Iterator[str]:
             started.set_result(lambda: loop.call_soon_threadsafe(stop.set))
             await stop.wait()
 
-    thread = threading.Thread(target=lambda: asyncio.run(serve()), name="gate", daemon=True)
+    thread = threading.Thread(target=lambda: asyncio.run(serve()), name="token proxy", daemon=True)
     thread.start()
     end = started.result()
     try:

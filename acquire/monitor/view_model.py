@@ -16,8 +16,9 @@ from acquire.monitor.fixes import (
     WORTH,
     correction_age_s,
 )
-from acquire.monitor.state import Alarm, Link, Receiver, State
+from acquire.monitor.state import Alarm, Battery, Link, Receiver, State
 from acquire.monitor.traffic import RATE_OVER_S
+from acquire.monitor.vehicle import Vehicle
 
 SCHEMA = "acquire.monitor/1"
 # From so much silence of a link or a receiver on it is said.
@@ -27,6 +28,8 @@ _CLOCK_LIMIT_S = 1.0
 _GB = 1e9
 _LITTLE_ROOM, _NO_ROOM = (2 * _GB, 2.0), (0.5 * _GB, 0.5)
 _UNHEARD_TRIGGERS = 3
+# What remains of a battery, percent: time to come home, and time to land.
+_LOW, _EMPTY = 30, 15
 _LISTED_MISSED = 4
 
 
@@ -90,10 +93,21 @@ class ClockRow:
 
 
 @dataclass(frozen=True)
+class VehicleRow:
+    """A vehicle: its mode of flight, and its height above the take-off."""
+
+    link: str
+    mode: Word
+    armed: bool
+    height_m: float | None
+
+
+@dataclass(frozen=True)
 class BatteryRow:
     """The battery of a vehicle."""
 
     link: str
+    state: Word
     voltage_v: float | None
     percent: int | None
 
@@ -109,8 +123,8 @@ class Disk:
 
 
 @dataclass(frozen=True)
-class Picture:
-    """Everything but the map, see `picture`."""
+class View:
+    """Everything but the map, see `view_of`."""
 
     flight: str
     file: str
@@ -122,19 +136,40 @@ class Picture:
     receivers: tuple[ReceiverRow, ...]
     cameras: tuple[CameraRow, ...]
     clocks: tuple[ClockRow, ...]
+    vehicles: tuple[VehicleRow, ...]
     batteries: tuple[BatteryRow, ...]
     disk: Disk
     alarms: tuple[Alarm, ...]
 
+    @property
+    def overall(self) -> Word:
+        """How it is altogether: the worst of all, and what that is."""
+        if self.recording.level in ("off", "bad"):
+            return self.recording
+        told = [(row.name, row.state) for row in self.links]
+        told += [(row.name, row.fix) for row in self.receivers]
+        told += [(row.name, row.correction) for row in self.receivers]
+        told += [(row.link, row.state) for row in self.cameras]
+        told += [(row.link, row.state) for row in self.batteries]
+        told += [(f"clock, {row.link}", row.state) for row in self.clocks]
+        told += [(row.link, row.mode) for row in self.vehicles] + [("disk", self.disk.state)]
+        for level in ("bad", "warn"):
+            found = [(name, word) for name, word in told if word.level == level]
+            if found:
+                name, word = found[0]
+                more = f", and {len(found) - 1} more" if len(found) > 1 else ""
+                return Word(f"{name}: {word.text}{more}", level)
+        return Word("recording, all is well", "good")
+
     def as_json(self) -> dict[str, Any]:
         """Return it for programs."""
-        return {"schema": SCHEMA, **asdict(self)}
+        return {"schema": SCHEMA, "overall": asdict(self.overall), **asdict(self)}
 
 
-def picture(state: State) -> Picture:
+def view_of(state: State) -> View:
     """Return what a person is shown of a state."""
     now_ns = _now_ns(state)
-    return Picture(
+    return View(
         flight=state.flight,
         file=state.look.file if state.look else "",
         recording=_recording(state),
@@ -149,10 +184,11 @@ def picture(state: State) -> Picture:
             for name, link in sorted(state.links.items())
             if link.clock_offset_s is not None
         ),
-        batteries=tuple(
-            BatteryRow(name, battery.voltage_v, battery.percent)
-            for name, battery in sorted(state.batteries.items())
+        vehicles=tuple(
+            VehicleRow(name, _mode(vehicle, now_ns), vehicle.armed, vehicle.height_m)
+            for name, vehicle in sorted(state.vehicles.items())
         ),
+        batteries=tuple(_battery(name, battery) for name, battery in sorted(state.batteries.items())),
         disk=_disk(state),
         alarms=state.alarms,
     )
@@ -270,6 +306,23 @@ def _camera(name: str, state: State) -> CameraRow:
 def _shortened(missed: str) -> str:
     parts = missed.split(", ")
     return missed if len(parts) <= _LISTED_MISSED else "…, " + ", ".join(parts[-_LISTED_MISSED:])
+
+
+def _mode(vehicle: Vehicle, now_ns: int) -> Word:
+    if not vehicle.mode:
+        return Word("not told", "off")
+    silent_s = _seconds(now_ns - vehicle.time_ns)
+    if silent_s > _STALE_S:
+        return Word(f"{vehicle.mode}, told {silent_s:.0f} s ago", "bad")
+    return Word(vehicle.mode, "good")
+
+
+def _battery(name: str, battery: Battery) -> BatteryRow:
+    parts = [] if battery.voltage_v is None else [f"{battery.voltage_v:.1f} V"]
+    parts += [] if battery.percent is None else [f"{battery.percent} %"]
+    left = battery.percent
+    level = "off" if left is None else "bad" if left < _EMPTY else "warn" if left < _LOW else "good"
+    return BatteryRow(name, Word(", ".join(parts), level), battery.voltage_v, left)
 
 
 def _clock(name: str, offset_s: float) -> ClockRow:

@@ -28,16 +28,22 @@ class FlightClock:
     speed : float
     clock : callable
         Seconds of a steady clock.
+    begins_s : float, optional
+        When it begins by that clock, whoever was spoken to.
     """
 
     def __init__(
-        self, awaited: Iterable[str], speed: float, clock: Callable[[], float] = time.monotonic
+        self,
+        awaited: Iterable[str],
+        speed: float,
+        clock: Callable[[], float] = time.monotonic,
+        begins_s: float | None = None,
     ) -> None:
         self._awaited = set(awaited)
         self._speed = speed
         self._clock = clock
         self._lock = threading.Lock()
-        self._began: float | None = None if self._awaited else clock()
+        self._began = clock() if begins_s is None and not self._awaited else begins_s
 
     def heard(self, name: str) -> None:
         """Take note that a device was spoken to."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import datetime as dt
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,13 +57,15 @@ class PlayedFlight:
         return max(line.end_s for line in self.lines.values())
 
 
-def read_flight(source: Path) -> PlayedFlight:
+def read_flight(source: Path, start_utc: dt.datetime | None = None) -> PlayedFlight:
     """Read a simulated flight, or fly it.
 
     Parameters
     ----------
     source : Path
         A folder that `acquire simulate flight` made, or a configuration.
+    start_utc : datetime, optional
+        When it begins: the plan is flown anew for that moment, with the satellites of then.
 
     Raises
     ------
@@ -82,7 +85,9 @@ def read_flight(source: Path) -> PlayedFlight:
         "GLOBAL_POSITION_INT": given.telemetry.position_hz,
         "SYSTEM_TIME": 1.0,
     }
-    if folder:
+    if start_utc is not None:
+        given = given.model_copy(update={"place": given.place.model_copy(update={"start_utc": start_utc})})
+    elif folder:
         return PlayedFlight(_read_lines(source), gnss.base_protocol, interval, rates)
     from acquire.simulate.world.streams import make_streams
     from acquire.simulate.world.world import make_world

@@ -101,11 +101,21 @@ class Field:
     def tick(self, number: int, receiver: Receiver) -> None:
         latitude, longitude = self.place()
         boot = round(self.age_s * 1e3)
-        self.say("GLOBAL_POSITION_INT", time_boot_ms=boot, lat=latitude, lon=longitude, alt=510_000)
+        self.say(
+            "GLOBAL_POSITION_INT",
+            time_boot_ms=boot,
+            lat=latitude,
+            lon=longitude,
+            alt=510_000,
+            relative_alt=80_000,
+        )
         if number % 2 == 0:
             self.tell_fix()
         if number % 10 == 0:
-            self.say("HEARTBEAT", type=2, autopilot=3, system_status=4, mavlink_version=3)
+            self.say(
+                "HEARTBEAT", type=2, autopilot=3, base_mode=209, custom_mode=3, system_status=4,
+                mavlink_version=3,
+            )  # fmt: skip
             self.say("SYSTEM_TIME", time_unix_usec=time.time_ns() // 1000, time_boot_ms=boot)
             self.say("SYS_STATUS", voltage_battery=15_800, current_battery=1400, battery_remaining=81)
             self.lines["base"].put(station_message())

@@ -23,11 +23,11 @@ from acquire.log.reader import LogReader, Messages
 from acquire.log.records import Channel
 from acquire.monitor.chart import layers
 from acquire.monitor.disk_status import looked
-from acquire.monitor.reducer import fold
+from acquire.monitor.reducer import state_after
 from acquire.monitor.state import Look, State
 from acquire.monitor.terminal import render
 from acquire.monitor.track import LONGEST, Track, extended, place_at
-from acquire.monitor.view_model import picture
+from acquire.monitor.view_model import Word, view_of
 from acquire.recording.alarms import ALARM
 from drivers.mavlink.dialect import ardupilotmega
 from drivers.mavlink.encode import encode
@@ -38,7 +38,7 @@ START = 1_777_626_000 * SECOND
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory, demo_flight: bytes) -> Path:
-    folder = tmp_path_factory.mktemp("fold")
+    folder = tmp_path_factory.mktemp("reduced")
     source, made = folder / "flight.tlog", folder / "flight.mcap"
     source.write_bytes(demo_flight)
     import_recordings([], [source], made, lambda _: None)
@@ -49,10 +49,10 @@ def chunks(path: Path) -> list[list[Messages]]:
     return list(LogReader(path).chunks())
 
 
-def folded(parts: list[list[Messages]]) -> State:
+def reduced(parts: list[list[Messages]]) -> State:
     state = State()
     for part in parts:
-        state = fold(state, part)
+        state = state_after(state, part)
     return state
 
 
@@ -84,7 +84,7 @@ def test_a_whole_flight_is_counted_as_the_published_reader_finds_it(log: Path) -
     topics = Counter(topic for topic, _ in found)
     frames = [m.data for topic, m in found if topic == "/vehicle/raw"]
     exposures = [json.loads(m.data) for topic, m in found if topic == "/camera/exposure"]
-    state = folded(chunks(log))
+    state = reduced(chunks(log))
     link = state.links["vehicle"]
     assert (link.frames, link.frame_bytes) == (len(frames), sum(map(len, frames)))
     assert state.exposures["vehicle"].feedbacks == topics["/camera/exposure"]
@@ -94,7 +94,7 @@ def test_a_whole_flight_is_counted_as_the_published_reader_finds_it(log: Path) -
     np.testing.assert_array_equal(shown["picture", "vehicle"], pictures)
     times = [m.log_time for topic, m in found]
     assert (state.first_ns, state.last_ns) == (min(times), max(times))
-    row = picture(state).receivers[0]
+    row = view_of(state).receivers[0]
     assert (row.fix.text, row.fix.level, row.satellites) == ("RTK fixed", "good", 17)
 
 
@@ -105,7 +105,7 @@ def test_how_chunks_are_cut_leaves_no_trace(log: Path) -> None:
     pieces = [
         [p for part in whole[0] if len((p := _between(part, a, b)).payloads)] for a, b in pairwise(edges)
     ]
-    one, many = folded(whole[:1]), folded(pieces)
+    one, many = reduced(whole[:1]), reduced(pieces)
     for name in ("links", "receivers", "exposures", "batteries", "alarms", "first_ns", "last_ns"):
         assert getattr(one, name) == getattr(many, name), name
     np.testing.assert_array_equal(
@@ -127,23 +127,23 @@ def _between(part: Messages, begin: int, end: int) -> Messages:
 
 def test_rates_are_those_of_the_last_seconds_and_fall_to_nothing() -> None:
     regular = [n / 20 for n in range(200)]
-    state = fold(State(), [raw("rover", regular), raw("base", [0.0, 9.9])])
+    state = state_after(State(), [raw("rover", regular), raw("base", [0.0, 9.9])])
     look = Look(START, "a.mcap", 10, ended=False, free_bytes=None)
     state = looked(state, look)
-    row = picture(state).links[1]
+    row = view_of(state).links[1]
     assert row.frames_per_s == pytest.approx(20)
     assert row.bytes_per_s == pytest.approx(200)
     for second in range(1, 9):
         state = looked(state, replace(look, time_ns=START + second * SECOND))
-    row = picture(state).links[1]
+    row = view_of(state).links[1]
     assert row.frames_per_s == 0
     assert row.state.text == "silent for 8 s"
 
 
 def test_pauses_of_a_link_are_counted_across_chunks() -> None:
-    state = fold(State(), [raw("rover", [0, 1, 2])])
-    state = fold(state, [raw("rover", [7, 8, 10.5])])
-    row = picture(state).links[0]
+    state = state_after(State(), [raw("rover", [0, 1, 2])])
+    state = state_after(state, [raw("rover", [7, 8, 10.5])])
+    row = view_of(state).links[0]
     assert (row.gaps, row.longest_gap_s) == (2, 5.0)
 
 
@@ -173,14 +173,14 @@ def test_pauses_of_a_link_are_counted_across_chunks() -> None:
     ],
 )
 def test_a_loss_of_fix_is_told_once(fixes: list[str], alarms: list[tuple[str, str]]) -> None:
-    state = fold(State(), [rows("/gnss/rover/status", GNSS_STATUS, *map(status, fixes))])
+    state = state_after(State(), [rows("/gnss/rover/status", GNSS_STATUS, *map(status, fixes))])
     assert [(alarm.level, alarm.text) for alarm in state.alarms] == alarms
     assert all(alarm.link == "rover" for alarm in state.alarms)
 
 
 def test_a_receiver_that_says_nothing_has_no_fix() -> None:
     parts = [rows("/gnss/rover/status", GNSS_STATUS, status("rtk_fixed")), raw("base", [0, 6.5])]
-    row = picture(fold(State(), parts)).receivers[0]
+    row = view_of(state_after(State(), parts)).receivers[0]
     assert (row.fix.text, row.fix.level) == ("not told for 6 s", "bad")
 
 
@@ -193,8 +193,8 @@ def test_the_age_of_corrections_is_what_the_receiver_says_else_since_they_were_s
     )
     ages = {}
     for name, message in (("told", own), ("sent", status("rtk_fixed"))):
-        state = fold(State(), [rows("/gnss/rover/status", GNSS_STATUS, message), sent, asked])
-        ages[name] = picture(state).receivers[0]
+        state = state_after(State(), [rows("/gnss/rover/status", GNSS_STATUS, message), sent, asked])
+        ages[name] = view_of(state).receivers[0]
     assert ages["told"].correction_age_s == 2.5
     assert ages["told"].correction.level == "good"
     assert ages["sent"].correction_age_s == 12.0
@@ -209,7 +209,7 @@ def test_corrections_to_a_vehicle_are_known_by_their_message() -> None:
     times = START + np.arange(3) * SECOND
     sent = Messages(Channel("/vehicle/sent", "mavlink"), frames, times, times, np.arange(3))
     told_fix = rows("/gnss/vehicle/status", GNSS_STATUS, {**status("3d"), "link": "vehicle"})
-    row = picture(fold(State(), [told_fix, sent])).receivers[0]
+    row = view_of(state_after(State(), [told_fix, sent])).receivers[0]
     assert row.correction_age_s == 2.0
 
 
@@ -218,7 +218,7 @@ def test_corrections_that_stop_are_told_once_and_their_return_too() -> None:
     for second in range(100):
         message = {**status("rtk_fixed"), "correction_age_s": max(0, second - 20) if second < 80 else 1}
         part = rows("/gnss/rover/status", GNSS_STATUS, message)
-        state = fold(state, [replace(part, log_ns=part.log_ns + second * SECOND)])
+        state = state_after(state, [replace(part, log_ns=part.log_ns + second * SECOND)])
     assert [(alarm.level, alarm.text) for alarm in state.alarms] == [
         ("bad", "has corrections older than 30 s"),
         ("note", "has fresh corrections again"),
@@ -237,18 +237,18 @@ def test_pictures_without_a_place_are_where_the_rover_was_then() -> None:
     track = Messages(channel, fixes, times, times, np.arange(3))
     mark = {"link": "rover", "source": "TIM-TM2", "edge": "rising"}
     edges = [{**mark, "sequence": 1}, {**mark, "edge": "falling", "sequence": 1}, {**mark, "sequence": 2}]
-    state = fold(State(), [rows("/camera/exposure", EXPOSURE, *edges, every_s=0.75), track])
+    state = state_after(State(), [rows("/camera/exposure", EXPOSURE, *edges, every_s=0.75), track])
     (drawn,) = [layer for layer in layers(state) if layer.kind == "picture"]
     np.testing.assert_allclose(drawn.points, [[47.0, 8.0], [47.0015, 8.0]], atol=1e-12)
-    assert picture(state).cameras[0].time_marks == 2
+    assert view_of(state).cameras[0].time_marks == 2
 
 
 def test_a_time_mark_that_the_receiver_skipped_is_named() -> None:
     """The receiver counts every edge; of two within one of its epochs it tells the last one only."""
     mark = {"link": "rover", "source": "TIM-TM2", "edge": "rising"}
     edges = [{**mark, "sequence": number} for number in (65533, 65534, 65535, 0, 1, 3, 4, 7)]
-    state = fold(State(), [rows("/camera/exposure", EXPOSURE, *edges)])
-    row = picture(state).cameras[0]
+    state = state_after(State(), [rows("/camera/exposure", EXPOSURE, *edges)])
+    row = view_of(state).cameras[0]
     assert (row.time_marks, row.time_marks_missed) == (8, 3)
     assert (row.state.text, row.state.level) == ("3 time marks not told: 2, 5-6", "bad")
     assert told(state, "bad") == ["did not tell time mark 2", "did not tell time marks 5-6"]
@@ -258,7 +258,7 @@ def test_alarms_of_the_recorder_and_texts_of_the_vehicle_are_passed_on() -> None
     kinds = ["note", "lost", "back", "silent", "disk_low", "clock_jump", "source_changed"]
     alarms = [{"kind": kind, "link": "rover", "text": kind} for kind in kinds]
     texts = [{"link": "vehicle", "severity": s, "text": f"severity {s}"} for s in (2, 3, 4, 6)]
-    state = fold(
+    state = state_after(
         State(), [raw("rover", [0.0]), rows("/alarm", ALARM, *alarms), rows("/health", HEALTH, *texts)]
     )
     assert told(state, "bad") == ["lost", "silent", "disk_low", "clock_jump"]
@@ -266,7 +266,7 @@ def test_alarms_of_the_recorder_and_texts_of_the_vehicle_are_passed_on() -> None
     assert told(state, "note") == ["note", "back"]
     assert [alarm.number for alarm in state.alarms] == list(range(1, 10))
     # Silent was the last word on this link.
-    assert picture(state).links[0].state.level == "bad"
+    assert view_of(state).links[0].state.level == "bad"
 
 
 def test_a_log_that_does_not_grow_is_told_and_its_growth_too() -> None:
@@ -276,7 +276,7 @@ def test_a_log_that_does_not_grow_is_told_and_its_growth_too() -> None:
     for second, size in enumerate(sizes):
         look = Look(START + second * SECOND, "a.mcap", size, ended=False, free_bytes=10**12)
         state = looked(state, look)
-        texts.append(picture(state).recording.text)
+        texts.append(view_of(state).recording.text)
     assert texts == ["recording"] * 7 + ["nothing written for 5 s"] + ["recording"] * 2
     assert [alarm.level for alarm in state.alarms] == ["bad", "note"]
 
@@ -287,7 +287,7 @@ def test_a_log_with_its_end_is_no_failure() -> None:
     assert told(state, "note") == ["a.mcap has its end"]
     state = looked(state, replace(look, ended=True, time_ns=START + 60 * SECOND))
     assert told(state, "bad", "warn") == []
-    assert picture(state).recording.text == "ended"
+    assert view_of(state).recording.text == "ended"
 
 
 @pytest.mark.parametrize(
@@ -304,7 +304,7 @@ def test_room_on_the_disk_is_told_in_hours_of_this_recording(free: int, level: s
     for second in range(20):
         look = Look(START + second * SECOND, "a.mcap", 100_000 * second, ended=False, free_bytes=free)
         state = looked(state, look)
-    disk = picture(state).disk
+    disk = view_of(state).disk
     assert disk.state.level == level
     assert disk.bytes_per_s == pytest.approx(100_000)
     assert disk.state.text.endswith(text)
@@ -366,15 +366,26 @@ def test_a_log_of_another_program_never_ends_the_view(
     place = Channel("/gnss/rover/fix", "protobuf", foxglove.schema("foxglove.LocationFix"))
     channels = (place, Channel(topic, "ubx"))
     parts += [Messages(channel, [payload], times, times, number) for channel in channels]
-    state = fold(State(), [raw("rover", [0.0]), *parts])
+    state = state_after(State(), [raw("rover", [0.0]), *parts])
     assert state.links["rover"].frames == 1
-    json.dumps(picture(state).as_json(), allow_nan=False)
+    json.dumps(view_of(state).as_json(), allow_nan=False)
     json.dumps([layer.points.tolist() for layer in layers(state)], allow_nan=False)
-    Console(file=io.StringIO()).print(render(picture(state), layers(state), 80, 24))
+    Console(file=io.StringIO()).print(render(view_of(state), layers(state), 80, 24))
 
 
 def test_what_cannot_be_read_is_told_once() -> None:
     odd = rows("/gnss/rover/status", GNSS_STATUS, {"link": "rover"}, {"link": "rover"})
-    state = fold(fold(State(), [odd]), [odd, raw("base", [0.0])])
+    state = state_after(state_after(State(), [odd]), [odd, raw("base", [0.0])])
     assert told(state, "warn") == ["messages on /gnss/rover/status cannot be read"]
     assert state.links["base"].frames == 1
+
+
+def test_a_dead_link_makes_the_head_red() -> None:
+    state = state_after(State(), [raw("rover", [0, 1, 2]), raw("base", [0, 1, 2])])
+    state = looked(state, Look(START + 3 * SECOND, "f.mcap", 10, ended=False, free_bytes=10**11))
+    assert view_of(state).overall == Word("recording, all is well", "good")
+    lost = {"kind": "lost", "link": "base", "text": "is lost: unplugged"}
+    state = state_after(state, [rows("/alarm", ALARM, lost), raw("rover", [3])])
+    overall = view_of(state).overall
+    assert overall.level == "bad"
+    assert overall.text.startswith("base: lost")

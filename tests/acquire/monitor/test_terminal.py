@@ -10,13 +10,13 @@ import pytest
 from pyproj import Geod
 from rich.console import Console
 
-from acquire.monitor.braille_map import metres, round_step, sketch
+from acquire.monitor.braille_map import braille_map, metres, round_step
 from acquire.monitor.chart import Layer, layers
 from acquire.monitor.exposures import Exposures, Trigger
 from acquire.monitor.state import Battery, Link, Look, Receiver, State, raised
 from acquire.monitor.terminal import render
 from acquire.monitor.track import Track
-from acquire.monitor.view_model import picture
+from acquire.monitor.view_model import view_of
 
 SECOND = 1_000_000_000
 NOW = time.time_ns()
@@ -50,12 +50,12 @@ def state() -> State:
 
 def text_of(state: State, width: int, height: int) -> list[str]:
     console = Console(width=width, height=height, file=io.StringIO(), record=True, force_terminal=True)
-    console.print(render(picture(state), layers(state), width, height))
+    console.print(render(view_of(state), layers(state), width, height))
     return console.export_text().splitlines()
 
 
 WORDS = [
-    "recording",
+    "✕ base: silent",
     "1:02:05",
     "RTK fixed",
     "no fix",
@@ -110,7 +110,7 @@ def test_the_sketch_is_north_up_and_to_scale() -> None:
         longitude, latitude, _ = geod.fwd(*corners[-1], azimuth, 100)
         corners.append((longitude, latitude))
     points = np.array([[latitude, longitude] for longitude, latitude in [*corners, corners[0]]])
-    lines = sketch([Layer("track", "a", points, "")], 40, 21).plain.splitlines()
+    lines = braille_map([Layer("track", "a", points, "")], 40, 21).plain.splitlines()
     inked = [
         (row, column)
         for row, line in enumerate(lines[:-1])
