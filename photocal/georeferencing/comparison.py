@@ -12,6 +12,7 @@ from drivers.errors import IllPosedError, PhotocalError
 from photocal.accuracy.assessment import Assessment, Question, assess
 from photocal.accuracy.standard import Standard
 from photocal.block.model import Block, Role
+from photocal.block.network import block_frame
 from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding
 from photocal.findings.texts import finding_text
@@ -129,7 +130,7 @@ def check_block(
     """
     plausibility = ground_findings(block)
     done("plausibility")
-    places = block.points.values
+    places, typed = block.points.values, block
     try:
         block = with_attitude_angles(checkable(in_local_frame(block)))
     except PhotocalError as refusal:
@@ -146,11 +147,12 @@ def check_block(
         except PhotocalError as refusal:
             refused.append((method, str(refusal)))
         done(method)
+    sound, mistyped = _sound(block, typed, judged)
     if not judged:
         reasons = "; ".join(f"{method}: {reason}" for method, reason in refused)
-        said = _with_findings(f"no method can be computed: {reasons}", plausibility)
+        wrong = "".join(f"; control point {one.point} contradicts the others" for one in mistyped)
+        said = _with_findings(f"no method can be computed: {reasons}{wrong}", plausibility)
         raise IllPosedError(said, where=block.name)
-    sound, mistyped = _sound(block, places, judged)
     systematic, apart = _calibration(sound)
     done("systematic errors")
     return BlockCheck(
@@ -165,11 +167,12 @@ def check_block(
     )
 
 
-def _sound(block: Block, places: Floats, judged: list[Judged]) -> tuple[Block, tuple[Mistyped, ...]]:
+def _sound(block: Block, typed: Block, judged: list[Judged]) -> tuple[Block, tuple[Mistyped, ...]]:
     """The block without control points that contradict the others, where any point is suspected at all."""
-    if not any(one.control.suspected for one in judged):
+    if judged and not any(one.control.suspected for one in judged):
         return block, ()
-    return mistyped_control(without_weak_images(block)[0], places)
+    place = (lambda local: local) if typed.frame == "local" else block_frame(typed).to_given
+    return mistyped_control(without_weak_images(block)[0], typed.points.values, place, typed.frame)
 
 
 def _with_findings(said: str, findings: tuple[Finding, ...]) -> str:

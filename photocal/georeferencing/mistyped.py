@@ -1,30 +1,44 @@
-"""Control points that contradict the others: named, corrected, and the likely slip of the pen."""
+"""Control points that contradict the others: named, corrected, and the likely slip of the pen.
+
+Images and positions are adjusted without any control, so that no wrong point bends anything: each control
+point then has a place of its own. Which of them disagree is a question of their differences alone, with the
+covariance that those have in common and a shift of all of them free (positions and control in two datums).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
+from scipy.linalg import block_diag
 
 from drivers.errors import PhotocalError
+from photocal.adjustment.adjust import adjust
+from photocal.adjustment.factored import factored
+from photocal.adjustment.joint import joint_covariance
+from photocal.adjustment.network import covariance_matrices
 from photocal.block.model import Block
-from photocal.georeferencing.differences import CRITICAL_POINT, differences
-from photocal.georeferencing.methods import checkable, of_method, with_roles
-from photocal.georeferencing.plausible import by_start_values
+from photocal.block.network import assemble
+from photocal.georeferencing.methods import checkable, local_origin, with_roles, without_georeference
 
 Floats = NDArray[np.float64]
+Place = Callable[[Floats], Floats]
 
 # With fewer control points a contradiction cannot be laid at the door of one of them.
-_FEWEST = 5
+_FEWEST = 4
 _MOST_REMOVED = 3
+_SIGNIFICANCE = 0.001
 # Less than this many times the stated sigma is a poor point, not a wrong one.
 _WRONG = 10.0
-# A point this far from where the start values see it, against all control points, spoils the iteration.
-_FAR, _FAR_M = 10.0, 5.0
 # A slip explains a coordinate when it comes this near, in standard deviations.
 _NEAR = 4.0
+# Weak observations of what control would have determined: share of c; lever arm (m), boresight (rad), time
+# offset (s); the shift is free.
+_LOOSE_C, _LOOSE = 0.02, np.array([1.0] * 3 + [0.1] * 3 + [1.0])
 
 
 @dataclass(frozen=True)
@@ -45,83 +59,153 @@ class Mistyped:
     slips: tuple[str, ...]
 
 
-def mistyped_control(block: Block, given: Floats) -> tuple[Block, tuple[Mistyped, ...]]:
+def mistyped_control(
+    block: Block, given: Floats, to_given: Place = lambda local: local, system: str = "local"
+) -> tuple[Block, tuple[Mistyped, ...]]:
     """Find control points that contradict the other ones.
 
-    Image observations and control are adjusted alone, so that nothing else can be to blame; the point that
-    fits worst is taken out and judged by the others, until all fit. Nothing is named when more than
-    three are in contradiction: then it is not the points.
+    Nothing is named when more than three are in contradiction, or when others could be to blame as well:
+    then it is not the points.
+
+    Parameters
+    ----------
+    block : Block
+        In a local frame.
+    given : ndarray, shape (points, 3)
+        Coordinates as they were typed.
+    to_given : callable
+        From local coordinates to those of `given`.
+    system : str
+        Reference system of `given`.
     """
-    found: list[Mistyped] = []
-    current = block
-    to_given = _to_given(block.points.values, given)
-    for _ in range(_MOST_REMOVED + 1):
-        try:
-            far = _far_away(current)
-            worst = _worst(current) if far is None else far
-        except PhotocalError:
-            return block, ()
-        if worst is None:
-            return (current, tuple(found)) if found else (block, ())
-        control = np.flatnonzero(current.points.of_role("control"))
-        current = checkable(with_roles(current, control[control != worst]))
-        one = _judged(current, worst, given[worst], to_given)
-        if one is None:
-            return block, ()
-        found.append(one)
-    return block, ()
-
-
-def _far_away(block: Block) -> int | None:
-    """Index of a control point so far from where the given orientations see it that no adjustment ends."""
     control = np.flatnonzero(block.points.of_role("control"))
     if len(control) < _FEWEST:
-        return None
-    apart = np.linalg.norm(by_start_values(block).xyz_m[control] - block.points.values[control], axis=1)
-    if not np.isfinite(apart).any():
-        return None
-    usual = float(np.nanmedian(apart))
-    k = int(np.nanargmax(apart))
-    return int(control[k]) if apart[k] > max(_FAR_M, _FAR * usual) else None
-
-
-def _worst(block: Block) -> int | None:
-    """Index of the control point that fits worst, None when all fit; refuses too few of them."""
-    fitted = differences(block, of_method(block, "indirect"), "control")
-    enough = len(fitted.names) >= _FEWEST
-    distance = np.nan_to_num(fitted.distance)
-    if not enough or not len(distance) or distance.max() <= CRITICAL_POINT:
-        return None
-    return block.points.names.index(fitted.names[int(distance.argmax())])
-
-
-def _judged(block: Block, point: int, given: Floats, to_given: Floats) -> Mistyped | None:
-    """The point against what the others say of it; None when it is not plainly wrong."""
-    name = block.points.names[point]
+        return block, ()
     try:
-        check = differences(block, of_method(block, "indirect"), "check")
+        rows, computed, covariance, common = _by_the_images(block, control)
     except PhotocalError:
-        return None
-    if name not in check.names:
-        return None
-    k = check.names.index(name)
-    d, sigma = check.d[k], np.sqrt(np.diagonal(check.covariance[k]))
-    stated = np.where(np.isfinite(block.points.sigma[point]), block.points.sigma[point], np.inf)
-    if not np.any((np.abs(d) > _WRONG * stated) & (np.abs(d) > _NEAR * sigma)):
-        return None
-    return Mistyped(name, d, sigma, _slips(given, given - to_given @ d, sigma))
+        return block, ()
+    if len(rows) < _FEWEST:
+        return block, ()
+    d = block.points.values[rows] - computed
+    removed = contradicting(d, covariance, common)
+    listed = []
+    for k in removed:
+        error, spread = _beside_others(d, covariance, common, removed, k)
+        stated = block.points.sigma[rows[k]]
+        stated = np.where(np.isfinite(stated), stated, np.inf)
+        sigma = np.sqrt(np.diag(spread))
+        if not np.any((np.abs(error) > _WRONG * stated) & (np.abs(error) > _NEAR * sigma)):
+            return block, ()
+        wanted = to_given((block.points.values[rows[k]] - error)[None, :])[0]
+        slips = _slips(given[rows[k]], wanted, sigma, system)
+        listed.append(Mistyped(block.points.names[rows[k]], error, sigma, slips))
+    left = control[~np.isin(control, rows[list(removed)])]
+    return (checkable(with_roles(block, left)) if listed else block), tuple(listed)
 
 
-def _to_given(local: Floats, given: Floats) -> Floats:
-    """Derivative of the given coordinates by the local ones, (3, 3), from the points themselves."""
-    known = np.isfinite(local).all(axis=1) & np.isfinite(given).all(axis=1)
-    a, b = (values[known] - values[known].mean(axis=0) for values in (local, given))
-    if np.linalg.matrix_rank(a) < 3:
-        return np.eye(3)
-    return np.asarray(np.linalg.lstsq(a, b, rcond=None)[0].T)
+def contradicting(d: Floats, covariance: Floats, common: Floats) -> tuple[int, ...]:
+    """Choose the fewest points without which the differences agree; none where that is not clear.
+
+    Parameters
+    ----------
+    d : ndarray, shape (n, 3)
+        Given less computed, m.
+    covariance : ndarray, shape (3 n, 3 n)
+        Of all of them together.
+    common : ndarray, shape (3 n, k)
+        What all of them may have in common.
+    """
+    removed: tuple[int, ...] = ()
+    n = len(d)
+    chi_squared = _misfit(d, covariance, common, removed)
+    while True:
+        freedom = 3 * (n - len(removed)) - common.shape[1]
+        rest = freedom - 3
+        if freedom > 0 and chi_squared <= stats.chi2.isf(_SIGNIFICANCE, freedom):
+            return removed
+        if rest < 1 or len(removed) == _MOST_REMOVED:
+            return ()
+        tries = sorted(
+            (_misfit(d, covariance, common, (*removed, k)), k) for k in range(n) if k not in removed
+        )
+        (best, k), (second, _) = tries[:2]
+        # Errors that the sigmas do not know stretch everything: what stands out does so against the rest.
+        known = best <= stats.chi2.isf(_SIGNIFICANCE, rest)
+        scale = 1.0 if known else best / rest
+        limit = stats.chi2.isf(_SIGNIFICANCE, 3) / 3 if known else stats.f.isf(_SIGNIFICANCE / n, 3, rest)
+        if (chi_squared - best) / 3.0 / scale <= limit:
+            return removed
+        if second - best < stats.chi2.isf(_SIGNIFICANCE, 3) * scale:
+            return ()
+        removed, chi_squared = (*removed, k), best
 
 
-def _slips(given: Floats, wanted: Floats, sigma: Floats) -> tuple[str, ...]:
+def _design(n: int, common: Floats, removed: tuple[int, ...]) -> Floats:
+    own = np.zeros((3 * n, 3 * len(removed)))
+    for place, k in enumerate(removed):
+        own[3 * k : 3 * k + 3, 3 * place : 3 * place + 3] = np.eye(3)
+    return np.hstack([own, common])
+
+
+def _misfit(d: Floats, covariance: Floats, common: Floats, removed: tuple[int, ...]) -> float:
+    """Least d' C^-1 d with the common part free and some points left out."""
+    root = np.linalg.cholesky(covariance)
+    a, y = (np.linalg.solve(root, v) for v in (_design(len(d), common, removed), d.ravel()))
+    return float(np.sum((y - a @ np.linalg.lstsq(a, y, rcond=None)[0]) ** 2))
+
+
+def _beside_others(
+    d: Floats, covariance: Floats, common: Floats, removed: tuple[int, ...], k: int
+) -> tuple[Floats, Floats]:
+    """Error of a point that was left out, by the others, and its covariance."""
+    root = np.linalg.cholesky(covariance)
+    a, y = (np.linalg.solve(root, v) for v in (_design(len(d), common, removed), d.ravel()))
+    normal = np.linalg.pinv(a.T @ a, hermitian=True)
+    mine = slice(3 * removed.index(k), 3 * removed.index(k) + 3)
+    return np.asarray((normal @ a.T @ y)[mine]), np.asarray(normal[mine, mine])
+
+
+def _by_the_images(
+    block: Block, control: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
+    """Places of control points without control: rows, places, covariance with the survey, common part."""
+    alone = checkable(with_roles(block, np.zeros(0, dtype=np.int64)))
+    cameras = []
+    for camera in alone.cameras:
+        prior = camera.prior_sigma.copy()
+        prior[0] = min(prior[0], _LOOSE_C * camera.value("c"))
+        cameras.append(replace(camera, prior_sigma=prior))
+    alone = replace(alone, cameras=tuple(cameras))
+    placed = len(alone.positions.image) > 0 or np.isfinite(alone.images.sigma[:, 3:]).all(axis=1).any()
+    if placed:
+        sigma = alone.mounting.sigma.copy()
+        sigma[: len(_LOOSE)] = np.minimum(sigma[: len(_LOOSE)], _LOOSE)
+        # A shift is what all control points have in common; drifts and scales need control.
+        sigma[len(_LOOSE) :] = 0.0
+        alone = replace(alone, mounting=replace(alone.mounting, sigma=sigma))
+    else:
+        alone = replace(without_georeference(alone), datum="free")
+    assembly = assemble(alone)
+    solution = adjust(assembly.network)
+    seen = np.flatnonzero(np.isin(assembly.points, control))
+    names = [assembly.network.point_names[j] for j in seen]
+    at = factored(assembly.network, solution.state)
+    covariance = joint_covariance(at, [("point", name) for name in names]).covariance
+    rows = assembly.points[seen]
+    computed = solution.points[seen] + local_origin(assembly)
+    stated = np.where(np.isfinite(block.points.sigma[rows]), block.points.sigma[rows], 1e3)
+    cross = np.zeros((len(rows), 3)) if block.points.cross is None else block.points.cross[rows]
+    # A held coordinate has no error, but rounding.
+    survey = covariance_matrices(np.maximum(stated, 1e-4), cross)
+    relative = computed - computed.mean(axis=0)
+    shift = np.tile(np.eye(3), (len(rows), 1))
+    turns = np.cross(np.eye(3)[None, :, :], relative[:, None, :]).transpose(0, 2, 1).reshape(-1, 3)
+    common = shift if placed else np.hstack([shift, turns, relative.reshape(-1, 1)])
+    return rows, computed, covariance + block_diag(*survey), common
+
+
+def _slips(given: Floats, wanted: Floats, sigma: Floats, system: str) -> tuple[str, ...]:
     """Name the slips of the pen that made the given coordinates of the wanted ones, see `Mistyped`."""
     tolerance = _NEAR * sigma
     wrong = np.abs(given - wanted) > tolerance
@@ -130,6 +214,9 @@ def _slips(given: Floats, wanted: Floats, sigma: Floats) -> tuple[str, ...]:
         changed[[a, b]] = given[[b, a]]
         if wrong[a] and wrong[b] and np.all(np.abs(changed - wanted) <= tolerance):
             return (f"exchanged {'XYZ'[a]} {'XYZ'[b]}",)
+    zone = _zone_slip(given, wanted, tolerance, system)
+    if zone:
+        return (f"zone X {zone}",)
     near = tolerance.tolist()
     slips = [(k, _digit_slip(float(given[k]), float(wanted[k]), near[k])) for k in np.flatnonzero(wrong)]
     if not all(slip for _, slip in slips):
@@ -157,3 +244,35 @@ def _digit_slip(given: float, wanted: float, tolerance: float) -> tuple[str, ...
             if digit != text[i] and abs(float(other) - wanted) <= tolerance:
                 return "one-digit", text, other
     return ()
+
+
+def _zone_slip(given: Floats, wanted: Floats, tolerance: Floats, system: str) -> str:
+    """Name the map zone in which the given coordinates are the wanted ones; empty when there is none."""
+    if system == "local" or not np.isfinite(wanted).all():
+        return ""
+    from pyproj import CRS, Transformer
+    from pyproj.exceptions import ProjError
+
+    horizontal = CRS.from_user_input(system).to_2d()
+    zone = horizontal.utm_zone
+    if zone is None:
+        return ""
+    for step in (-1, 1):
+        number = (int(zone[:-1]) - 1 + step) % 60 + 1
+        south = " +south" if zone[-1] == "S" else ""
+        base = horizontal.geodetic_crs
+        ellipsoid = base.ellipsoid if base is not None else None
+        axes = (
+            f"+a={ellipsoid.semi_major_metre} +b={ellipsoid.semi_minor_metre}"
+            if ellipsoid
+            else "+ellps=GRS80"
+        )
+        other = CRS.from_proj4(f"+proj=utm +zone={number}{south} {axes} +units=m +no_defs")
+        back = CRS.from_proj4(f"+proj=utm +zone={zone[:-1]}{south} {axes} +units=m +no_defs")
+        try:
+            x, y = Transformer.from_crs(other, back, always_xy=True).transform(given[0], given[1])
+        except ProjError:
+            continue
+        if abs(x - wanted[0]) <= tolerance[0] + 0.05 and abs(y - wanted[1]) <= tolerance[1] + 0.05:
+            return str(number)
+    return ""

@@ -44,7 +44,7 @@ def judged(seed: int) -> tuple[JointTest, bool, bool]:
     biased = bool(np.any(np.abs(t) > stats.t.ppf(1.0 - 0.05 / 6.0, CHECKS - 1)))
     own = np.array([whole[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(CHECKS)])
     alone = float(np.einsum("na,nab,nb->", d, np.linalg.inv(own), d))
-    low, high = stats.chi2.ppf([0.025, 0.975], 3 * CHECKS)
+    low, high = (float(stats.chi2.ppf(p, 3 * CHECKS)) for p in (0.025, 0.975))
     return joint_test(d, whole), biased, not low < alone < high
 
 

@@ -15,7 +15,7 @@ from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.georeferencing.comparison import check_block
 from photocal.georeferencing.findings import block_findings
-from photocal.georeferencing.mistyped import mistyped_control
+from photocal.georeferencing.mistyped import _slips, contradicting, mistyped_control
 from photocal.georeferencing.mounted import with_attitude_angles
 from photocal.georeferencing.systematic import systematic_errors
 from tests.photocal.findings.english import english
@@ -107,6 +107,46 @@ def test_a_mistyped_control_point_is_named(
     assert found.slips[0].startswith(slip)
     assert found.d[axis] == pytest.approx(values[point, axis] - block.points.values[point, axis], abs=0.15)
     assert not cleaned.points.of_role("control")[point]
+
+
+def test_one_wrong_point_of_four_far_from_the_others(flown: Flown) -> None:
+    """18 m, where every adjustment with it blames all points: the whole check names it, and no other."""
+    plan = replace(PLAN, control=4, estimate=("c", "K1", "K2"))
+    block = flown(Errors(), plan)
+    (row, *_) = np.flatnonzero(block.points.of_role("control"))
+    values = block.points.values.copy()
+    values[row, 0] += 18.0
+    typed = replace(block, points=replace(block.points, values=values))
+    said = findings(typed)
+    assert block.points.names[row] in said["control-mistyped"]
+    (one,) = mistyped_control(typed, values)[1]
+    assert one.d == pytest.approx([18.0, 0.0, 0.0], abs=0.3)
+
+
+def test_coordinates_of_the_neighbouring_map_zone() -> None:
+    """Against the place that pyproj gives to the same point in zone 23."""
+    from pyproj import Transformer
+
+    wanted = np.array([700_000.0, 7_200_000.0, 30.0])
+    given = np.array([*Transformer.from_crs(31982, 31983, always_xy=True).transform(*wanted[:2]), 30.0])
+    sigma = np.full(3, 0.02)
+    assert _slips(given, wanted, sigma, "EPSG:31982") == ("zone X 23",)
+    assert _slips(given, wanted, sigma, "local") == ()
+
+
+def test_two_wrong_points_and_a_shift_of_all_of_them() -> None:
+    """Differences alone: the shift is nobody's fault, a common error neither."""
+    rng = np.random.default_rng(4)
+    n = 7
+    covariance = np.kron(np.full((n, n), 0.2**2), np.eye(3)) + 0.02**2 * np.eye(3 * n)
+    d = 0.3 + 0.02 * rng.standard_normal((n, 3))
+    common = np.tile(np.eye(3), (n, 1))
+    assert contradicting(d, covariance, common) == ()
+    d[2, 0] += 0.4
+    d[5, 2] -= 1.0
+    assert set(contradicting(d, covariance, common)) == {2, 5}
+    # Of two points that disagree nobody knows which one is wrong.
+    assert contradicting(d[1:3], covariance[:6, :6], common[:6]) == ()
 
 
 def test_no_control_point_is_blamed_for_a_shift_of_the_datum(flown: Flown) -> None:
