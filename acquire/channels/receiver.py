@@ -220,9 +220,9 @@ def _hpposllh(batch: Batch) -> _Fixes:
     f = found.fields
     return _Fixes(
         found.index,
-        latitude_deg=f["lat"] * 1e-7 + f["latHp"] * 1e-9,
-        longitude_deg=f["lon"] * 1e-7 + f["lonHp"] * 1e-9,
-        height_m=f["height"] * 1e-3 + f["heightHp"] * 1e-4,
+        latitude_deg=f["lat"] * 1e-7 + f["_HPlat"] * 1e-9,
+        longitude_deg=f["lon"] * 1e-7 + f["_HPlon"] * 1e-9,
+        height_m=f["height"] * 1e-3 + f["_HPheight"] * 1e-4,
         horizontal_m=f["hAcc"] * 1e-4,
         vertical_m=f["vAcc"] * 1e-4,
         valid=(f["flags"] & 1) == 0,

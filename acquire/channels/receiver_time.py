@@ -63,13 +63,14 @@ class ReceiverClock:
         parts = {"RXM-RAWX": (epochs.index[usable], gps_to_utc_ns(gps, leap(epochs.index[usable])))}
         timegps = ubx.decode(batch, ubx.NAV_TIMEGPS)
         f = timegps.fields
-        sure = (f["valid"] & 3) == 3
+        sure = (f["valid_bit"] & 3) == 3
         gps = week_to_ns(f["week"], f["iTOW"] * 1e-3 + f["fTOW"] * 1e-9)[sure]
         parts["NAV-TIMEGPS"] = (timegps.index[sure], gps_to_utc_ns(gps, leap(timegps.index[sure])))
-        for name, kind, mask in (("NAV-PVT", ubx.NAV_PVT, 3), ("NAV-TIMEUTC", ubx.NAV_TIMEUTC, 4)):
+        told = (("NAV-PVT", ubx.NAV_PVT, "valid", 3), ("NAV-TIMEUTC", ubx.NAV_TIMEUTC, "validflags_bit", 4))
+        for name, kind, flags, mask in told:
             civil = ubx.decode(batch, kind)
             f = civil.fields
-            sure = (f["valid"] & mask) == mask
+            sure = (f[flags] & mask) == mask
             seconds = f["hour"].astype(np.int64) * 3600 + f["min"].astype(np.int64) * 60 + f["sec"]
             utc = utc_date_ns(f["year"], f["month"], f["day"]) + seconds * SECOND_NS + f["nano"]
             parts[name] = (civil.index[sure], utc[sure])

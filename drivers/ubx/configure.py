@@ -12,20 +12,11 @@ from dataclasses import dataclass
 
 from drivers.errors import DeviceError
 from drivers.ubx.decode import ACK_ACK, ACK_NAK, NAV_PVT, RXM_RAWX, RXM_SFRBX, TIM_TM2
-from drivers.ubx.wire import encode
 
 MON_VER, CFG_MSG, CFG_RATE, CFG_VALSET, CFG_VALGET = 0x0A04, 0x0601, 0x0608, 0x068A, 0x068B
 MESSAGES = {"NAV-PVT": NAV_PVT, "RXM-RAWX": RXM_RAWX, "RXM-SFRBX": RXM_SFRBX, "TIM-TM2": TIM_TM2}
 PORTS = ("i2c", "uart1", "uart2", "usb", "spi")
 
-# Key of the rate on the first port (I2C); the other ports follow in the order of `PORTS`.
-_OUTPUT_KEYS = {
-    "NAV-PVT": 0x20910006,
-    "RXM-RAWX": 0x209102A4,
-    "RXM-SFRBX": 0x20910231,
-    "TIM-TM2": 0x20910178,
-}
-_RATE_KEY = 0x30210001
 _RAM = 1
 
 
@@ -109,21 +100,25 @@ def steps(version: Version, port: str, messages: tuple[str, ...], rate_ms: int) 
     rate_ms : int
         Time between measurements, milliseconds.
     """
+    from pyubx2 import POLL, SET, UBXMessage, cfgname2key
+
     if version.generation >= 9:
-        keys = [(_OUTPUT_KEYS[name] + PORTS.index(port), 1) for name in messages] + [(_RATE_KEY, rate_ms)]
-        content = b"".join(struct.pack("<I", key) + _value(key, value) for key, value in keys)
-        poll = b"\0\0\0\0" + b"".join(struct.pack("<I", key) for key, _ in keys)
-        frame = encode(CFG_VALSET, bytes((0, _RAM, 0, 0)) + content)
-        return [Step("output and rate", frame, CFG_VALSET, encode(CFG_VALGET, poll), tuple(keys))]
+        wanted = [(f"CFG_MSGOUT_UBX_{name.replace('-', '_')}_{port.upper()}", 1) for name in messages]
+        wanted.append(("CFG_RATE_MEAS", rate_ms))
+        keys = tuple((int(cfgname2key(name)[0]), value) for name, value in wanted)
+        frame = UBXMessage.config_set(_RAM, 0, wanted).serialize()
+        poll = UBXMessage.config_poll(0, 0, [name for name, _ in wanted]).serialize()
+        return [Step("output and rate", frame, CFG_VALSET, poll, keys)]
     made = []
     for name in messages:
         kind = MESSAGES[name].to_bytes(2, "big")
         # Three bytes mean the port over which the request comes.
-        frame = encode(CFG_MSG, kind + b"\x01")
-        made.append(Step(name, frame, CFG_MSG, encode(CFG_MSG, kind), ((MESSAGES[name], 1),)))
-    rate = struct.pack("<HHH", rate_ms, 1, 1)
-    frame = encode(CFG_RATE, rate)
-    return [*made, Step("rate", frame, CFG_RATE, encode(CFG_RATE, b""), ((CFG_RATE, rate_ms),))]
+        frame = UBXMessage("CFG", "CFG-MSG", SET, payload=kind + b"\x01").serialize()
+        poll = UBXMessage("CFG", "CFG-MSG", POLL, payload=kind).serialize()
+        made.append(Step(name, frame, CFG_MSG, poll, ((MESSAGES[name], 1),)))
+    frame = UBXMessage("CFG", "CFG-RATE", SET, measRate=rate_ms, navRate=1, timeRef=1).serialize()
+    poll = UBXMessage("CFG", "CFG-RATE", POLL).serialize()
+    return [*made, Step("rate", frame, CFG_RATE, poll, ((CFG_RATE, rate_ms),))]
 
 
 def read_settings(kind: int, payload: bytes) -> dict[int, int]:
@@ -153,10 +148,6 @@ def acknowledged(kind: int, payload: bytes) -> tuple[int, bool] | None:
 def _width(key: int) -> int:
     # Bits 28 to 30 of a key tell the size of its value.
     return {1: 1, 2: 1, 3: 2, 4: 4, 5: 8}.get(key >> 28 & 7, 1)
-
-
-def _value(key: int, value: int) -> bytes:
-    return value.to_bytes(_width(key), "little")
 
 
 def _text(field: bytes) -> str:

@@ -7,6 +7,7 @@ units of the wire; only what needs scaling before it has a meaning is scaled her
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -21,25 +22,6 @@ NAV_POSLLH, NAV_PVT, NAV_HPPOSLLH, NAV_TIMEGPS, NAV_TIMEUTC, NAV_SVIN = (
 RXM_SFRBX, RXM_RAWX, TIM_TM2 = 0x0213, 0x0215, 0x0D03
 ACK_NAK, ACK_ACK = 0x0500, 0x0501
 
-_NAMES = {
-    0x0101: "NAV-POSECEF", NAV_POSLLH: "NAV-POSLLH", 0x0103: "NAV-STATUS", 0x0104: "NAV-DOP", 0x0106:
-    "NAV-SOL", NAV_PVT: "NAV-PVT", 0x0109: "NAV-ODO", 0x0111: "NAV-VELECEF", 0x0112: "NAV-VELNED", 0x0113:
-    "NAV-HPPOSECEF", NAV_HPPOSLLH: "NAV-HPPOSLLH", NAV_TIMEGPS: "NAV-TIMEGPS", NAV_TIMEUTC: "NAV-TIMEUTC",
-    0x0122: "NAV-CLOCK", 0x0124: "NAV-TIMEBDS", 0x0123: "NAV-TIMEGLO", 0x0125: "NAV-TIMEGAL", 0x0126:
-    "NAV-TIMELS", 0x0130: "NAV-SVINFO", 0x0131: "NAV-DGPS", 0x0132: "NAV-SBAS", 0x0134: "NAV-ORB", 0x0135:
-    "NAV-SAT", 0x0136: "NAV-COV", 0x0139: "NAV-GEOFENCE", NAV_SVIN: "NAV-SVIN", 0x013C: "NAV-RELPOSNED",
-    0x0143: "NAV-SIG", 0x0160: "NAV-AOPSTATUS", 0x0161: "NAV-EOE", 0x0210: "RXM-RAW", 0x0211: "RXM-SFRB",
-    RXM_SFRBX: "RXM-SFRBX", 0x0214: "RXM-MEASX", RXM_RAWX: "RXM-RAWX", 0x0220: "RXM-SVSI", 0x0232:
-    "RXM-RTCM", 0x0241: "RXM-PMREQ", 0x0259: "RXM-RLM", ACK_NAK: "ACK-NAK", ACK_ACK: "ACK-ACK", 0x0600:
-    "CFG-PRT", 0x0601: "CFG-MSG", 0x0608: "CFG-RATE", 0x068A: "CFG-VALSET", 0x068B: "CFG-VALGET", 0x068C:
-    "CFG-VALDEL", 0x0A04: "MON-VER", 0x0A09: "MON-HW", 0x0A0B: "MON-HW2", 0x0A02: "MON-IO", 0x0A06:
-    "MON-MSGPP", 0x0A07: "MON-RXBUF", 0x0A08: "MON-TXBUF", 0x0A36: "MON-COMMS", 0x0A38: "MON-RF", 0x0D01:
-    "TIM-TP", TIM_TM2: "TIM-TM2", 0x0D06: "TIM-VRFY", 0x1002: "ESF-MEAS", 0x1003: "ESF-RAW", 0x1010:
-    "ESF-STATUS", 0x1014: "ESF-ALG", 0x1015: "ESF-INS", 0x0400: "INF-ERROR", 0x0401: "INF-WARNING", 0x0402:
-    "INF-NOTICE", 0x0403: "INF-TEST", 0x0404: "INF-DEBUG", 0x2801: "HNR-ATT", 0x2802: "HNR-INS", 0x2800:
-    "HNR-PVT",
-}  # fmt: skip
-
 
 def _layout(*members: tuple[str, str] | tuple[str, str, int]) -> np.dtype[Any]:
     return np.dtype([(m[0], "<" + m[1], *m[2:]) for m in members])
@@ -52,32 +34,6 @@ _PVT = _layout(
     ("vAcc", "u4"), ("velN", "i4"), ("velE", "i4"), ("velD", "i4"), ("gSpeed", "i4"), ("headMot", "i4"),
     ("sAcc", "u4"), ("headAcc", "u4"), ("pDOP", "u2"), ("flags3", "u1"), ("reserved1", "u1", 5), ("headVeh",
     "i4"), ("magDec", "i2"), ("magAcc", "u2"),
-)  # fmt: skip
-_HPPOSLLH = _layout(
-    ("version", "u1"), ("reserved1", "u1", 2), ("flags", "u1"), ("iTOW", "u4"), ("lon", "i4"), ("lat", "i4"),
-    ("height", "i4"), ("hMSL", "i4"), ("lonHp", "i1"), ("latHp", "i1"), ("heightHp", "i1"), ("hMSLHp", "i1"),
-    ("hAcc", "u4"), ("vAcc", "u4"),
-)  # fmt: skip
-_POSLLH = _layout(
-    ("iTOW", "u4"),
-    ("lon", "i4"),
-    ("lat", "i4"),
-    ("height", "i4"),
-    ("hMSL", "i4"),
-    ("hAcc", "u4"),
-    ("vAcc", "u4"),
-)
-_TIMEGPS = _layout(
-    ("iTOW", "u4"), ("fTOW", "i4"), ("week", "i2"), ("leapS", "i1"), ("valid", "u1"), ("tAcc", "u4")
-)
-_TIMEUTC = _layout(
-    ("iTOW", "u4"), ("tAcc", "u4"), ("nano", "i4"), ("year", "u2"), ("month", "u1"), ("day", "u1"), ("hour",
-    "u1"), ("min", "u1"), ("sec", "u1"), ("valid", "u1"),
-)  # fmt: skip
-_SVIN = _layout(
-    ("version", "u1"), ("reserved1", "u1", 3), ("iTOW", "u4"), ("dur", "u4"), ("meanX", "i4"), ("meanY",
-    "i4"), ("meanZ", "i4"), ("meanXHP", "i1"), ("meanYHP", "i1"), ("meanZHP", "i1"), ("reserved2", "u1"),
-    ("meanAcc", "u4"), ("obs", "u4"), ("valid", "u1"), ("active", "u1"), ("reserved3", "u1", 2),
 )  # fmt: skip
 _TM2 = _layout(
     ("ch", "u1"), ("flags", "u1"), ("count", "u2"), ("wnR", "u2"), ("wnF", "u2"), ("towMsR", "u4"),
@@ -96,15 +52,36 @@ _SIGNAL = _layout(
     ("freqId", "u1"), ("locktime", "u2"), ("cno", "u1"), ("prStdev", "u1"), ("cpStdev", "u1"), ("doStdev",
     "u1"), ("trkStat", "u1"), ("reserved2", "u1"),
 )  # fmt: skip
-LAYOUTS = {
-    NAV_PVT: _PVT, NAV_HPPOSLLH: _HPPOSLLH, NAV_POSLLH: _POSLLH, NAV_TIMEGPS: _TIMEGPS, NAV_TIMEUTC: _TIMEUTC,
-    NAV_SVIN: _SVIN, TIM_TM2: _TM2, RXM_SFRBX: _SFRBX, RXM_RAWX: _RAWX,
-}  # fmt: skip
+# The messages that come at high rates, or of which more is needed than the table of pyubx2 has.
+_HOT = {NAV_PVT: _PVT, TIM_TM2: _TM2, RXM_SFRBX: _SFRBX, RXM_RAWX: _RAWX}
+_TYPES = {"U": "u", "I": "i", "X": "u", "R": "f", "E": "u", "L": "u"}
 
 
+@cache
+def layout(kind: int) -> np.dtype[Any]:
+    """Return the layout of a message of fixed size: of hot ones ours, of all others that of pyubx2.
+
+    pyubx2 calls parts that it adds to other fields and fields of flags ``_HPlon`` and ``valid_bit``.
+    """
+    if kind in _HOT:
+        return _HOT[kind]
+    from pyubx2.ubxtypes_get import UBX_PAYLOADS_GET
+
+    members: list[tuple[str, str]] = []
+    for name, form in UBX_PAYLOADS_GET[kind_name(kind)].items():
+        text = form if isinstance(form, str) else form[0]
+        letter, size = text[0], int(text[1:])
+        whole = size in (1, 2, 4, 8)
+        members.append((name, f"<{_TYPES[letter]}{size}" if whole and letter in _TYPES else f"V{size}"))
+    return np.dtype(members)
+
+
+@cache
 def kind_name(kind: int) -> str:
     """Return the name of a message, or its class and id in hexadecimal digits."""
-    return _NAMES.get(kind, f"{kind >> 8:02X}-{kind & 0xFF:02X}")
+    from pyubx2 import UBX_MSGIDS
+
+    return str(UBX_MSGIDS.get(kind.to_bytes(2, "big"), f"{kind >> 8:02X}-{kind & 0xFF:02X}"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +122,7 @@ def correction_age_s(pvt: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def decode(batch: Batch, kind: int) -> Messages:
-    """Decode all messages of one of the kinds in `LAYOUTS`; polls and shorter versions are left out.
+    """Decode all messages of a kind of fixed size; polls and shorter versions are left out.
 
     Parameters
     ----------
@@ -154,7 +131,7 @@ def decode(batch: Batch, kind: int) -> Messages:
     kind : int
         Class * 256 + id.
     """
-    row = LAYOUTS[kind]
+    row = layout(kind)
     index = batch.where(Wire.UBX, kind)
     payload = batch.length[index] - 8
     # NAV-PVT had 84 bytes before protocol 15: what it lacks reads as zero.

@@ -163,20 +163,36 @@ def logged_exposures(log: FlightLog) -> list[Events]:
     for messages in log.topic(EXPOSURES):
         rows = zip(messages.payloads, messages.log_ns.tolist(), messages.publish_ns.tolist(), strict=True)
         for payload, log_ns, publish_ns in rows:
-            row = json.loads(payload)
-            source = str(row["source"])
-            if source == "TIM-TM2":
-                continue
-            own = found.setdefault(source, {})
-            time = row.get("time")
-            # MAVLink without a time of the device repeats the time of arrival.
-            if time is None or (log_ns == publish_ns and source in _MAVLINK):
-                untimed[source] = untimed.get(source, 0) + 1
-                continue
-            key = (int(time["sec"]) * SECOND_NS + int(time["nsec"]), int(row.get("sequence", -1)))
-            claimed = [row.get(name) for name in _CLAIMED]
-            own[key] = tuple(np.nan if v is None else float(v) for v in (row.get("accuracy_ns"), *claimed))
+            try:
+                _note(json.loads(payload), log_ns == publish_ns, found, untimed)
+            except (LookupError, TypeError, ValueError, OverflowError, RecursionError) as damage:
+                raise InputMalformedError(
+                    f"holds an exposure that cannot be read ({type(damage).__name__})",
+                    where=log,
+                    remedy="run acquire recover",
+                ) from damage
     return [_logged(source, rows, untimed.get(source, 0)) for source, rows in found.items()]
+
+
+def _note(
+    row: dict[str, Any],
+    arrived_as_told: bool,
+    found: dict[str, dict[tuple[int, int], tuple[float, ...]]],
+    untimed: dict[str, int],
+) -> None:
+    """Take one exposure of the log."""
+    source = str(row["source"])
+    if source == "TIM-TM2":
+        return
+    rows = found.setdefault(source, {})
+    time = row.get("time")
+    # MAVLink without a time of the device repeats the time of arrival.
+    if time is None or (arrived_as_told and source in _MAVLINK):
+        untimed[source] = untimed.get(source, 0) + 1
+        return
+    key = (int(time["sec"]) * SECOND_NS + int(time["nsec"]), int(row.get("sequence", -1)))
+    claimed = [row.get(name) for name in _CLAIMED]
+    rows[key] = tuple(np.nan if v is None else float(v) for v in (row.get("accuracy_ns"), *claimed))
 
 
 def _logged(source: str, rows: dict[tuple[int, int], tuple[float, ...]], untimed: int) -> Events:

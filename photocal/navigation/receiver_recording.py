@@ -129,7 +129,7 @@ class ReceiverRecording:
 
     def marks(self) -> NDArray[Any]:
         """Return all TIM-TM2 fields in the order of the file."""
-        return np.concatenate(self.time_marks) if self.time_marks else np.empty(0, ubx.LAYOUTS[ubx.TIM_TM2])
+        return np.concatenate(self.time_marks) if self.time_marks else np.empty(0, ubx.layout(ubx.TIM_TM2))
 
     def epochs_before_marks(self) -> Integers:
         """Return the epoch before each TIM-TM2 message in the stream (GPS ns); -1 before the first."""

@@ -109,7 +109,7 @@ def test_high_precision_positions_are_those_of_pyubx2(shared: Path) -> None:
     assert len(ours) > 20
     for row, index in enumerate(ours.index.tolist()):
         theirs = UBXReader.parse(batch.frame(index).data)
-        latitude = ours.fields["lat"][row] * 1e-7 + ours.fields["latHp"][row] * 1e-9
+        latitude = ours.fields["lat"][row] * 1e-7 + ours.fields["_HPlat"][row] * 1e-9
         assert latitude == pytest.approx(theirs.lat, abs=2e-9)
         assert ours.fields["iTOW"][row] == theirs.iTOW
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from acquire.log.reader import Messages
 from acquire.log.records import Channel, Schema
 from drivers.errors import InputMalformedError
-from drivers.ubx.decode import LAYOUTS, TIM_TM2
+from drivers.ubx.decode import TIM_TM2, layout
 from photocal.navigation.events import FALLING, RISING, logged_exposures, time_marks
 from photocal.navigation.exposure_sources import events_of
 from photocal.navigation.flight_log import FlightLog
@@ -28,7 +28,7 @@ NEW_RISING_UTC, NEW_FALLING_UTC = 241, 117
 
 
 def marks(*rows: tuple[int, int, int, int]) -> NDArray[Any]:
-    table = np.zeros(len(rows), LAYOUTS[TIM_TM2])
+    table = np.zeros(len(rows), layout(TIM_TM2))
     for row, (flags, count, week, ms) in zip(table, rows, strict=True):
         row["flags"], row["count"] = flags, count
         row["wnR"] = row["wnF"] = week
