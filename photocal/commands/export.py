@@ -10,16 +10,13 @@ import typer
 
 from acquire.console import answer
 from drivers.errors import ConfigurationError
+from photocal.exchange.formats import exported
 
 if TYPE_CHECKING:
-    from photocal.exchange.geographic import Origin
-    from photocal.exchange.orientation_tables import Angle
+    from photocal.exchange.choices import Angle, Origin
     from photocal.exchange.reconstruction import Reconstruction
 
-FORMATS = (
-    "colmap, colmap-binary, opencv, opensfm, odm, metashape, metashape-csv, pix4d, opf, photomodeler, dbat, "
-    "jaicov, micmac, patb, inpho, geojson, kml, geopackage"
-)
+FORMATS = ", ".join(exported())
 
 
 def export(
@@ -42,10 +39,10 @@ def export(
     Example: `photocal export run --format colmap -o colmap`
     """
     from acquire.outputs import output_folder
+    from photocal.exchange.choices import Choices
     from photocal.exchange.formats import export as write
     from photocal.exchange.formats import named
     from photocal.exchange.reconstruction import of_result
-    from photocal.exchange.writers import Choices
     from photocal.results.folder import read_result
 
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.000Z")
@@ -91,7 +88,7 @@ def _angle_unit(text: str) -> Angle | None:
 
 
 def _origin(text: str) -> Origin | None:
-    from photocal.exchange.geographic import Origin
+    from photocal.exchange.choices import Origin
     from photocal.exchange.source import number
 
     if text == "":

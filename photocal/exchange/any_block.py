@@ -19,6 +19,6 @@ def read_any_block(source: Path) -> Block:
     if not source.is_file():
         return read_block(source)
     # Readers of other programs' formats are many; a block folder needs none of them.
-    from photocal.exchange.format_detection import read_foreign_block
+    from photocal.exchange.formats import read_foreign_block
 
     return read_foreign_block(source)

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError
+from photocal.block.model import Block
+from photocal.exchange.choices import Choices
 from photocal.exchange.colmap_binary import read_binary_model, write_binary_model
 from photocal.exchange.colmap_content import MODELS, NO_POINT, NUMBERS, Content, Lens, Shot
 from photocal.exchange.colmap_text import read_text_model, write_text_model
@@ -30,9 +32,10 @@ from photocal.exchange.pinhole import (
     to_pinhole,
     to_vision,
 )
-from photocal.exchange.reconstruction import Reconstruction
+from photocal.exchange.reconstruction import Reconstruction, vision_block
 from photocal.geometry.camera import PARAMETERS, Camera
 
+FILES = ("cameras", "images", "points3D")
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
@@ -156,3 +159,20 @@ def _camera(lens: Lens, place: object) -> Camera:
     own = from_pinhole(pinhole, str(lens.key), place)
     free = {"c", "x0", "y0"}.union(*(ours for theirs, ours in _FREES.items() if theirs in value))
     return replace(own, estimated=np.array([parameter in free for parameter in PARAMETERS]))
+
+
+def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """cameras.txt, images.txt, points3D.txt."""
+    return write_colmap(folder, given)
+
+
+def export_binary(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """cameras.bin, images.bin, points3D.bin."""
+    return write_colmap(folder, given, binary=True)
+
+
+def read_model_block(path: Path) -> Block:
+    """Read a COLMAP model."""
+    given = read_colmap(path.parent)
+    suffix = ".bin" if (path.parent / "cameras.bin").exists() else ".txt"
+    return vision_block(path.parent.name, given, [path.with_name(name + suffix) for name in FILES])

@@ -17,6 +17,7 @@ from photocal.exchange import parts
 from photocal.exchange.dbat_camera import NAMES, DbatCamera, from_dbat, to_column_row
 from photocal.exchange.dbat_tables import CONTROL_FIELDS, IMAGE_FIELDS, MARK_FIELDS, Row, read_rows
 from photocal.exchange.markup import child, read_xml, text_of
+from photocal.exchange.reconstruction import Reconstruction, of_block
 from photocal.exchange.source import beside, fingerprint, image_size, number
 
 _UNITS = {"mm": 1.0, "m": 1e3, "um": 1e-3}
@@ -277,3 +278,13 @@ def _list(
             f"<{name}> has {len(values)} values where {count} were expected", where=path
         )
     return values
+
+
+def read_back(folder: Path) -> Reconstruction:
+    """A set-up with its tables; it has no orientations."""
+    return of_block(read_dbat(folder / "setup.xml"))
+
+
+def recognises(path: Path) -> bool:
+    """Whether an XML file is a set-up of this program."""
+    return "dbat_script_version" in read_xml(path).attrib

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block, ObjectPoints
-from photocal.exchange.convert import unbalanced
+from photocal.exchange.choices import Choices
+from photocal.exchange.convert import Conversion, unbalanced
 from photocal.exchange.dbat_camera import to_dbat
 from photocal.exchange.markup import write_xml
+from photocal.exchange.reconstruction import Reconstruction, as_block
 from photocal.geometry.camera import PARAMETERS, Camera, plane_to_pixel
 
 Floats = NDArray[np.float64]
@@ -176,3 +178,9 @@ def _operations(element: Element, own: Camera) -> None:
 def _write(path: Path, rows: list[list[object]]) -> None:
     lines = (", ".join(cell if isinstance(cell, str) else repr(cell) for cell in row) for row in rows)
     path.write_text("".join(line + "\n" for line in lines), encoding="utf-8", newline="\n")
+
+
+def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """A set-up and its tables."""
+    write_dbat(folder, as_block(given, given.name, 1.0, ()))
+    return tuple(Conversion(own) for own in given.cameras)

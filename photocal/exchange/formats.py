@@ -1,27 +1,31 @@
 """The formats of other programs: what each holds and means, and who writes and reads it.
 
-The table is the one place that says it; docs/exchange.md is made of it
-(`python -m photocal.exchange.formats`).
+A new format is a module and an entry of this table; its functions are loaded when they are used.
+docs/exchange.md is made of it (`python -m photocal.exchange.formats`).
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from fnmatch import fnmatch
+from importlib import import_module
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from drivers.errors import ConfigurationError
-from photocal.exchange import readers, writers
-from photocal.exchange.convert import Conversion
-from photocal.exchange.reconstruction import Reconstruction
-from photocal.exchange.writers import Choices, Writer
+from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+
+if TYPE_CHECKING:
+    from photocal.block.model import Block
+    from photocal.exchange.choices import Choices
+    from photocal.exchange.convert import Conversion
+    from photocal.exchange.reconstruction import Reconstruction
 
 Part = Literal["cameras", "orientations", "points", "marks"]
 # cartesian: a block in a reference system is taken to its topocentric frame; own: coordinates as they are;
 # wgs84: longitude, latitude and ellipsoidal height; none: no places.
 Space = Literal["cartesian", "own", "wgs84", "none"]
-Reader = Callable[[Path], Reconstruction]
 
 WHOLE: tuple[Part, ...] = ("cameras", "orientations", "points", "marks")
 VISION = "x right, y down, z forward"
@@ -31,7 +35,7 @@ CENTRE, CORNER = "centre of the first pixel", "corner of the first pixel"
 
 @dataclass(frozen=True)
 class Format:
-    """One format.
+    """One format; functions are named as `module:function` within this room, or by a dotted module.
 
     Attributes
     ----------
@@ -49,8 +53,15 @@ class Format:
         Of the camera.
     distortion : {"brown-ideal", "brown-observed", "none"}
         Its direction: added to the projection, or correcting the measurement.
-    read : callable or None
-        Takes the folder, or the file, that was written.
+    writes : str
+        Takes a folder, a `Reconstruction` and `Choices`; gives a `Conversion` for each camera. Empty: it is
+        not exported.
+    reads : str
+        Takes the folder that was written; gives a `Reconstruction`.
+    blocks : str
+        Takes a file of which the name fits one of `opens`; gives the block that `photocal adjust` takes.
+    recognises : str
+        Whether such a file is of this format, where its name does not say it.
     """
 
     name: str
@@ -61,63 +72,98 @@ class Format:
     axes: str
     distortion: Literal["brown-ideal", "brown-observed", "none"]
     units: str
-    write: Writer
-    read: Reader | None
+    writes: str
+    reads: str
+    blocks: str = ""
+    opens: tuple[str, ...] = ()
+    recognises: str = ""
+
+    @property
+    def read(self) -> Callable[[Path], Reconstruction] | None:
+        """Reader of a folder that was written."""
+        return _loaded(self.reads) if self.reads else None
+
+    def takes(self, path: Path) -> bool:
+        """Whether a file is one of this format."""
+        named = any(fnmatch(path.name.lower(), pattern.lower()) for pattern in self.opens)
+        return named and (not self.recognises or bool(_loaded(self.recognises)(path)))
+
+
+def _loaded(name: str) -> Callable[..., Any]:
+    module, _, function = name.partition(":")
+    found: Callable[..., Any] = getattr(
+        import_module(module if "." in module else f"photocal.exchange.{module}"), function
+    )
+    return found
 
 
 FORMATS: tuple[Format, ...] = (
     Format("colmap", "COLMAP, text", WHOLE, "cartesian", CORNER, VISION, "brown-ideal",
-           "px, m, unit quaternion", writers.colmap, readers.colmap),
+           "px, m, unit quaternion", "colmap:export", "colmap:read_colmap", "colmap:read_model_block",
+           ("cameras.txt", "images.txt", "points3D.txt")),
     Format("colmap-binary", "COLMAP, binary", WHOLE, "cartesian", CORNER, VISION, "brown-ideal",
-           "px, m, unit quaternion", writers.colmap_binary, readers.colmap),
+           "px, m, unit quaternion", "colmap:export_binary", "colmap:read_colmap",
+           "colmap:read_model_block", ("cameras.bin", "images.bin", "points3D.bin")),
     Format("opencv", "OpenCV, YAML or JSON", ("cameras",), "none", CENTRE, VISION, "brown-ideal", "px",
-           writers.opencv, readers.opencv),
+           "opencv:export", "opencv:read_back"),
     Format("opensfm", "OpenSfM and ODM, reconstruction", WHOLE, "cartesian",
            "middle of the image, by its larger side", VISION, "brown-ideal",
-           "larger side of the image, m, rotation vector", writers.opensfm, readers.opensfm),
+           "larger side of the image, m, rotation vector", "opensfm:export", "opensfm:read_back",
+           "opensfm:read_reconstruction_block", ("*.json",)),
     Format("odm", "ODM, gcp_list.txt and geo.txt", ("points", "marks"), "own", CENTRE, "none", "none",
-           "px, m", writers.odm, None),
-    Format("metashape", "Metashape, camera XML", ("cameras", "orientations", "points", "marks"), "cartesian",
-           CORNER, VISION, "brown-ideal", "px, m, 4 x 4 matrix", writers.metashape, readers.metashape),
+           "px, m", "ground_points:export", ""),
+    Format("metashape", "Metashape, camera XML", ("cameras", "orientations", "points", "marks"),
+           "cartesian", CORNER, VISION, "brown-ideal", "px, m, 4 x 4 matrix", "metashape_writer:export",
+           "metashape:read_back", "metashape:read_camera_block", ("*.xml",), "metashape:recognises"),
     Format("metashape-csv", "Metashape, reference tables", ("points",), "own", "none", "none", "none", "m",
-           writers.metashape_csv, None),
+           "reference_table:export", ""),
     Format("pix4d", "Pix4D, .cam", ("cameras",), "none", CORNER, VISION, "brown-ideal",
-           "mm on a nominal sensor", writers.pix4d, None),
+           "mm on a nominal sensor", "pix4d:export", ""),
     Format("opf", "Open Photogrammetry Format 1.0", WHOLE, "cartesian", CORNER, PHOTO, "brown-ideal",
-           "px, m, deg", writers.opf, readers.opf),
+           "px, m, deg", "opf_writer:export", "opf:read_back", "opf:read_project_block", ("*.opf",)),
     Format("photomodeler", "PhotoModeler, text export", WHOLE, "cartesian", CORNER, PHOTO, "brown-observed",
-           "px, mm in the camera, m, deg", writers.photomodeler, readers.photomodeler),
+           "px, mm in the camera, m, deg", "photomodeler_writer:export", "photomodeler:read_back",
+           "photomodeler:read_with_control", ("*.txt",), "photomodeler_export:looks_like_export"),
     Format("dbat", "DBAT, XML set-up", ("cameras", "points", "marks"), "cartesian", CORNER, PHOTO,
-           "brown-observed", "px, mm in the camera, m", writers.dbat, readers.dbat),
+           "brown-observed", "px, mm in the camera, m", "dbat_writer:export", "dbat:read_back",
+           "dbat:read_dbat", ("*.xml",), "dbat:recognises"),
     Format("jaicov", "JAICOV and AICON 3D Studio", WHOLE, "cartesian", "middle of the sensor, y up", PHOTO,
-           "brown-ideal", "mm, rad", writers.jaicov, readers.jaicov),
+           "brown-ideal", "mm, rad", "jaicov_writer:export", "jaicov:read_back", "jaicov:read_jaicov",
+           ("*.ior", "*.eor", "*.obc", "*.phc")),
     Format("micmac", "MicMac, XML", WHOLE, "cartesian", CENTRE, VISION, "brown-ideal", "px, m, matrix",
-           writers.micmac, readers.micmac),
+           "micmac_writer:export", "micmac_writer:read_back"),
     Format("patb", "PATB style, tables", ("orientations",), "own", "none", PHOTO, "none",
-           "m; deg or gon, as asked; matrix from camera to object", writers.patb, readers.patb),
+           "m; deg or gon, as asked; matrix from camera to object", "orientation_tables:export",
+           "orientation_tables:read_back"),
     Format("inpho", "Inpho, .prj", ("orientations",), "own", CENTRE, PHOTO, "none",
-           "mm in the camera, m, matrix from object to camera", writers.inpho, readers.inpho),
+           "mm in the camera, m, matrix from object to camera", "inpho:export", "inpho:read_back"),
     Format("geojson", "GeoJSON", ("orientations", "points"), "wgs84", CENTRE, PHOTO, "none", "deg, m, px",
-           writers.geojson, None),
+           "geographic:export_geojson", ""),
     Format("kml", "KML", ("orientations", "points"), "wgs84", CENTRE, PHOTO, "none", "deg, m, px",
-           writers.kml, None),
+           "geographic:export_kml", ""),
     Format("geopackage", "GeoPackage", ("orientations", "points", "marks"), "wgs84", CENTRE, PHOTO, "none",
-           "deg, m, px", writers.geopackage, None),
+           "deg, m, px", "geopackage:export", ""),
+    Format("photoscan", "PhotoScan, project", WHOLE, "own", CORNER, VISION, "brown-ideal", "px, m", "", "",
+           "photoscan:read_photoscan", ("*.psz",)),
 )  # fmt: skip
 
 
+def exported() -> tuple[str, ...]:
+    """Names of the formats that can be written."""
+    return tuple(form.name for form in FORMATS if form.writes)
+
+
 def named(name: str) -> Format:
-    """Find a format.
+    """Find a format that can be written.
 
     Raises
     ------
     ConfigurationError
         When it is not known.
     """
-    found = next((form for form in FORMATS if form.name == name), None)
+    found = next((form for form in FORMATS if form.name == name and form.writes), None)
     if found is None:
-        known = ", ".join(form.name for form in FORMATS)
-        raise ConfigurationError(f"format {name!r} is not known", remedy=f"use {known}")
+        raise ConfigurationError(f"format {name!r} is not known", remedy=f"use {', '.join(exported())}")
     return found
 
 
@@ -143,7 +189,26 @@ def export(form: Format, folder: Path, given: Reconstruction, choices: Choices) 
         from photocal.exchange.cartesian import to_cartesian
 
         given = to_cartesian(given)
-    return form.write(folder, given, choices)
+    made: tuple[Conversion, ...] = _loaded(form.writes)(folder, given, choices)
+    return made
+
+
+def read_foreign_block(path: Path) -> Block:
+    """Read a block of another program from one of its files."""
+    if not path.exists():
+        raise InputNotFoundError("does not exist", where=path, remedy="check the path")
+    form = next((form for form in FORMATS if form.takes(path)), None)
+    if form is None:
+        known = "; ".join(f"{one.title}: {', '.join(one.opens)}" for one in FORMATS if one.opens)
+        raise InputMalformedError(
+            "holds no block that is known",
+            where=path,
+            remedy=f"name a block folder, or a file of another program ({known})",
+        )
+    block: Block = _loaded(form.blocks)(path)
+    root = os.path.commonpath([Path(file.path).parent for file in block.inputs])
+    inputs = (replace(file, path=Path(file.path).relative_to(root).as_posix()) for file in block.inputs)
+    return replace(block, inputs=tuple(inputs))
 
 
 _SPACES = {
@@ -179,11 +244,6 @@ What a format wants and an adjustment does not know is filled in: OPF gets 1970-
 and 8-bit colour images; standard deviations that are not known are written as 0. Control points carry the
 standard deviations of the adjusted coordinates.
 """
-# What `photocal adjust` takes: see `foreign`.
-ADJUSTED = (
-    "colmap", "colmap-binary", "opensfm", "metashape", "opf", "photomodeler", "dbat", "jaicov",
-)  # fmt: skip
-
 # Read one by one, or with what only their reader is told: ground points, references, image size.
 IN_PARTS = ("odm", "metashape-csv", "pix4d")
 
@@ -212,9 +272,10 @@ def page() -> str:
             form.axes,
             form.distortion,
             form.units,
-            "adjust" if form.name in ADJUSTED else "yes" if form.read or form.name in IN_PARTS else "no",
+            "adjust" if form.opens else "yes" if form.read or form.name in IN_PARTS else "no",
         )
         for form in FORMATS
+        if form.writes
     ]
     return _PAGE.format(table="\n".join("| " + " | ".join(row) + " |" for row in rows))
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
@@ -19,6 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
+from photocal.exchange.cartesian import to_cartesian, to_wgs84
+from photocal.exchange.choices import Choices, Origin
+from photocal.exchange.convert import Conversion
 from photocal.exchange.markup import write_xml
 from photocal.exchange.pinhole import to_vision
 from photocal.exchange.reconstruction import Reconstruction
@@ -28,21 +30,6 @@ Floats = NDArray[np.float64]
 
 # Turns local coordinates, shape (n, 3), into longitude, latitude, height.
 ToGeographic = Callable[[Floats], Floats]
-
-
-@dataclass(frozen=True)
-class Origin:
-    """Where a local frame touches the ellipsoid.
-
-    Attributes
-    ----------
-    height_m : float
-        Ellipsoidal.
-    """
-
-    latitude_deg: float
-    longitude_deg: float
-    height_m: float
 
 
 def topocentric(origin: Origin) -> ToGeographic:
@@ -202,3 +189,32 @@ def _kml_geometry(place: Element, geometry: dict[str, Any]) -> None:
     ring = SubElement(SubElement(SubElement(place, "Polygon"), "outerBoundaryIs"), "LinearRing")
     corners = geometry["coordinates"][0]
     SubElement(ring, "coordinates").text = " ".join(f"{x!r},{y!r}" for x, y in corners)
+
+
+def export_geojson(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
+    """One collection of features."""
+    write_geojson(folder / "block.geojson", *located(given, choices))
+    return ()
+
+
+def export_kml(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
+    """One document."""
+    write_kml(folder / "block.kml", *located(given, choices))
+    return ()
+
+
+def located(given: Reconstruction, choices: Choices) -> tuple[Reconstruction, ToGeographic]:
+    """A Cartesian block, and the way from its coordinates to longitude, latitude and height."""
+    if given.frame != "local":
+        if choices.origin is not None:
+            raise ConfigurationError(
+                f"the block lies in {given.frame}, which tells where it is", remedy="leave out --origin"
+            )
+
+        return to_cartesian(given), to_wgs84(given)
+    if choices.origin is None:
+        raise ConfigurationError(
+            "where the local frame lies is not given",
+            remedy="name its origin: --origin LATITUDE,LONGITUDE,HEIGHT (deg, m above the ellipsoid)",
+        )
+    return given, topocentric(choices.origin)

@@ -14,7 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from photocal.exchange.geographic import ToGeographic, features
+from photocal.exchange.choices import Choices
+from photocal.exchange.convert import Conversion
+from photocal.exchange.geographic import ToGeographic, features, located
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geopackage import LOCAL, Feature, Layer, Value, add_layer, add_table, geopackage, wgs84
 
@@ -84,3 +86,12 @@ def _residuals(given: Reconstruction) -> Iterator[Sequence[Value]]:
         given.image.tolist(), given.point.tolist(), given.pixels.tolist(), residuals.tolist(), strict=True
     ):
         yield given.image_names[i], given.point_names[j], *pixel, *residual
+
+
+def export(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
+    """A layer for each kind of thing."""
+    turn: ToGeographic | None = None
+    if choices.origin is not None or given.frame != "local":
+        given, turn = located(given, choices)
+    write_geopackage(folder / "block.gpkg", given, turn, choices.changed_utc)
+    return ()

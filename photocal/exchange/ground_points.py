@@ -20,6 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.exchange.choices import Choices
+from photocal.exchange.convert import Conversion
 from photocal.exchange.parts import require_unique
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import Line, number, numbers, read_lines
@@ -243,3 +245,9 @@ def _head(path: Path) -> tuple[str, list[Line]]:
             remedy="write EPSG:n, WGS84 UTM zone, or a PROJ string in the first line",
         )
     return first, lines[1:]
+
+
+def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """gcp_list.txt of the control points, geo.txt of the images."""
+    write_odm(folder, given)
+    return ()

@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError
+from photocal.exchange.choices import Choices
 from photocal.exchange.convert import Conversion, apart_px
 from photocal.exchange.parts import poses_of_matrices, require_unique
-from photocal.exchange.reconstruction import Reconstruction
+from photocal.exchange.reconstruction import Reconstruction, orientations_alone
 from photocal.exchange.source import Line, numbers, read_lines
 from photocal.geometry.camera import Camera
 from photocal.geometry.rotation import matrix_from_angles
@@ -103,3 +104,13 @@ def _next(lines: Iterator[Line], path: Path, count: int) -> list[float]:
 
 def _text(values: Iterable[float]) -> str:
     return " ".join(repr(float(value)) for value in values)
+
+
+def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """Cameras and photos of a project."""
+    return write_inpho(folder / "orientations.prj", given)
+
+
+def read_back(folder: Path) -> Reconstruction:
+    """Photos of a project."""
+    return orientations_alone(*read_inpho(folder / "orientations.prj"))

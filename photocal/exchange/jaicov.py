@@ -22,6 +22,7 @@ from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.adjustment.network import RELATIONS, Relations
 from photocal.block.model import Block
 from photocal.exchange import parts
+from photocal.exchange.reconstruction import Reconstruction, of_block
 from photocal.exchange.source import (
     Line,
     fingerprint,
@@ -211,3 +212,8 @@ def _marks(
             x, y = number(cells[2], line.place, "x"), number(cells[3], line.place, "y")
             marks.append(parts.Mark(cells[0], cells[1], x, y, (sigma, sigma), line.place))
     return marks
+
+
+def read_back(folder: Path) -> Reconstruction:
+    """The four files of a project."""
+    return of_block(read_jaicov(folder / "block.ior", sigma_mm=1e-3))

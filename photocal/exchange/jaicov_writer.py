@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.errors import InputMalformedError
+from photocal.exchange.choices import Choices
 from photocal.exchange.convert import Conversion, converted
 from photocal.exchange.jaicov import MM
 from photocal.exchange.parts import whole_numbers
@@ -73,3 +74,8 @@ def _marks(given: Reconstruction, images: list[str], points: list[str]) -> list[
 def _write(path: Path, rows: Sequence[Row]) -> None:
     lines = (" ".join(cell if isinstance(cell, str) else repr(float(cell)) for cell in row) for row in rows)
     path.write_text("\n".join(lines) + "\n", encoding="ascii", newline="\n")
+
+
+def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """block.ior, block.eor, block.obc, block.phc."""
+    return write_jaicov(folder / "block", given)

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError
-from photocal.block.model import Role
+from photocal.block.model import Block, Role
 from photocal.exchange.markup import child, read_xml
 from photocal.exchange.pinhole import from_vision, require_credible
-from photocal.exchange.reconstruction import Reconstruction
+from photocal.exchange.reconstruction import Reconstruction, vision_block
 from photocal.exchange.source import image_size, number, numbers
 from photocal.geometry.camera import Camera, camera
 
@@ -223,3 +223,27 @@ def _triple(element: Element, keys: tuple[str, str, str], path: Path) -> tuple[f
 
 def _numbers(element: Element, path: Path, count: int) -> list[float]:
     return numbers(element.text or "", path, element.tag, count)
+
+
+def read_back(folder: Path) -> Reconstruction:
+    """Cameras, aligned images and markers."""
+    return read_metashape(folder / "cameras.xml").reconstruction
+
+
+def read_camera_block(path: Path) -> Block:
+    """Read a camera XML."""
+    chunk = read_metashape(path)
+    if chunk.crs:
+        raise InputMalformedError(
+            f"is in the coordinate system {chunk.crs[:60]!r}, its orientations are not",
+            where=path,
+            remedy="export the cameras of a chunk in local coordinates",
+        )
+    return vision_block(path.stem, chunk.reconstruction, [path])
+
+
+def recognises(path: Path) -> bool:
+    """Whether an XML file is one of cameras."""
+    root = read_xml(path)
+    # DBAT's set-ups are documents, too.
+    return root.tag == "document" and "dbat_script_version" not in root.attrib

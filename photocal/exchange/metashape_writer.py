@@ -7,6 +7,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
+from photocal.exchange.choices import Choices
 from photocal.exchange.convert import Conversion, converted, in_pixels
 from photocal.exchange.markup import write_xml
 from photocal.exchange.pinhole import to_vision
@@ -94,3 +95,8 @@ def _write_markers(chunk: Element, given: Reconstruction) -> None:
         for ray in np.flatnonzero(given.point == k):
             x, y = (given.pixels[ray] + 0.5).tolist()
             SubElement(rays, "location", camera_id=str(given.image[ray]), pinned="true", x=repr(x), y=repr(y))
+
+
+def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """A camera XML."""
+    return write_metashape(folder / "cameras.xml", given)

@@ -13,12 +13,13 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 from numpy.typing import NDArray
 
+from photocal.exchange.choices import Choices
 from photocal.exchange.convert import Conversion, converted, in_pixels
 from photocal.exchange.markup import write_xml
-from photocal.exchange.micmac import CONVENTION
+from photocal.exchange.micmac import CONVENTION, read_micmac
 from photocal.exchange.parts import require_file_name
 from photocal.exchange.pinhole import to_vision
-from photocal.exchange.reconstruction import Reconstruction
+from photocal.exchange.reconstruction import Reconstruction, of_block
 from photocal.geometry.camera import Camera
 
 Floats = NDArray[np.float64]
@@ -115,3 +116,13 @@ def _leaves(element: Element, *rows: tuple[str, str]) -> None:
 
 def _text(values: Iterable[float]) -> str:
     return " ".join(repr(float(value)) for value in values)
+
+
+def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """Ori-photocal, Ground-Pts3D.xml, GroundMeasure.xml."""
+    return write_micmac(folder, given)
+
+
+def read_back(folder: Path) -> Reconstruction:
+    """Control points, measurements, orientations and calibrations."""
+    return of_block(read_micmac(folder / "Ground-Pts3D.xml", folder / "GroundMeasure.xml", folder / FOLDER))

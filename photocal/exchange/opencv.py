@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError
+from photocal.exchange.choices import Choices, file_name
 from photocal.exchange.convert import Conversion
 from photocal.exchange.pinhole import Pinhole, from_pinhole, to_pinhole
-from photocal.exchange.source import image_size, read_text
+from photocal.exchange.reconstruction import Reconstruction, cameras_alone
+from photocal.exchange.source import files_of, image_size, read_text
 from photocal.geometry.camera import PARAMETERS, Camera
 
 Floats = NDArray[np.float64]
@@ -109,3 +111,13 @@ def _matrix(storage: Any, names: tuple[str, ...], path: Path) -> Floats:
                 raise InputMalformedError(f"{name} is no matrix of finite numbers", where=path)
             return np.asarray(found, dtype=float)
     raise InputMalformedError(f"has no {names[0]}", where=path, remedy="is it a calibration?")
+
+
+def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """A YAML file for each camera."""
+    return tuple(write_opencv(folder / f"{file_name(own.id)}.yml", own) for own in given.cameras)
+
+
+def read_back(folder: Path) -> Reconstruction:
+    """All calibrations of a folder, by their file names."""
+    return cameras_alone([read_opencv(path) for path in files_of(folder, "*.yml")])

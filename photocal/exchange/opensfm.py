@@ -19,10 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError
+from photocal.block.model import Block
+from photocal.exchange.choices import Choices
 from photocal.exchange.convert import Conversion
 from photocal.exchange.json_source import read_json, structured
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, to_pinhole, to_vision
-from photocal.exchange.reconstruction import Reconstruction
+from photocal.exchange.reconstruction import Reconstruction, vision_block
 from photocal.exchange.source import image_size, number, read_lines
 from photocal.geometry.camera import Camera
 
@@ -190,3 +192,24 @@ def _vectors(rotations: Floats) -> Floats:
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(rotations).as_rotvec(), dtype=float)
+
+
+def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """cameras.json, reconstruction.json, tracks.csv."""
+    return write_opensfm(folder, given)
+
+
+def read_back(folder: Path) -> Reconstruction:
+    """A reconstruction with its tracks."""
+    return read_reconstruction(folder / "reconstruction.json")
+
+
+def read_reconstruction_block(path: Path) -> Block:
+    """Read an OpenSfM reconstruction with its tracks."""
+    given = read_reconstruction(path)
+    tracks = tracks_beside(path)
+    if not tracks.is_file():
+        raise InputMalformedError(
+            "has no measurements", where=path, remedy=f"put the tracks beside it as {tracks.name}"
+        )
+    return vision_block(path.stem, given, [path, tracks])

@@ -22,10 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError
+from photocal.block.model import Block
 from photocal.exchange.json_source import read_json, structured
 from photocal.exchange.parts import require_unique
 from photocal.exchange.pinhole import LARGEST, Pinhole, from_pinhole
-from photocal.exchange.reconstruction import Reconstruction
+from photocal.exchange.reconstruction import Reconstruction, vision_block
 from photocal.exchange.source import beside, image_size
 from photocal.geometry.camera import Camera
 
@@ -215,3 +216,14 @@ def _coordinates(resources: _Resources, names: tuple[str, ...]) -> tuple[Floats,
 
 def _triples(rows: list[Any]) -> Floats:
     return np.array([[float(value) for value in row] for row in rows], dtype=float).reshape(-1, 3)
+
+
+def read_back(folder: Path) -> Reconstruction:
+    """A calibrated project."""
+    return read_opf(folder / "project.opf")
+
+
+def read_project_block(path: Path) -> Block:
+    """Read an OPF project."""
+    given = read_opf(path)
+    return vision_block(given.name, given, [path, *resource_files(path)])

@@ -16,6 +16,7 @@ from urllib.parse import quote
 
 import numpy as np
 
+from photocal.exchange.choices import Choices
 from photocal.exchange.convert import Conversion
 from photocal.exchange.opf import HALF, LOCAL_CRS, VERSION, format_name
 from photocal.exchange.pinhole import Pinhole, require_one_focal_length, to_pinhole
@@ -201,3 +202,8 @@ def _file(kind: str) -> str:
 
 def _write(path: Path, content: dict[str, Any]) -> None:
     path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8", newline="\n")
+
+
+def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """project.opf and its JSON files."""
+    return write_opf(folder, given)

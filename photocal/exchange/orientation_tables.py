@@ -10,18 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import InputMalformedError
+from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.exchange.choices import Angle, Choices
+from photocal.exchange.convert import Conversion
 from photocal.exchange.parts import poses_of_matrices, require_unique
+from photocal.exchange.reconstruction import Reconstruction, orientations_alone
 from photocal.exchange.source import numbers, read_lines
 from photocal.geometry.rotation import matrix_from_angles
 
 Floats = NDArray[np.float64]
-Angle = Literal["deg", "gon"]
 
 _CIRCLE: dict[Angle, float] = {"deg": 360.0, "gon": 400.0}
 
@@ -79,3 +80,21 @@ def _write(path: Path, head: str, names: Sequence[str], values: Floats) -> None:
 
 def _text(values: Sequence[float] | Floats) -> str:
     return " ".join(repr(float(value)) for value in values)
+
+
+def export(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
+    """A table of angles and one of rotation matrices."""
+    if choices.angle_unit is None:
+        raise ConfigurationError(
+            "the unit of the angles is not given", remedy="name it: --angle-unit deg or --angle-unit gon"
+        )
+    write_angles(
+        folder / f"orientations_{choices.angle_unit}.txt", given.image_names, given.poses, choices.angle_unit
+    )
+    write_matrices(folder / "orientations_matrix.txt", given.image_names, given.poses)
+    return ()
+
+
+def read_back(folder: Path) -> Reconstruction:
+    """The table of rotation matrices, which needs no unit."""
+    return orientations_alone(*read_matrices(folder / "orientations_matrix.txt"))

@@ -21,6 +21,7 @@ from photocal.block.model import Block
 from photocal.exchange import parts
 from photocal.exchange.dbat_tables import read_rows
 from photocal.exchange.photomodeler_export import Export, read_export
+from photocal.exchange.reconstruction import Reconstruction, of_block
 from photocal.exchange.source import fingerprint, read_lines
 from photocal.geometry.camera import Camera, camera
 
@@ -171,3 +172,14 @@ def _camera(export: Export, own: tuple[float, ...], name: str, place: str) -> Ca
         {"c": c, "x0": px - width / 2, "y0": height / 2 - py}
         | {"K1": -k1, "K2": -k2, "K3": -k3, "P1": -p1, "P2": -p2},
     )
+
+
+def read_back(folder: Path) -> Reconstruction:
+    """A text export with its table of control points."""
+    return of_block(read_with_control(folder / "block.txt"))
+
+
+def read_with_control(path: Path) -> Block:
+    """Read a text export with the table of control points that lies beside it."""
+    control = control_beside(path)
+    return read_photomodeler(path, control if control.exists() else None)

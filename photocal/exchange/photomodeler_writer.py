@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError
+from photocal.exchange.choices import Choices
 from photocal.exchange.convert import Conversion, converted
 from photocal.exchange.parts import require_file_name, whole_numbers
 from photocal.exchange.photomodeler import control_beside
@@ -117,3 +118,8 @@ def _marks(given: Reconstruction, numbers: Sequence[str]) -> Iterable[str]:
 
 def _text(values: Iterable[float]) -> str:
     return " ".join(repr(float(value)) for value in values)
+
+
+def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """A text export and its table of control points."""
+    return write_photomodeler(folder / "block.txt", given)

@@ -13,8 +13,10 @@ import re
 from pathlib import Path
 
 from drivers.errors import InputMalformedError
+from photocal.exchange.choices import Choices, file_name
 from photocal.exchange.convert import Conversion
 from photocal.exchange.pinhole import Pinhole, from_pinhole, require_one_focal_length, to_pinhole
+from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import number, read_lines
 from photocal.geometry.camera import Camera
 
@@ -86,3 +88,9 @@ def write_pix4d(path: Path, own: Camera) -> Conversion:
     ]
     path.write_text("\n".join(rows) + "\n", encoding="utf-8", newline="\n")
     return conversion
+
+
+def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """A .cam file for each camera."""
+    name = "_pix4d_calibrated_internal_camera_parameters.cam"
+    return tuple(write_pix4d(folder / (file_name(own.id) + name), own) for own in given.cameras)

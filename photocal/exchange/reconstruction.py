@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import ROLES, Block, InputFile, ObjectPoints, Observations
 from photocal.exchange.parts import images
+from photocal.exchange.source import fingerprint
 from photocal.geometry.camera import Camera, plane_to_pixel
 from photocal.results.result import Result
 
+UNIT_SIGMA_PX = 1.0
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
@@ -180,3 +183,14 @@ def orientations_alone(names: Sequence[str], poses: Floats) -> Reconstruction:
     return replace(
         nothing, image_names=tuple(names), image_camera=np.full(len(names), -1, dtype=np.int64), poses=poses
     )
+
+
+def vision_block(name: str, given: Reconstruction, files: list[Path]) -> Block:
+    """Make a block of a vision program's model, which has no standard deviations of image coordinates.
+
+    All get 1 px, and the a posteriori variance factor says what they are worth. Surveyed points with standard
+    deviations carry the datum, else it is free.
+    """
+    if not len(given.pixels):
+        raise InputMalformedError("has no measurements of points", where=files[0], remedy="export them too")
+    return as_block(given, name, UNIT_SIGMA_PX, tuple(fingerprint(path) for path in files))

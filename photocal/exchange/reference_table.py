@@ -18,7 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError
+from photocal.exchange.choices import Choices
+from photocal.exchange.convert import Conversion
 from photocal.exchange.parts import require_unique
+from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import number, read_text
 
 Floats = NDArray[np.float64]
@@ -131,3 +134,18 @@ def _accuracy_columns(header: list[str]) -> tuple[int, int, int]:
     if len(given) == 2:
         return given[0], given[0], given[1]
     return (given[0], given[1], given[2]) if len(given) == 3 else (-1, -1, -1)
+
+
+def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """Reference tables of the images and of the points."""
+    crs = "" if given.frame == "local" else _wkt(given.frame)
+    cameras = references(given.image_names, given.poses[:, 3:], given.pose_sigma[:, 3:])
+    write_references(folder / "cameras.csv", crs, cameras)
+    write_references(folder / "markers.csv", crs, references(given.point_names, given.xyz, given.xyz_sigma))
+    return ()
+
+
+def _wkt(frame: str) -> str:
+    from pyproj import CRS
+
+    return " ".join(CRS.from_user_input(frame).to_wkt("WKT1_GDAL").split())

@@ -269,3 +269,11 @@ def fingerprint(path: Path) -> InputFile:
     with path.open("rb") as content:
         digest = hashlib.file_digest(content, "sha256")
     return InputFile(path.resolve().as_posix(), digest.hexdigest(), size)
+
+
+def files_of(folder: Path, pattern: str) -> list[Path]:
+    """Files of a folder by their names, at least one."""
+    found = sorted(folder.glob(pattern))
+    if not found:
+        raise InputNotFoundError(f"has no {pattern}", where=folder, remedy="name the folder that has it")
+    return found

@@ -156,7 +156,7 @@ def _one_file(path: Path, sizes: Sizes) -> Found:
 
 
 def _other_program(path: Path, _: Sizes) -> Found:
-    from photocal.exchange.format_detection import read_foreign_block
+    from photocal.exchange.formats import read_foreign_block
 
     return of_foreign(path, read_foreign_block(path))
 

@@ -25,7 +25,7 @@ from drivers.errors import PhotocalError
 from photocal.adjustment.adjust import adjust
 from photocal.block.model import Block, ObjectPoints
 from photocal.block.network import assemble
-from photocal.exchange.format_detection import read_foreign_block
+from photocal.exchange.formats import read_foreign_block
 from photocal.exchange.micmac import read_micmac
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import matrix_from_angles

@@ -15,12 +15,12 @@ from photocal.adjustment.adjust import adjust
 from photocal.block.network import assemble
 from photocal.cli import app
 from photocal.commands.export import FORMATS
+from photocal.exchange.choices import Choices
 from photocal.exchange.colmap import read_colmap
 from photocal.exchange.formats import FORMATS as ALL
 from photocal.exchange.formats import export, named
 from photocal.exchange.metashape import read_metashape
 from photocal.exchange.reconstruction import Reconstruction, as_block, of_result
-from photocal.exchange.writers import Choices
 from photocal.results.adjusted import result_of
 from photocal.results.folder import read_result, write_result
 
@@ -80,7 +80,7 @@ def test_observations_in_mm_become_pixels(run_in_mm: Path, photogrammetric: Reco
     np.testing.assert_allclose(of_result(read_result(run_in_mm)).pixels, photogrammetric.pixels, atol=1e-9)
 
 
-@pytest.mark.parametrize("form", [form.name for form in ALL if form.name != "odm"])
+@pytest.mark.parametrize("form", [form.name for form in ALL if form.writes and form.name != "odm"])
 def test_every_format_by_command(run: Path, run_in_mm: Path, tmp_path: Path, form: str) -> None:
     # Some formats hold no affinity, or want mm.
     wants_mm = ("pix4d", "opf", "inpho", "jaicov", "photomodeler", "dbat")
@@ -96,7 +96,7 @@ def test_every_format_by_command(run: Path, run_in_mm: Path, tmp_path: Path, for
 
 
 def test_help_names_every_format() -> None:
-    assert FORMATS.split(", ") == [form.name for form in ALL]
+    assert FORMATS.split(", ") == [form.name for form in ALL if form.writes]
 
 
 def test_text_says_what_the_conversion_costs(run_in_mm: Path, tmp_path: Path) -> None:

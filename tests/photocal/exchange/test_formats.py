@@ -11,10 +11,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError
+from photocal.exchange.choices import Choices
 from photocal.exchange.convert import in_pixels
 from photocal.exchange.formats import FORMATS, Format, export, named, page
 from photocal.exchange.reconstruction import Reconstruction
-from photocal.exchange.writers import Choices
 from photocal.geometry.camera import Camera, Model, camera
 from photocal.geometry.rotation import matrix_from_angles
 from tests.photocal.exchange.conftest import reconstruction_of

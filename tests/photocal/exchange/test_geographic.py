@@ -14,7 +14,8 @@ from xml.etree.ElementTree import parse
 import numpy as np
 import pytest
 
-from photocal.exchange.geographic import Origin, footprints, topocentric, write_geojson, write_kml
+from photocal.exchange.choices import Origin
+from photocal.exchange.geographic import footprints, topocentric, write_geojson, write_kml
 from photocal.exchange.geopackage import write_geopackage
 from photocal.exchange.reconstruction import Reconstruction
 

@@ -20,7 +20,7 @@ from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoun
 from photocal.block.network import assemble
 from photocal.exchange import source
 from photocal.exchange.dbat import read_dbat, read_dbat_cameras
-from photocal.exchange.format_detection import read_foreign_block
+from photocal.exchange.formats import read_foreign_block
 from photocal.exchange.metashape import read_metashape
 from photocal.exchange.micmac import read_calibration, read_ground_points, read_measures, read_orientation
 from photocal.exchange.photomodeler_export import read_export

@@ -18,6 +18,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import PhotocalError
+from photocal.exchange.choices import Choices
 from photocal.exchange.dbat import read_dbat_cameras
 from photocal.exchange.formats import FORMATS, export
 from photocal.exchange.ground_points import (
@@ -35,7 +36,6 @@ from photocal.exchange.photomodeler import read_positions
 from photocal.exchange.pix4d import read_pix4d, write_pix4d
 from photocal.exchange.reconstruction import of_result
 from photocal.exchange.reference_table import Reference, read_references, write_references
-from photocal.exchange.writers import Choices
 from photocal.geometry.camera import camera
 from photocal.results.folder import read_result
 from tests.photocal.exchange.conftest import reconstruction_of

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from photocal.accuracy.assessment import Question
-from photocal.exchange.format_detection import read_foreign_block
+from photocal.exchange.formats import read_foreign_block
 from photocal.exchange.micmac import read_micmac
 from photocal.exchange.photomodeler import block_from_export, read_control, read_positions
 from photocal.exchange.photomodeler_export import read_export

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from photocal.exchange.format_detection import read_foreign_block
+from photocal.exchange.formats import read_foreign_block
 from photocal.exchange.jaicov import read_jaicov
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.distortion import projected

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from photocal.block.model import ROLES
+from photocal.exchange.choices import Choices
 from photocal.exchange.formats import export, named
 from photocal.exchange.pinhole import to_pinhole, to_vision
 from photocal.exchange.project_detection import read_foreign_project
 from photocal.exchange.reconstruction import Reconstruction, as_block, of_result
-from photocal.exchange.writers import Choices
 from photocal.geometry.camera import PARAMETERS, Model, camera
 from photocal.measurement.block_files import write_block
 from photocal.results.adjusting import adjust_block
