@@ -8,7 +8,13 @@ from typing import Annotated
 import typer
 
 from drivers.errors import ConfigurationError
-from photocal.commands.check_of_block import judge_block, judge_experiment, noise_of, with_project
+from photocal.commands.check_of_block import (
+    judge_block,
+    judge_experiment,
+    judge_numbers,
+    noise_of,
+    with_project,
+)
 from photocal.commands.check_of_product import judge_discrepancies, judge_product
 
 
@@ -81,6 +87,10 @@ def check(
     crs: Annotated[
         str | None, typer.Option(help="Projected system of E and N for the GeoPackage, such as EPSG:31982.")
     ] = None,
+    control_numbers: Annotated[
+        str | None,
+        typer.Option(help="How much control is needed: repeat with so many control points, such as 0,1,3,5."),
+    ] = None,
     simulate_direct: Annotated[
         str | None,
         typer.Option(
@@ -109,6 +119,12 @@ def check(
         )
     if experiment is not None:
         judge_experiment(experiment, output, as_json=as_json)
+        return
+    if control_numbers is not None:
+        if block is None:
+            raise ConfigurationError("--control-numbers needs a block", remedy="name a block or project")
+        source = with_project(block, Question())[0].output / "block" if block.suffix == ".toml" else block
+        judge_numbers(source, control_numbers, output, as_json=as_json)
         return
     question = Question(
         None if scale is None else parse_scale(scale),

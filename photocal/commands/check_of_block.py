@@ -94,6 +94,35 @@ def judge_experiment(path: Path, output: Path | None, *, as_json: bool) -> None:
     answer(as_json, lambda: to_json(outcome), lambda: to_text(outcome) + said)
 
 
+def judge_numbers(source: Path, counts: str, output: Path | None, *, as_json: bool) -> None:
+    """Repeat the adjustment with several numbers of control points, and answer."""
+    import json
+
+    from acquire.outputs import output_folder
+    from photocal.exchange.any_block import read_any_block
+    from photocal.georeferencing.control_numbers import control_numbers, numbers_text
+    from photocal.georeferencing.experiment_plots import control_plot
+
+    try:
+        numbers = [int(part) for part in counts.split(",")]
+    except ValueError as refusal:
+        raise ConfigurationError(
+            f"--control-numbers {counts} is not understood", remedy="give numbers, such as 0,1,3,5"
+        ) from refusal
+    with progress("adjusting", None) as advance:
+        outcome, figures = control_numbers(read_any_block(source), numbers, done=lambda: advance(1))
+    if output is not None:
+        with output_folder(output) as folder:
+            (folder / "control_numbers.json").write_text(
+                json.dumps(figures, indent=1) + "\n", encoding="utf-8"
+            )
+            plot = control_plot(outcome)
+            if plot is not None:
+                plot.savefig(folder / "control_numbers.pdf")
+    said = "" if output is None else f"\nwritten to {output}"
+    answer(as_json, lambda: figures, lambda: numbers_text(figures) + said)
+
+
 def _interiors(path: Path) -> tuple[InteriorSet, ...]:
     """Calibrations of a file as `photocal compare` reads it."""
     import numpy as np
