@@ -352,10 +352,18 @@ def explained(project: Project, failure: PhotocalError) -> PhotocalError:
     return failure
 
 
-def _slips(survey: Floats) -> Iterator[tuple[str, Floats]]:
+def _slips(survey: Floats) -> list[tuple[str, Floats]]:
     """What people mistake, with the coordinates as they would be without it."""
-    yield "E and N of the control points are exchanged", survey[:, [1, 0, 2]]
-    for unit, factor in _UNITS.items():
-        yield f"the heights of the control points are in {unit}", survey * [1, 1, factor]
-        yield f"the control points are in {unit}", survey * factor
-    yield "the heights of the control points have the wrong sign", survey * [1, 1, -1]
+    scaled = [
+        slip
+        for unit, factor in _UNITS.items()
+        for slip in (
+            (f"the heights of the control points are in {unit}", survey * [1, 1, factor]),
+            (f"the control points are in {unit}", survey * factor),
+        )
+    ]
+    return [
+        ("E and N of the control points are exchanged", survey[:, [1, 0, 2]]),
+        *scaled,
+        ("the heights of the control points have the wrong sign", survey * [1, 1, -1]),
+    ]
