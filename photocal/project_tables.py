@@ -278,6 +278,8 @@ class Judgement(Table):
     standards: tuple[str, ...] = ()
     survey_horizontal_m: PositiveFloat | None = None
     survey_vertical_m: PositiveFloat | None = None
+    target_horizontal_m: PositiveFloat | None = None
+    target_vertical_m: PositiveFloat | None = None
 
 
 class CertificateKeys(Table):

@@ -25,7 +25,7 @@ from photocal.accuracy.statistics import (
     spread,
 )
 from photocal.accuracy.trend import SimilarityTrend, rmse_after_trend_removal, similarity_trend
-from photocal.accuracy.value_class import ValueClass, value_class
+from photocal.accuracy.value_class import Stated, ValueClass, value_class
 
 PROBABLE_ERROR = 0.90
 
@@ -43,7 +43,9 @@ class Question:
     confidence : float
         Level of all tests, 0 to 1: two-sided for the bias, one-sided for the precision.
     survey_horizontal_m, survey_vertical_m : float or None
-        RMSE of the survey of the check points, m.
+        RMSE of the survey of the check points, m; the horizontal one radial.
+    target_horizontal_m, target_vertical_m : float or None
+        RMSE that the project asks for, m.
     """
 
     scale_denominator: float | None = None
@@ -51,6 +53,8 @@ class Question:
     confidence: float = 0.90
     survey_horizontal_m: float | None = None
     survey_vertical_m: float | None = None
+    target_horizontal_m: float | None = None
+    target_vertical_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -184,8 +188,13 @@ def assess(discrepancies: Discrepancies, standards: tuple[Standard, ...], questi
             standard,
             products.get("planimetry"),
             products.get("height"),
-            question.survey_horizontal_m,
-            question.survey_vertical_m,
+            Stated(
+                question.survey_horizontal_m,
+                question.survey_vertical_m,
+                question.target_horizontal_m,
+                question.target_vertical_m,
+            ),
+            {name: discrepancies.component(name) for name in COMPONENTS},
         )
         for standard in standards
         if isinstance(standard, ValueStandard)
@@ -284,6 +293,8 @@ def _require_positive(question: Question) -> None:
         ("contour interval", question.interval_m),
         ("survey accuracy", question.survey_horizontal_m),
         ("survey accuracy", question.survey_vertical_m),
+        ("target accuracy", question.target_horizontal_m),
+        ("target accuracy", question.target_vertical_m),
     ):
         if value is not None and not (math.isfinite(value) and value > 0.0):
             raise ConfigurationError(f"{name} {value} is not a positive number")

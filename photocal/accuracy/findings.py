@@ -7,7 +7,7 @@ from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.map_scale import size_text
 from photocal.accuracy.significance_tests import std_interval_factors
 from photocal.accuracy.value_class import ValueClass
-from photocal.findings.finding import Finding
+from photocal.findings.finding import Figure, Finding
 
 # Below this number the standard deviation is known to worse than about a quarter of itself (95 %).
 SMALL_SAMPLE = 30
@@ -120,12 +120,39 @@ def _value_class(value: ValueClass) -> list[Finding]:
     )
     if missing:
         listed.append(Finding("survey-accuracy-missing", "doubtful", standard.id, {"axes": missing}))
-    share = standard.survey_share_of_product.value
+    share = standard.survey_share_of_target.value
     for kind in value.survey_too_coarse:
         figures_of_survey = {"axis": kind, "share": share}
         listed.append(Finding("survey-too-coarse", "doubtful", standard.id, figures_of_survey))
     if value.systematic:
-        limit = standard.mean_share_of_rmse.value
+        limit = standard.mean_share_of_target.value
         shares = {"components": value.systematic, "share": limit}
         listed.append(Finding("systematic", "doubtful", standard.id, shares))
+    if value.blunders:
+        blunders = tuple(f"{point} {component}" for point, component in value.blunders)
+        times: dict[str, Figure] = {"points": blunders, "times": standard.blunder_over_target.value}
+        listed.append(Finding("beyond-target", "doubtful", standard.id, times))
+    return listed + _tested(value)
+
+
+def _tested(value: ValueClass) -> list[Finding]:
+    """Give the standard's statement of what was tested, for each component."""
+    listed = []
+    required = value.standard.minimum_points.value
+    for axis, target, reached, n in (
+        ("horizontal", value.target_horizontal_m, value.horizontal_m, value.points_horizontal),
+        ("vertical", value.target_vertical_m, value.vertical_m, value.points_vertical),
+    ):
+        if reached is None:
+            continue
+        figures: dict[str, Figure] = {"axis": axis, "n": float(n), "required": required, "rmse_m": reached}
+        if target is None:
+            listed.append(Finding("no-target", "note", value.standard.id, figures))
+            continue
+        figures["target_m"] = target
+        if reached > target:
+            listed.append(Finding("target-missed", "doubtful", value.standard.id, figures))
+        else:
+            code = "target-met" if n >= required else "target-met-reduced"
+            listed.append(Finding(code, "note", value.standard.id, figures))
     return listed

@@ -162,10 +162,12 @@ class ValueStandard:
     ----------
     minimum_points, maximum_points : Figure
         Number of check points for a tested product; more than the maximum is never asked.
-    mean_share_of_rmse : Figure
-        Share of the RMSE above which a mean is to be investigated.
-    survey_share_of_product : Figure
-        Share of the RMSE of the product that the survey of its check points may have.
+    mean_share_of_target : Figure
+        Share of the target RMSE of the project above which a mean is to be investigated.
+    survey_share_of_target : Figure
+        Share of it that the survey of the check points may have.
+    blunder_over_target : Figure
+        Multiple of it, in a component, above which an error is to be investigated as a blunder.
     """
 
     id: str
@@ -173,8 +175,9 @@ class ValueStandard:
     minimum_points: Figure
     maximum_points: Figure
     survey_accuracy_included: Figure
-    mean_share_of_rmse: Figure
-    survey_share_of_product: Figure
+    mean_share_of_target: Figure
+    survey_share_of_target: Figure
+    blunder_over_target: Figure
     note: str
 
 

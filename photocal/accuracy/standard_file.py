@@ -65,8 +65,9 @@ class _ValueFile(Table):
     minimum_points: _FigureFile
     maximum_points: _FigureFile
     survey_accuracy_included: _FigureFile
-    mean_share_of_rmse: _FigureFile
-    survey_share_of_product: _FigureFile
+    mean_share_of_target: _FigureFile
+    survey_share_of_target: _FigureFile
+    blunder_over_target: _FigureFile
 
 
 def load_standard(name: str) -> Standard:
@@ -174,7 +175,8 @@ def _value_standard(content: _ValueFile) -> ValueStandard:
         figure(content.minimum_points),
         figure(content.maximum_points),
         figure(content.survey_accuracy_included),
-        figure(content.mean_share_of_rmse),
-        figure(content.survey_share_of_product),
+        figure(content.mean_share_of_target),
+        figure(content.survey_share_of_target),
+        figure(content.blunder_over_target),
         " ".join(content.note.split()),
     )

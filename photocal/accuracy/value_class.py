@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from photocal.accuracy.classes import Sample
 from photocal.accuracy.standard import ValueStandard
+from photocal.accuracy.statistics import FloatArray
 
 
 @dataclass(frozen=True)
@@ -23,10 +25,15 @@ class ValueClass:
         Whether a survey accuracy was given; without one the class is too good.
     points_horizontal, points_vertical : int
         Number of check points.
+    target_horizontal_m, target_vertical_m : float or None
+        Classes that the project asks for: what the limits below go by. None where nobody said.
     systematic : tuple of str
-        Components whose mean exceeds the standard's share of the RMSE.
+        Components whose mean exceeds the standard's share of the target.
     survey_too_coarse : tuple of str
-        Components whose survey is worse than the standard's share of the product RMSE.
+        Components whose survey is worse than the standard's share of the target.
+    blunders : tuple of (str, str)
+        Points and components whose error exceeds the standard's multiple of the target; of an axis, that of
+        the horizontal class over the root of 2.
     """
 
     standard: ValueStandard
@@ -37,8 +44,11 @@ class ValueClass:
     survey_included_vertical: bool
     points_horizontal: int
     points_vertical: int
+    target_horizontal_m: float | None
+    target_vertical_m: float | None
     systematic: tuple[str, ...]
     survey_too_coarse: tuple[str, ...]
+    blunders: tuple[tuple[str, str], ...]
 
     @property
     def enough_points(self) -> bool:
@@ -52,39 +62,77 @@ def class_cm(rmse_m: float) -> float:
     return math.ceil(rmse_m * 1000.0 - 1e-9) / 10.0
 
 
+@dataclass(frozen=True)
+class Stated:
+    """What was asked and stated for the horizontal and the vertical component, m.
+
+    Attributes
+    ----------
+    survey_horizontal_m, survey_vertical_m : float or None
+        RMSE of the survey of the check points; the horizontal one radial, root of 2 times that of an axis.
+    target_horizontal_m, target_vertical_m : float or None
+        Classes that the project asks for.
+    """
+
+    survey_horizontal_m: float | None = None
+    survey_vertical_m: float | None = None
+    target_horizontal_m: float | None = None
+    target_vertical_m: float | None = None
+
+
 def value_class(
     standard: ValueStandard,
     plane: Sample | None,
     height: Sample | None,
-    survey_horizontal_m: float | None,
-    survey_vertical_m: float | None,
+    stated: Stated,
+    errors: Mapping[str, tuple[tuple[str, ...], FloatArray]] | None = None,
 ) -> ValueClass:
-    """Compute the class reached."""
-    horizontal = _with_survey(plane, survey_horizontal_m)
-    vertical = _with_survey(height, survey_vertical_m)
-    share = standard.mean_share_of_rmse.value
-    parts = [
-        *zip("EN", plane.components if plane else (), strict=False),
-        *zip("h", height.components if height else (), strict=False),
+    """Compute the class reached, and what goes by the class that was asked for.
+
+    Parameters
+    ----------
+    errors : mapping, optional
+        By component (E, N, h): names of its points and their errors, m.
+    """
+    horizontal = _with_survey(plane, stated.survey_horizontal_m)
+    vertical = _with_survey(height, stated.survey_vertical_m)
+    wide, high = stated.target_horizontal_m, stated.target_vertical_m
+    means = [
+        *zip("EN", (wide, wide), plane.components if plane else (), strict=False),
+        *zip("h", (high,), height.components if height else (), strict=False),
     ]
-    half = standard.survey_share_of_product.value
+    axis = None if wide is None else wide / math.sqrt(2.0)
+    of_axis = {"E": axis, "N": axis, "h": high}
+    times = standard.blunder_over_target.value
+    surveys = (("horizontal", stated.survey_horizontal_m, wide), ("vertical", stated.survey_vertical_m, high))
     return ValueClass(
         standard,
         horizontal,
         vertical,
         None if horizontal is None or vertical is None else math.hypot(horizontal, vertical),
-        survey_horizontal_m is not None,
-        survey_vertical_m is not None,
+        stated.survey_horizontal_m is not None,
+        stated.survey_vertical_m is not None,
         plane.components[0].n if plane else 0,
         height.components[0].n if height else 0,
-        tuple(name for name, part in parts if abs(part.mean_m) > share * part.rmse_m),
+        wide if plane else None,
+        high if height else None,
+        tuple(
+            name
+            for name, target, part in means
+            if target is not None and abs(part.mean_m) > standard.mean_share_of_target.value * target
+        ),
         tuple(
             kind
-            for kind, survey, product in (
-                ("horizontal", survey_horizontal_m, horizontal),
-                ("vertical", survey_vertical_m, vertical),
-            )
-            if survey is not None and product is not None and survey > half * product
+            for kind, survey, target in surveys
+            if survey is not None
+            and target is not None
+            and survey > standard.survey_share_of_target.value * target
+        ),
+        tuple(
+            (point, name)
+            for name, (points, values) in (errors or {}).items()
+            for point, error in zip(points, values.tolist(), strict=True)
+            if (target := of_axis[name]) is not None and abs(error) > times * target
         ),
     )
 

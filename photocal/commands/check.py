@@ -73,10 +73,16 @@ def check(
         float, typer.Option(help="Level of the tests: two-sided for the bias, one-sided for the precision.")
     ] = 0.90,
     survey_horizontal: Annotated[
-        float | None, typer.Option(help="Horizontal RMSE of the survey of the check points, metres.")
+        float | None, typer.Option(help="Horizontal (radial) RMSE of the survey of the check points, metres.")
     ] = None,
     survey_vertical: Annotated[
         float | None, typer.Option(help="Vertical RMSE of the survey of the check points, metres.")
+    ] = None,
+    target_horizontal: Annotated[
+        float | None, typer.Option(help="Horizontal (radial) RMSE that is asked for, metres.")
+    ] = None,
+    target_vertical: Annotated[
+        float | None, typer.Option(help="Vertical RMSE that is asked for, metres.")
     ] = None,
     figures: Annotated[
         Path | None, typer.Option(help="With --discrepancies: folder for residual map and histograms (PDF).")
@@ -132,6 +138,8 @@ def check(
         confidence,
         survey_horizontal,
         survey_vertical,
+        target_horizontal,
+        target_vertical,
     )
     noise = None if simulate_direct is None else noise_of(simulate_direct, seed)
     if block is not None and block.suffix == ".toml":

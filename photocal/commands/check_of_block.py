@@ -75,6 +75,8 @@ def with_project(path: Path, question: Question) -> tuple[Project, Question]:
         interval_m=question.interval_m or asked.contour_interval_m,
         survey_horizontal_m=question.survey_horizontal_m or asked.survey_horizontal_m,
         survey_vertical_m=question.survey_vertical_m or asked.survey_vertical_m,
+        target_horizontal_m=question.target_horizontal_m or asked.target_horizontal_m,
+        target_vertical_m=question.target_vertical_m or asked.target_vertical_m,
     )
 
 

@@ -50,6 +50,8 @@ def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
         asked.contour_interval_m,
         survey_horizontal_m=asked.survey_horizontal_m,
         survey_vertical_m=asked.survey_vertical_m,
+        target_horizontal_m=asked.target_horizontal_m,
+        target_vertical_m=asked.target_vertical_m,
     )
     standards = tuple(load_standard(name) for name in asked.standards or SHIPPED)
     block = read_block(source)

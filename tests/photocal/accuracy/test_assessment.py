@@ -14,11 +14,12 @@ from drivers.errors import ConfigurationError
 from photocal.accuracy.as_json import to_json
 from photocal.accuracy.as_text import to_text
 from photocal.accuracy.assessment import Assessment, Question, TableResult, assess
+from photocal.accuracy.classes import Sample, sample
 from photocal.accuracy.discrepancies import Discrepancies
 from photocal.accuracy.findings import findings
 from photocal.accuracy.standard import ValueStandard
 from photocal.accuracy.standard_file import SHIPPED, load_standard
-from photocal.accuracy.value_class import class_cm, value_class
+from photocal.accuracy.value_class import Stated, class_cm, value_class
 from photocal.findings.finding import Finding
 from tests.photocal.findings.english import english
 
@@ -113,8 +114,93 @@ def test_asprs_class_includes_the_survey() -> None:
     assert full.vertical_m == pytest.approx(math.hypot(bare.vertical_m, 0.04))
     assert full.spatial_m == pytest.approx(math.hypot(full.horizontal_m or 0.0, full.vertical_m or 0.0))
     assert full.enough_points
-    assert full.survey_too_coarse == ("vertical",)
-    assert value_class(standard, None, None, None, None).horizontal_m is None
+    # Without a target nothing goes by it.
+    assert (full.survey_too_coarse, full.systematic, full.blunders) == ((), (), ())
+    assert value_class(standard, None, None, Stated()).horizontal_m is None
+
+
+# Edition 2, table 7.4: vertical, survey 2.0 cm; fit and product in cm.
+TABLE_7_4 = dict(
+    zip(
+        (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.0, 6.5, 7.0, 7.5, 8.0, 8.5, 9.0, 9.5, 10.0),
+        (
+            *(2.24, 2.50, 2.83, 3.20, 3.61, 4.03, 4.47, 4.92, 5.39, 5.85),
+            *(6.32, 6.80, 7.28, 7.76, 8.25, 8.73, 9.22, 9.71, 10.20),
+        ),
+        strict=True,
+    )
+)
+
+
+def asprs() -> ValueStandard:
+    standard = load_standard("asprs-2024")
+    assert isinstance(standard, ValueStandard)
+    return standard
+
+
+def of_rmse(*rmse_cm: float) -> Sample:
+    """Thirty points, half of them on either side: no mean, and these RMSE."""
+    signs = np.tile([1.0, -1.0], 15)
+    turned = np.repeat([1.0, -1.0], 15)
+    return sample(np.column_stack([s * r / 100.0 for s, r in zip((signs, turned), rmse_cm, strict=False)]))
+
+
+def test_asprs_vertical_class_of_table_7_4() -> None:
+    for fit_cm, product_cm in TABLE_7_4.items():
+        value = value_class(asprs(), None, of_rmse(fit_cm), Stated(survey_vertical_m=0.02))
+        assert value.vertical_m is not None
+        assert 100.0 * value.vertical_m == pytest.approx(product_cm, abs=0.005)
+
+
+def test_asprs_horizontal_class_takes_the_radial_survey() -> None:
+    """Fit 4 and 3 cm, survey 1 cm an axis: 5.196 cm, which misses 5; in space with 2.236: 5.657."""
+    stated = Stated(math.sqrt(2.0) * 0.01, 0.02, target_horizontal_m=0.05)
+    value = value_class(asprs(), of_rmse(4.0, 3.0), of_rmse(1.0), stated)
+    assert value.horizontal_m == pytest.approx(0.05196152, abs=1e-8)
+    assert value.vertical_m == pytest.approx(0.02236068, abs=1e-8)
+    assert value.spatial_m == pytest.approx(0.05656854, abs=1e-8)
+
+
+@pytest.mark.parametrize(("error_cm", "flagged"), [(10.60, False), (10.61, True)])
+def test_asprs_blunder_of_an_axis(error_cm: float, flagged: bool) -> None:
+    errors = {"E": (("P1", "P2"), np.array([0.0, -error_cm / 100.0]))}
+    value = value_class(asprs(), of_rmse(3.0, 3.0), None, Stated(target_horizontal_m=0.05), errors)
+    assert value.blunders == ((("P2", "E"),) if flagged else ())
+
+
+@pytest.mark.parametrize(("error_cm", "flagged"), [(14.9, False), (15.1, True)])
+def test_asprs_blunder_of_a_height(error_cm: float, flagged: bool) -> None:
+    errors = {"h": (("P1",), np.array([error_cm / 100.0]))}
+    value = value_class(asprs(), None, of_rmse(3.0), Stated(target_vertical_m=0.05), errors)
+    assert bool(value.blunders) == flagged
+
+
+@pytest.mark.parametrize(("mean_cm", "flagged"), [(1.24, False), (1.26, True)])
+def test_asprs_mean_goes_by_the_target(mean_cm: float, flagged: bool) -> None:
+    height = sample(np.full((30, 1), mean_cm / 100.0) + 1e-9 * np.arange(30)[:, None])
+    value = value_class(asprs(), None, height, Stated(target_vertical_m=0.05))
+    assert value.systematic == (("h",) if flagged else ())
+
+
+def test_asprs_survey_goes_by_the_target() -> None:
+    """Fit 1 cm and survey 2 cm are no fault for a class of 5 cm, but for one of 3."""
+    for target, coarse in ((0.05, ()), (0.03, ("vertical",))):
+        stated = Stated(survey_vertical_m=0.02, target_vertical_m=target)
+        assert value_class(asprs(), None, of_rmse(1.0), stated).survey_too_coarse == coarse
+
+
+@pytest.mark.parametrize(
+    ("points", "target", "code"),
+    [(30, 0.05, "target-met"), (29, 0.05, "target-met-reduced"), (30, 0.01, "target-missed")],
+)
+def test_asprs_statement(points: int, target: float, code: str) -> None:
+    d = np.full((points, 3), np.nan)
+    d[:, 2] = 0.03 * np.where(np.arange(points) % 2, 1.0, -1.0)
+    question = Question(survey_vertical_m=0.01, target_vertical_m=target)
+    said = findings(assess(Discrepancies(tuple(f"P{i}" for i in range(points)), d), (asprs(),), question))
+    (one,) = [finding for finding in said if finding.code.startswith("target")]
+    assert one.code == code
+    assert f"{points} check points" in english(one)
 
 
 def test_class_is_the_value_reached() -> None:

@@ -87,7 +87,7 @@ def test_contour_intervals_of_the_scales() -> None:
 def test_every_figure_has_its_source_and_second_hand_ones_say_so(name: str) -> None:
     standard = load_standard(name)
     if isinstance(standard, ValueStandard):
-        entries = [standard.minimum_points, standard.maximum_points, standard.mean_share_of_rmse]
+        entries = [standard.minimum_points, standard.maximum_points, standard.mean_share_of_target]
         assert standard.minimum_points.value == 30
         assert all(entry.source and entry.source_note for entry in entries if entry.second_hand)
     else:
