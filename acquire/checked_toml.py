@@ -23,13 +23,6 @@ Content = TypeVar("Content", bound=BaseModel)
 def read_toml(path: Path, model: type[Content], context: dict[str, Any] | None = None) -> Content:
     """Read a TOML file and check it.
 
-    Parameters
-    ----------
-    model : type
-        What the file must be.
-    context : dict, optional
-        For the validators of the model.
-
     Raises
     ------
     InputNotFoundError

@@ -18,11 +18,6 @@ from drivers.errors import PhotocalError
 def application(help_text: str) -> typer.Typer:
     """Make a command line application with the shared settings.
 
-    Parameters
-    ----------
-    help_text : str
-        The text above the list of commands.
-
     Returns
     -------
     typer.Typer
@@ -45,13 +40,7 @@ def printable(text: str) -> str:
 
 
 def run(app: typer.Typer) -> None:
-    """Run an application; failures that we know become one line and their exit code.
-
-    Parameters
-    ----------
-    app : typer.Typer
-        The application to run on the arguments of the process.
-    """
+    """Run an application; failures that we know become one line and their exit code."""
     # At its end the interpreter would look at every object for half a second; nothing is left to be freed.
     atexit.register(gc.freeze)
     try:
@@ -71,8 +60,6 @@ def answer(as_json: bool, figures: Callable[[], Any], text: Callable[[], str]) -
 
     Parameters
     ----------
-    as_json : bool
-        Whether a program asked.
     figures, text : callable
         Make the JSON value or the text; only the one that is needed is called.
     """
@@ -88,8 +75,6 @@ def progress(title: str, total: float | None) -> Iterator[Callable[[float], None
 
     Parameters
     ----------
-    title : str
-        What is going on.
     total : float or None
         The amount of work, in any unit; None when it is not known.
 

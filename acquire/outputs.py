@@ -55,11 +55,6 @@ def output_folder(path: Path) -> Iterator[Path]:
 
     Files of an earlier run that this one does not make again stay where they are.
 
-    Parameters
-    ----------
-    path : Path
-        The folder to be made or renewed.
-
     Yields
     ------
     Path

@@ -207,13 +207,6 @@ def packaged(package: str, files: Mapping[str, str]) -> list[Route]:
     """Return routes to files that are part of a package.
 
     The files are read now: no path of a request ever reaches the file system.
-
-    Parameters
-    ----------
-    package : str
-        Where the files lie.
-    files : mapping of str to str
-        Name of the file by path of the address.
     """
 
     def route(path: str, name: str) -> Route:
@@ -233,13 +226,6 @@ def serving(app: ASGIApp, address: Address) -> Iterator[str]:
     """Serve an application behind a `Guard` in a thread of its own, until the end of the block.
 
     Reachable from this computer alone it needs no token; anywhere else it makes one.
-
-    Parameters
-    ----------
-    app : ASGI application
-        What is served.
-    address : Address
-        Where.
 
     Yields
     ------

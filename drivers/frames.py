@@ -153,8 +153,6 @@ def gather(
         The buffer.
     start, length : int64 (n,)
         Where each piece lies, bytes.
-    row : dtype
-        Layout of a row, packed.
 
     Returns
     -------

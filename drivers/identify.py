@@ -16,12 +16,8 @@ def batch_of_payloads(wire: Wire, payloads: list[bytes], dialect: Dialect) -> Ba
 
     Parameters
     ----------
-    wire : Wire
-        The protocol.
     payloads : list of bytes
         The frames.
-    dialect : Dialect
-        The known MAVLink messages.
     """
     length = np.fromiter(map(len, payloads), np.int64, len(payloads))
     data = b"".join(payloads)

@@ -13,14 +13,8 @@ def kind_name(wire: Wire, kind: int, known: bool, dialect: Dialect) -> str:
 
     Parameters
     ----------
-    wire : Wire
-        The protocol.
-    kind : int
-        See `drivers.frames.Frame`.
     known : bool
         Whether the frame agreed with the tables; otherwise its number is given.
-    dialect : Dialect
-        Names of MAVLink messages.
     """
     if wire == Wire.MAVLINK:
         return dialect.name(kind) if known else f"unknown {kind}"

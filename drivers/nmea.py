@@ -48,10 +48,6 @@ def gga(
         Position; height above mean sea level.
     quality : int
         1 single, 2 differential, 4 fixed, 5 float.
-    satellites : int
-        Number of satellites used.
-    dilution : float
-        Horizontal dilution of precision.
     """
     second, hundredths = divmod(time_utc_ns // 10_000_000 % 8_640_000, 100)
     time = f"{second // 3600:02d}{second // 60 % 60:02d}{second % 60:02d}.{hundredths:02d}"

@@ -109,14 +109,8 @@ def search_stream(
     ----------
     data : int32 (n,)
         The bytes of the piece.
-    closed : bool
-        Whether the stream ends with it.
-    starts : int32 (256,)
-        The protocol that may begin with each byte, or `NO_WIRE`.
     memory : int64 (m, 2)
         Unknown messages so far, see `new_memory`.
-    tables : Tables
-        See `tables_of`.
 
     Returns
     -------

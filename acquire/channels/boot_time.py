@@ -44,8 +44,6 @@ def boot_time(batches: Iterable[Batch], definitions: Definitions) -> BootTime | 
 
     Parameters
     ----------
-    batches : iterable of Batch
-        The log from its beginning.
     definitions : Definitions
         Those of the log; they are learned on the way.
     """

@@ -126,8 +126,6 @@ class LinkLog:
 
         Parameters
         ----------
-        batch : Batch
-            The frames.
         log_ns : int64 (n,)
             Time of receipt of each, UTC, nanoseconds since 1970.
         """

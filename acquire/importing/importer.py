@@ -99,10 +99,6 @@ def import_recordings(
 
     Parameters
     ----------
-    named : sequence of (str, Path)
-        Recordings with the names of their links.
-    unnamed : sequence of Path
-        Recordings whose links are named after their content or file.
     output : Path
         The flight log; it is there when the import has succeeded, not before.
     advance : callable

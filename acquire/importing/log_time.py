@@ -86,12 +86,8 @@ def since_boot(
 
     Parameters
     ----------
-    batches : iterable of Batch
-        The records.
     definitions : Definitions
         Those of the log; they are learned on the way.
-    boot : BootTime
-        When the autopilot started.
     """
     last = boot.utc_ns
     for batch in batches:

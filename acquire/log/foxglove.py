@@ -68,8 +68,6 @@ def location_fixes(
 
     Parameters
     ----------
-    frame : str
-        What is located.
     time_ns : int64 (n,)
         Time of validity, UTC, nanoseconds since 1970.
     latitude_deg, longitude_deg, height_m : float64 (n,)
@@ -115,8 +113,6 @@ def frame_transforms(
 
     Parameters
     ----------
-    parent, child : str
-        Names of the frames.
     time_ns : int64 (n,)
         Time of validity, UTC, nanoseconds since 1970.
     quaternion : float64 (n, 4)

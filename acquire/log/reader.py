@@ -116,7 +116,7 @@ class LogReader:
                     raise
                 damaged(refusal)
                 continue
-            except (struct.error, EndOfFile, LookupError, ValueError) as damage:
+            except (struct.error, EndOfFile, LookupError, ValueError, OverflowError) as damage:
                 reason = printable(str(damage)) or "it ends early"
                 unreadable = InputMalformedError(
                     f"a record cannot be read ({reason})", where=self.path, remedy="run acquire recover"

@@ -81,8 +81,6 @@ def recover(path: Path, output: Path) -> Recovered:
     ----------
     path : Path
         The log; it is not changed.
-    output : Path
-        The repaired log.
 
     Raises
     ------

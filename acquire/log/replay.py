@@ -68,12 +68,6 @@ def replay(
 
     Parameters
     ----------
-    path : Path
-        The flight log.
-    link : str
-        The link.
-    sink : Sink
-        Where the frames go.
     speed : float
         1 for the pace of the recording, N for N times as fast, 0 as fast as the frames are taken.
     clock, sleep : callable

@@ -128,13 +128,6 @@ class LogSummary:
 def summarise(path: Path, dialect: Dialect) -> LogSummary:
     """Read a flight log and count what it holds.
 
-    Parameters
-    ----------
-    path : Path
-        The log.
-    dialect : Dialect
-        Names of MAVLink messages.
-
     Raises
     ------
     InputNotFoundError, InputMalformedError

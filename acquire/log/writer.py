@@ -57,11 +57,6 @@ class LogWriter:
         """Return the writer of a next file, which takes over what is not in this one yet.
 
         The channels keep their numbers and are defined again, so each file stands for itself.
-
-        Parameters
-        ----------
-        stream : binary file
-            The next file, open for writing at its beginning.
         """
         following = LogWriter(stream, self._library)
         following._schemas = dict(self._schemas)
@@ -120,8 +115,6 @@ class LogWriter:
 
         Parameters
         ----------
-        channel : Channel
-            The channel.
         payloads : sequence of bytes or Pieces (n,)
             The messages.
         log_ns, publish_ns : int64 (n,)

@@ -27,8 +27,6 @@ def braille_map(layers: Sequence[Layer], width: int, height: int) -> Text:
 
     Parameters
     ----------
-    layers : sequence of Layer
-        What is drawn.
     width, height : int
         Room in cells; the last row is the scale bar's.
     """

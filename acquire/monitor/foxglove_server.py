@@ -20,11 +20,6 @@ def serving_foxglove(address: Address) -> Iterator[tuple[Callable[[list[Messages
     The protocol and foxglove-sdk know no token: their server stands at an address that nobody can guess,
     behind a gate that asks for one.
 
-    Parameters
-    ----------
-    address : Address
-        Where Foxglove connects to.
-
     Yields
     ------
     callable

@@ -28,12 +28,8 @@ def follow(
 
     Parameters
     ----------
-    tail : Tail
-        Where the messages come from.
     publish : callable
         Is given each new state.
-    stop : Event
-        Ends it.
     listen : callable, optional
         Is given each new chunk.
     """

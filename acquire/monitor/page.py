@@ -84,13 +84,7 @@ class Latest:
 
 
 def application(latest: Latest) -> Starlette:
-    """Return the page, its files and its feed.
-
-    Parameters
-    ----------
-    latest : Latest
-        Where the states come from.
-    """
+    """Return the page, its files and its feed."""
 
     async def feed(_: Request) -> StreamingResponse:
         return StreamingResponse(_events(latest), media_type="text/event-stream")

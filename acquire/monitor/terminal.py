@@ -31,12 +31,8 @@ def render(view: View, layers: Sequence[Layer], width: int, height: int) -> Rend
 
     Parameters
     ----------
-    view : View
-        The figures.
     layers : sequence of Layer
         The map; it is left out where there is no room.
-    width, height : int
-        The window in cells.
     """
     map_width = max(_LEAST_MAP, round(_MAP_SHARE * width)) if width >= _LEAST_WITH_MAP else 0
     left = width - map_width - (2 if map_width else 0)

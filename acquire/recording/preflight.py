@@ -69,20 +69,10 @@ def check(
 
     Parameters
     ----------
-    configuration : Configuration
-        The recording to come.
     base : Path
         Where relative paths of the configuration begin.
-    sources : dict
-        Where the links come from.
-    positions : dict
-        What the casters among them are told.
     seconds : float
         How long to listen.
-    host : Host
-        Clocks and disk.
-    dialect : Dialect
-        The known MAVLink messages.
     """
     stop = threading.Event()
     framers = {link.name: StreamFramer(wires_of(link.protocol), dialect) for link in configuration.link}

@@ -80,16 +80,12 @@ def record(
 
     Parameters
     ----------
-    configuration : Configuration
-        Links and site.
     base : Path
         Where relative paths of the configuration begin.
     stop : Event
         Ends the recording; the log is closed properly.
     tell : callable
         Is told in words what happens to links and files.
-    host : Host, optional
-        Clocks and disk.
     sources : dict, optional
         Where the links come from; otherwise from their addresses.
 

@@ -58,13 +58,7 @@ def state(time_s: float) -> State:
 
 
 def telemetry_log(dialect: Dialect) -> bytes:
-    """Return the bytes of the flight as a `.tlog`.
-
-    Parameters
-    ----------
-    dialect : Dialect
-        Where the messages are defined.
-    """
+    """Return the bytes of the flight as a `.tlog`."""
     log = bytearray()
     for sequence, (time_s, name, values) in enumerate(_messages()):
         frame = encode(

@@ -26,8 +26,6 @@ def on_ports(
     ----------
     udp_port : int
         To which the vehicle sends; 0 for any that is free.
-    base_on_tcp : bool
-        Whether the base is a TCP server instead of a serial port.
 
     Yields
     ------
@@ -55,13 +53,6 @@ def awaited(flight: PlayedFlight, *, base_on_tcp: bool = False) -> tuple[str, ..
 
 def record_settings(flight: PlayedFlight, urls: Mapping[str, str], output: Path) -> str:
     """Write the configuration with which `acquire record` records the devices.
-
-    Parameters
-    ----------
-    urls : dict of str to str
-        Of the links.
-    output : Path
-        Folder of the recording.
 
     Returns
     -------

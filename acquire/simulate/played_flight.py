@@ -60,13 +60,6 @@ class PlayedFlight:
 def read_flight(source: Path, start_utc: dt.datetime | None = None) -> PlayedFlight:
     """Read a simulated flight, or fly it.
 
-    Parameters
-    ----------
-    source : Path
-        A folder that `acquire simulate flight` made, or a configuration.
-    start_utc : datetime, optional
-        When it begins: the plan is flown anew for that moment, with the satellites of then.
-
     Raises
     ------
     InputNotFoundError

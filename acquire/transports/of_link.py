@@ -44,10 +44,6 @@ def source_of_link(
 
     Parameters
     ----------
-    link : Addressed
-        The link.
-    environment : mapping
-        Where the password is.
     position : callable, optional
         Gives the sentence that a caster is told with the request.
 

@@ -37,17 +37,7 @@ class Messages:
 
 
 def decode(batch: Batch, message: int, dialect: Dialect) -> Messages:
-    """Decode all intact frames of one known message.
-
-    Parameters
-    ----------
-    batch : Batch
-        The frames.
-    message : int
-        The message id.
-    dialect : Dialect
-        Where the message is defined.
-    """
+    """Decode all intact frames of one known message."""
     index = batch.where(Wire.MAVLINK, message)
     start = batch.start[index]
     octets = np.frombuffer(batch.data, np.uint8)

@@ -23,16 +23,10 @@ def encode(
 
     Parameters
     ----------
-    dialect : Dialect
-        Where the message is defined.
-    message : int
-        The message id.
     values : dict
         Values by field name, in the units of the definition; fields that are missing are zero.
     sequence : int
         Number of the frame; taken modulo 256.
-    system, component : int
-        The sender.
 
     Raises
     ------

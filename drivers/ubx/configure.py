@@ -91,12 +91,6 @@ def steps(version: Version, port: str, messages: tuple[str, ...], rate_ms: int) 
 
     Parameters
     ----------
-    version : Version
-        The receiver.
-    port : str
-        The port of the receiver that the host is connected to, one of `PORTS`.
-    messages : tuple of str
-        Names out of `MESSAGES`.
     rate_ms : int
         Time between measurements, milliseconds.
     """

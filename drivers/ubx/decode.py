@@ -122,15 +122,7 @@ def correction_age_s(pvt: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def decode(batch: Batch, kind: int) -> Messages:
-    """Decode all messages of a kind of fixed size; polls and shorter versions are left out.
-
-    Parameters
-    ----------
-    batch : Batch
-        The frames.
-    kind : int
-        Class * 256 + id.
-    """
+    """Decode all messages of a kind of fixed size; polls and shorter versions are left out."""
     row = layout(kind)
     index = batch.where(Wire.UBX, kind)
     payload = batch.length[index] - 8

@@ -10,8 +10,6 @@ def encode(kind: int, payload: bytes) -> bytes:
 
     Parameters
     ----------
-    kind : int
-        Class * 256 + id.
     payload : bytes
         The payload.
     """

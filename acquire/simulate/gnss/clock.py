@@ -48,12 +48,8 @@ def run(model: ReceiverModel, start_gps_ns: int, stop_gps_ns: int, rng: np.rando
 
     Parameters
     ----------
-    model : ReceiverModel
-        Interval and quality of the clock.
     start_gps_ns, stop_gps_ns : int
         First and last possible epoch; epochs are whole multiples of the interval in receiver time.
-    rng : Generator
-        Chance.
     """
     every = round(model.interval_s * SECOND_NS)
     tag = np.arange(-(-start_gps_ns // every) * every, stop_gps_ns + 1, every, dtype=np.int64)

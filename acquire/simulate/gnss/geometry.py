@@ -81,14 +81,8 @@ def link(satellite: Satellite, seconds: Floats, origin_gps_ns: int, at: Place) -
 
     Parameters
     ----------
-    satellite : Satellite
-        What transmits.
     seconds : float64 (n,)
         GPS time of arrival since `origin_gps_ns`.
-    origin_gps_ns : int
-        Origin of the times.
-    at : Place
-        Where it arrives.
     """
     travel = np.full(len(seconds), 0.075)
     # The satellite moves 4 km/s: the error shrinks by 1e-5 with each step, from 60 m.

@@ -42,12 +42,8 @@ def evaluate(ephemeris: Ephemeris, seconds: Floats, origin_gps_ns: int) -> Orbit
 
     Parameters
     ----------
-    ephemeris : Ephemeris
-        The set.
     seconds : float64 (n,)
         GPS time since `origin_gps_ns`, seconds: small numbers keep the time exact.
-    origin_gps_ns : int
-        Origin of the times.
 
     Returns
     -------

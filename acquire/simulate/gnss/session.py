@@ -70,12 +70,6 @@ def simulate(
         Session, GPS nanoseconds since 1980-01-06.
     rng : Generator
         All chance comes from it: the same state gives the same bytes.
-    sky : SkySettings, optional
-        Satellites and atmosphere.
-    rover_model, base_model : ReceiverModel
-        The receivers.
-    faults : Faults, optional
-        What goes wrong.
 
     Returns
     -------

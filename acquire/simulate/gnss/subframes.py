@@ -44,17 +44,7 @@ _SOURCES = {
 def messages(
     observations: Observations, span_gps_ns: tuple[int, int], sky: SkySettings
 ) -> Iterator[tuple[int, bytes]]:
-    """Yield time of sending (GPS ns) and payload of all that was received whole.
-
-    Parameters
-    ----------
-    observations : Observations
-        They tell which satellites were tracked.
-    span_gps_ns : (int, int)
-        Session.
-    sky : SkySettings
-        What subframe 4 tells to all.
-    """
+    """Yield time of sending (GPS ns) and payload of all that was received whole."""
     seconds = (observations.clock.tag_gps_ns - span_gps_ns[0]) / SECOND_NS
     almanacs = {
         system: tuple(s.truth for s in observations.satellites if s.system == system) for system in _SOURCES

@@ -61,14 +61,8 @@ def messages(
 
     Parameters
     ----------
-    events : Events
-        The pulses.
-    clock : Clock
-        Of the receiver: its own time base, and when messages are sent.
     leap_s : int
         GPS time minus UTC.
-    rng : Generator
-        Chance of the marks' noise.
     """
     true_ns = clock.true_gps_ns
     latest = [0, 0]

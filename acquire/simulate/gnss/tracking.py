@@ -60,12 +60,6 @@ def track(
         Times of the epochs, rising.
     visible : bool (n,)
         Whether the signal arrives.
-    slips_per_hour : float
-        Rate of slips.
-    data : bool
-        Whether the signal carries data, see `Signal.data`.
-    rng : Generator
-        Chance.
     """
     code = np.zeros(len(seconds), bool)
     starts: list[float] = []

@@ -23,11 +23,6 @@ Floats = NDArray[np.float64]
 def write_block(world: World, observed: Observations, folder: Path) -> None:
     """Write the block folder of a flight.
 
-    Parameters
-    ----------
-    folder : Path
-        Is made.
-
     Raises
     ------
     ConfigurationError

@@ -251,13 +251,6 @@ class Configuration(Table):
 def read_configuration(path: Path, instead: dict[str, Any] | None = None) -> Configuration:
     """Read the configuration of a simulated flight.
 
-    Parameters
-    ----------
-    path : Path
-        The file, or the name of one of `FLIGHTS`.
-    instead : dict, optional
-        Keys of the top level that replace those of the file.
-
     Raises
     ------
     InputNotFoundError

@@ -21,8 +21,6 @@ def seen(points_m: Floats, pose: Pose, camera: Camera) -> Floats:
     ----------
     points_m : ndarray, shape (n, 3)
         In the local frame.
-    pose : Pose
-        Of n moments or of one.
     """
     rays = np.squeeze(pose.rotation @ (points_m - pose.centre_m)[..., None], axis=-1)
     return camera.project(rays @ TO_OPENCV)
@@ -45,12 +43,8 @@ def sight(
     Parameters
     ----------
     points_m : ndarray, shape (n, 3)
-    exposures, motion, rig
-        The flight.
     readout_s : float
         Time from the first to the last row; 0 for a global shutter.
-    margin_px : float
-        Points nearer to the border than this do not count as seen.
     """
     image, point, pixels = [], [], []
     for number in range(len(exposures)):

@@ -50,13 +50,7 @@ class Leg:
 
 
 def strips(plan: configuration.Plan, camera: configuration.Camera) -> tuple[Strip, ...]:
-    """Lay strips over the area, pass after pass, each next to the one before and flown the other way.
-
-    Parameters
-    ----------
-    camera : configuration.Camera
-        Its width lies across the strips.
-    """
+    """Lay strips over the area, pass after pass, each next to the one before and flown the other way."""
     area = np.array(plan.area_m)
     found: list[Strip] = []
     for number, one in enumerate(plan.passes):

@@ -79,11 +79,6 @@ def _reach(world: World) -> float:
 def render(scene: Scene, number: int) -> Bytes:
     """Take a picture.
 
-    Parameters
-    ----------
-    number : int
-        Which one.
-
     Returns
     -------
     ndarray of uint8, shape (height, width, 3)

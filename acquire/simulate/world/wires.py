@@ -52,12 +52,6 @@ def carry(
     ----------
     time_s : ndarray, shape (n,)
         When they are sent.
-    latency_s : float
-        Mean time on the way.
-    loss, damage : float
-        Shares of frames that are lost, and in which one bit is turned.
-    gap_s : (float, float)
-        A time in which nothing arrives.
     """
     count = len(frames)
     late = latency_s * (0.6 + 0.4 * random.exponential(size=count))
