@@ -33,11 +33,14 @@ def judge_block(
     """Georeference a block three ways, judge it and answer."""
     from photocal.accuracy.geopackage import reference_system
     from photocal.exchange.any_block import read_any_block
+    from photocal.findings.catalogue import catalogue
+    from photocal.findings.texts import finding_json
     from photocal.georeferencing.as_json import to_json
     from photocal.georeferencing.as_text import to_text
     from photocal.georeferencing.comparison import check_block
     from photocal.georeferencing.methods import METHODS
     from photocal.run.georeferencing import own_calibration
+    from photocal.run.warnings import project_verdict
 
     read = read_any_block(source)
     # Known beforehand only where it is needed: a wrong frame is better explained by the check itself.
@@ -46,14 +49,19 @@ def judge_block(
         # A flight is its own calibration; a block folder states what it wants to be judged with.
         calibration = own_calibration(read) if on_the_job else None
         result = check_block(read, standards, question, noise, lambda _: advance(1), calibration)
-    content = to_json(result)
+    content, text = to_json(result), to_text(result)
+    # A project has one verdict: that over all its stages.
+    final = project_verdict(source.parent) if on_the_job else None
+    if final is not None:
+        own, content["verdict"] = content["verdict"]["text"], finding_json(final, catalogue("en"))
+        text = text.replace(own, content["verdict"]["text"])
     if output is not None:
         from photocal.georeferencing.output import write_check
 
         system = system or reference_system(None if read.frame == "local" else read.frame)
         write_check(result, content, output, system, changed_utc(source))
     said = "" if output is None else f"\nwritten to {output}"
-    answer(as_json, lambda: content, lambda: to_text(result) + said)
+    answer(as_json, lambda: content, lambda: text + said)
 
 
 def with_project(path: Path, question: Question) -> tuple[Project, Question]:

@@ -99,7 +99,7 @@ def told(findings: Iterable[Finding]) -> dict[str, Any]:
     listed, say = tuple(findings), catalogue("en")
     return {
         "findings": [finding_json(one, say) for one in listed],
-        "warnings": [finding_text(one, say, plain) for one in listed],
+        "warnings": [finding_text(one, say, plain) for one in listed if not one.small],
     }
 
 

@@ -11,6 +11,7 @@ from photocal.accuracy.as_json import to_json as assessment_json
 from photocal.accuracy.discrepancies import SIGN
 from photocal.findings.catalogue import Catalogue, catalogue
 from photocal.findings.texts import finding_json
+from photocal.findings.verdict import verdict
 from photocal.georeferencing.comparison import BlockCheck, Judged
 from photocal.georeferencing.differences import CRITICAL_W, ELLIPSE_PROBABILITY, Differences, JointTest
 from photocal.georeferencing.findings import block_findings
@@ -31,7 +32,7 @@ def to_json(check: BlockCheck, say: Catalogue | None = None) -> dict[str, Any]:
     dict
         Lengths in m; null where a figure does not exist.
     """
-    exposures = check.exposures
+    exposures, found = check.exposures, block_findings(check)
     scale = np.array([*np.degrees(np.ones(3)), 1.0, 1.0, 1.0])
     return {
         "schema": SCHEMA,
@@ -57,7 +58,8 @@ def to_json(check: BlockCheck, say: Catalogue | None = None) -> dict[str, Any]:
             }
             for one in check.mistyped
         ],
-        "findings": [finding_json(one, say or catalogue("en")) for one in block_findings(check)],
+        "verdict": finding_json(verdict(found), say or catalogue("en")),
+        "findings": [finding_json(one, say or catalogue("en")) for one in found],
     }
 
 

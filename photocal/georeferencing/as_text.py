@@ -8,6 +8,9 @@ import numpy as np
 
 from photocal.accuracy.as_text import findings_text
 from photocal.accuracy.discrepancies import SIGN
+from photocal.findings.catalogue import catalogue
+from photocal.findings.texts import finding_text
+from photocal.findings.verdict import verdict
 from photocal.georeferencing.comparison import BlockCheck, Judged
 from photocal.georeferencing.differences import Differences
 from photocal.georeferencing.findings import block_findings, estimate_text
@@ -45,9 +48,9 @@ def to_text(check: BlockCheck) -> str:
     if check.systematic is not None:
         lines += ["systematic errors, each freed alone:"]
         for one in check.systematic.tested:
-            verdict = "significant" if one.significant else "not significant"
+            outcome = "significant" if one.significant else "not significant"
             figures = ", ".join(estimate_text(e) for e in one.estimates[:3])
-            lines.append(f"  {one.name}: F {one.f:.1f} (limit {one.critical:.1f}), {verdict}; {figures}")
+            lines.append(f"  {one.name}: F {one.f:.1f} (limit {one.critical:.1f}), {outcome}; {figures}")
         lines += [f"  {text}" for text in check.systematic.untested] + [""]
     if check.systematic is not None and check.systematic.own:
         own = [
@@ -56,7 +59,8 @@ def to_text(check: BlockCheck) -> str:
         ]
         lines += ["left free in block.toml, estimated by the integrated method:", *own, ""]
     lines += [f"{method}: not possible: {reason}" for method, reason in check.refused]
-    lines.append(findings_text(block_findings(check)))
+    findings = block_findings(check)
+    lines += [findings_text(findings), finding_text(verdict(findings), catalogue("en"))]
     return "\n".join(lines)
 
 

@@ -44,6 +44,8 @@ FIRST_MISS_PX = 8.0
 PATCH_PX = 2.0 * HALF - 1.0
 # Matched patches nearer than this show one place.
 TWIN_PX = 4.0
+# Sigmas of tie points come from their own residuals: they test nothing.
+ESTIMATED = Finding("sigmas-from-residuals", "note")
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,7 @@ def orient_ties(
     final = adjust_ties(first.start, first.values, _strong(spaced(matched, PATCH_PX), sizes, IN_A_CELL))
     matched = of_images(matched, np.isin(first.start.images.names, final.start.images.names))
     left_out += [*first.left_out, *final.left_out]
-    return Oriented(final, _verified(final, matched), tuple(left_out), placed.findings)
+    return Oriented(final, _verified(final, matched), tuple(left_out), (*placed.findings, ESTIMATED))
 
 
 def _connected(start: Block, tracks: Tracks) -> tuple[Block, Tracks, Integers, list[dict[str, str]]]:

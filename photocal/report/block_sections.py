@@ -204,7 +204,7 @@ def check_points(title: str, run: Run, say: Catalogue) -> Section:
         (
             p.point,
             *(fixed(1e3 * d, decimals, say.mark) for d in (p.dx, p.dy, p.dz)),
-            *(fixed(1e3 * s, decimals, say.mark) for s in (p.sx, p.sy, p.sz)),
+            *(_sigma(1e3 * s, say) for s in (p.sx, p.sy, p.sz)),
         )
         for p in checks.points
     ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import fixed, measured, power_of_ten, significant, symbol, unit_power
 from photocal.geometry.camera import Camera
@@ -16,6 +18,7 @@ from photocal.report.document import (
     Table,
 )
 from photocal.report.figures import correlation_picture, natural_width
+from photocal.results.result import Result
 
 CONFIDENCE = 0.95
 STRONG = 0.9
@@ -80,7 +83,7 @@ def _affinity(camera: Camera, say: Catalogue) -> str:
     )
 
 
-def interior_orientation(title: str, camera: Camera, dof: int, say: Catalogue) -> Section:
+def interior_orientation(title: str, camera: Camera, result: Result, say: Catalogue) -> Section:
     """Make the table of interior orientation parameters with standard deviations and significance.
 
     Parameters
@@ -89,22 +92,27 @@ def interior_orientation(title: str, camera: Camera, dof: int, say: Catalogue) -
         Title of the section.
     camera : Camera
         The camera.
-    dof : int
-        Degrees of freedom of the adjustment, for Student's distribution.
+    result : Result
+        The adjustment: where its test is rejected the scaled standard deviations stand beside.
     say : Catalogue
         Language.
     """
+    dof, test = result.degrees_of_freedom, result.global_test
     critical = critical_t(dof)
+    refuted = test is not None and not test.accepted and bool(result.sigma0_squared)
+    factor = math.sqrt(result.sigma0_squared) if refuted and result.sigma0_squared else None
+    scaled = () if factor is None else (Column(say("iop.scaled")),)
     columns = (
         Column(say("iop.name"), align="left"),
         Column(say("iop.meaning"), align="left"),
         Column(say("iop.value")),
         Column(say("iop.sigma")),
+        *scaled,
         Column(say("iop.unit"), align="left"),
         Column(say("iop.t")),
         Column(say("iop.significant"), align="center"),
     )
-    rows = tuple(_iop_row(name, camera, critical, say) for name in camera.used)
+    rows = tuple(_iop_row(name, camera, critical, factor, say) for name in camera.used)
     note = say("iop.note", critical=fixed(critical, 2, say.mark))
     pieces: list[Piece] = [Table(say("iop.table"), columns, rows, note)]
     weak = [symbol(name) for name in insignificant(camera, dof)]
@@ -128,18 +136,24 @@ def insignificant(camera: Camera, dof: int) -> list[str]:
     return [name for name in tested if abs(camera.value(name)) / camera.sigma_of(name) < critical]
 
 
-def _iop_row(name: str, camera: Camera, critical: float, say: Catalogue) -> tuple[str, ...]:
+def _iop_row(
+    name: str, camera: Camera, critical: float, factor: float | None, say: Catalogue
+) -> tuple[str, ...]:
     value, sigma = camera.value(name), camera.sigma_of(name)
     printed = measured(value, sigma, say.mark)
     unit = power_of_ten(printed.exponent, unit_power(camera.unit, POWERS.get(name, 0)))
-    head = (symbol(name), say(f"parameter.{name}"), printed.value)
-    if name not in camera.free:
-        return (*head, say("word.held"), unit or "1", say("word.none"), say("word.none"))
+    head, free = (symbol(name), say(f"parameter.{name}"), printed.value), name in camera.free
+    scaled: tuple[str, ...] = ()
+    if factor is not None:
+        text = significant(factor * sigma / 10.0**printed.exponent, 2, say.mark)
+        scaled = (text if free else say("word.none"),)
+    if not free:
+        return (*head, say("word.held"), *scaled, unit or "1", say("word.none"), say("word.none"))
     if name in NOT_TESTED or sigma == 0.0:
-        return (*head, printed.sigma, unit, say("word.none"), say("word.none"))
-    t = value / sigma
+        return (*head, printed.sigma, *scaled, unit, say("word.none"), say("word.none"))
+    t = value / (sigma * (factor or 1.0))
     verdict = say("word.yes") if abs(t) >= critical else say("word.no")
-    return (*head, printed.sigma, unit or "1", fixed(t, 1, say.mark), verdict)
+    return (*head, printed.sigma, *scaled, unit or "1", fixed(t, 1, say.mark), verdict)
 
 
 def correlations(title: str, name: str, camera: Camera, say: Catalogue) -> Section:

@@ -10,8 +10,9 @@ from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import fixed, measured, relation
 from photocal.findings.finding import Finding
 from photocal.findings.texts import finding_text
+from photocal.findings.verdict import of_global_test, verdict
 from photocal.geometry.camera import Camera
-from photocal.report.acceptance import verdict
+from photocal.report.acceptance import verdict as keeps
 from photocal.report.analysis_sections import analysis_verdict, hidden_errors, method_check, parameters
 from photocal.report.block_sections import (
     check_points,
@@ -19,13 +20,13 @@ from photocal.report.block_sections import (
     global_test,
     inputs,
     method,
-    percent,
 )
 from photocal.report.camera_sections import camera_facts, correlations, interior_orientation
 from photocal.report.certificate_metadata import Particulars
 from photocal.report.derived_figures import Facts, facts
-from photocal.report.document import Document, Highlight, KeyValues, Piece, Section, Statement
+from photocal.report.document import Document, Highlight, KeyValues, Piece, Section, Statement, Tone
 from photocal.report.image_sections import image_residuals, radial_distortion, rms_px
+from photocal.report.laboratory import laboratory, uncertainty
 from photocal.report.ministry_rows import Context
 from photocal.report.ministry_sections import (
     acceptance,
@@ -75,8 +76,8 @@ def certificate(
         number=certificate_number(run, particulars, told),
         facts=_facts(run, particulars, certificate_number(run, particulars, told), say),
         highlights=_highlights(run, say),
-        verdicts=(*_verdicts(run, known, say), *warned(told, say)),
-        sections=(*_sections(run, particulars, known, say), *warning_sections(told, say)),
+        verdicts=_verdicts(run, known, told, say),
+        sections=(*warning_sections(told, say), *_sections(run, particulars, known, told, say)),
         words={word: say(f"word.{word}") for word in WORDS},
     )
 
@@ -180,18 +181,37 @@ def _checks(run: Run, say: Catalogue) -> Highlight:
     )
 
 
-def _verdicts(run: Run, known: tuple[Facts, ...], say: Catalogue) -> tuple[Statement, ...]:
+def overall(run: Run, known: tuple[Facts, ...], told: tuple[Finding, ...]) -> Finding:
+    """Give the one verdict over everything that processing, adjustment and analysis found."""
+    analysed = run.analysis.findings if run.analysis is not None else ()
+    plausible = (finding for of in known for finding in of.findings)
+    diverged = () if run.result.converged else (Finding("not-converged", "grave"),)
+    return verdict((*diverged, *told, _tested(run, told), *plausible, *analysed))
+
+
+def _tested(run: Run, told: tuple[Finding, ...]) -> Finding:
+    """The global test, as far as it tests anything."""
     result, test = run.result, run.result.global_test
-    verdicts: list[Statement] = []
+    estimated = bool(result.variance_components) or any(f.code == "sigmas-from-residuals" for f in told)
+    accepted = None if test is None else test.accepted
+    return of_global_test(result.chi_squared, result.degrees_of_freedom, accepted, estimated=estimated)
+
+
+def _verdicts(
+    run: Run, known: tuple[Facts, ...], told: tuple[Finding, ...], say: Catalogue
+) -> tuple[Statement, ...]:
+    """The verdict first, then what it rests on; nothing is green where it is not."""
+    result, final = run.result, overall(run, known, told)
+    tone: Tone = {"passed": "good", "doubtful": "note"}.get(final.severity, "bad")  # type: ignore[assignment]
+    head = Statement(tone, say(f"verdict.{final.code}"), finding_text(final, say))
+    verdicts = [head, *warned(told, say)]
     if not result.converged:
         text = say("verdict.diverged", iterations=result.iterations)
         verdicts.append(Statement("bad", say("verdict.diverged_title"), text))
-    if test is not None:
-        key = "accepted" if test.accepted else "large" if result.chi_squared > test.upper else "small"
-        text = say(f"verdict.{key}", probability=percent(test.probability, say))
-        verdicts.append(Statement("good" if test.accepted else "bad", say(f"verdict.{key}_title"), text))
-    judged = [acceptance_statement(of, say) for of in known if verdict(of.limits) != "not_determined"]
-    verdicts += judged
+    test = _tested(run, told)
+    if test.severity != "passed":
+        verdicts.append(Statement("note", say("verdict.test_title"), finding_text(test, say)))
+    verdicts += [acceptance_statement(of, final, say) for of in known if keeps(of.limits) != "not_determined"]
     weak = [f for of in known for f in of.findings if f.code.startswith(WEAK)]
     verdicts += [Statement("bad", say("verdict.weak_title"), finding_text(f, say)) for f in weak]
     if run.analysis is not None:
@@ -202,26 +222,32 @@ def _verdicts(run: Run, known: tuple[Facts, ...], say: Catalogue) -> tuple[State
 
 
 def _sections(
-    run: Run, particulars: Particulars, known: tuple[Facts, ...], say: Catalogue
+    run: Run,
+    particulars: Particulars,
+    known: tuple[Facts, ...],
+    told: tuple[Finding, ...],
+    say: Catalogue,
 ) -> tuple[Section, ...]:
     cameras = run.result.cameras
     several = len(cameras) > 1
     facts: tuple[Piece, ...] = tuple(camera_facts(name, camera, say) for name, camera in cameras.items())
+    number = certificate_number(run, particulars, told)
     sections = [Section(say("camera.section"), facts), method(say("method.section"), run, say)]
-    for number, (camera_id, camera) in enumerate(cameras.items(), start=1):
-        name = str(number)
+    for position, (camera_id, camera) in enumerate(cameras.items(), start=1):
+        name = str(position)
 
         def title(key: str, camera_id: str = camera_id) -> str:
             return f"{say(key)}: {camera_id}" if several else say(key)
 
         sections += [
-            interior_orientation(title("iop.section"), camera, run.result.degrees_of_freedom, say),
+            interior_orientation(title("iop.section"), camera, run.result, say),
             *_correlations(title("correlation.section"), name, camera, say),
             radial_distortion(title("distortion.section"), name, run, camera_id, say),
             image_residuals(title("residuals.section"), name, run, camera_id, say),
         ]
         if run.analysis is not None and run.analysis.cameras.get(camera_id) is not None:
             sections.append(parameters(title("analysis.parameters"), camera_id, run, run.analysis, say))
+    sections.append(uncertainty(say("uncertainty.section"), run, particulars, say))
     sections.append(hidden_errors(run, say))
     if run.analysis is not None:
         sections.append(method_check(run.analysis, say))
@@ -230,14 +256,15 @@ def _sections(
         exterior_orientation(say("eop.section"), run, say),
         check_points(say("checks.section"), run, say),
         global_test(say("test.section"), run, say),
-        *_judgements(run, particulars, known, say),
+        *_judgements(run, particulars, known, overall(run, known, told), say),
+        laboratory(say("laboratory.section"), particulars, number, say),
         inputs(say("inputs.section"), run, say),
         signature(say("signature.section"), particulars, say),
     )
 
 
 def _judgements(
-    run: Run, particulars: Particulars, known: tuple[Facts, ...], say: Catalogue
+    run: Run, particulars: Particulars, known: tuple[Facts, ...], final: Finding, say: Catalogue
 ) -> list[Section]:
     """Plausibility, acceptance and the ministry's form of each camera, and the equipment once."""
 
@@ -245,7 +272,7 @@ def _judgements(
         return f"{say(key)}: {of.camera_id}" if len(known) > 1 else say(key)
 
     sections = [findings(title("plausibility.section", of), of.findings, say) for of in known]
-    sections += [acceptance(title("acceptance.section", of), of, say) for of in known]
+    sections += [acceptance(title("acceptance.section", of), of, final, say) for of in known]
     sections.append(equipment(say("equipment.section"), particulars, say))
     for of in known:
         context = Context(run, particulars, of, say)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, FiniteFloat, PositiveFloat, ValidationError
 
@@ -15,6 +15,8 @@ from drivers.errors import ConfigurationError, InputNotFoundError
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Sigmas = tuple[PositiveFloat, PositiveFloat, PositiveFloat]
 Vertex = tuple[str, FiniteFloat, FiniteFloat]
+# What may add to the uncertainty of c beside the adjustment.
+Source = Literal["control", "datum", "temperature", "refocus", "model"]
 
 
 class DocumentKeys(Table):
@@ -95,6 +97,39 @@ class ValidityKeys(Table):
     conditions: str = ""
 
 
+class LaboratoryKeys(Table):
+    """Section `[laboratory]`: what ISO/IEC 17025 asks of a certificate."""
+
+    name: str = ""
+    address: str = ""
+    place_of_work: str = ""
+    client_contact: str = ""
+    received: dt.date | None = None
+    measured: dt.date | None = None
+    traceability: str = ""
+    decision_rule: str = ""
+    deviations: str = ""
+    external: str = ""
+
+
+class ConditionKeys(Table):
+    """Section `[conditions]`: under which the camera was calibrated."""
+
+    temperature_c: FiniteFloat | None = None
+    focus: str = ""
+    aperture: str = ""
+    stabilisation: str = ""
+    firmware: str = ""
+    in_camera_correction: str = ""
+    state: str = ""
+
+
+class UncertaintyKeys(Table):
+    """Section `[uncertainty]`: standard uncertainties of c by source, in the unit of the camera."""
+
+    of_c: dict[Source, PositiveFloat] = Field(default_factory=dict)
+
+
 class ResponsibleKeys(Table):
     """Section `[responsible]`."""
 
@@ -116,6 +151,9 @@ class Particulars(Table):
     equipment: tuple[EquipmentKeys, ...] = ()
     validity: ValidityKeys = ValidityKeys()
     responsible: ResponsibleKeys = ResponsibleKeys()
+    laboratory: LaboratoryKeys = LaboratoryKeys()
+    conditions: ConditionKeys = ConditionKeys()
+    uncertainty: UncertaintyKeys = UncertaintyKeys()
 
 
 def read_particulars(

@@ -26,7 +26,7 @@ from photocal.report.ministry_rows import Context, corners
 TONES: dict[str, Tone] = {"acceptable": "good", "new_calibration": "bad", "not_determined": "note"}
 
 
-def acceptance(title: str, facts: Facts, say: Catalogue) -> Section:
+def acceptance(title: str, facts: Facts, final: Finding, say: Catalogue) -> Section:
     """Set the figures against the ministry's limits."""
     columns = (
         Column(say("acceptance.quantity"), align="left"),
@@ -38,15 +38,18 @@ def acceptance(title: str, facts: Facts, say: Catalogue) -> Section:
     rows = tuple(_limit_row(limit, say) for limit in facts.limits)
     note = say("acceptance.note", dz=_centimetres(facts.dz_cm, say), gsd=_centimetres(facts.gsd_cm, say))
     return Section(
-        title, (acceptance_statement(facts, say), Table(say("acceptance.table"), columns, rows, note))
+        title, (acceptance_statement(facts, final, say), Table(say("acceptance.table"), columns, rows, note))
     )
 
 
-def acceptance_statement(facts: Facts, say: Catalogue) -> Statement:
-    """Give the verdict over the ministry's limits as a statement."""
+def acceptance_statement(facts: Facts, final: Finding, say: Catalogue) -> Statement:
+    """Say whether the ministry's limits are kept; that is green only where the verdict is."""
     found = verdict(facts.limits)
     missing = [say(f"acceptance.{limit.key}") for limit in facts.limits if limit.met is None]
     text = say(f"acceptance.{found}_text", missing=", ".join(missing) or say("word.none"))
+    if found == "acceptable" and final.severity != "passed":
+        text += say("acceptance.withheld" if final.severity == "grave" else "acceptance.reserved")
+        return Statement("note", say(f"acceptance.{found}"), text)
     return Statement(TONES[found], say(f"acceptance.{found}"), text)
 
 

@@ -16,7 +16,7 @@ from photocal.findings.catalogue import Catalogue
 from photocal.findings.finding import Finding
 from photocal.findings.texts import finding_json
 from photocal.report.acceptance import verdict
-from photocal.report.certificate import certificate_number
+from photocal.report.certificate import certificate_number, overall
 from photocal.report.certificate_metadata import Particulars
 from photocal.report.derived_figures import Facts, facts
 from photocal.report.distortion import farthest_corner, radial_profile
@@ -58,9 +58,11 @@ def record(
         Plain values, ready for JSON. `documents` is for the caller to fill.
     """
     result = {key: value for key, value in result_json(run.result).items() if key in RESULT_KEYS}
+    known = tuple(facts(run, name, particulars) for name in run.result.cameras)
     return {
         "schema": SCHEMA,
         "number": certificate_number(run, particulars, told),
+        "verdict": finding_json(overall(run, known, told), say),
         "date": particulars.date.isoformat(),
         "language": say.language,
         "particulars": particulars.model_dump(mode="json", exclude={"date"}),

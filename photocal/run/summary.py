@@ -12,7 +12,7 @@ from photocal.findings.texts import finding_json
 from photocal.results.folder import read_result
 from photocal.results.result import Result
 from photocal.run.stage import StageResult
-from photocal.run.warnings import gather, kind, read_json
+from photocal.run.warnings import gather, kind, project_verdict, read_json
 
 SCHEMA = "photocal.run/1"
 _WORD = 14
@@ -45,6 +45,7 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
     ppk, exposures = figures("ppk", "ppk.json"), figures("exposures", "exposures.json")
     check = figures("georeferencing", "check.json")
     result = read_result(work / "calibration") if "calibration" in done else None
+    final = project_verdict(work, done)
     return {
         "schema": SCHEMA,
         "project": name,
@@ -59,6 +60,7 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
         "check_points": None if check is None else _check_points(check),
         "classes": None if check is None else _classes(check),
         "warnings": [{"kind": kind(one), **finding_json(one, say)} for one in gather(work, done)],
+        "verdict": None if final is None else finding_json(final, say),
         "certificate": str(work / "certificate") if "certificate" in done else None,
     }
 
@@ -164,7 +166,9 @@ def summary_text(figures: dict[str, Any]) -> str:
         lines += [
             _line("class" if k == 0 else "", text) for k, text in enumerate(_class_texts(figures["classes"]))
         ]
-    lines += _warning_lines(figures["warnings"])
+    lines += _warning_lines(figures["warnings"], figures["verdict"])
+    if figures["verdict"] is not None:
+        lines.append(_line("verdict", figures["verdict"]["text"].partition(": ")[2]))
     if figures["certificate"] is not None:
         lines.append(_line("certificate", figures["certificate"]))
     # Whoever reads one line reads the last.
@@ -180,8 +184,7 @@ def _line(word: str, text: str) -> str:
 
 def _calibration_lines(figures: dict[str, Any]) -> Iterator[str]:
     factor = figures["sigma0_squared"]
-    verdict = {True: "accepted", False: "rejected", None: "not tested"}[figures["global_test_accepted"]]
-    shown = "" if factor is None else f", sigma0^2 {factor:.3f} (global test {verdict})"
+    shown = "" if factor is None else f", residuals {math.sqrt(factor):.3f} times the stated sigmas"
     yield _line("adjustment", f"{figures['images']} images, {figures['observations']} observations{shown}")
     for name, camera in figures["cameras"].items():
         values = camera["parameters"]
@@ -235,11 +238,12 @@ def _class_texts(standards: list[dict[str, Any]]) -> Iterator[str]:
             )
 
 
-def _warning_lines(warnings: list[dict[str, str]]) -> Iterator[str]:
+def _warning_lines(warnings: list[dict[str, str]], final: dict[str, Any] | None) -> Iterator[str]:
     for group in ("warning", "consequence", "note"):
         texts = [f"{one['code']}: {one['text']}" for one in warnings if one["kind"] == group]
         if not texts and group == "warning":
-            texts = ["none"]
+            # Nothing is called clean while the verdict is not.
+            texts = ["none"] if final is None or final["severity"] == "passed" else ["see the verdict"]
         for k, text in enumerate(texts):
             yield _line(f"{group}s" if k == 0 else "", text)
 

@@ -11,6 +11,7 @@ from typing import Any
 from photocal.findings.finding import Finding
 from photocal.findings.hypotheses import FAULTS, fault
 from photocal.findings.texts import findings_of
+from photocal.findings.verdict import of_global_test, verdict
 from photocal.run.stage import made_in
 
 # A parameter that goes so many of its prior sigmas away.
@@ -66,6 +67,27 @@ def told_beside(run: Path) -> tuple[Finding, ...]:
     if not (made_in(work) / run.resolve().name).is_dir():
         return ()
     return gather(work) if (work / "georeferencing").is_dir() else (*gather(work), _NOT_CHECKED)
+
+
+def project_verdict(work: Path, stages: Container[str] | None = None) -> Finding | None:
+    """Give the one verdict over a project: that of its certificate, else over what its stages found.
+
+    Returns
+    -------
+    Finding or None
+        None before there is an adjustment.
+    """
+    certified = read_json(work / "certificate" / "certificate.json")
+    if certified is not None and (stages is None or "certificate" in stages):
+        return findings_of([certified["verdict"]], work / "certificate")[0]
+    result = read_json(work / "calibration" / "result.json")
+    if result is None:
+        return None
+    findings, test = gather(work, stages), result["global_test"]
+    estimated = any(one.code == "sigmas-from-residuals" for one in findings)
+    accepted = None if test is None else bool(test["accepted"])
+    figures = result["chi_squared"], result["degrees_of_freedom"]
+    return verdict((*findings, of_global_test(*figures, accepted, estimated=estimated)))
 
 
 def kind(finding: Finding) -> str:

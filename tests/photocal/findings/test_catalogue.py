@@ -13,8 +13,8 @@ import photocal
 from drivers.errors import ConfigurationError
 from photocal.findings.catalogue import LANGUAGES, catalogue
 
-OF_FINDINGS = ("finding", "passed", "untested", "clause", "cause", "remedy")
-OF_FINDINGS += ("term", "slip", "change", "candidate", "lever")
+OF_FINDINGS = {"finding", "passed", "untested", "clause", "cause", "remedy", "term", "slip", "change"}
+OF_FINDINGS |= {"candidate", "lever"}
 
 
 def fields(text: str) -> set[str]:

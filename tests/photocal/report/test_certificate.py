@@ -202,19 +202,24 @@ def test_factor_is_given_and_not_applied(invented_run: Run) -> None:
     assert "1.0551" in text
 
 
-@pytest.mark.parametrize(
-    ("chi_squared", "title"),
-    [(999.0, "larger than assumed"), (500.0, "smaller than assumed")],
-)
-def test_failed_test_is_said_on_top(run_folder: Path, chi_squared: float, title: str) -> None:
+def test_refuted_standard_deviations_are_said_on_top_and_scaled_beside(run_folder: Path) -> None:
     path = run_folder / "result.json"
     result = json.loads(path.read_text(encoding="utf-8"))
-    result["chi_squared"] = chi_squared
+    factor = 1.5
+    result["sigma0_squared"] = factor**2
+    result["chi_squared"] = factor**2 * result["degrees_of_freedom"]
     result["global_test"]["accepted"] = False
     path.write_text(json.dumps(result), encoding="utf-8")
     document = certificate(read_run(run_folder), Particulars(date=DAY), catalogue("en"))
-    assert title in document.verdicts[0].title
-    assert document.verdicts[0].tone == "bad"
+    assert document.verdicts[0].title == "Usable with reservations"
+    assert "1.50 times the stated" in document.verdicts[1].text
+    assert all(one.tone != "good" for one in document.verdicts)
+    tables = [p for s in document.sections for p in s.pieces if isinstance(p, Table)]
+    orientation = next(t for t in tables if t.caption == "Interior orientation parameters")
+    heads = [column.head for column in orientation.columns]
+    row = next(row for row in orientation.rows if row[0] == "c")
+    stated, scaled = (float(row[heads.index(name)]) for name in ("Std. dev.", "Scaled"))
+    assert scaled == pytest.approx(factor * stated, rel=0.06)
 
 
 def hold_camera(result: dict[str, Any]) -> None:
