@@ -113,10 +113,12 @@ def read_gcp_list(path: Path) -> tuple[str, tuple[GroundMark, ...]]:
 
 
 def _cells(text: str) -> list[str]:
-    """Cells between blanks, semicolons, or commas; where it is none of those, a comma is decimal."""
+    """Cells between blanks, semicolons, or commas; a comma may be decimal where no point is."""
     if len(text.split()) == 1 and ";" not in text:
         return text.split(",")
     cells = text.replace(";", " ").split()
+    if any("." in cell for cell in cells[:5]):
+        return cells
     return [*(cell.replace(",", ".") for cell in cells[:5]), *cells[5:]]
 
 

@@ -42,7 +42,7 @@ def flown(folder: Path, **instead: Any) -> Flight:
 @pytest.fixture(scope="session")
 def world() -> World:
     """The demonstration's world."""
-    return make_world(configured("flight"))
+    return make_world(configured("survey"))
 
 
 @pytest.fixture(scope="session")

@@ -57,7 +57,7 @@ def test_the_project_file_is_one(small: Flight) -> None:
 def test_the_survey_has_the_stated_sigmas() -> None:
     from acquire.simulate.world.world import make_world
 
-    given = configured("flight", targets={"control": 300, "check": 0})
+    given = configured("survey", targets={"control": 300, "check": 0})
     targets = make_world(given).targets
     error = targets.surveyed_m - targets.centre_m
     assert error.std(axis=0) == pytest.approx(given.targets.sigma_m, rel=0.15)
@@ -211,7 +211,7 @@ def test_a_fault_changes_what_it_is_about_and_nothing_else(
 def test_a_zoom_changes_the_camera_of_later_passes() -> None:
     from acquire.simulate.world.world import make_world
 
-    exposures = make_world(configured("flight", faults=["zoom"])).exposures
+    exposures = make_world(configured("survey", faults=["zoom"])).exposures
     first, last = exposures.cameras[0], exposures.cameras[-1]
     assert last.fx == pytest.approx(1.004 * first.fx)
     assert exposures.covers[0] == 0
@@ -230,7 +230,7 @@ def test_faults_have_sizes() -> None:
     }  # fmt: skip
     every = [fault.value for fault in Fault]
     right, wrong = (
-        make_world(configured("flight", faults=faults, fault_sizes=sizes)) for faults in ([], every)
+        make_world(configured("survey", faults=faults, fault_sizes=sizes)) for faults in ([], every)
     )
     coordinates = right.targets.surveyed_m
     noted, mistaken = take_notes(right, coordinates), take_notes(wrong, coordinates)
