@@ -21,7 +21,7 @@ def test_more_control_is_predicted_and_seen_to_be_better(tmp_path: Path) -> None
     rows = figures["numbers"]
     assert [(row["control"], row["choices"]) for row in rows] == [(0, 1), (3, CHOICES), (6, 7)]
     predicted = [np.linalg.norm(list(row["predicted_m"].values())) for row in rows]
-    assert predicted[0] > max(predicted[1:])
+    assert predicted[2] < min(predicted[:2])
     assert rows[0]["errors"] == 7
     # All but one: each point is judged once.
     judged = [run.check.names for run in outcome.runs if run.control == 6 and run.check is not None]
