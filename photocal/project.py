@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -106,4 +106,10 @@ def read_project(path: Path) -> Project:
         For what is not TOML, an unknown key, a missing one, or an impossible value.
     """
     contents = read_toml(path, Contents, {"folder": path.parent})
-    return Project(path, contents, tuple(make_camera(keys, path) for keys in contents.camera))
+    cameras = [make_camera(keys, path) for keys in contents.camera]
+    # Nobody said: the adjustment of the flight will tell.
+    cameras = [
+        replace(camera, shutter="unknown") if keys.shutter is None and not camera.rolling else camera
+        for keys, camera in zip(contents.camera, cameras, strict=True)
+    ]
+    return Project(path, contents, tuple(cameras))

@@ -12,16 +12,20 @@ from photocal.adjustment.network import Network
 from photocal.adjustment.normal import prepare
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration, minimise
-from photocal.adjustment.state import start_state
+from photocal.adjustment.state import State, start_state
 
 
-def adjust(network: Network, report: Callable[[Iteration], None] | None = None) -> Solution:
+def adjust(
+    network: Network, report: Callable[[Iteration], None] | None = None, state: State | None = None
+) -> Solution:
     """Adjust a network by weighted least squares (Gauss-Markov model with weighted constraints).
 
     Parameters
     ----------
     report : callable, optional
         Called after each iteration.
+    state : State, optional
+        To start from, in place of the network's values: of a solution of the same images and points.
 
     Returns
     -------
@@ -35,10 +39,12 @@ def adjust(network: Network, report: Callable[[Iteration], None] | None = None) 
     NotConvergedError
         When the iteration does not end.
     """
-    state = start_state(network)
+    start = start_state(network)
     began = time.perf_counter()
-    problem = with_datum(prepare(network), state)
-    minimum = minimise(problem, state, report)
+    problem = with_datum(prepare(network), start)
+    if state is not None and state.deviations.shape != start.deviations.shape:
+        state = replace(state, deviations=start.deviations)
+    minimum = minimise(problem, state or start, report)
     solved = time.perf_counter()
     solution = complete(problem, minimum)
     timing = {"solve": solved - began, "covariance": time.perf_counter() - solved}

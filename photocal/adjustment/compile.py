@@ -39,6 +39,10 @@ def compile_kernels() -> None:
     # With a few photo-variant parameters every image has columns for them.
     varied = replace(lens, deviation_sigma=np.where(np.arange(len(PARAMETERS)) == 1, 0.1, 0.0))
     adjust(replace(network, cameras=(varied,)))
+    # Moving while it is read, every image has six more columns.
+    rolls = camera("c", "brown-observed", "mm", (100, 100), (0.1, 0.1), {"c": 20.0, "readout": 0.01})
+    moving = Exposures(np.zeros(2, np.int64), values, sigma, np.ones((2, 6)), np.ones((2, 6)))
+    adjust(replace(network, cameras=(rolls,), exposures=moving))
     # A free network with a scale bar passes through what the datum and kept points need.
     length = np.linalg.norm(grid[15:] - grid[:1], axis=1)
     ends = np.zeros(1, np.int64), np.full(1, 15)

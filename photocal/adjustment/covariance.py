@@ -13,13 +13,14 @@ from photocal.adjustment.equations import Equations
 from photocal.adjustment.kernels.data import Structure
 from photocal.adjustment.kernels.ray import element_address
 from photocal.adjustment.kernels.statistics import statistics
+from photocal.adjustment.network import own_parameters
 from photocal.adjustment.normal import Problem, other_equations, values_of
 from photocal.adjustment.rank import explain_singular, require_determined
 from photocal.adjustment.solution import Group, PhotoVariant, Solution
 from photocal.adjustment.solver import Minimum
-from photocal.adjustment.state import State, turn_basis
+from photocal.adjustment.state import State, lenses, turn_basis
 from photocal.compiled import compiled
-from photocal.geometry.camera import PARAMETERS
+from photocal.geometry.camera import OWN, PARAMETERS
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
 
 Floats = NDArray[np.float64]
@@ -159,15 +160,13 @@ def _common_covariance(problem: Problem, inverse: Floats) -> Floats:
 
 
 def _photo_variant(problem: Problem, state: State, inverse: Floats) -> PhotoVariant:
-    """Values of the photo-variant parameters: that of the camera and the image's deviation."""
-    network, own = problem.network, problem.layout.own_columns
+    """Values of the images' own parameters: that of the camera or the given movement, and the deviation."""
+    network, own = problem.network, own_parameters(problem.network)
     image, place = np.nonzero(own >= 0)
-    varied = [np.flatnonzero(camera.deviation_sigma > 0) for camera in network.cameras]
-    camera = network.exposures.camera[image]
-    parameter = np.array([varied[k][n] for k, n in zip(camera, place, strict=True)], dtype=np.int64)
-    column = own[image, place]
+    camera, parameter = network.exposures.camera[image], own[image, place]
+    column = problem.layout.own_columns[image, place]
     deviation = blocks(column[:, None], problem.structure, inverse)[:, 0, 0]
-    common = np.full((len(network.cameras), len(PARAMETERS)), -1)
+    common = np.full((len(network.cameras), len(OWN)), -1)
     for k, (active, columns) in enumerate(problem.layout.camera_columns):
         common[k, active] = columns
     shared = common[camera, parameter]
@@ -178,7 +177,7 @@ def _photo_variant(problem: Problem, state: State, inverse: Floats) -> PhotoVari
     return PhotoVariant(
         image,
         parameter,
-        state.cameras[camera, parameter] + state.deviations[image, place],
+        lenses(network, state)[image, parameter] if len(image) else np.zeros(0),
         np.sqrt(variance),
         state.deviations[image, place],
         np.sqrt(deviation),

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from photocal.adjustment.envelope import Envelope, envelope
 from photocal.adjustment.kernels.data import POSE, WIDTHS
-from photocal.adjustment.network import Network
+from photocal.adjustment.network import Network, own_parameters
 from photocal.compiled import compiled
 
 Integers = NDArray[np.int64]
@@ -30,7 +30,7 @@ class Layout:
     image_columns : ndarray of int, shape (images, 6)
         Columns of the three rotation unknowns and of X, Y, Z of each image.
     own_columns : ndarray of int, shape (images, n)
-        Columns of the photo-variant parameters of each image; -1 for those that it does not have.
+        Columns of each image's own parameters, see `own_parameters`; -1 for those that it does not have.
     camera_columns : tuple of (ndarray, ndarray)
         For each camera the positions of its estimated parameters and their columns.
     common_columns : ndarray of int, shape (k,)
@@ -72,16 +72,11 @@ def layout(network: Network, ray_start: Integers) -> Layout:
     order = reverse_cuthill_mckee(csr_array(together), symmetric_mode=True)
     position = np.empty(count, dtype=np.int64)
     position[order] = np.arange(count)
-    varied = [np.flatnonzero(camera.deviation_sigma > 0) for camera in network.cameras]
-    most = max((len(parameters) for parameters in varied), default=0)
+    own = own_parameters(network)
+    most = own.shape[1]
     width = next(width for width in WIDTHS if width >= POSE + most)
     image_columns = width * position[:, None] + np.arange(POSE)
-    own_columns = np.full((count, most), -1)
-    for k, parameters in enumerate(varied):
-        mine = network.exposures.camera == k
-        own_columns[mine, : len(parameters)] = (
-            width * position[mine, None] + POSE + np.arange(len(parameters))
-        )
+    own_columns = np.where(own >= 0, width * position[:, None] + POSE + np.arange(most), -1)
     camera_columns = []
     column = width * count
     for camera in network.cameras:

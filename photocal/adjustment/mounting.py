@@ -105,11 +105,15 @@ class Attitudes:
         Object to body axes.
     covariance : ndarray, shape (n, 3, 3)
         Of small turns about the body axes, rad^2.
+    rate, rate_sigma : ndarray, shape (n, 3), or None
+        Angular velocity about the body axes, rad/s; NaN where it is not known.
     """
 
     image: Integers
     rotation: Floats
     covariance: Floats
+    rate: Floats | None = None
+    rate_sigma: Floats | None = None
 
 
 NO_MOUNTING = Mounting(NADIR, np.zeros(STRIPS), np.zeros(STRIPS))

@@ -15,7 +15,7 @@ from photocal.adjustment.mounting import (
     Mounting,
     Positions,
 )
-from photocal.geometry.camera import Camera
+from photocal.geometry.camera import OWN, PARAMETERS, Camera
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -33,11 +33,18 @@ class Exposures:
         omega, phi, kappa in radians, X, Y, Z of the projection centre in m.
     sigma : ndarray, shape (n, 6)
         0 holds the value, a positive sigma makes it an observation, infinity leaves it free.
+    motion, motion_sigma : ndarray, shape (n, 6), or None
+        For a rolling shutter: velocity in m/s in the object frame, rate in rad/s about the camera's axes (the
+        turn that takes old camera axes to new ones), and by how much the image departs from them; None at
+        rest. Their product with the readout moves the image; a departure is an unknown of the image whose
+        sigma is that of the motion times the camera's given readout.
     """
 
     camera: Integers
     values: Floats
     sigma: Floats
+    motion: Floats | None = None
+    motion_sigma: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -135,6 +142,28 @@ class Network:
     positions: Positions = NO_POSITIONS
     attitudes: Attitudes = NO_ATTITUDES
     mounting: Mounting = NO_MOUNTING
+
+
+def own_sigma(network: Network) -> Floats:
+    """Sigmas of each image's own parameters, shape (images, 20); 0 for those it has from its camera."""
+    exposures = network.exposures
+    cameras = np.array([camera.deviation_sigma for camera in network.cameras]).reshape(-1, len(PARAMETERS))
+    sigma = np.zeros((len(exposures.camera), len(OWN)))
+    sigma[:, : len(PARAMETERS)] = cameras[exposures.camera]
+    if exposures.motion_sigma is not None:
+        readout = np.array([abs(camera.value("readout")) for camera in network.cameras])[exposures.camera]
+        rolls = readout > 0
+        sigma[rolls, len(PARAMETERS) :] = exposures.motion_sigma[rolls] * readout[rolls, None]
+    return sigma
+
+
+def own_parameters(network: Network) -> Integers:
+    """Positions of each image's own parameters in `OWN`, shape (images, most); -1 where it has fewer."""
+    varied = own_sigma(network) > 0
+    count = varied.sum(axis=1)
+    most = int(count.max(initial=0))
+    first = np.argsort(~varied, axis=1, kind="stable")[:, :most]
+    return np.where(np.arange(most) < count[:, None], first, -1)
 
 
 def covariance_matrices(sigma: Floats, cross: Floats) -> Floats:

@@ -12,7 +12,7 @@ from photocal.adjustment.equations import Equations, add_equations
 from photocal.adjustment.kernels.data import WIDTHS, Design, Eliminated, Structure, Values
 from photocal.adjustment.kernels.elimination import accumulate
 from photocal.adjustment.layout import Layout, layout
-from photocal.adjustment.network import Network
+from photocal.adjustment.network import Network, own_parameters
 from photocal.adjustment.observations import (
     camera_equations,
     deviation_equations,
@@ -20,8 +20,8 @@ from photocal.adjustment.observations import (
     mounting_equations,
     relation_equations,
 )
-from photocal.adjustment.state import State, lenses, turn_basis
-from photocal.geometry.camera import PARAMETERS
+from photocal.adjustment.state import State, lens_by_image, lenses, turn_basis
+from photocal.geometry.camera import MOTION, PARAMETERS
 from photocal.geometry.lens import optics
 
 Floats = NDArray[np.float64]
@@ -86,14 +86,12 @@ def prepare(network: Network) -> Problem:
     ray_start = np.searchsorted(rays.point, np.arange(len(points.values) + 1))
     where = layout(network, ray_start)
     cameras = len(network.cameras)
-    varied = [np.flatnonzero(camera.deviation_sigma > 0) for camera in network.cameras]
-    own = np.zeros((cameras, where.own_columns.shape[1]), dtype=np.int64)
-    for k, parameters in enumerate(varied):
-        own[k, : len(parameters)] = parameters
-    own_count = np.array([len(parameters) for parameters in varied], dtype=np.int64)
     # Images share the lens of their camera, unless it varies from image to image.
-    shared = not own.shape[1]
+    shared = not lens_by_image(network)
     camera_of = np.arange(cameras) if shared else exposures.camera
+    own = own_parameters(network)[: len(camera_of)]
+    still = np.zeros((len(camera_of), len(MOTION)))
+    motion = still if shared or exposures.motion is None else exposures.motion
     active = np.zeros((cameras, len(PARAMETERS)), dtype=np.int64)
     for k, (positions, _) in enumerate(where.camera_columns):
         active[k, : len(positions)] = positions
@@ -115,9 +113,9 @@ def prepare(network: Network) -> Problem:
         image_lens=exposures.camera if shared else np.arange(len(exposures.camera)),
         image_column=where.image_columns[:, 0],
         pose_free=(exposures.sigma != 0).astype(float),
-        own=own[camera_of],
-        own_count=own_count[camera_of],
-        optics=np.array([optics(camera) for camera in network.cameras])[camera_of],
+        own=np.maximum(own, 0),
+        own_count=(own >= 0).sum(axis=1),
+        optics=np.hstack([np.array([optics(camera) for camera in network.cameras])[camera_of], motion]),
         active=active[camera_of],
         active_count=count[camera_of],
         active_column=(np.cumsum(count) - count)[camera_of],
@@ -165,7 +163,7 @@ def other_equations(problem: Problem, state: State) -> dict[str, Equations]:
     """Observations beside the rays and the points, by group."""
     return {
         "camera": camera_equations(problem.network, problem.layout, state),
-        "photo-variant": deviation_equations(problem.network, problem.layout, state),
+        **deviation_equations(problem.network, problem.layout, state),
         "exposure": exposure_equations(problem.network, problem.layout, state),
         **relation_equations(problem.network, problem.layout, state),
         **mounting_equations(problem.network, problem.layout, state),

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from photocal.adjustment.equations import Equations
 from photocal.adjustment.layout import Layout
 from photocal.adjustment.mounting import attitude_equations, common_equations, position_equations
-from photocal.adjustment.network import RELATIONS, Network
+from photocal.adjustment.network import RELATIONS, Network, own_parameters, own_sigma
 from photocal.adjustment.state import State, turn_basis
+from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
 
 Floats = NDArray[np.float64]
@@ -53,16 +54,16 @@ def camera_equations(network: Network, layout: Layout, state: State) -> Equation
     )
 
 
-def deviation_equations(network: Network, layout: Layout, state: State) -> Equations:
-    """Photo-variant parameters: each image's deviation from its camera observed as zero."""
-    sigma = np.full(state.deviations.shape, np.inf)
-    for k, camera in enumerate(network.cameras):
-        own = camera.deviation_sigma[camera.deviation_sigma > 0]
-        sigma[network.exposures.camera == k, : len(own)] = own
-    weighted = np.isfinite(sigma)
-    column = layout.own_columns[weighted]
-    start = np.arange(len(column) + 1)
-    return Equations(start, column, np.ones(len(column)), state.deviations[weighted], sigma[weighted] ** -2.0)
+def deviation_equations(network: Network, layout: Layout, state: State) -> dict[str, Equations]:
+    """Each image's deviations observed as zero: photo-variant parameters, and motion during the readout."""
+    own, result = own_parameters(network), {}
+    sigma = np.take_along_axis(own_sigma(network), np.maximum(own, 0), axis=1)
+    for name, chosen in (("photo-variant", own < len(PARAMETERS)), ("motion", own >= len(PARAMETERS))):
+        weighted = chosen & (own >= 0) & np.isfinite(sigma)
+        column, residual = layout.own_columns[weighted], state.deviations[weighted]
+        ones = np.ones(len(column))
+        result[name] = Equations(np.arange(len(column) + 1), column, ones, residual, sigma[weighted] ** -2.0)
+    return result
 
 
 def exposure_equations(network: Network, layout: Layout, state: State) -> Equations:

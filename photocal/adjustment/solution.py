@@ -61,11 +61,11 @@ class PhotoVariant:
     Attributes
     ----------
     image, parameter : ndarray of int, shape (n,)
-        Image, and position among the camera's parameters.
+        Image, and position in `OWN`: a parameter of the camera, or movement during the readout.
     values, sigma : ndarray, shape (n,)
-        Of the image's own lens.
+        Of the image's own lens; for a movement the sigma of its deviation.
     deviations, deviation_sigma : ndarray, shape (n,)
-        From the value of the camera.
+        From the value of the camera, or from the given motion.
     """
 
     image: Integers
@@ -86,8 +86,8 @@ class Solution:
         v'Pv at the minimum.
     datum_defect : int
         Elements of the datum that inner constraints fixed.
-    cameras : ndarray, shape (cameras, 13)
-    camera_covariance : ndarray, shape (cameras, 13, 13)
+    cameras : ndarray, shape (cameras, 14)
+    camera_covariance : ndarray, shape (cameras, 14, 14)
         Zero for parameters that are held.
     exposures : ndarray, shape (images, 6)
         omega, phi, kappa in radians, X, Y, Z in m.

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from photocal.adjustment.layout import Layout
-from photocal.adjustment.network import Network
-from photocal.geometry.camera import PARAMETERS
+from photocal.adjustment.network import Network, own_parameters
+from photocal.geometry.camera import OWN, PARAMETERS
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles, turn_per_angle, turned
 
 Floats = NDArray[np.float64]
@@ -22,7 +22,7 @@ class State:
 
     Attributes
     ----------
-    cameras : ndarray, shape (cameras, 13)
+    cameras : ndarray, shape (cameras, 14)
     rotation : ndarray, shape (images, 3, 3)
         Object to camera axes.
     centre : ndarray, shape (images, 3)
@@ -30,7 +30,7 @@ class State:
     common : ndarray, shape (k,)
         Common values of the mounting.
     deviations : ndarray, shape (images, n)
-        How far each image's photo-variant parameters are from those of its camera.
+        How far each image's own parameters are from those of its camera and from its given movement.
     """
 
     cameras: Floats
@@ -50,30 +50,34 @@ def start_state(network: Network) -> State:
         exposures.values[:, 3:].copy(),
         network.points.values.copy(),
         network.mounting.values.copy(),
-        np.zeros((len(exposures.values), most_varied(network))),
+        np.zeros(own_parameters(network).shape),
     )
 
 
-def most_varied(network: Network) -> int:
-    """Largest number of photo-variant parameters of a camera."""
-    return max((int(np.sum(camera.deviation_sigma > 0)) for camera in network.cameras), default=0)
-
-
 def lenses(network: Network, state: State) -> Floats:
-    """Parameters of every lens: those of the cameras or, where some are photo-variant, of each image.
+    """Parameters of every lens: those of the cameras or, where `lens_by_image`, of each image.
 
     Returns
     -------
-    ndarray, shape (cameras or images, 13)
+    ndarray, shape (cameras or images, 20)
+        At the end the movement during the readout.
     """
-    if not state.deviations.shape[1]:
-        return state.cameras
-    values = state.cameras[network.exposures.camera]
-    for k, camera in enumerate(network.cameras):
-        varied = np.flatnonzero(camera.deviation_sigma > 0)
-        mine = np.flatnonzero(network.exposures.camera == k)
-        values[np.ix_(mine, varied)] += state.deviations[mine, : len(varied)]
+    exposures, still = network.exposures, len(OWN) - len(PARAMETERS)
+    if not lens_by_image(network):
+        return np.pad(state.cameras, ((0, 0), (0, still)))
+    values = np.pad(state.cameras[exposures.camera], ((0, 0), (0, still)))
+    if exposures.motion is not None:
+        values[:, len(PARAMETERS) :] = values[:, len(PARAMETERS) - 1 : len(PARAMETERS)] * exposures.motion
+    own = own_parameters(network)
+    image, place = np.nonzero(own >= 0)
+    values[image, own[image, place]] += state.deviations[image, place]
     return values
+
+
+def lens_by_image(network: Network) -> bool:
+    """Whether images of one camera differ by more than their exterior orientation."""
+    varied = any((camera.deviation_sigma > 0).any() for camera in network.cameras)
+    return varied or any(camera.rolling for camera in network.cameras)
 
 
 def turn_basis(network: Network, state: State) -> Floats:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from photocal.adjustment.mounting import BORESIGHT, COMMON, HEIGHT_SCALE, STRIPS, TIME
-from photocal.adjustment.network import Network
+from photocal.adjustment.network import Network, own_parameters
 from photocal.adjustment.normal import Problem
-from photocal.geometry.camera import PARAMETERS
+from photocal.geometry.camera import OWN, PARAMETERS
 
 POSE_NAMES = ("omega", "phi", "kappa", "X", "Y", "Z")
 XYZ = ("X", "Y", "Z")
@@ -50,7 +50,7 @@ def unknowns(problem: Problem) -> list[Unknown | None]:
     list
         One entry for each column.
     """
-    network, layout = problem.network, problem.layout
+    network, layout, own = problem.network, problem.layout, own_parameters(problem.network)
     found: list[Unknown | None] = [None] * layout.size
     for i, image in enumerate(network.image_names):
         for column, parameter in zip(layout.image_columns[i], POSE_NAMES, strict=True):
@@ -58,14 +58,13 @@ def unknowns(problem: Problem) -> list[Unknown | None]:
             found[column] = Unknown(
                 "image", image, parameter, "deg" if angle else "m", np.degrees(1.0) if angle else 1.0
             )
-        camera = network.cameras[network.exposures.camera[i]]
-        varied = np.flatnonzero(camera.deviation_sigma > 0)
-        for column, k in zip(layout.own_columns[i], varied, strict=False):
-            found[column] = Unknown("image", image, PARAMETERS[k], _lens_unit(camera.unit, PARAMETERS[k]))
+        unit = network.cameras[network.exposures.camera[i]].unit
+        for column, k in zip(layout.own_columns[i], own[i], strict=True):
+            if k >= 0:
+                found[column] = Unknown("image", image, OWN[k], *_unit(unit, OWN[k]))
     for camera, (active, columns) in zip(network.cameras, layout.camera_columns, strict=True):
         for k, column in zip(active, columns, strict=True):
-            unit = _lens_unit(camera.unit, PARAMETERS[k])
-            found[column] = Unknown("camera", camera.id, PARAMETERS[k], unit)
+            found[column] = Unknown("camera", camera.id, PARAMETERS[k], *_unit(camera.unit, PARAMETERS[k]))
     for column, common in zip(layout.common_columns, common_unknowns(network), strict=True):
         if column >= 0:
             found[column] = common
@@ -91,5 +90,10 @@ def common_unknowns(network: Network) -> list[Unknown]:
     return found
 
 
-def _lens_unit(unit: str, parameter: str) -> str:
-    return unit if parameter in ("c", "x0", "y0") else ""
+def _unit(unit: str, parameter: str) -> tuple[str, float]:
+    """In which a parameter is printed, and that unit per unit of the adjustment."""
+    if parameter.startswith("turn"):
+        return "deg", float(np.degrees(1.0))
+    if parameter.startswith("move"):
+        return "m", 1.0
+    return "s" if parameter == "readout" else unit if parameter in ("c", "x0", "y0") else "", 1.0

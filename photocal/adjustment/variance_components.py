@@ -14,13 +14,10 @@ from numpy.typing import NDArray
 
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
-from photocal.adjustment.covariance import complete
-from photocal.adjustment.datum import with_datum
 from photocal.adjustment.network import RELATIONS, Network
-from photocal.adjustment.normal import prepare
 from photocal.adjustment.solution import Solution
-from photocal.adjustment.solver import Iteration, minimise
-from photocal.adjustment.state import State, start_state
+from photocal.adjustment.solver import Iteration
+from photocal.adjustment.state import State
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -145,7 +142,7 @@ def estimate_components(
     state: State | None = None
     for rounds in range(1, ROUNDS + 1):
         scaled = with_factors(network, rays, factors)
-        solution = _adjusted(scaled, state, report)
+        solution = adjust(scaled, report, state)
         state = solution.state
         fits = _fits(scaled, rays, solution)
         free = {n: f for n, f in fits.items() if n not in hold and f.redundancy > FEWEST}
@@ -165,12 +162,6 @@ def estimate_components(
         f"the variance components have not settled after {ROUNDS} rounds",
         remedy="hold the groups with the least redundancy, or look for gross errors first",
     )
-
-
-def _adjusted(network: Network, state: State | None, report: Callable[[Iteration], None] | None) -> Solution:
-    start = start_state(network)
-    problem = with_datum(prepare(network), start)
-    return complete(problem, minimise(problem, state or start, report))
 
 
 def _fits(network: Network, rays: RayGroups, solution: Solution) -> dict[str, _Fit]:
@@ -213,14 +204,26 @@ def with_factors(network: Network, rays: RayGroups, factors: dict[str, float]) -
 
     by_ray = np.array([of(name) for name in rays.names])[rays.group]
     by_relation = np.array([of(kind) for kind in RELATIONS])[network.relations.kind]
-    positions, attitudes, mounting = network.positions, network.attitudes, network.mounting
+    exposures, positions = network.exposures, network.positions
+    attitudes, mounting = network.attitudes, network.mounting
     # 0 holds and infinity frees a value: both stay what they are.
     return replace(
         network,
         rays=replace(network.rays, sigma=network.rays.sigma * by_ray[:, None]),
         points=replace(network.points, weight=network.points.weight / of("control") ** 2),
-        cameras=tuple(replace(c, prior_sigma=c.prior_sigma * of("camera")) for c in network.cameras),
-        exposures=replace(network.exposures, sigma=network.exposures.sigma * of("exposure")),
+        cameras=tuple(
+            replace(
+                camera,
+                prior_sigma=camera.prior_sigma * of("camera"),
+                deviation_sigma=camera.deviation_sigma * of("photo-variant"),
+            )
+            for camera in network.cameras
+        ),
+        exposures=replace(
+            exposures,
+            sigma=exposures.sigma * of("exposure"),
+            motion_sigma=None if exposures.motion_sigma is None else exposures.motion_sigma * of("motion"),
+        ),
         relations=replace(network.relations, sigma=network.relations.sigma * by_relation),
         positions=replace(positions, covariance=positions.covariance * of("position") ** 2),
         attitudes=replace(attitudes, covariance=attitudes.covariance * of("attitude") ** 2),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import replace
+from importlib import resources
 from typing import Annotated, Literal
 
 import numpy as np
@@ -11,7 +13,18 @@ from pydantic import AliasChoices, Field, FiniteFloat, PositiveFloat, PositiveIn
 
 from acquire.checked_toml import Table
 from drivers.errors import ConfigurationError
-from photocal.geometry.camera import MM, PARAMETERS, Affinity, AffinityForm, Camera, Model, camera
+from photocal.geometry.camera import (
+    MM,
+    PARAMETERS,
+    Affinity,
+    AffinityForm,
+    Camera,
+    DistortionAt,
+    Model,
+    ReadoutDirection,
+    Shutter,
+    camera,
+)
 from photocal.geometry.distortion import focused
 
 NonNegative = Annotated[FiniteFloat, Field(ge=0)]
@@ -35,6 +48,13 @@ class FocusKeys(Table):
     calibrations: Annotated[tuple[FocusCalibrationKeys, ...], Field(max_length=2)] = ()
 
 
+class GustKeys(Table):
+    """`gust`: by how much an image's motion departs from what is known of the flight."""
+
+    velocity_m_s: NonNegative = 0.5
+    rate_deg_s: NonNegative = 6.0
+
+
 class CameraKeys(Table):
     """One `[[camera]]`."""
 
@@ -49,6 +69,11 @@ class CameraKeys(Table):
     R0: NonNegative = Field(default=0.0, validation_alias=AliasChoices("R0", "reference_radius"))
     affinity: Affinity = "additive"
     affinity_form: AffinityForm = "fraser"
+    distortion_at: DistortionAt = "adjusted"
+    shutter: Shutter | None = None
+    readout_direction: ReadoutDirection = "top-to-bottom"
+    readout_from: str = ""
+    gust: GustKeys = Field(default_factory=lambda: GustKeys())
     photo_variant: dict[str, PositiveFloat | Literal["free"]] = Field(default={})
     focus: FocusKeys | None = None
     guessed: bool = False
@@ -109,7 +134,7 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
                 where=place,
                 remedy="take it out of estimate, or give photo_variant a standard deviation",
             )
-    made = _focused(
+    own = _focused(
         keys,
         place,
         camera(
@@ -131,7 +156,57 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
             focus_m=0.0 if keys.focus is None else keys.focus.distance_m,
         ),
     )
-    return replace(made, guessed=keys.guessed)
+    own = _with_known_readout(keys, place, own)
+    rolling = own.rolling or "readout" in keys.parameters
+    if "readout" in keys.photo_variant or (rolling and keys.shutter not in (None, "rolling")):
+        what = (
+            "varies from image to image"
+            if "readout" in keys.photo_variant
+            else f"has a {keys.shutter} shutter"
+        )
+        raise ConfigurationError(
+            f"the readout {what}",
+            where=place,
+            remedy='give shutter = "rolling", and one readout for all images',
+        )
+    if keys.shutter == "rolling" and not rolling:
+        raise ConfigurationError(
+            "a rolling shutter has neither a readout in parameters nor in estimate",
+            where=place,
+            remedy='add "readout" (s) to one of them, or give shutter = "unknown" to have it tested',
+        )
+    return replace(
+        own,
+        guessed=keys.guessed,
+        distortion_at=keys.distortion_at,
+        shutter="rolling" if rolling else keys.shutter or "global",
+        readout_direction=keys.readout_direction,
+        gust=(keys.gust.velocity_m_s, float(np.radians(keys.gust.rate_deg_s))),
+    )
+
+
+def _with_known_readout(keys: CameraKeys, place: str, own: Camera) -> Camera:
+    """Take the readout of a known camera; estimated, it is an observation with the table's sigma."""
+    if not keys.readout_from:
+        return own
+    table = tomllib.loads(resources.files("photocal.block").joinpath("readouts.toml").read_text("utf-8"))
+    known = table["ms"].get(keys.readout_from.lower())
+    if isinstance(known, list):
+        known = next((ms for *size, ms in known if tuple(size) == keys.size_px), None)
+    if known is None or "readout" in keys.parameters:
+        unknown = f"nothing is known of the readout of {keys.readout_from!r} at this size"
+        raise ConfigurationError(
+            unknown if known is None else "readout_from stands beside a readout in parameters",
+            where=place,
+            remedy="give readout in parameters (s), or one of " + ", ".join(table["ms"]),
+        )
+    at = np.array(PARAMETERS) == "readout"
+    sigma = table["sigma_ms"] / 1e3
+    return replace(
+        own,
+        values=np.where(at, known / 1e3, own.values),
+        prior_sigma=np.where(at & own.estimated & np.isinf(own.prior_sigma), sigma, own.prior_sigma),
+    )
 
 
 def _focused(keys: CameraKeys, place: str, own: Camera) -> Camera:

@@ -12,6 +12,7 @@ from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoun
 from photocal.adjustment.network import NO_RELATIONS, RELATIONS, Relations, covariance_matrices
 from photocal.block.camera_setup import make_camera
 from photocal.block.model import ROLES, Block, FiducialFit, Images, InputFile, ObjectPoints, Observations
+from photocal.block.motion import MOTION_COLUMNS, read_motion
 from photocal.block.mounting import make_mounting, read_attitudes, read_positions
 from photocal.block.readings import MARKS, READINGS, from_readings
 from photocal.block.setup import ObservationKeys, read_setup
@@ -101,7 +102,7 @@ def fingerprint(folder: Path, name: str) -> InputFile:
 
 def read_images(path: Path, cameras: tuple[Camera, ...]) -> Images:
     """Read `images.csv`; parameters and errors as for `read_block`."""
-    table = read_table(path, IMAGE_COLUMNS, IMAGE_SIGMAS)
+    table = read_table(path, IMAGE_COLUMNS, (*IMAGE_SIGMAS, *MOTION_COLUMNS))
     names = table.unique_names("image")
     index, found = table.names("camera")
     known = {camera.id: k for k, camera in enumerate(cameras)}
@@ -119,7 +120,7 @@ def read_images(path: Path, cameras: tuple[Camera, ...]) -> Images:
     refuse(table, observed, "a value with a sigma is empty", "give the value")
     values[:, :3] = np.radians(values[:, :3])
     sigma[:, :3] = np.radians(sigma[:, :3])
-    return Images(names, camera, values, sigma)
+    return Images(names, camera, values, sigma, *read_motion(table))
 
 
 def read_points(path: Path) -> ObjectPoints:

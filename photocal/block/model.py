@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -54,12 +54,25 @@ class Images:
         Index into the block's cameras.
     values, sigma : ndarray, shape (n, 6)
         omega, phi, kappa in radians, X, Y, Z in m; sigma 0 holds a value, infinity leaves it free.
+    motion, motion_sigma : ndarray, shape (n, 6)
+        Velocity (m/s) and rate (rad/s) as `adjustment.network.Exposures` has them; NaN where not known.
+    time : ndarray, shape (n,)
+        Of the exposure, s; NaN where it is not known.
     """
 
     names: tuple[str, ...]
     camera: Integers
     values: Floats
     sigma: Floats
+    motion: Floats = field(default_factory=lambda: np.zeros((0, 6)))
+    motion_sigma: Floats = field(default_factory=lambda: np.zeros((0, 6)))
+    time: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        """Fill what is not known of the motion."""
+        for name, shape in (("motion", (6,)), ("motion_sigma", (6,)), ("time", ())):
+            if len(getattr(self, name)) != len(self.names):
+                object.__setattr__(self, name, np.full((len(self.names), *shape), np.nan))
 
     @staticmethod
     def observed(images: OrientedImages) -> Images:

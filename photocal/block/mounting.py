@@ -32,6 +32,7 @@ Integers = NDArray[np.int64]
 POSITION_COLUMNS = ("image", "X", "Y", "Z", "sX", "sY", "sZ")
 POSITION_EXTRAS = ("sXY", "sXZ", "sYZ", "vX", "vY", "vZ", "strip", "time_s")
 ATTITUDE_COLUMNS = ("image", "roll", "pitch", "yaw", "sroll", "spitch", "syaw")
+RATE_COLUMNS = ("p", "q", "r", "sp", "sq", "sr")
 BODY_AXES = {
     "forward": (1.0, 0.0, 0.0),
     "backward": (-1.0, 0.0, 0.0),
@@ -61,16 +62,20 @@ def read_positions(path: Path, images: tuple[str, ...], from_m: float) -> Positi
 
 
 def read_attitudes(path: Path, images: tuple[str, ...]) -> Attitudes:
-    """Read `attitudes.csv`: roll, pitch, yaw of the body and their standard deviations, degrees."""
+    """Read `attitudes.csv`: roll, pitch, yaw of the body (deg), its rates (deg/s), and their sigmas."""
     if not path.exists():
         return NO_ATTITUDES
-    table = read_table(path, ATTITUDE_COLUMNS)
+    table = read_table(path, ATTITUDE_COLUMNS, RATE_COLUMNS)
     image = known_rows(table, "image", images, "images.csv")
     angles = np.radians(np.column_stack([table.numbers(column) for column in ("roll", "pitch", "yaw")]))
     sigma = np.radians(_sigmas(table, ("sroll", "spitch", "syaw")))
     rotation, turn_per_angle = object_to_body(angles)
     covariance = turn_per_angle @ (sigma[:, :, None] ** 2 * np.swapaxes(turn_per_angle, 1, 2))
-    return Attitudes(image, rotation, covariance)
+    rates = [
+        table.numbers(c, empty=np.nan) if table.has(c) else np.full(len(image), np.nan) for c in RATE_COLUMNS
+    ]
+    rate, rate_sigma = np.radians(np.column_stack(rates)).reshape(len(image), 2, 3).swapaxes(0, 1)
+    return Attitudes(image, rotation, covariance, rate, rate_sigma)
 
 
 def make_mounting(keys: MountingKeys, strips: int) -> Mounting:

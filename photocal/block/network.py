@@ -18,9 +18,11 @@ from photocal.adjustment.network import (
     covariance_matrices,
     point_weights,
 )
+from photocal.adjustment.readout import Readout
 from photocal.block.model import Block
+from photocal.block.motion import motion_of
 from photocal.block.start import with_start_values
-from photocal.geometry.camera import pixel_to_plane
+from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
 from photocal.geometry.frames import Frame, ShiftedFrame, nearest_rotation, reference_frame
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 
@@ -40,12 +42,15 @@ class NetworkOfBlock:
         The block's observation of each ray.
     frame : Frame
         From the block's coordinates to those of the network.
+    readouts : tuple of Readout
+        Of shutters that roll, or were tested.
     """
 
     network: Network
     points: Integers
     rays: Integers
     frame: Frame
+    readouts: tuple[Readout, ...] = ()
 
 
 def assemble(block: Block) -> NetworkOfBlock:
@@ -93,8 +98,16 @@ def assemble(block: Block) -> NetworkOfBlock:
         relations,
         ~block.points.of_role("tie")[used],
     )
+    positions, cameras = _local_positions(block.positions, frame), block.cameras
+    if any(camera.shutter != "global" for camera in block.cameras):
+        turn = np.nan_to_num(frame.derivative(block.images.values[:, 3:]))
+        motion, motion_sigma, known = motion_of(block, exposures.values[:, 3:], positions, turn)
+        exposures = replace(exposures, motion=motion, motion_sigma=motion_sigma)
+        # Where nothing is known of the flight a readout scales nothing: it cannot be an unknown.
+        flown = [known[block.images.camera == k].any() for k in range(len(cameras))]
+        cameras = tuple(c if seen else _held_readout(c) for c, seen in zip(cameras, flown, strict=True))
     network = Network(
-        block.cameras,
+        cameras,
         exposures,
         Points(values, held, weight),
         rays,
@@ -102,11 +115,15 @@ def assemble(block: Block) -> NetworkOfBlock:
         names,
         relations,
         _datum_points(block, position),
-        _local_positions(block.positions, frame),
+        positions,
         block.attitudes,
         block.mounting,
     )
     return NetworkOfBlock(network, used, order, frame)
+
+
+def _held_readout(camera: Camera) -> Camera:
+    return replace(camera, estimated=camera.estimated & (np.array(PARAMETERS) != "readout"), shutter="global")
 
 
 def block_frame(block: Block) -> Frame:

@@ -15,7 +15,7 @@ from photocal.geometry.distortion import affinity_matrix, distorted, undistorted
 Floats = NDArray[np.float64]
 
 # Power of a length in each parameter: c, x0, y0 are lengths; K1 is 1/length^2 ...
-_POWERS = np.array([1, 1, 1, -2, -4, -6, -8, -1, -1, -2, -4, 0, 0], dtype=float)
+_POWERS = np.array([1, 1, 1, -2, -4, -6, -8, -1, -1, -2, -4, 0, 0, 0], dtype=float)
 _K, _P, _B = slice(3, 7), slice(7, 11), slice(11, 13)
 # Points on a side of the grid over the image at which models are compared.
 GRID = 31

@@ -14,7 +14,7 @@ using modular bundle adjustment", PE&RS 85(5).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +63,7 @@ class DbatCamera:
 
 
 def from_dbat(described: DbatCamera, camera_id: str, place: object) -> Camera:
-    """Turn DBAT's description into a camera."""
+    """Turn DBAT's description into a camera, whose polynomial DBAT evaluates at the measured coordinates."""
     number = described.lens_model
     if number not in MODELS:
         raise InputMalformedError(f"lens model {number} is not known", where=place, remedy="use -1 or 1 to 5")
@@ -96,7 +96,7 @@ def from_dbat(described: DbatCamera, camera_id: str, place: object) -> Camera:
         "B2": value["sk"],
     } | {name: -value[name] for name in ("K1", "K2", "K3", "K4", "P1", "P2")}
     model, affinity = MODELS[number]
-    return camera(
+    found = camera(
         camera_id,
         model,
         "mm",
@@ -106,6 +106,7 @@ def from_dbat(described: DbatCamera, camera_id: str, place: object) -> Camera:
         estimate=tuple(_OURS[NAMES.index(name)] for name in estimate),
         affinity=affinity,
     )
+    return replace(found, distortion_at="measured")
 
 
 def to_dbat(

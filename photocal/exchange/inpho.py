@@ -78,7 +78,9 @@ def write_inpho(path: Path, given: Reconstruction) -> tuple[Conversion, ...]:
 def _without_distortion(own: Camera) -> Conversion:
     if not own.values[3:].any():
         return Conversion(own)
-    plain = replace(own.with_values([*own.values[:3], *[0.0] * 10]), reference_radius=0.0)
+    plain = replace(
+        own.with_values(np.where(np.arange(len(own.values)) < 3, own.values, 0.0)), reference_radius=0.0
+    )
     return Conversion(plain, *apart_px(own, plain))
 
 

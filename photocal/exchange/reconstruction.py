@@ -125,9 +125,14 @@ def of_result(result: Result) -> Reconstruction:
     Raises
     ------
     ConfigurationError
-        For a lens that varies from image to image or with the distance.
+        For a lens that varies from image to image or with the distance, and for a rolling shutter.
     """
     for own in result.cameras.values():
+        if own.rolling:
+            raise ConfigurationError(
+                f"camera {own.id} has a rolling shutter: other programs' formats hold one pose for all lines",
+                remedy="export a run with a global shutter",
+            )
         if own.photo_variant or own.focus_m:
             what = (
                 f"{', '.join(own.photo_variant)} from image to image"

@@ -14,8 +14,15 @@ Floats = NDArray[np.float64]
 Model = Literal["brown-observed", "brown-ideal"]
 Affinity = Literal["additive", "before", "after"]
 AffinityForm = Literal["fraser", "canon-elph", "tank"]
+DistortionAt = Literal["adjusted", "measured"]
+Shutter = Literal["global", "rolling", "unknown"]
+ReadoutDirection = Literal["top-to-bottom", "bottom-to-top", "left-to-right", "right-to-left"]
 
-PARAMETERS = ("c", "x0", "y0", "K1", "K2", "K3", "K4", "P1", "P2", "P3", "P4", "B1", "B2")
+PARAMETERS = ("c", "x0", "y0", "K1", "K2", "K3", "K4", "P1", "P2", "P3", "P4", "B1", "B2", "readout")
+# Of one image: how the projection centre moves (m, object axes) and the camera turns (rad, its own axes)
+# while it is read.
+MOTION = ("move_X", "move_Y", "move_Z", "turn_x", "turn_y", "turn_z")
+OWN = PARAMETERS + MOTION
 # Millimetres in a metre: c is given in them, distances in metres.
 MM = 1000.0
 MODELS: tuple[Model, ...] = ("brown-observed", "brown-ideal")
@@ -47,11 +54,11 @@ class Camera:
         Width and height of the image.
     pitch : tuple of float
         Size of a pixel in x and y, in `unit`; (1, 1) when the unit is the pixel.
-    values : ndarray, shape (13,)
-        Values in the order of `PARAMETERS`.
-    estimated : ndarray of bool, shape (13,)
+    values : ndarray, shape (14,)
+        Values in the order of `PARAMETERS`; the readout, from the first line to the last, in seconds.
+    estimated : ndarray of bool, shape (14,)
         Which parameters the adjustment estimates; the others are held.
-    prior_sigma : ndarray, shape (13,)
+    prior_sigma : ndarray, shape (14,)
         Standard deviation of the value as an observation; infinite where it is a start value only.
     reference_radius : float
         R0 of the balanced radial distortion, in `unit`; 0 for the unbalanced form.
@@ -59,21 +66,30 @@ class Camera:
         Where the affinity acts.
     affinity_form : {"fraser", "canon-elph", "tank"}
         Which terms B1 and B2 stand for.
-    deviation_sigma : ndarray, shape (13,)
+    deviation_sigma : ndarray, shape (14,)
         Photo-variant parameters: standard deviation by which the value of each image deviates from that
         of the camera, infinite for one that is free; 0 for block-invariant parameters.
     focus_m : float
         Distance at which the distortion holds, that to which the lens is focused: it then varies with
         the distance of the object; 0 where it is the same at all distances.
-    prior_correlation : ndarray, shape (13, 13), or None
+    prior_correlation : ndarray, shape (14, 14), or None
         Correlations of the values as observations; None when they are independent.
     guessed : bool
         Whether c is a guess: good to start from, and nothing to hold.
-    given : ndarray, shape (13,), or None
+    given : ndarray, shape (14,), or None
         Of adjusted values: what they were before.
-    sigma, correlation : ndarray, shape (13,) and (13, 13), or None
+    sigma, correlation : ndarray, shape (14,) and (14, 14), or None
         Standard deviations of adjusted values and their correlations, 0 for held ones; None before an
         adjustment.
+    distortion_at : {"adjusted", "measured"}
+        Coordinates at which `brown-observed` evaluates its polynomial in an adjustment: the adjusted ones
+        (Gauss-Helmert), or the measured ones with their errors, as older programs do.
+    readout_direction : str
+        In which order a rolling shutter reads the lines.
+    shutter : {"global", "rolling", "unknown"}
+        Whether images have one pose for all lines; an unknown shutter is tested.
+    gust : tuple of float
+        By how much velocity (m/s) and rate (rad/s) of an image depart from what is known of the flight.
     """
 
     id: str
@@ -135,6 +151,29 @@ class Camera:
         sigma = [self.sigma_of(name) for name in names]
         return np.asarray(self.correlation_of(names) * np.outer(sigma, sigma))
 
+    distortion_at: DistortionAt = "adjusted"
+    readout_direction: ReadoutDirection = "top-to-bottom"
+    shutter: Shutter = "global"
+    gust: tuple[float, float] = (0.5, 0.1)
+
+    @property
+    def rolling(self) -> bool:
+        """Whether its shutter takes time to read an image, or may."""
+        at = PARAMETERS.index("readout")
+        return bool(self.estimated[at] or self.values[at])
+
+    def line_slope(self) -> tuple[float, float]:
+        """Share of the readout by which a line is later, per unit of x and of y in the image plane."""
+        if not self.rolling:
+            return 0.0, 0.0
+        across, down = (1 / (n * p) for n, p in zip(self.size_px, self.pitch, strict=True))
+        return {
+            "top-to-bottom": (0.0, -down),
+            "bottom-to-top": (0.0, down),
+            "left-to-right": (across, 0.0),
+            "right-to-left": (-across, 0.0),
+        }[self.readout_direction]
+
     def value(self, name: str) -> float:
         """Value of one parameter by its name."""
         return float(self.values[PARAMETERS.index(name)])
@@ -149,7 +188,7 @@ class Camera:
         )
 
     def with_values(self, values: ArrayLike) -> Camera:
-        """Return the same camera with other parameter values, shape (13,)."""
+        """Return the same camera with other parameter values, shape (14,)."""
         return replace(self, values=np.array(values, dtype=float))
 
 

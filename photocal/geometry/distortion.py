@@ -62,7 +62,7 @@ def polynomial_distortion(camera: Camera, plane: Floats, ratio: Floats | float =
 def affinity_matrix(camera: Camera) -> Floats:
     """Matrix F, shape (2, 2), of the affinity: x becomes (I + F) x where it acts."""
     first, second = AFFINITY_MATRICES[camera.affinity_form]
-    b1, b2 = camera.values[11:]
+    b1, b2 = camera.values[11:13]
     return np.asarray(b1 * np.array(first, dtype=float) + b2 * np.array(second, dtype=float))
 
 

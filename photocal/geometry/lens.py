@@ -12,16 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.compiled import allocating, inlined
-from photocal.geometry.camera import AFFINITIES, AFFINITY_MATRICES, MM, MODELS, PARAMETERS, Camera
+from photocal.geometry.camera import AFFINITIES, AFFINITY_MATRICES, MM, MODELS, OWN, PARAMETERS, Camera
 
 Floats = NDArray[np.float64]
 
-COUNT = len(PARAMETERS)
+# Parameters of the lens itself; those of the shutter follow.
+COUNT = PARAMETERS.index("readout")
 # Positions in the parameter vector.
 _C, _X0, _K1, _P1, _B1 = (PARAMETERS.index(name) for name in ("c", "x0", "K1", "P1", "B1"))
 _OBSERVED, _IDEAL = MODELS.index("brown-observed"), MODELS.index("brown-ideal")
-_FOCUS = 11
+# Code of `brown-observed` with its polynomial at the measured coordinates, errors and all.
+_AT_MEASURED = len(MODELS)
+_FOCUS, LINE = 11, 12
 _ADDITIVE, _BEFORE, _AFTER = (AFFINITIES.index(name) for name in ("additive", "before", "after"))
+# Steps towards the computed coordinates; the last one is shorter than this many principal distances, so that
+# what is left is its square.
+_STEPS, _SHORT = 8, 1e-7
 
 
 def optics(camera: Camera) -> Floats:
@@ -29,13 +35,18 @@ def optics(camera: Camera) -> Floats:
 
     Returns
     -------
-    ndarray, shape (12,)
-        Code of the model, code of the affinity's place, R0, the two affinity matrices row by row, and the
-        focus distance in mm.
+    ndarray, shape (14,)
+        Code of the model, code of the affinity's place, R0, the two affinity matrices row by row, the focus
+        distance in mm, and by how much of the readout a line is later per unit of x and of y: 0, 0 for a
+        global shutter.
     """
     first, second = AFFINITY_MATRICES[camera.affinity_form]
-    head = [MODELS.index(camera.model), AFFINITIES.index(camera.affinity), camera.reference_radius]
-    return np.array([*head, *np.ravel(first), *np.ravel(second), MM * camera.focus_m], dtype=float)
+    observed = camera.model == "brown-observed" and camera.distortion_at == "measured"
+    code = _AT_MEASURED if observed else MODELS.index(camera.model)
+    head = [code, AFFINITIES.index(camera.affinity), camera.reference_radius]
+    return np.array(
+        [*head, *np.ravel(first), *np.ravel(second), MM * camera.focus_m, *camera.line_slope()], dtype=float
+    )
 
 
 class Scratch(NamedTuple):
@@ -43,9 +54,9 @@ class Scratch(NamedTuple):
 
     Attributes
     ----------
-    by_image, by_point, by_camera : ndarray, shape (2, n), (2, 3), (2, 13)
-        Derivatives of the residual with respect to the image's own unknowns (exterior orientation and
-        photo-variant parameters), object point and camera.
+    by_image, by_point, by_camera : ndarray, shape (2, n), (2, 3), (2, 20)
+        Derivatives of the residual with respect to the image's own unknowns (exterior orientation,
+        photo-variant parameters, movement during the readout), object point, and camera with movement.
     by_q : ndarray, shape (2, 3)
         With respect to the object point in camera axes.
     depth : ndarray, shape (1,)
@@ -71,7 +82,7 @@ def scratch(unknowns: int) -> Scratch:
     return Scratch(
         np.zeros((2, unknowns)),
         np.zeros((2, 3)),
-        np.zeros((2, COUNT)),
+        np.zeros((2, len(OWN))),
         np.zeros((2, 3)),
         np.zeros(1),
         np.zeros(4),
@@ -138,18 +149,18 @@ def ray_residual(
     w: float,
     room: Scratch,
 ) -> tuple[float, float]:
-    """Residual (computed minus measured) of one ray and its derivatives.
+    """What a ray misses the model by, and its derivatives: zero where (x, y) are the computed coordinates.
 
     Parameters
     ----------
-    cameras : ndarray, shape (cameras, 13)
+    cameras : ndarray, shape (cameras, 14)
         Camera parameters.
-    optics_of : ndarray, shape (cameras, 12)
+    optics_of : ndarray, shape (cameras, 14)
         From `optics`.
     k : int
         Which camera.
     x, y : float
-        Measured coordinates in the image plane.
+        Coordinates in the image plane.
     u, v, w : float
         Object point in camera axes, m.
     room : Scratch
@@ -158,7 +169,7 @@ def ray_residual(
     Returns
     -------
     tuple of float
-        Residual in x and y.
+        In x and y. It depends on x - x0: its derivative to (x, y) is the negative one to (x0, y0).
     """
     by_q, by_camera, slope, terms = room.by_q, room.by_camera, room.slope, room.terms
     c, x0, y0, b1, b2 = (
@@ -178,7 +189,7 @@ def ray_residual(
     g = 1.0 if focus == 0.0 else (1.0 - c / focus) / (1.0 + c / (MM * w))
     # Each case sets: the residual (vx, vy); a: d/dp; z: d/d(x0, y0); m: what multiplies the polynomial's
     # terms; (sx, sy): the vector that the affinity acts on, t: what multiplies it.
-    if optics_of[k, 0] == _OBSERVED:
+    if optics_of[k, 0] != _IDEAL:
         a00, a01, a10, a11 = 1.0, 0.0, 0.0, 1.0
         if place == _BEFORE:
             sx, sy = bx, by
@@ -266,3 +277,58 @@ def vary_with_distance(cameras: Floats, k: int, focus: float, g: float, w: float
         by_g += cameras[k, _P1] * by_camera[a, _P1] + cameras[k, _P1 + 1] * by_camera[a, _P1 + 1]
         by_camera[a, _C] += by_g / g * by_c
         by_q[a, 2] += by_g / g * by_w
+
+
+@inlined
+def image_residual(
+    cameras: Floats,
+    optics_of: Floats,
+    k: int,
+    x: float,
+    y: float,
+    u: float,
+    v: float,
+    w: float,
+    room: Scratch,
+) -> tuple[float, float]:
+    """Residual of one ray in the image, computed minus measured, and its derivatives.
+
+    Where the model is evaluated at image coordinates, the computed ones are those that fulfil it: Newton
+    from the measured ones. Least squares of these residuals is the Gauss-Helmert model, whose weight of a
+    condition f(x) is (F Q F')^-1 with F = df/dx at the corrected coordinates (Foerstner and Wrobel 2016,
+    section 4.8). Where they do not exist, as for the start values of a point far outside, the condition is
+    linear. Parameters as in `ray_residual`, with (x, y) measured.
+    """
+    by_q, by_camera = room.by_q, room.by_camera
+    vx, vy, steps = 0.0, 0.0, 0
+    limit = (_SHORT * cameras[k, _C]) ** 2
+    while True:
+        fx, fy = ray_residual(cameras, optics_of, k, x + vx, y + vy, u, v, w, room)
+        if optics_of[k, 0] == _AT_MEASURED or (optics_of[k, 0] == _IDEAL and optics_of[k, 1] != _BEFORE):
+            return fx, fy
+        z00, z01, z10, z11 = (
+            by_camera[0, _X0],
+            by_camera[0, _X0 + 1],
+            by_camera[1, _X0],
+            by_camera[1, _X0 + 1],
+        )
+        determinant = z00 * z11 - z01 * z10
+        if not determinant > 0.0:
+            if steps == 0 or steps == _STEPS:
+                return fx, fy
+            vx, vy, steps = 0.0, 0.0, _STEPS
+            continue
+        m00, m01, m10, m11 = z11 / determinant, -z01 / determinant, -z10 / determinant, z00 / determinant
+        sx, sy = m00 * fx + m01 * fy, m10 * fx + m11 * fy
+        vx, vy, steps = vx + sx, vy + sy, steps + 1
+        if steps > _STEPS or sx * sx + sy * sy < limit:
+            break
+        if steps == _STEPS:
+            vx, vy = 0.0, 0.0
+    for n in range(3):
+        gx, gy = by_q[0, n], by_q[1, n]
+        by_q[0, n], by_q[1, n] = m00 * gx + m01 * gy, m10 * gx + m11 * gy
+    for n in range(COUNT):
+        gx, gy = by_camera[0, n], by_camera[1, n]
+        by_camera[0, n], by_camera[1, n] = m00 * gx + m01 * gy, m10 * gx + m11 * gy
+    return vx, vy

@@ -105,6 +105,11 @@ def _camera(own: Camera) -> Iterable[str]:
     yield f"affinity = {json.dumps(own.affinity)}"
     yield f"affinity_form = {json.dumps(own.affinity_form)}"
     yield f"R0 = {own.reference_radius!r}"
+    yield f'distortion_at = "{own.distortion_at}"'
+    if own.shutter != "global":
+        yield f'shutter = "{own.shutter}"'
+        yield f'readout_direction = "{own.readout_direction}"'
+        yield f"gust = {{ velocity_m_s = {own.gust[0]!r}, rate_deg_s = {float(np.degrees(own.gust[1]))!r} }}"
     yield f"estimate = {json.dumps(estimate)}"
     yield "parameters = { " + ", ".join(f"{n} = {float(v)!r}" for n, v in used.items()) + " }"
     if own.guessed:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from photocal.adjustment.readout import Readout
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import fixed, measured, power_of_ten, significant, symbol, unit_power
 from photocal.geometry.camera import Camera
@@ -41,7 +42,7 @@ POWERS = {
 NOT_TESTED = ("c",)
 
 
-def camera_facts(camera_id: str, camera: Camera, say: Catalogue) -> KeyValues:
+def camera_facts(camera_id: str, camera: Camera, readout: Readout | None, say: Catalogue) -> KeyValues:
     """List the format, pitch and model of a camera."""
     width, height = camera.size_px
     size = {"width": str(width), "height": str(height)}
@@ -68,8 +69,24 @@ def camera_facts(camera_id: str, camera: Camera, say: Catalogue) -> KeyValues:
         rows.append((say("camera.focus"), say("camera.focus_value", distance=distance)))
     if camera.photo_variant:
         rows.append((say("camera.photo_variant"), ", ".join(camera.photo_variant)))
+    if readout is not None:
+        rows.append((say("camera.shutter"), _shutter(camera, readout, say)))
     rows.append((say("camera.axes"), say("camera.axes_value")))
     return KeyValues(tuple(rows))
+
+
+def _shutter(camera: Camera, readout: Readout, say: Catalogue) -> str:
+    """What was found of the readout, with its effect in the image and on the way flown."""
+    found = measured(1e3 * readout.value, 1e3 * readout.sigma, say.mark)
+    return say(
+        "camera.shutter_rolling" if readout.estimated else "camera.shutter_global",
+        readout=found.value,
+        sigma=found.sigma,
+        unit=power_of_ten(found.exponent, "ms"),
+        effect=significant(readout.effect / camera.pitch[0], 2, say.mark),
+        way=significant(100 * readout.way, 2, say.mark),
+        p=significant(readout.p_value, 2, say.mark),
+    )
 
 
 def _affinity(camera: Camera, say: Catalogue) -> str:
@@ -141,7 +158,8 @@ def _iop_row(
 ) -> tuple[str, ...]:
     value, sigma = camera.value(name), camera.sigma_of(name)
     printed = measured(value, sigma, say.mark)
-    unit = power_of_ten(printed.exponent, unit_power(camera.unit, POWERS.get(name, 0)))
+    own = "s" if name == "readout" else unit_power(camera.unit, POWERS.get(name, 0))
+    unit = power_of_ten(printed.exponent, own)
     head, free = (symbol(name), say(f"parameter.{name}"), printed.value), name in camera.free
     scaled: tuple[str, ...] = ()
     if factor is not None:

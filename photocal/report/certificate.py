@@ -230,7 +230,10 @@ def _sections(
 ) -> tuple[Section, ...]:
     cameras = run.result.cameras
     several = len(cameras) > 1
-    facts: tuple[Piece, ...] = tuple(camera_facts(name, camera, say) for name, camera in cameras.items())
+    readouts = {readout.camera: readout for readout in run.result.readouts}
+    facts: tuple[Piece, ...] = tuple(
+        camera_facts(name, camera, readouts.get(name), say) for name, camera in cameras.items()
+    )
     number = certificate_number(run, particulars, told)
     sections = [Section(say("camera.section"), facts), method(say("method.section"), run, say)]
     for position, (camera_id, camera) in enumerate(cameras.items(), start=1):

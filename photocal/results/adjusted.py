@@ -16,7 +16,7 @@ from photocal.adjustment.solution import Solution, global_test
 from photocal.adjustment.variance_components import Component, rays_by_camera, with_factors
 from photocal.block.model import ROLES, Block, FiducialFit
 from photocal.block.network import NetworkOfBlock, assemble, plane_per_unit
-from photocal.geometry.camera import Camera
+from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.frames import nearest_rotation
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
@@ -58,7 +58,7 @@ def result_of(
     cameras = tuple(
         _adjusted_camera(camera, values, covariance)
         for camera, values, covariance in zip(
-            block.cameras, solution.cameras, solution.camera_covariance, strict=True
+            assembly.network.cameras, solution.cameras, solution.camera_covariance, strict=True
         )
     )
     values, covariance = given_exposures(assembly, solution)
@@ -98,6 +98,7 @@ def result_of(
             )
             for one in components
         ),
+        readouts=assembly.readouts,
         rejected=_rejected(block, assembly),
         unobserved=tuple(block.points.names[j] for j in np.flatnonzero(~observed)),
         fiducials=tuple(_fiducials(fit) for fit in block.fiducial_fits),
@@ -124,11 +125,26 @@ def network_of(block: Block, result: Result) -> NetworkOfBlock:
         assembly = replace(
             assembly, network=network, points=assembly.points[points], rays=assembly.rays[rays]
         )
+    if any(camera.shutter != "global" for camera in assembly.network.cameras):
+        found = [result.cameras[camera.id] for camera in assembly.network.cameras]
+        cameras = tuple(map(_with_shutter, assembly.network.cameras, found))
+        assembly = replace(assembly, network=replace(assembly.network, cameras=cameras))
     if not result.variance_components:
         return assembly
     factors = {one.name: one.factor for one in result.variance_components}
     network = with_factors(assembly.network, rays_by_camera(assembly.network), factors)
     return replace(assembly, network=network)
+
+
+def _with_shutter(camera: Camera, found: Camera) -> Camera:
+    """Camera with the readout that a result estimated, from the value that its sigmas belong to."""
+    readout = np.array(PARAMETERS) == "readout"
+    given = found.values if found.given is None else found.given
+    return replace(
+        camera,
+        values=np.where(readout, given, camera.values),
+        estimated=np.where(readout, found.estimated, camera.estimated),
+    )
 
 
 def _adjusted_camera(camera: Camera, values: Floats, covariance: Floats) -> Camera:

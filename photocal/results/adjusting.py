@@ -10,12 +10,14 @@ from pathlib import Path
 
 from acquire.outputs import output_folder
 from photocal.adjustment.adjust import adjust
+from photocal.adjustment.readout import with_readouts
 from photocal.adjustment.snooping import Test, snoop
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.variance_components import Component, estimate_components, rays_by_camera
 from photocal.block.folder import read_block
 from photocal.block.model import Block
+from photocal.block.motion import require_motion
 from photocal.block.network import NetworkOfBlock, assemble
 from photocal.results.adjusted import result_of
 from photocal.results.folder import write_result
@@ -81,6 +83,7 @@ def _adjusted_block(
 ) -> tuple[Result, NetworkOfBlock, Solution]:
     began = time.perf_counter()
     assembly = assemble(block)
+    require_motion(block, assembly.network)
     timing = {"assemble": time.perf_counter() - began}
     assembly, solution = adjusted(assembly, snooping, report)
     components: tuple[Component, ...] = ()
@@ -131,12 +134,13 @@ def adjusted(
         For an ill-posed network.
     """
     if snooping is None:
-        return assembly, adjust(assembly.network, report)
-    found = snoop(assembly.network, snooping, report)
-    accepted = replace(
-        assembly,
-        network=found.network,
-        points=assembly.points[found.points],
-        rays=assembly.rays[found.accepted],
-    )
-    return accepted, found.solution
+        solution = adjust(assembly.network, report)
+    else:
+        found = snoop(assembly.network, snooping, report)
+        points, rays = assembly.points[found.points], assembly.rays[found.accepted]
+        assembly, solution = (
+            replace(assembly, network=found.network, points=points, rays=rays),
+            found.solution,
+        )
+    network, solution, readouts = with_readouts(assembly.network, solution, report)
+    return replace(assembly, network=network, readouts=readouts), solution

@@ -21,7 +21,17 @@ from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.block.folder import IMAGE_SIGMAS
 from photocal.block.model import InputFile
 from photocal.block.table import read_table
-from photocal.geometry.camera import PARAMETERS, Affinity, AffinityForm, Camera, Model, camera
+from photocal.geometry.camera import (
+    PARAMETERS,
+    Affinity,
+    AffinityForm,
+    Camera,
+    DistortionAt,
+    Model,
+    ReadoutDirection,
+    Shutter,
+    camera,
+)
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.results.result import ANGLES, PLACE, SHOWN, AdjustedPoints, Figures, Residuals, Result
 
@@ -67,6 +77,9 @@ class _Camera:
     affinity: Affinity = "additive"
     affinity_form: AffinityForm = "fraser"
     focus_m: float | None = None
+    distortion_at: DistortionAt = "adjusted"
+    shutter: Shutter = "global"
+    readout_direction: ReadoutDirection = "top-to-bottom"
     c_is_a_guess: bool = False
     photo_variant: tuple[str, ...] = ()
 
@@ -115,7 +128,7 @@ def _plain(value: Any) -> Any:
 
 def _camera_json(own: Camera) -> dict[str, Any]:
     parameters = {}
-    for k, name in enumerate(PARAMETERS):
+    for k, name in enumerate(PARAMETERS if own.rolling else PARAMETERS[:-1]):
         prior, deviation = float(own.prior_sigma[k]), float(own.deviation_sigma[k])
         parameters[name] = {
             "value": float(own.values[k]),
@@ -135,6 +148,9 @@ def _camera_json(own: Camera) -> dict[str, Any]:
         "affinity": own.affinity,
         "affinity_form": own.affinity_form,
         "focus_m": own.focus_m or None,
+        "distortion_at": own.distortion_at,
+        "shutter": own.shutter,
+        "readout_direction": own.readout_direction,
         "c_is_a_guess": own.guessed and not own.estimated[0],
         "photo_variant": list(own.photo_variant),
         "parameters": parameters,
@@ -333,6 +349,9 @@ def _camera(name: str, own: _Camera, path: Path) -> Camera:
     return replace(
         adjusted.adjusted(adjusted.values, sigma, correlation),
         guessed=own.c_is_a_guess,
+        distortion_at=own.distortion_at,
+        shutter=own.shutter,
+        readout_direction=own.readout_direction,
         given=None if None in given else np.array(given, dtype=float),
     )
 

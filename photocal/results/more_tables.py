@@ -19,7 +19,7 @@ from photocal.adjustment.reliability import POWER, SIGNIFICANCE, reliability
 from photocal.adjustment.solution import Solution
 from photocal.block.model import Block
 from photocal.block.network import NetworkOfBlock, plane_per_unit
-from photocal.geometry.camera import PARAMETERS
+from photocal.geometry.camera import OWN
 
 Floats = NDArray[np.float64]
 
@@ -118,7 +118,7 @@ def _photo_variant(block: Block, solution: Solution) -> dict[str, Any]:
     return {
         "image": [block.images.names[i] for i in own.image],
         "camera": [block.cameras[k].id for k in block.images.camera[own.image]],
-        "parameter": [PARAMETERS[n] for n in own.parameter],
+        "parameter": [OWN[n] for n in own.parameter],
         "value": own.values,
         "sigma": own.sigma,
         "deviation": own.deviations,

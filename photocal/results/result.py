@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from photocal.adjustment.readout import Readout
 from photocal.adjustment.solution import GlobalTest, Group
 from photocal.block.model import InputFile
 from photocal.geometry.camera import Camera
@@ -185,6 +186,8 @@ class Figures:
         The files that were adjusted.
     snooping : {"w", "tau"} or None
         Test by which gross errors were searched.
+    readouts : tuple of Readout
+        Of shutters that roll, or were tested.
     rejected : tuple of RejectedRay
         What it found.
     unobserved : tuple of str
@@ -213,6 +216,7 @@ class Figures:
     snooping: Literal["w", "tau"] | None = None
     mounting: dict[str, MountingValue] | None = None
     variance_components: tuple[ComponentFactor, ...] = ()
+    readouts: tuple[Readout, ...] = ()
     rejected: tuple[RejectedRay, ...] = ()
     unobserved: tuple[str, ...] = ()
     fiducials: tuple[dict[str, Any], ...] = ()
@@ -263,6 +267,13 @@ class Result(Figures):
             lines += [
                 f"  {key:<3}{camera.value(key):>15.8g}  +- {camera.sigma_of(key):.3g}" for key in camera.free
             ]
+        for one in self.readouts:
+            unit = self.cameras[one.camera].unit
+            lines.append(
+                f"camera {one.camera} has a {'rolling' if one.estimated else 'global'} shutter: readout "
+                f"{1e3 * one.value:.3f} +- {1e3 * one.sigma:.3f} ms, {one.effect:.3g} {unit} in the image, "
+                f"{one.way:.3g} m of flight; a global one has p {one.p_value:.2g}"
+            )
         lines += [
             f"sigma of {one.name}: {one.factor:.3f} +- {one.sigma:.3f} times the given one"
             for one in self.variance_components

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.block.mounting import ATTITUDE_COLUMNS, POSITION_COLUMNS, POSITION_EXTRAS
+from photocal.block.mounting import ATTITUDE_COLUMNS, POSITION_COLUMNS, POSITION_EXTRAS, RATE_COLUMNS
 from photocal.navigation.exposure_files import projected, with_images
 from photocal.navigation.exposures import Exposures
 
@@ -18,6 +18,8 @@ Floats = NDArray[np.float64]
 # A strip ends with a turn of the track, or a pause.
 _TURN_DEG = 30.0
 _PAUSE = 4.0
+# Of a rate between two attitudes of an autopilot, some hundredths of a second apart, deg/s.
+_RATE_SIGMA = 2.0
 
 
 def write_positions(path: Path, antenna: Exposures, crs: str) -> None:
@@ -46,8 +48,10 @@ def write_attitudes(path: Path, antenna: Exposures) -> None:
         angles, sigma = antenna.angles[row], antenna.angle_sigma[row]
         if np.isfinite(angles).all():
             cells = [f"{v:.6f}" for v in np.degrees([*angles, *sigma])]
+            rate = np.degrees(antenna.attitude.rate[row])
+            cells += [f"{v:.4f}" for v in rate] + 3 * [f"{_RATE_SIGMA}"] if rate.any() else [""] * 6
             lines += [[name, *cells] for name in antenna.image[row].split()]
-    _write(path, ATTITUDE_COLUMNS, lines)
+    _write(path, (*ATTITUDE_COLUMNS, *RATE_COLUMNS), lines)
 
 
 def strips(seconds: Floats, velocity: Floats) -> tuple[NDArray[np.int64], Floats]:

@@ -34,6 +34,7 @@ sigma = 0.003
 [[camera]]
 id = "dcs460"
 model = "brown-observed"
+distortion_at = "measured"
 unit = "mm"
 size_px = [3060, 2036]
 pitch_mm = [0.00901960784313726, 0.00903732809430255]

@@ -53,9 +53,9 @@ def affinity(form: str, b1: Any, b2: Any, x: Any, y: Any) -> tuple[Any, Any]:
 
 
 def residual(own: Camera, values: Numbers, measured: Numbers, q: Numbers) -> tuple[Any, Any]:
-    """Computed minus measured of points in camera axes, by the definition of each model."""
+    """Condition of points in camera axes and image coordinates, by the definition of each model."""
     c, x0, y0 = values[:3]
-    b1, b2 = values[11:]
+    b1, b2 = values[11:13]
     if own.focus_m:
         # Brown 1971: coefficients of r^(2n) vary with the power 2n of the scale, P with the first.
         g = (1 - c / (1000 * own.focus_m)) / (1 - c / (-1000 * q[2]))
@@ -115,7 +115,7 @@ def logarithm(matrix: Numbers) -> Numbers:
 
 @dataclass(frozen=True)
 class Result:
-    """Values, covariance by the names of the unknowns, redundancy numbers in the order of the rays."""
+    """Values, covariance by the names of the unknowns; redundancy and design by image coordinates."""
 
     cameras: Floats
     exposures: Floats
@@ -126,6 +126,7 @@ class Result:
     column: dict[tuple[str, int, int], int]
     residuals: Floats
     redundancy: Floats
+    design: Floats
     chi_squared: float
     observations: int
     total_redundancy: float
@@ -147,8 +148,7 @@ def _columns(network: Network) -> dict[tuple[str, int, int], int]:
         names += [("camera", k, n) for n in range(len(PARAMETERS)) if own.estimated[n]]
     sigma = network.exposures.sigma
     names += [("exposure", i, n) for i in range(len(sigma)) for n in range(6) if sigma[i, n] != 0]
-    for i, k in enumerate(network.exposures.camera):
-        names += [("deviation", i, int(n)) for n in np.flatnonzero(network.cameras[k].deviation_sigma)]
+    names += [("deviation", int(i), int(n)) for i, n in zip(*np.nonzero(_own_sigma(network)), strict=True)]
     held = network.points.held
     names += [("point", j, n) for j in range(len(held)) for n in range(3) if not held[j, n]]
     if len(network.positions.image) or len(network.attitudes.image):
@@ -162,8 +162,18 @@ def _start(network: Network) -> dict[str, Floats]:
         "exposure": network.exposures.values,
         "point": network.points.values,
         "common": network.mounting.values[None],
-        "deviation": np.zeros((len(network.exposures.values), len(PARAMETERS))),
+        "deviation": np.zeros((len(network.exposures.values), 20)),
     }
+
+
+def _own_sigma(network: Network) -> Floats:
+    """By how much the 14 parameters of each image and its 6 movements during the readout deviate."""
+    rows = []
+    for i, k in enumerate(network.exposures.camera):
+        own, motion = network.cameras[k], network.exposures.motion_sigma
+        move = np.zeros(6) if motion is None or not own.values[13] else motion[i] * abs(own.values[13])
+        rows.append(np.concatenate([own.deviation_sigma, move]))
+    return np.array(rows)
 
 
 def _values(network: Network, column: dict[tuple[str, int, int], int], x: Numbers) -> dict[str, Numbers]:
@@ -173,17 +183,74 @@ def _values(network: Network, column: dict[tuple[str, int, int], int], x: Number
     return values
 
 
-def _residuals(network: Network, values: dict[str, Numbers]) -> Numbers:
-    """All whitened residuals: rays, then points, cameras and exposures as observations."""
+@dataclass(frozen=True)
+class Helmert:
+    """Linear conditions f(place) + by_place (x - place) of the rays, and the roots of their weights."""
+
+    place: Floats
+    by_place: Floats
+    root: Floats
+
+
+def _helmert(network: Network, values: dict[str, Numbers], place: Floats) -> Helmert:
+    """Conditions at corrected coordinates (Foerstner and Wrobel 2016, section 4.8)."""
+    rays = network.rays
+    at_measured = np.array([own.distortion_at == "measured" for own in network.cameras])
+    old = at_measured[network.exposures.camera[rays.image]]
+    place = np.where(old[:, None], rays.plane, place)
+    by_place = np.empty((len(place), 2, 2))
+    for n in range(2):
+        moved = place.astype(complex)
+        moved[:, n] += 1e-30j
+        by_place[:, :, n] = _conditions(network, values, moved).imag / 1e-30
+    by_place[old] = -np.eye(2)
+    covariance = np.einsum("nab,nb,ncb->nac", by_place, rays.sigma**2, by_place)
+    return Helmert(place, by_place, np.linalg.inv(np.linalg.cholesky(covariance)))
+
+
+def _conditions(network: Network, values: dict[str, Numbers], place: Numbers) -> Numbers:
     rays = network.rays
     matrices = np.array([rotation(*pose[:3]) for pose in values["exposure"]])
     away = values["point"][rays.point] - values["exposure"][rays.image, 3:]
     q = np.einsum("nij,nj->in", matrices[rays.image], away)
-    seen = np.empty((len(rays.image), 2), dtype=q.dtype)
+    seen = np.empty((len(rays.image), 2), dtype=np.result_type(q, place))
     for i, k in enumerate(network.exposures.camera):
-        mine, lens = rays.image == i, values["camera"][k] + values["deviation"][i]
-        seen[mine] = np.column_stack(residual(network.cameras[k], lens, rays.plane[mine].T, q[:, mine]))
-    out = list(np.ravel(seen / rays.sigma))
+        own, mine = network.cameras[k], np.flatnonzero(rays.image == i)
+        lens, there = values["camera"][k] + values["deviation"][i, :14], q[:, mine]
+        if own.estimated[13] or own.values[13]:
+            there = _rolled(network, values, matrices[i], int(i), place[mine], there)
+        seen[mine] = np.column_stack(residual(own, lens, place[mine].T, there))
+    return seen
+
+
+def _rolled(
+    network: Network, values: dict[str, Numbers], matrix: Numbers, i: int, place: Numbers, q: Numbers
+) -> Numbers:
+    """Points in the camera axes that their line has: moved and turned from those at the middle."""
+    own = network.cameras[network.exposures.camera[i]]
+    width, height = np.array(own.size_px) * own.pitch
+    later = {
+        "top-to-bottom": -place[:, 1] / height,
+        "bottom-to-top": place[:, 1] / height,
+        "left-to-right": place[:, 0] / width,
+        "right-to-left": -place[:, 0] / width,
+    }[own.readout_direction]
+    given = network.exposures.motion
+    move = values["deviation"][i, 14:]
+    if given is not None:
+        move = move + given[i] * values["camera"][network.exposures.camera[i], 13]
+    points = [
+        exponential(s * move[3:]) @ (one - s * (matrix @ move[:3])) for s, one in zip(later, q.T, strict=True)
+    ]
+    return np.array(points).T
+
+
+def _residuals(network: Network, values: dict[str, Numbers], helmert: Helmert) -> Numbers:
+    """All whitened residuals: rays, then points, cameras and exposures as observations."""
+    matrices = np.array([rotation(*pose[:3]) for pose in values["exposure"]])
+    seen = _conditions(network, values, helmert.place)
+    seen = seen + np.einsum("nab,nb->na", helmert.by_place, network.rays.plane - helmert.place)
+    out = list(np.einsum("nab,nb->na", helmert.root, seen).ravel())
     for j, weight in enumerate(network.points.weight):
         known = np.flatnonzero(np.diag(weight))
         if len(known):
@@ -192,9 +259,9 @@ def _residuals(network: Network, values: dict[str, Numbers]) -> Numbers:
     for k, own in enumerate(network.cameras):
         for n in np.flatnonzero(own.estimated & np.isfinite(own.prior_sigma)):
             out.append((values["camera"][k, n] - own.values[n]) / own.prior_sigma[n])
-    for i, k in enumerate(network.exposures.camera):
-        by = network.cameras[k].deviation_sigma
-        out += [values["deviation"][i, n] / by[n] for n in np.flatnonzero(np.isfinite(by) & (by > 0))]
+    by = _own_sigma(network)
+    for i, n in zip(*np.nonzero(np.isfinite(by) & (by > 0)), strict=True):
+        out.append(values["deviation"][i, n] / by[i, n])
     sigma = network.exposures.sigma
     for i, n in zip(*np.nonzero(np.isfinite(sigma) & (sigma > 0)), strict=True):
         out.append((values["exposure"][i, n] - network.exposures.values[i, n]) / sigma[i, n])
@@ -247,9 +314,13 @@ def adjust_densely(network: Network, iterations: int = 40, defect: int = 0) -> R
     start = _start(network)
     begin = x = np.array([start[kind][index, n] for kind, index, n in column])
     step = np.full(len(x), np.inf)
+    place, rays = network.rays.plane, 2 * len(network.rays.image)
     for _ in range(iterations):
-        v = _residuals(network, _values(network, column, x))
-        design = _jacobian(network, column, x)
+        helmert = _helmert(network, _values(network, column, x), place)
+        v = _residuals(network, _values(network, column, x), helmert)
+        design = _jacobian(network, column, x, helmert)
+        # Corrections of the measured coordinates, v = -Q B' M^-1 w, from whitened conditions.
+        back = -np.einsum("nb,nab,nca->nbc", network.rays.sigma**2, helmert.by_place, helmert.root)
         border = _constraints(network, column, design, defect)
         normal = np.block([[design.T @ design, border], [border.T, np.zeros((defect, defect))]])
         scale = np.sqrt(np.maximum(np.abs(normal).max(axis=0), 1e-300))
@@ -260,10 +331,14 @@ def adjust_densely(network: Network, iterations: int = 40, defect: int = 0) -> R
         right = np.concatenate([design.T @ v, border.T @ (x - begin)])
         step = -(whole @ right)[: len(x)]
         x = x + step
+        left = (v + design @ step)[:rays].reshape(-1, 2)
+        place = network.rays.plane + np.einsum("nbc,nc->nb", back, left)
     else:
         raise AssertionError("the comparison adjustment does not converge")
     values = _values(network, column, x)
-    rays = 2 * len(network.rays.image)
+    # By changes of the image coordinates: with M = L L', the rows -B^-1 L have the covariance Q.
+    to_image = -np.linalg.inv(helmert.by_place) @ np.linalg.inv(helmert.root) / network.rays.sigma[:, :, None]
+    design[:rays] = (to_image @ design[:rays].reshape(-1, 2, len(x))).reshape(rays, len(x))
     redundancy = 1.0 - np.einsum("na,ab,nb->n", design, inverse, design)
     return Result(
         values["camera"],
@@ -273,8 +348,9 @@ def adjust_densely(network: Network, iterations: int = 40, defect: int = 0) -> R
         values["deviation"],
         inverse,
         column,
-        np.asarray(v[:rays].reshape(-1, 2) * network.rays.sigma, dtype=float),
+        np.einsum("nbc,nc->nb", back, v[:rays].reshape(-1, 2)),
         redundancy[:rays].reshape(-1, 2),
+        design,
         float(v @ v),
         len(v),
         float(redundancy.sum()),
@@ -295,10 +371,12 @@ def _constraints(
     return np.asarray(np.where(datum[:, None], null, 0.0) / max(np.abs(null).max(initial=0.0), 1e-300))
 
 
-def _jacobian(network: Network, column: dict[tuple[str, int, int], int], x: Floats) -> Floats:
+def _jacobian(
+    network: Network, column: dict[tuple[str, int, int], int], x: Floats, helmert: Helmert
+) -> Floats:
     columns = []
     for at in range(len(x)):
         moved = x.astype(complex)
         moved[at] += 1e-30j
-        columns.append(_residuals(network, _values(network, column, moved)).imag / 1e-30)
+        columns.append(_residuals(network, _values(network, column, moved), helmert).imag / 1e-30)
     return np.column_stack(columns)

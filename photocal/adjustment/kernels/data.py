@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.compiled import inlined
-from photocal.geometry.camera import PARAMETERS
+from photocal.geometry.camera import MOTION, OWN
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-# Columns that an image may have: its exterior orientation, and room for photo-variant parameters. Kernels
+# Columns that an image may have: its exterior orientation, and room for parameters of its own. Kernels
 # are compiled for each of them, for loops of a known length are much faster.
 POSE = 6
-WIDTHS = (POSE, POSE + 3, POSE + len(PARAMETERS))
+WIDTHS = (POSE, POSE + len(MOTION), POSE + len(OWN))
 
 
 class Design(NamedTuple):
@@ -35,15 +35,15 @@ class Design(NamedTuple):
     width : ndarray
         Its number of axes, which the compiler knows, tells the columns of an image: see `columns`.
     image_lens, image_column : ndarray of int, shape (images,)
-        Lens and first column of each image. Images share the lens of their camera; with photo-variant
-        parameters each image has its own.
+        Lens and first column of each image. Images share the lens of their camera; with parameters of their
+        own, or a rolling shutter, each image has its own.
     pose_free : ndarray, shape (images, 6)
         1 where a pose unknown is free, else 0.
     own, own_count : ndarray of int, shape (lenses, n) and (lenses,)
-        Positions of the photo-variant parameters, the first `own_count` of each row.
-    optics : ndarray, shape (lenses, 12)
-        From `lens.optics`.
-    active : ndarray of int, shape (lenses, 13)
+        Positions of the parameters of an image's own, the first `own_count` of each row.
+    optics : ndarray, shape (lenses, 20)
+        From `lens.optics`, and velocity and rate of the image.
+    active : ndarray of int, shape (lenses, 14)
         Positions of the estimated parameters, the first `active_count` of each row.
     active_count, active_column : ndarray of int, shape (lenses,)
         Number of estimated parameters and the first of their columns within the border.
@@ -81,7 +81,8 @@ class Values(NamedTuple):
 
     Attributes
     ----------
-    lenses : ndarray, shape (lenses, 13)
+    lenses : ndarray, shape (lenses, 20)
+        Parameters of the camera, and movement of the image during the readout.
     rotation, basis : ndarray, shape (images, 3, 3)
         Object to camera axes; the turn that each rotation unknown makes.
     centre : ndarray, shape (images, 3)

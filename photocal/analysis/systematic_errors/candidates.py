@@ -58,7 +58,7 @@ def candidates(network: Network, state: State, computed: Array) -> tuple[Candida
         found += [
             Candidate(kind, term, k, field * mine) for kind, term, field in _of_camera(current, computed)
         ]
-        motion = _rolling_shutter(network, state, computed, k)
+        motion = None if camera.rolling else _rolling_shutter(network, state, computed, k)
         if motion is not None:
             found.append(Candidate("rolling-shutter", "", k, motion * mine))
     return tuple(found)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,9 +146,7 @@ def without_images(network: Network, state: State, left_out: NDArray[np.bool_]) 
         network,
         exposures=replace(
             network.exposures,
-            camera=network.exposures.camera[~left_out],
-            values=network.exposures.values[~left_out],
-            sigma=network.exposures.sigma[~left_out],
+            **{name: column[~left_out] for name, column in _columns(network.exposures).items()},
         ),
         points=replace(
             network.points,
@@ -186,8 +184,13 @@ def without_images(network: Network, state: State, left_out: NDArray[np.bool_]) 
     )
 
 
+def _columns(table: object) -> dict[str, NDArray[Any]]:
+    """Arrays of a table, without those that it does not have."""
+    return {name: column for name, column in vars(table).items() if column is not None}
+
+
 def _of_images(observed: Observed, place: NDArray[np.int64], kept: NDArray[np.bool_]) -> Observed:
     """Return the positions or attitudes of the images that are kept, at the places that these have now."""
     mine = kept[observed.image]
-    columns = {name: column[mine] for name, column in vars(observed).items()}
+    columns = {name: column[mine] for name, column in _columns(observed).items()}
     return replace(observed, **{**columns, "image": place[observed.image[mine]]})

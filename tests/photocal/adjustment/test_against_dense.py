@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from photocal.geometry.camera import (
     Affinity,
     AffinityForm,
     Model,
+    ReadoutDirection,
 )
 from tests.photocal import networks, oracle
 
@@ -58,12 +60,18 @@ def same(network: Network, tolerance: float = 1e-5, defect: int = 0) -> None:
     for row, (image, n) in enumerate(zip(own.image.tolist(), own.parameter.tolist(), strict=True)):
         k = network.exposures.camera[image]
         at, common = plain.column["deviation", image, n], plain.column.get(("camera", int(k), n))
-        both = [at] if common is None else [at, common]
         sigma = np.sqrt(plain.covariance[at, at])
+        both = [at] if common is None else [at, common]
         assert own.deviations[row] == pytest.approx(plain.deviations[image, n], abs=2e-3 * sigma)
-        assert own.values[row] == pytest.approx(plain.cameras[k, n] + plain.deviations[image, n])
+        given = plain.cameras[k, n] if n < len(PARAMETERS) else 0.0
+        if n >= len(PARAMETERS):
+            assert network.exposures.motion is not None
+            given = plain.cameras[k, 13] * network.exposures.motion[image, n - len(PARAMETERS)]
+        assert own.values[row] == pytest.approx(given + plain.deviations[image, n], abs=2e-3 * sigma)
         assert own.deviation_sigma[row] == pytest.approx(sigma, rel=tolerance)
-        assert own.sigma[row] == pytest.approx(np.sqrt(plain.covariance[np.ix_(both, both)].sum()), rel=1e-4)
+        if n < len(PARAMETERS):
+            expected = np.sqrt(plain.covariance[np.ix_(both, both)].sum())
+            assert own.sigma[row] == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -73,6 +81,19 @@ def test_every_camera_model(model: Model, affinity: Affinity, form: AffinityForm
     # Over a free exposure the forms with a rotation inside are as well determined as the others.
     own = networks.lens(model=model, affinity=affinity, affinity_form=form, estimate=ALL)
     same(networks.observe(networks.convergent((own,), images=4, points=11), np.random.default_rng(3)))
+
+
+@pytest.mark.parametrize("affinity", AFFINITIES)
+def test_polynomial_at_the_measured_coordinates(affinity: Affinity) -> None:
+    own = replace(networks.lens(affinity=affinity, estimate=ALL), distortion_at="measured")
+    same(networks.observe(networks.convergent((own,), images=4, points=11), np.random.default_rng(3)))
+
+
+def test_large_errors_inside_the_polynomial() -> None:
+    """Ten times the error and strong distortion: what is small of the second order shows."""
+    own = networks.lens(estimate=ALL, K1=-6e-4, P1=1e-4)
+    scene = networks.convergent((own,), images=5, points=14)
+    same(networks.observe(scene, np.random.default_rng(3), sigma=0.03), 1e-4)
 
 
 def test_all_parameters_with_priors() -> None:
@@ -118,6 +139,37 @@ def test_distortion_that_varies_with_the_distance(model: Model) -> None:
     own = networks.lens(model=model, focus_m=9.0, estimate=ALL)
     scene = networks.convergent((own,), images=5, points=14)
     same(networks.observe(scene, np.random.default_rng(16)))
+
+
+DIRECTIONS: tuple[ReadoutDirection, ...] = (
+    "top-to-bottom", "bottom-to-top", "left-to-right", "right-to-left",
+)  # fmt: skip
+
+
+def rolling(model: Model, direction: ReadoutDirection, sigma: float, **more: Any) -> Network:
+    """A network whose images move by metres and turn by degrees while they are read."""
+    own = networks.lens(model=model, estimate=(*ALL[:7], "readout"), K3=0.0, **more)
+    own = replace(own, readout_direction=direction)
+    network = networks.observe(networks.convergent((own,), images=5, points=18), np.random.default_rng(21))
+    rng = np.random.default_rng(22)
+    motion = np.hstack([rng.normal(0, 3, (5, 3)), rng.normal(0, 0.5, (5, 3))])
+    values = network.cameras[0].values.copy()
+    values[PARAMETERS.index("readout")] = 0.01
+    moving = replace(network.exposures, motion=motion, motion_sigma=np.full((5, 6), sigma))
+    return replace(network, cameras=(network.cameras[0].with_values(values),), exposures=moving)
+
+
+@pytest.mark.parametrize("direction", DIRECTIONS)
+def test_rolling_shutter_in_a_known_motion(direction: ReadoutDirection) -> None:
+    model: Model = "brown-ideal" if direction.endswith("bottom") else "brown-observed"
+    same(rolling(model, direction, 0.0))
+
+
+def test_rolling_shutter_in_an_uncertain_motion() -> None:
+    network = rolling("brown-observed", "top-to-bottom", 0.3, prior_sigma={"readout": 0.005})
+    sigma = np.array(network.exposures.motion_sigma)
+    sigma[:, :3], sigma[0], sigma[1, 4] = 2.0, 0.0, 0.0
+    same(replace(network, exposures=replace(network.exposures, motion_sigma=sigma)), 1e-4)
 
 
 def test_weighted_exposures_and_tie_points() -> None:

@@ -78,14 +78,9 @@ def found(network: Network, solution: Solution) -> Reliability:
 
 
 @pytest.fixture(scope="module")
-def gain(network: Network, dense: oracle.Result) -> np.ndarray:
+def gain(dense: oracle.Result) -> np.ndarray:
     """Q A' P^(1/2): unknowns per whitened observation, by dense linear algebra."""
-    x = np.zeros(len(dense.column))
-    kinds = {"camera": dense.cameras, "exposure": dense.exposures, "point": dense.points}
-    for (kind, index, n), at in dense.column.items():
-        x[at] = kinds[kind][index, n]
-    design = oracle._jacobian(network, dense.column, x)
-    return np.asarray(dense.covariance @ design.T)
+    return np.asarray(dense.covariance @ dense.design.T)
 
 
 def test_rays_against_dense(network: Network, dense: oracle.Result, found: Reliability) -> None:

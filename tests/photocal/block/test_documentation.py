@@ -18,6 +18,7 @@ from photocal.block.folder import (
     POINT_CROSS,
     POINT_SIGMAS,
 )
+from photocal.block.motion import MOTION_COLUMNS
 from photocal.block.setup import read_setup
 from photocal.cli import app as photocal_app
 from photocal.geometry.camera import PARAMETERS
@@ -43,7 +44,7 @@ def test_columns_are_those_that_are_read() -> None:
     tables = document("docs/block-folder.md").partition("## The run folder")[0]
     rows = dict(re.findall(r"^\| `(\w+)\.csv`[^|]*\| (.+?) \|$", tables, re.MULTILINE))
     listed = {name: set(re.split(r"[,|\s]+", cells)) - {""} for name, cells in rows.items()}
-    assert listed["images"] == {*IMAGE_COLUMNS, *IMAGE_SIGMAS}
+    assert listed["images"] == {*IMAGE_COLUMNS, *IMAGE_SIGMAS, *MOTION_COLUMNS}
     assert listed["points"] == {*POINT_COLUMNS, *POINT_SIGMAS, *POINT_CROSS}
     assert listed["observations"] == {*OBSERVATION_COLUMNS, "sx", "sy"}
 

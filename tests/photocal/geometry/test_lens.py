@@ -85,7 +85,7 @@ def test_residual_and_derivatives(
         place = q.astype(complex)
         place[n] += 1e-30j
         by_q[:, n] = np.array(oracle.residual(own, own.values, measured, place)).imag / 1e-30
-    assert room.by_camera == pytest.approx(by_camera, rel=1e-10, abs=1e-10)
+    assert room.by_camera[:, : len(PARAMETERS)] == pytest.approx(by_camera, rel=1e-10, abs=1e-10)
     assert room.by_q == pytest.approx(by_q, rel=1e-10, abs=1e-11)
     assert room.depth[0] == -q[2]
 

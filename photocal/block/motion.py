@@ -1,0 +1,120 @@
+"""How images move while a rolling shutter reads them: as given, by the flight, by neighbours, by a prior."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError
+from photocal.adjustment.mounting import Positions, body_to_camera
+from photocal.adjustment.network import Network
+from photocal.block.model import Block
+from photocal.block.table import Table
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Integers = NDArray[np.int64]
+
+VELOCITY, RATE = ("vX", "vY", "vZ"), ("wx", "wy", "wz")
+MOTION_COLUMNS = (*VELOCITY, *(f"s{c}" for c in VELOCITY), *RATE, *(f"s{c}" for c in RATE), "time_s")
+# Exposures further apart than this many usual intervals are no neighbours.
+APART = 2.5
+# By how much the velocity of an image may depart from zero when nothing at all is known of it, m/s.
+ANY_FLIGHT = 15.0
+
+
+def read_motion(table: Table) -> tuple[Floats, Floats, Floats]:
+    """Velocity (m/s) and rate (rad/s), their sigmas, and times (s) of `images.csv`; NaN where nothing stands.
+
+    A rate there is that of the camera about its own axes; inside it is the turn of what they see.
+    """
+
+    def columns(names: tuple[str, ...]) -> Floats:
+        none = np.full(len(table), np.nan)
+        return np.column_stack([table.numbers(c, empty=np.nan) if table.has(c) else none for c in names])
+
+    value = np.hstack([columns(VELOCITY), -np.radians(columns(RATE))])
+    sigma = np.hstack([columns(MOTION_COLUMNS[3:6]), np.radians(columns(MOTION_COLUMNS[9:12]))])
+    return value, sigma, columns(("time_s",))[:, 0]
+
+
+def motion_of(
+    block: Block, centre: Floats, positions: Positions, turn: Floats
+) -> tuple[Floats, Floats, Flags]:
+    """Motion of every image and by how much it may depart from it, in local axes, each of shape (n, 6).
+
+    Also of which images the velocity is known, shape (n,).
+
+    Parameters
+    ----------
+    centre : ndarray, shape (n, 3)
+        Projection centres as far as they are known, in local coordinates.
+    positions : Positions
+        In local coordinates.
+    turn : ndarray, shape (n, 3, 3)
+        From the block's axes at each image to the local ones.
+    """
+    images, attitudes = block.images, block.attitudes
+    motion, sigma = images.motion.copy(), images.motion_sigma.copy()
+    motion[:, :3] = np.einsum("nab,nb->na", turn, motion[:, :3])
+    gust = np.array([camera.gust for camera in block.cameras])[images.camera]
+    of_flight = np.full(motion[:, :3].shape, np.nan)
+    flown = positions.velocity.any(axis=1)
+    of_flight[positions.image[flown]] = positions.velocity[flown]
+    beside, unsteady = velocity_of_neighbours(images.camera, images.time, centre)
+    spread = np.where(np.isfinite(of_flight).all(axis=1), gust[:, 0], np.hypot(gust[:, 0], unsteady))
+    velocity = np.where(np.isnan(of_flight), beside, of_flight)
+    unknown = np.isnan(motion[:, :3]) & np.isnan(velocity)
+    motion[:, :3] = np.where(np.isnan(motion[:, :3]), np.nan_to_num(velocity), motion[:, :3])
+    usual = np.where(unknown, ANY_FLIGHT, spread[:, None])
+    sigma[:, :3] = np.where(np.isnan(sigma[:, :3]), usual, sigma[:, :3])
+    if attitudes.rate is not None and attitudes.rate_sigma is not None:
+        to_camera = body_to_camera(block.mounting, block.mounting.values)
+        rate, spread_of_rate = np.full((2, len(motion), 3), np.nan)
+        # What a camera sees turns against it.
+        rate[attitudes.image] = -attitudes.rate @ to_camera.T
+        spread_of_rate[attitudes.image] = np.sqrt(attitudes.rate_sigma**2 @ (to_camera**2).T)
+        motion[:, 3:] = np.where(np.isnan(motion[:, 3:]), rate, motion[:, 3:])
+        sigma[:, 3:] = np.where(np.isnan(sigma[:, 3:]), spread_of_rate, sigma[:, 3:])
+    sigma[:, 3:] = np.where(np.isnan(sigma[:, 3:]), gust[:, 1:], sigma[:, 3:])
+    return np.nan_to_num(motion), sigma, np.asarray(~unknown.any(axis=1))
+
+
+def require_motion(block: Block, network: Network) -> None:
+    """Refuse to estimate a readout of which nothing tells how fast its images fly.
+
+    Raises
+    ------
+    ConfigurationError
+    """
+    for given, taken in zip(block.cameras, network.cameras, strict=True):
+        if given.rolling and given.estimated[-1] and not taken.estimated[-1]:
+            raise ConfigurationError(
+                f"the readout of camera {given.id} is estimated, but nothing tells how fast its images fly",
+                where="images.csv",
+                remedy="give vX, vY, vZ or time_s in images.csv, or vX, vY, vZ in positions.csv",
+            )
+
+
+def velocity_of_neighbours(camera: Integers, time: Floats, centre: Floats) -> tuple[Floats, Floats]:
+    """Velocity between the exposures before and after, and half of how much it changes; NaN without times."""
+    velocity, change = np.full(centre.shape, np.nan), np.zeros(len(centre))
+    for k in np.unique(camera):
+        mine = np.flatnonzero((camera == k) & np.isfinite(time))
+        mine = mine[np.argsort(time[mine], kind="stable")]
+        interval = np.diff(time[mine])
+        if not (interval > 0).any():
+            continue
+        usual = float(np.median(interval[interval > 0]))
+        near = (interval > 0) & (interval < APART * usual)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            between = np.where(near[:, None], np.diff(centre[mine], axis=0) / interval[:, None], np.nan)
+        none = np.full((1, 3), np.nan)
+        sides = np.stack([np.vstack([none, between]), np.vstack([between, none])])
+        seen = np.isfinite(sides).all(axis=2)
+        count = seen.sum(axis=0)
+        total = np.where(seen[:, :, None], sides, 0.0).sum(axis=0)
+        velocity[mine] = np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], np.nan)
+        both = count == 2
+        change[mine[both]] = np.linalg.norm(sides[1] - sides[0], axis=1)[both] / 2
+    return velocity, change

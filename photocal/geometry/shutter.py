@@ -1,0 +1,132 @@
+"""A rolling shutter: every line of the image is recorded at its own time, and so at its own pose.
+
+In the line at s, which runs from -1/2 to 1/2 over the readout, the projection centre has moved by s V and the
+camera turned by s W from its pose at the middle of the readout. V and W are the movement during the whole
+readout: the given velocity and rate times the readout time, and what the image departs from them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.compiled import compiled
+from photocal.geometry.camera import PARAMETERS
+from photocal.geometry.lens import LINE, Scratch, image_residual
+
+Floats = NDArray[np.float64]
+
+# Positions of the readout time and of an image's movement among its parameters, and of the given velocity and
+# rate among its optics.
+READOUT, MOVE = PARAMETERS.index("readout"), len(PARAMETERS)
+GIVEN = LINE + 2
+
+
+@compiled
+def rolling_residual(
+    lenses: Floats,
+    optics_of: Floats,
+    k: int,
+    x: float,
+    y: float,
+    rotation: Floats,
+    i: int,
+    u: float,
+    v: float,
+    w: float,
+    room: Scratch,
+) -> tuple[float, float, float, float, float]:
+    """Residual of a ray whose line is that of its computed coordinates, and its derivatives.
+
+    Parameters
+    ----------
+    lenses : ndarray, shape (lenses, 20)
+        Parameters of the camera, then V (m, object axes) and W (rad, camera axes).
+    optics_of : ndarray, shape (lenses, 20)
+        From `optics`, then the given velocity (m/s) and rate (rad/s).
+    rotation, i
+        Rotations of the images, and which is meant.
+    u, v, w : float
+        Object point in camera axes at the middle of the readout, m.
+    room : Scratch
+        Its `by_camera` receives the derivatives to camera, V and W, its `by_q` those to the point below.
+
+    Returns
+    -------
+    tuple of float
+        Residual in x and y; the point in camera axes before the turn of its line, to which a small turn of
+        the image applies.
+    """
+    by_q, by_camera = room.by_q, room.by_camera
+    lx, ly = optics_of[k, LINE], optics_of[k, LINE + 1]
+    m0, m1, m2 = lenses[k, MOVE], lenses[k, MOVE + 1], lenses[k, MOVE + 2]
+    t0, t1, t2 = lenses[k, MOVE + 3], lenses[k, MOVE + 4], lenses[k, MOVE + 5]
+    # V in camera axes.
+    a0 = rotation[i, 0, 0] * m0 + rotation[i, 0, 1] * m1 + rotation[i, 0, 2] * m2
+    a1 = rotation[i, 1, 0] * m0 + rotation[i, 1, 1] * m1 + rotation[i, 1, 2] * m2
+    a2 = rotation[i, 2, 0] * m0 + rotation[i, 2, 1] * m1 + rotation[i, 2, 2] * m2
+    s, vx, vy, steps = lx * x + ly * y, 0.0, 0.0, 0
+    while True:
+        # q = exp([s W]x) (p - s V), by Rodrigues' formula with its series.
+        r0, r1, r2 = s * t0, s * t1, s * t2
+        square = r0 * r0 + r1 * r1 + r2 * r2
+        first = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
+        second = 0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0))
+        pu, pv, pw = u - s * a0, v - s * a1, w - s * a2
+        c0, c1, c2 = r1 * pw - r2 * pv, r2 * pu - r0 * pw, r0 * pv - r1 * pu
+        qu = pu + first * c0 + second * (r1 * c2 - r2 * c1)
+        qv = pv + first * c1 + second * (r2 * c0 - r0 * c2)
+        qw = pw + first * c2 + second * (r0 * c1 - r1 * c0)
+        ex, ey = image_residual(lenses, optics_of, k, x, y, qu, qv, qw, room)
+        steps += 1
+        if steps == 2:
+            break
+        vx, vy = ex, ey
+        s = min(max(lx * (x + vx) + ly * (y + vy), -1.0), 1.0)
+    # How fast the computed coordinates move with s: dq/ds = W x q - exp([s W]x) V.
+    c0, c1, c2 = r1 * a2 - r2 * a1, r2 * a0 - r0 * a2, r0 * a1 - r1 * a0
+    s0 = t1 * qw - t2 * qv - a0 - first * c0 - second * (r1 * c2 - r2 * c1)
+    s1 = t2 * qu - t0 * qw - a1 - first * c1 - second * (r2 * c0 - r0 * c2)
+    s2 = t0 * qv - t1 * qu - a2 - first * c2 - second * (r0 * c1 - r1 * c0)
+    speed_x = by_q[0, 0] * s0 + by_q[0, 1] * s1 + by_q[0, 2] * s2
+    speed_y = by_q[1, 0] * s0 + by_q[1, 1] * s1 + by_q[1, 2] * s2
+    # Their own line follows them: (I - speed line')^-1 = I + speed line' / (1 - line' speed).
+    share = 1.0 - lx * speed_x - ly * speed_y
+    speed_x, speed_y = speed_x / share, speed_y / share
+    along = lx * (ex - vx) + ly * (ey - vy)
+    vx, vy = ex + speed_x * along, ey + speed_y * along
+    for n in range(3):
+        along = lx * by_q[0, n] + ly * by_q[1, n]
+        by_q[0, n] += speed_x * along
+        by_q[1, n] += speed_y * along
+    for n in range(READOUT):
+        along = lx * by_camera[0, n] + ly * by_camera[1, n]
+        by_camera[0, n] += speed_x * along
+        by_camera[1, n] += speed_y * along
+    for a in range(2):
+        g0, g1, g2 = by_q[a, 0], by_q[a, 1], by_q[a, 2]
+        # d = J' (q x g), with J the left Jacobian of s W by its series.
+        d0, d1, d2 = qv * g2 - qw * g1, qw * g0 - qu * g2, qu * g1 - qv * g0
+        e0, e1, e2 = r2 * d1 - r1 * d2, r0 * d2 - r2 * d0, r1 * d0 - r0 * d1
+        f0, f1, f2 = r2 * e1 - r1 * e2, r0 * e2 - r2 * e0, r1 * e0 - r0 * e1
+        third = 1.0 / 6.0 - square / 120.0
+        d0, d1, d2 = (
+            d0 + second * e0 + third * f0,
+            d1 + second * e1 + third * f1,
+            d2 + second * e2 + third * f2,
+        )
+        # h = exp([s W]x)' g.
+        c0, c1, c2 = g1 * r2 - g2 * r1, g2 * r0 - g0 * r2, g0 * r1 - g1 * r0
+        h0 = g0 + first * c0 + second * (c1 * r2 - c2 * r1)
+        h1 = g1 + first * c1 + second * (c2 * r0 - c0 * r2)
+        h2 = g2 + first * c2 + second * (c0 * r1 - c1 * r0)
+        by_q[a, 0], by_q[a, 1], by_q[a, 2] = h0, h1, h2
+        for n in range(3):
+            along = h0 * rotation[i, 0, n] + h1 * rotation[i, 1, n] + h2 * rotation[i, 2, n]
+            by_camera[a, MOVE + n] = -s * along
+        by_camera[a, MOVE + 3], by_camera[a, MOVE + 4], by_camera[a, MOVE + 5] = s * d0, s * d1, s * d2
+        along = 0.0
+        for n in range(6):
+            along += by_camera[a, MOVE + n] * optics_of[k, GIVEN + n]
+        by_camera[a, READOUT] = along
+    return vx, vy, pu, pv, pw

@@ -1,0 +1,72 @@
+"""A rolling shutter in simulated flights: found, told from a global one, and what it moves is told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from photocal.adjustment.adjust import adjust
+from photocal.adjustment.readout import Readout, with_readouts
+from photocal.adjustment.solution import Solution
+from photocal.geometry.camera import PARAMETERS
+from tests.photocal import flights
+
+SMALL = {"images": 20, "points": 300}
+
+
+def found(case: flights.Case, readout_s: float, seed: int) -> tuple[dict[str, float], Solution, Readout]:
+    truth, network = flights.case(case, seed, readout_s=readout_s, **SMALL)
+    network, solution, (readout,) = with_readouts(network, adjust(network))
+    return flights.standardised(truth, network, solution), solution, readout
+
+
+@pytest.mark.parametrize("case", ["attitudes", "positions", "pictures"])
+def test_readout_and_camera_are_found(case: flights.Case) -> None:
+    """Within 3.3 standard deviations: 1 of 1000 for each."""
+    errors, solution, readout = found(case, 0.03, 3)
+    assert readout.estimated
+    assert readout.p_value < 1e-6
+    assert "readout" in errors
+    assert max(abs(error) for error in errors.values()) < 3.3, errors
+    assert 0.9 < solution.variance_factor < 1.1
+
+
+@pytest.mark.parametrize("case", ["attitudes", "positions", "pictures"])
+def test_global_shutter_stays_one(case: flights.Case) -> None:
+    p_values = []
+    for seed in (11, 12, 13):
+        errors, _, readout = found(case, 0.0, seed)
+        assert not readout.estimated
+        assert "readout" not in errors
+        p_values.append(readout.p_value)
+    assert max(p_values) > 0.05
+
+
+def test_effect_is_the_way_the_points_move() -> None:
+    """Lines lie evenly between -1/2 and 1/2 of the readout: 1/sqrt(12) of it, root mean square."""
+    _, _, readout = found("positions", 0.03, 3)
+    assert readout.way == pytest.approx(8 * 0.03, abs=3 * 8 * readout.sigma)
+    in_image = readout.way * flights.C / flights.HEIGHT_M / np.sqrt(12)
+    assert readout.effect == pytest.approx(in_image, rel=0.25)
+
+
+def test_not_estimated_it_spoils_the_camera() -> None:
+    truth, network = flights.case("attitudes", 3, readout_s=0.03, **SMALL)
+    solution = adjust(network)
+    worst = max(abs(error) for error in flights.standardised(truth, network, solution).values())
+    assert solution.variance_factor > 2.0
+    assert worst > 4.0
+
+
+def test_given_readout_is_taken() -> None:
+    truth, network = flights.case("attitudes", 4, readout_s=0.03, **SMALL)
+    values = network.cameras[0].values.copy()
+    values[PARAMETERS.index("readout")] = 0.03
+    network = replace(network, cameras=(replace(network.cameras[0], values=values, shutter="rolling"),))
+    solution = adjust(network)
+    errors = flights.standardised(truth, network, solution)
+    assert "readout" not in errors
+    assert max(abs(error) for error in errors.values()) < 3.3
+    assert 0.9 < solution.variance_factor < 1.1
