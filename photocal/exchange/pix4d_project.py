@@ -32,6 +32,8 @@ BINGO = "tp_bingo.txt"
 _ERRORS = "calibrated_external_camera_parameters_error.txt"
 # Whatever the project says of its measurements, they are weighted alike first.
 UNIT_SIGMA_PX = 1.0
+# Positions farther from the adjusted ones are in another system.
+FAR_M = 1000.0
 _ROWS = 10
 
 
@@ -108,6 +110,12 @@ def read_pix4d_project(folder: Path) -> ForeignProject:
     if weak:
         remarks.append(f"{weak} points have one ray only: left out")
     position, sigma, pose_sigma = _positions(folder, image_names)
+    away = np.linalg.norm(position - poses[:, 3:], axis=1)
+    if np.isfinite(away).any() and np.nanmedian(away) > FAR_M:
+        remarks.append(
+            f"positions lie {np.nanmedian(away):.0f} m from the adjusted ones: of another system, left out"
+        )
+        position, sigma = np.full_like(position, np.nan), np.full_like(sigma, np.nan)
     return ForeignProject("Pix4D", block, position, sigma, pose_sigma, adjusted, remarks=tuple(remarks))
 
 
@@ -192,7 +200,8 @@ def _control(
         if len(values) < 3 or not np.isfinite(values[:3]).all():
             continue
         sigma = values[3:6]
-        stated = len(sigma) == 3 and all(0 < one < 100 for one in sigma)
+        # Weight and number of images may stand there: accuracies are three, below a metre.
+        stated = len(values) == 6 and all(0 < one < 1 for one in sigma)
         bare += [] if stated else [name]
         control[name] = ("control", values[:3], sigma if stated else list(ASSUMED_M))
     remarks = []

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.errors import InputMalformedError
 from photocal.block.model import ROLES
 from photocal.exchange.choices import Choices
 from photocal.exchange.formats import export, named
@@ -169,6 +170,28 @@ def test_a_pix4d_project(tmp_path: Path, adjusted: Reconstruction, monkeypatch: 
     assert shift["common_shift_m"]["z"] == pytest.approx(SHIFT_M, abs=4 * shift["sigma_m"]["z"])
     assert "not of one datum" in adoption_text(figures)
     assert largest(figures) < 0.1
+
+
+def test_variants_of_a_pix4d_project(tmp_path: Path, adjusted: Reconstruction) -> None:
+    pix4d(tmp_path, adjusted)
+    table = next(tmp_path.glob("*measured_gcps_position.txt"))
+    # Weights and numbers of images in place of accuracies, blanks in place of commas.
+    text = table.read_text().replace("0.02,0.02,0.03", "1.0,4").replace(",", " ")
+    table.write_bytes(text.replace("\n", "\r\n").encode())
+    errors = next(tmp_path.glob("*_error.txt"))
+    errors.write_text("# a line of heads\n" + errors.read_text().replace(" 0.02 0.02 0.02 ", " 0.05 0.07 "))
+    foreign = read_foreign_project(tmp_path)
+    assert any("have no accuracy" in remark for remark in foreign.remarks)
+    assert foreign.position_sigma[0].tolist() == [0.05, 0.05, 0.07]
+    bingo = next(tmp_path.glob("*tp_bingo.txt"))
+    bingo.write_text(bingo.read_text().replace("_23.04_17.28", "_RGB"))
+    with pytest.raises(InputMalformedError, match="no sensor width in mm"):
+        read_foreign_project(tmp_path)
+    line = "#Focal Length mm assuming a sensor width of 23.04x17.28mm\n"
+    (tmp_path / "field 3_calibrated_internal_camera_parameters.cam").write_text(line)
+    assert len(read_foreign_project(tmp_path).block.observations.image) == len(
+        foreign.block.observations.image
+    )
 
 
 def test_a_pix4d_project_without_positions_is_the_same_camera(
