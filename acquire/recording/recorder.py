@@ -32,7 +32,7 @@ CHUNK_BYTES = 1 << 20
 BUDGET_BYTES = 1 << 17
 GATHER_S = 0.02
 # How long a stop may wait for ports that hang, and for what waits for being framed.
-_PATIENCE_S = 0.8
+_PATIENCE_S = 0.6
 _LOOK_AT_DISK_EVERY_S = 5.0
 _MB = 1_000_000
 
@@ -134,9 +134,10 @@ def record(
             tell(f"{name} hangs and was left behind")
         # What arrived between the order to stop and the end of the readers belongs to the flight, too.
         flight.close(inboxes, _PATIENCE_S)
-    finally:
+    except BaseException:
         stop.set()
         left_behind(readers, _PATIENCE_S / 2)
+        raise
     tallies = {name: session.log.tally for name, session in flight.sessions.items()}
     return Recorded(tuple(files.paths), tallies, tuple(flight.alarms))
 
