@@ -121,10 +121,6 @@ class Guard:
 
     Parameters
     ----------
-    app : ASGI application
-        What is guarded.
-    address : Address
-        Where it is served.
     token : str or None
         What must be shown: once as ``?token=``, which leaves a cookie, or as bearer. None: nothing.
     """

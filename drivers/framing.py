@@ -27,13 +27,6 @@ class StreamFramer:
 
     At each place where one of the protocols could begin the frame is tested with its checksum; where there is
     none, the search goes on with the next byte. So damage costs the frame that it lies in and no other.
-
-    Parameters
-    ----------
-    wires : iterable of Wire
-        The protocols to look for.
-    dialect : Dialect, optional
-        The known MAVLink messages.
     """
 
     stamped = False

@@ -10,6 +10,8 @@ from drivers.checksums import x25
 from drivers.frames import Batch, Wire
 from drivers.mavlink.dialect import SIGNATURE_BYTES, SIGNED, V2, Dialect
 
+_LONGEST_HEAD, _LEAST_MAVLINK = 16, 8
+
 
 def batch_of_payloads(wire: Wire, payloads: list[bytes], dialect: Dialect) -> Batch:
     """Return intact frames of one protocol as a batch.
@@ -20,7 +22,8 @@ def batch_of_payloads(wire: Wire, payloads: list[bytes], dialect: Dialect) -> Ba
         The frames.
     """
     length = np.fromiter(map(len, payloads), np.int64, len(payloads))
-    data = b"".join(payloads)
+    # What another program calls a frame may be shorter than the head of one.
+    data = b"".join(payloads) + bytes(_LONGEST_HEAD)
     start = np.cumsum(length) - length
     octets = np.frombuffer(data, np.uint8)
     known = np.ones(len(payloads), bool)
@@ -56,6 +59,8 @@ def batch_of_payloads(wire: Wire, payloads: list[bytes], dialect: Dialect) -> Ba
 def _ulog_kind(payload: bytes) -> int:
     if payload.startswith(ulog.MAGIC):
         return ulog.FILE_HEAD_KIND
+    if len(payload) < 5:
+        return 0
     return payload[2] << 16 | (payload[3] | payload[4] << 8 if payload[2] == ulog.DATA else 0)
 
 
@@ -69,7 +74,7 @@ def _mavlink_kinds(octets: NDArray[np.uint8], start: NDArray[np.int64]) -> NDArr
 
 def _agrees(frame: bytes, kind: int, dialect: Dialect) -> bool:
     seed = dialect.seeds.get(kind)
-    if seed is None:
+    if seed is None or len(frame) < _LEAST_MAVLINK:
         return False
     end = len(frame) - 2 - (SIGNATURE_BYTES if frame[0] == V2 and frame[2] & SIGNED else 0)
-    return x25(frame[1:end], seed) == frame[end] | frame[end + 1] << 8
+    return end > 1 and x25(frame[1:end], seed) == frame[end] | frame[end + 1] << 8

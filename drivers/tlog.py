@@ -25,11 +25,6 @@ class TlogFramer:
     Intact records follow each other, so their places are found by walking along the lengths and all checksums
     are tested at once. From the first that fails on, `drivers.scan` searches byte by byte; a frame whose
     stamp was damaged is kept with the stamp before it.
-
-    Parameters
-    ----------
-    dialect : Dialect, optional
-        The known messages.
     """
 
     stamped = True

@@ -36,13 +36,7 @@ class EventListClock:
 
 
 class EventListDecoder:
-    """Decodes the events of a list; a `Decoder`.
-
-    Parameters
-    ----------
-    link : str
-        Name of the link.
-    """
+    """Decodes the events of a list; a `Decoder`."""
 
     def __init__(self, link: str) -> None:
         self._link = link

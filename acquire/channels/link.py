@@ -99,17 +99,6 @@ class LinkLog:
     The sequence numbers of raw frames and damage count through both in the order of the stream, so the
     stream can be put together again; a decoded message has the number of the frame that it was made from.
 
-    Parameters
-    ----------
-    writer : MessageWriter
-        The log.
-    link : str
-        Name of the link.
-    decoders : sequence of Decoder
-        What decodes the frames.
-    first : int
-        The number of the first frame.
-
     `last_ns` is the time of receipt of the last frame.
     """
 

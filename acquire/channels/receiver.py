@@ -24,13 +24,7 @@ _GGA_FIXES = {1: "3d", 2: "differential", 3: "3d", 4: "rtk_fixed", 5: "rtk_float
 
 
 class ReceiverDecoder:
-    """Decodes the UBX, RTCM 3 and NMEA frames of one link; a `Decoder`.
-
-    Parameters
-    ----------
-    link : str
-        Name of the link.
-    """
+    """Decodes the UBX, RTCM 3 and NMEA frames of one link; a `Decoder`."""
 
     def __init__(self, link: str) -> None:
         self._link = link

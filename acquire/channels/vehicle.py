@@ -27,13 +27,6 @@ class VehicleDecoder:
 
     Several systems can speak on one link. The plain topic of a message belongs to the source that sent it
     first; further sources get topics with their numbers.
-
-    Parameters
-    ----------
-    link : str
-        Name of the link.
-    dialect : Dialect
-        The known messages.
     """
 
     def __init__(self, link: str, dialect: Dialect) -> None:

@@ -53,15 +53,7 @@ FORMATS = (TELEMETRY_LOG, RECEIVER_STREAM, DATAFLASH_LOG, PX4_LOG, EVENT_LIST)
 
 
 class Source:
-    """The bytes of a recording, unpacked, with the hash and the size of the file that they come from.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    raw : binary file
-        The file, open.
-    """
+    """The bytes of a recording, unpacked, with the hash and the size of the file that they come from."""
 
     def __init__(self, path: Path, raw: BufferedReader) -> None:
         self.path = path

@@ -40,13 +40,7 @@ class Field:
 
 
 class RowEncoder:
-    """Encodes columns of numbers as messages of one type.
-
-    Parameters
-    ----------
-    fields : list of Field
-        The layout.
-    """
+    """Encodes columns of numbers as messages of one type."""
 
     def __init__(self, fields: list[Field]) -> None:
         members: list[tuple[Any, ...]] = []

@@ -25,13 +25,6 @@ class LogWriter:
     Messages are collected in an open chunk. Each chunk carries the schemas and channels that were new in it
     and is followed by the indexes of its messages, so a file that ends after any chunk can be repaired from
     what is there.
-
-    Parameters
-    ----------
-    stream : binary file
-        Where the log goes, open for writing at its beginning.
-    library : str, optional
-        The program that writes.
     """
 
     def __init__(self, stream: BinaryIO, library: str = LIBRARY) -> None:

@@ -20,14 +20,7 @@ _NAME = re.compile(r"flight-(\d{8}T\d{6}Z)(?:_(\d+))?\.mcap")
 
 
 class Tail:
-    """Reads what is new in the logs of a recording.
-
-    Parameters
-    ----------
-    source : Path or sequence of Path
-        One file, which is read to its end, or the folders into which a recorder writes: the latest flight in
-        them is read, from its first file on, and the next one when it begins.
-    """
+    """Reads what is new in the logs of a recording."""
 
     def __init__(self, source: Path | Sequence[Path]) -> None:
         self._folders = [] if isinstance(source, Path) else list(source)

@@ -39,12 +39,8 @@ class LogFiles:
 
     Parameters
     ----------
-    folders : sequence of Path
-        Where files go: the first, and the next ones when nothing more can be written there.
     begin : callable
         Writes to each file what stands at its beginning.
-    limits : Limits
-        When the next file is begun.
     clock_ns : callable
         The clock of the host, UTC nanoseconds since 1970.
     make : callable

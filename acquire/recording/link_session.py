@@ -70,19 +70,7 @@ class ShieldedDecoder:
 
 
 class LinkSession:
-    """A link.
-
-    Parameters
-    ----------
-    link : Link
-        Its configuration.
-    writer : MessageWriter
-        The log.
-    source : Source
-        The port.
-    dialect : Dialect
-        The known MAVLink messages.
-    """
+    """A link."""
 
     def __init__(self, link: Link, writer: MessageWriter, source: Source, dialect: Dialect) -> None:
         wires = wires_of(link.protocol)

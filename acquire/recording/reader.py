@@ -40,8 +40,6 @@ class Inbox:
 
     Parameters
     ----------
-    link : str
-        Its name.
     clock_ns : callable
         The clock of the host, UTC nanoseconds since 1970.
 

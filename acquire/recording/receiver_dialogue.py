@@ -28,8 +28,6 @@ class ReceiverDialogue:
     ----------
     port : str
         The receiver's port that we are connected to.
-    messages : tuple of str
-        Messages to be sent with every measurement.
     rate_ms : int
         Time between measurements, milliseconds.
     """

@@ -26,10 +26,6 @@ class VehicleDialogue:
 
     Parameters
     ----------
-    dialect : Dialect
-        The messages.
-    rates_hz : dict of str to float
-        Wanted rate by message name.
     timesync_every_s : float
         Time between comparisons of the clocks; 0 for none: then those of the autopilot go unanswered, too.
     """

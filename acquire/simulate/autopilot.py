@@ -23,10 +23,6 @@ class Autopilot:
     ----------
     start_utc_us : int
         UTC at its start, microseconds since 1970.
-    stubborn : bool
-        Whether it denies every request for a message rate.
-    system : int
-        Its system id.
     """
 
     def __init__(self, start_utc_us: int, *, stubborn: bool = False, system: int = 1) -> None:

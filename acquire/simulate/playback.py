@@ -23,13 +23,8 @@ class FlightClock:
 
     Parameters
     ----------
-    awaited : iterable of str
-        The devices that must be spoken to before.
-    speed : float
     clock : callable
         Seconds of a steady clock.
-    begins_s : float, optional
-        When it begins by that clock, whoever was spoken to.
     """
 
     def __init__(
@@ -79,14 +74,7 @@ class _Tape:
 
 
 class FlownReceiver:
-    """A receiver that sends what it recorded in flight, and answers to settings as a receiver does.
-
-    Parameters
-    ----------
-    name : str
-    line : Line
-    clock : FlightClock
-    """
+    """A receiver that sends what it recorded in flight, and answers to settings as a receiver does."""
 
     def __init__(self, name: str, line: Line, clock: FlightClock) -> None:
         self._name, self._line, self._clock = name, line, clock

@@ -16,17 +16,7 @@ _PVT_EVERY_S = 0.2
 
 
 class Receiver:
-    """The state of the receiver's side of a line.
-
-    Parameters
-    ----------
-    generation : int
-        One of `VERSIONS`.
-    refuses : bool
-        Whether every setting is answered with ACK-NAK.
-    forgets : bool
-        Whether settings are acknowledged and not kept.
-    """
+    """The state of the receiver's side of a line."""
 
     def __init__(self, generation: int, *, refuses: bool = False, forgets: bool = False) -> None:
         self._generation = generation

@@ -70,8 +70,6 @@ class NtripSource:
 
     Parameters
     ----------
-    address : Address
-        The stream.
     user, password : str
         As the caster knows us; empty for open streams. They appear in no message.
     context : ssl.SSLContext, optional

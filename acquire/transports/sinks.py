@@ -40,13 +40,7 @@ class Sink(Protocol):
 
 
 class UdpSink:
-    """Each frame is one datagram; on Linux at the pace at which a reader on the same computer takes them.
-
-    Parameters
-    ----------
-    port : socket
-        A connected datagram socket.
-    """
+    """Each frame is one datagram; on Linux at the pace at which a reader on the same computer takes them."""
 
     def __init__(self, port: socket.socket) -> None:
         self._port = port
@@ -103,13 +97,7 @@ class UdpSink:
 
 
 class TcpSink:
-    """A stream to the one reader that has connected.
-
-    Parameters
-    ----------
-    port : socket
-        The connection.
-    """
+    """A stream to the one reader that has connected."""
 
     lost = 0
 
@@ -127,13 +115,7 @@ class TcpSink:
 
 
 class PtySink:
-    """A pseudo terminal that a program opens like a serial port.
-
-    Parameters
-    ----------
-    descriptor : int
-        Our end of it.
-    """
+    """A pseudo terminal that a program opens like a serial port."""
 
     lost = 0
 

@@ -105,11 +105,6 @@ class UdpSource:
     """Datagrams that arrive at a local address; answers go to whoever sent last.
 
     A sender that changes its port is followed.
-
-    Parameters
-    ----------
-    host, port : str, int
-        The local address.
     """
 
     lossy = sys.platform != "linux"
@@ -184,13 +179,7 @@ class UdpSource:
 
 
 class TcpSource:
-    """A stream from a server that we connect to.
-
-    Parameters
-    ----------
-    host, port : str, int
-        The server.
-    """
+    """A stream from a server that we connect to."""
 
     peer, lossy, missed = "", False, 0
 
@@ -240,8 +229,6 @@ class SerialSource:
     ----------
     url : str
         Device path, or a URL of pyserial (``socket://``, ``loop://``, ``rfc2217://``).
-    baud : int
-        Speed of the line.
     """
 
     peer, lossy, missed = "", False, 0
@@ -298,13 +285,7 @@ class SerialSource:
 
 
 class FileSource:
-    """The bytes of a file, once; then the link is silent.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    """
+    """The bytes of a file, once; then the link is silent."""
 
     peer, lossy, missed = "", False, 0
 
