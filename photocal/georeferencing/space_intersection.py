@@ -13,6 +13,7 @@ from photocal.block.model import Block
 from photocal.block.network import observed_plane, plane_per_unit
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.distortion import undistorted
+from photocal.geometry.rotation import skew
 from photocal.georeferencing.direct import DirectOrientation
 
 Floats = NDArray[np.float64]
@@ -164,10 +165,8 @@ def _misclosure(
 ) -> Floats:
     """Covariance of computed minus corrected coordinates of one point's rays, shape (2n, 2n)."""
     n, image = len(rays), block.observations.image[rays]
-    x, y, z = q.T
-    zero = np.zeros(n)
     # exp([t]x) q = q - [q]x t
-    turn = np.moveaxis(np.array([[zero, z, -y], [-z, zero, x], [y, -x, zero]]), (0, 1), (-2, -1))
+    turn = -skew(q)
     by_pose = np.concatenate([by_q @ turn, -by_q @ orientation.rotation[image]], axis=2)
     result = np.zeros((2 * n, 2 * n))
     for k, i in enumerate(image):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,8 @@ from photocal.findings.finding import Finding
 from photocal.findings.hypotheses import FAULTS, fault
 from photocal.findings.texts import findings_of
 from photocal.findings.verdict import of_global_test, verdict
+from photocal.geometry.camera import PARAMETERS
+from photocal.results.folder import RESULT, read_result
 from photocal.run.stage import made_in
 
 # A parameter that goes so many of its prior sigmas away.
@@ -145,15 +148,16 @@ def _stored(content: dict[str, Any], path: Path) -> Iterator[Finding]:
     yield from (one for one in findings_of(content.get("findings"), path) if one.severity in _ORDER)
 
 
-def _of_calibration(result: dict[str, Any], _: Path) -> Iterator[Finding]:
+def _of_calibration(_: dict[str, Any], path: Path) -> Iterator[Finding]:
     """Parameters that left what was known of them: something else went into them."""
-    for name, camera in result["cameras"].items():
-        for key, one in camera["parameters"].items():
-            prior, given = one["prior_sigma"], one.get("given")
-            if not prior or given is None or abs(one["value"] - given) <= CONTRADICTED * prior:
+    for name, camera in read_result(path.parent).cameras.items():
+        given = camera.values if camera.given is None else camera.given
+        for k, key in enumerate(PARAMETERS):
+            prior, away = float(camera.prior_sigma[k]), abs(float(camera.values[k] - given[k]))
+            if not 0 < prior < math.inf or away <= CONTRADICTED * prior:
                 continue
-            figures = {"camera": name, "parameter": key, "value": one["value"], "unit": camera["unit"]}
-            figures |= {"given": given, "sigmas": abs(one["value"] - given) / prior}
+            figures = {"camera": name, "parameter": key, "value": camera.value(key), "unit": camera.unit}
+            figures |= {"given": float(given[k]), "sigmas": away / prior}
             yield Finding("prior-contradicted", "doubtful", f"{name} {key}", figures)
 
 
@@ -166,7 +170,7 @@ _SOURCES: tuple[tuple[str, str, Callable[[dict[str, Any], Path], Iterator[Findin
     ("ppk", "ppk.json", _stored),
     ("exposures", "exposures.json", _stored),
     ("measurements", "measurement.json", _stored),
-    ("calibration", "result.json", _of_calibration),
+    ("calibration", RESULT, _of_calibration),
     ("georeferencing", "check.json", _stored),
     ("analysis", "analysis.json", _of_analysis),
 )
