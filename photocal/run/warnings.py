@@ -83,13 +83,13 @@ def project_verdict(work: Path, stages: Container[str] | None = None) -> Finding
     certified = read_json(work / "certificate" / "certificate.json")
     if certified is not None and (stages is None or "certificate" in stages):
         return findings_of([certified["verdict"]], work / "certificate")[0]
-    result = read_json(work / "calibration" / "result.json")
-    if result is None:
+    run = work / "calibration"
+    if not (run / RESULT).is_file():
         return None
-    findings, test = gather(work, stages), result["global_test"]
+    result, findings = read_result(run), gather(work, stages)
     estimated = any(one.code == "sigmas-from-residuals" for one in findings)
-    accepted = None if test is None else bool(test["accepted"])
-    figures = result["chi_squared"], result["degrees_of_freedom"]
+    accepted = None if result.global_test is None else result.global_test.accepted
+    figures = result.chi_squared, result.degrees_of_freedom
     return verdict((*findings, of_global_test(*figures, accepted, estimated=estimated)))
 
 
