@@ -99,6 +99,18 @@ def _explained_by_pitch(parameter: ExtraParameter, camera: Camera) -> bool:
     return ratio != 1.0 and abs(1.0 + parameter.amount - ratio) < 3.0 * parameter.sigma
 
 
+def of_shift(search: Search) -> list[Finding]:
+    """Describe a shift of all observed positions against control."""
+    one = search.shift
+    if one is None:
+        return []
+    axes = zip("XYZ", one.shift, one.sigma, strict=True)
+    numbers = tuple(f"{axis} {value:+.3f} +- {sigma:.3f} m" for axis, value, sigma in axes)
+    worst = int(np.argmax(np.abs(one.shift)))
+    size = Size(float(one.shift[worst]), "m", float(one.sigma[worst]))
+    return [Finding("datum-shift", "doubtful", "positions", {"numbers": numbers}, size=size)]
+
+
 def of_sigma(search: Search) -> list[Finding]:
     """Describe the assumed standard deviation of the image coordinates, when it is wrong."""
     sigma = search.sigma
@@ -130,7 +142,7 @@ def of_sigma(search: Search) -> list[Finding]:
 
 def of_bias(search: Search) -> list[Finding]:
     """Describe the bias of every c, when it is beyond its precision."""
-    if not search.rounds:
+    if not search.rounds and search.shift is None:
         return []
     listed = []
     for k, camera in enumerate(search.first.network.cameras):

@@ -6,6 +6,7 @@ from photocal.analysis.systematic_errors.camera_findings import (
     of_bias,
     of_jackknife,
     of_round,
+    of_shift,
     of_sigma,
     of_significance,
 )
@@ -28,6 +29,7 @@ def findings(search: Search) -> tuple[Finding, ...]:
         Large ones first, in the order in which they should be dealt with, then small ones.
     """
     listed = [of_round(one) for one in search.rounds]
+    listed += of_shift(search)
     listed += of_sigma(search)
     listed += of_bias(search)
     listed += of_significance(search)

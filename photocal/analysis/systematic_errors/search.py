@@ -13,6 +13,7 @@ from photocal.analysis.systematic_errors.candidates import Candidate, candidates
 from photocal.analysis.systematic_errors.extra_parameter import ExtraParameter, estimated_amount, judged
 from photocal.analysis.systematic_errors.image_shift import ImageShift, image_shifts
 from photocal.analysis.systematic_errors.jackknife import Jackknife, jackknife
+from photocal.analysis.systematic_errors.position_shift import PositionShift, position_shift, with_free_shift
 from photocal.analysis.systematic_errors.refit import Fit, fit, with_measurements, with_sigmas
 from photocal.analysis.systematic_errors.residual_map import ResidualMap, residual_map
 from photocal.analysis.systematic_errors.variance_components import (
@@ -61,6 +62,8 @@ class Search:
         Errors in the order in which they were found, the worst first.
     first, last : Fit
         The network as it was adjusted, and with all corrections.
+    shift : PositionShift or None
+        Of all observed positions against the rest, where it is significant; it is then free in `last`.
     sigma : AssumedSigma
         Of the image coordinates, at the end.
     groups : tuple of GroupTest
@@ -78,6 +81,7 @@ class Search:
     rounds: tuple[Round, ...]
     first: Fit
     last: Fit
+    shift: PositionShift | None
     sigma: AssumedSigma
     groups: tuple[GroupTest, ...]
     images: tuple[VarianceComponent, ...]
@@ -105,7 +109,10 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
         What was found.
     """
     rounds = list[Round]()
-    last = first
+    shift = position_shift(first)
+    if shift is not None and shift.p_value >= LEVEL:
+        shift = None
+    last = first if shift is None else fit(with_free_shift(first.network), first.state)
     while len(rounds) < ROUNDS:
         worst = _worst(last, tuple(one.parameter.candidate for one in rounds), done)
         step = None if worst is None else _corrected(last, worst)
@@ -114,7 +121,7 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
         rounds.append(step)
         last = step.after
     before = jackknife(first, done)
-    after = jackknife(last, done) if rounds else before
+    after = jackknife(last, done) if rounds or shift is not None else before
     solution, rays = last.solution, last.network.rays
     squares = (solution.residuals / rays.sigma) ** 2
     redundancy = solution.redundancy
@@ -128,6 +135,7 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
         tuple(rounds),
         first,
         last,
+        shift,
         sigma,
         _groups(last, sigma),
         variance_components(last.network.image_names, both, flat, checked),

@@ -1,0 +1,91 @@
+"""A shift that all observed positions have in common against control: base station, geoid, antenna height."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from photocal.adjustment.datum import full_solution
+from photocal.adjustment.groups import FEWEST, tested
+from photocal.adjustment.mounting import SHIFT, STRIPS
+from photocal.adjustment.network import Network
+from photocal.adjustment.normal import other_equations
+from photocal.analysis.estimates import Array
+from photocal.analysis.systematic_errors.refit import Fit
+
+# Of a shift, what no other unknown takes up, squared: less is not determined.
+LEFT = 1e-4
+# From here on standard deviations are wrong.
+SIGNIFICANCE = 0.001
+
+
+@dataclass(frozen=True)
+class PositionShift:
+    """A common shift of the observed positions, as three more unknowns.
+
+    Attributes
+    ----------
+    shift, sigma : (3,) array
+        Observed less what the rest of the network says, and standard deviations a priori, m.
+    fall : float
+        By how much the sum of squares falls with it.
+    p_value : float
+        Probability of that without a shift, judged by the scatter of the positions themselves.
+    """
+
+    shift: Array
+    sigma: Array
+    fall: float
+    p_value: float
+
+
+def position_shift(fit: Fit) -> PositionShift | None:
+    """Estimate the shift from the normal equations as they stand; None where free, or not determined."""
+    from scipy import stats
+
+    network, positions = fit.network, fit.network.positions
+    if not len(positions.image) or np.any(network.mounting.sigma[SHIFT]) or _strips_free(network):
+        return None
+    at = fit.factored
+    rows = other_equations(at.problem, at.state)["position"]
+    # Rows are whitened position by position: so is the shift.
+    fields = np.linalg.inv(np.linalg.cholesky(positions.covariance)).reshape(-1, 3)
+    counts = np.diff(rows.start)
+    still = np.zeros_like(at.state.points)
+    information = fields.T @ fields
+    whole = information.copy()
+    for k in range(3):
+        right = np.zeros(at.problem.layout.size)
+        np.add.at(right, rows.column, rows.coefficient * np.repeat(rows.weight * fields[:, k], counts))
+        step, _ = full_solution(at.problem, at.normal, right, still)
+        moved = np.add.reduceat(rows.coefficient * step[rows.column], rows.start[:-1])
+        information[:, k] -= fields.T @ (rows.weight * moved)
+    information = (information + information.T) / 2
+    if np.linalg.eigvalsh(np.linalg.solve(whole, information))[0] < LEFT:
+        return None
+    slope = fields.T @ (rows.weight * rows.residual)
+    shift = -np.linalg.solve(information, slope)
+    fall = float(-slope @ shift)
+    group = next(one for one in fit.solution.groups if one.name == "position")
+    rest = group.redundancy - 3.0
+    if rest < FEWEST:
+        return None
+    scale = max(1.0, (group.chi_squared - fall) / rest)
+    p_value = float(stats.f.sf(fall / 3.0 / scale, 3, rest))
+    # Standard deviations that are wrong by a factor compete with it: they explain all residuals alike.
+    factor = tested(group)
+    if factor.p_value < SIGNIFICANCE and factor.gain > fall - 2.0 * np.log(fit.solution.observations):
+        p_value = 1.0
+    return PositionShift(shift, np.sqrt(np.diag(np.linalg.inv(information))), fall, p_value)
+
+
+def _strips_free(network: Network) -> bool:
+    return bool(np.any(network.mounting.sigma[STRIPS:]))
+
+
+def with_free_shift(network: Network) -> Network:
+    """Give the network the shift as an unknown."""
+    sigma = network.mounting.sigma.copy()
+    sigma[SHIFT] = np.inf
+    return replace(network, mounting=replace(network.mounting, sigma=sigma))

@@ -1,0 +1,57 @@
+"""Positions that all lie beside control, and clean flights that get no finding."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from photocal.adjustment.adjust import adjust
+from photocal.analysis.systematic_errors.findings import findings
+from photocal.analysis.systematic_errors.position_shift import position_shift, with_free_shift
+from photocal.analysis.systematic_errors.refit import fit
+from photocal.analysis.systematic_errors.search import search
+from tests.photocal.analysis.aerial import Flight, fly
+from tests.photocal.analysis.findings import said, sized
+
+FLIGHT = Flight(36, 5000, sigma_px=0.5)
+SHIFT = np.array([0.0, 0.0, -0.085])
+
+
+def test_positions_below_control_are_named_and_c_is_cleared_of_them() -> None:
+    # c takes most of it up: it takes many images, as the block of which it was learnt has.
+    flown = fly(replace(FLIGHT, images=100, rays=14_000, control_points=25), 5)
+    positions = flown.network.positions
+    network = replace(flown.network, positions=replace(positions, values=positions.values + SHIFT))
+    found = search(fit(network))
+    listed = findings(found)
+    assert listed[0].code == "datum-shift"
+    assert abs(sized(listed[0]).figure - SHIFT[2]) < 4 * (sized(listed[0]).sigma or 0.0)
+    assert "different datums" in said(listed[0])
+    c, sigma = found.last.state.cameras[0, 0], np.sqrt(found.last.solution.camera_covariance[0, 0, 0])
+    assert abs(c - flown.lens.values[0]) < 4 * sigma
+    assert "sigmas-too-small" not in {one.code for one in listed}
+
+
+def test_the_shift_is_what_an_adjustment_with_it_gives() -> None:
+    network = fly(FLIGHT, 6).network
+    first = fit(network)
+    found = position_shift(first)
+    assert found is not None
+    anew = adjust(with_free_shift(network))
+    np.testing.assert_allclose(found.shift, anew.state.common[7:10], atol=0.01 * found.sigma.max())
+    np.testing.assert_allclose(found.sigma, np.sqrt(np.diag(anew.common_covariance)[7:10]), rtol=1e-3)
+    assert found.fall == pytest.approx(first.solution.chi_squared - anew.chi_squared, abs=0.02)
+    assert found.p_value > 1e-3
+
+
+def test_the_block_in_which_a_missing_k4_was_claimed_gets_no_finding() -> None:
+    """49 images, 14 000 rays, 1 px, K1 to K3 estimated and true: nothing is missing and c is not biased."""
+    block = Flight(49, 14_000, estimate=("c", "x0", "y0", "K1", "K2", "K3"))
+    for seed in range(3):
+        network = fly(block, seed).network
+        own = network.cameras[0]
+        # What is held has its true value.
+        assert own.value("B1") == pytest.approx(2e-4)
+        assert findings(search(fit(network))) == ()
