@@ -34,7 +34,7 @@ from drivers.ubx import wire as ubx
 from tests.acquire.live import Recorder, free_port, is_bound, until
 from tests.acquire.recording.hanging import DeadPort, FailingPort, HangingServer
 
-STOPS, AT_ONCE = 1000, 6
+STOPS, AT_ONCE = 1000, 4
 GENERATIONS, KEPT, OFFSPRING = 40, 6, 24
 RATES_MB_S = (1, 8, 50)
 FLOOD_S = 8.0
