@@ -18,7 +18,7 @@ PARAMETERS = ("parameter", "names", "removed", "crowd")
 # Figures that are terms of the catalogue, by their codes; what it does not have stands as it is.
 TERMS = (
     "method", "role", "axis", "axes", "terms", "side", "sign", "product", "precision_class", "accuracy_class",
-    "same", "minor", "source",
+    "same", "minor", "source", "codes",
 )  # fmt: skip
 # Figures that are phrases of the catalogue with what is put into them, "code first second".
 PHRASES = {"alike": "candidate", "slips": "slip", "changes": "change"}

@@ -37,7 +37,7 @@ def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
     listed = [*check.plausibility, *(_mistyped(one) for one in check.mistyped)]
     if check.systematic is not None:
         listed += [_stated_sigma(one) for one in check.systematic.sigmas]
-        listed += _causes(check.systematic.errors)
+        listed += named(check.systematic.errors)
     for judged in check.judged:
         listed += _judged(judged)
     if check.separation is not None:
@@ -91,7 +91,7 @@ def _stated_sigma(one: GroupTest) -> Finding:
     return Finding("sigmas-too-large", "note", one.name, figures)
 
 
-def _causes(errors: tuple[SystematicError, ...]) -> list[Finding]:
+def named(errors: tuple[SystematicError, ...]) -> list[Finding]:
     """Name the grave errors; beside them small ones are no causes yet, for the model is linear."""
     if not errors:
         return []

@@ -75,7 +75,7 @@ def certificate(
         subtitle=_subtitle(run, say),
         number=certificate_number(run, particulars, told),
         facts=_facts(run, particulars, certificate_number(run, particulars, told), say),
-        highlights=_highlights(run, say),
+        highlights=_highlights(run, told, say),
         verdicts=_verdicts(run, known, told, say),
         sections=(*warning_sections(told, say), *_sections(run, particulars, known, told, say)),
         words={word: say(f"word.{word}") for word in WORDS},
@@ -110,7 +110,7 @@ def _facts(run: Run, particulars: Particulars, number: str, say: Catalogue) -> K
     return KeyValues(tuple((label, value) for label, value in rows if value))
 
 
-def _highlights(run: Run, say: Catalogue) -> tuple[Highlight, ...]:
+def _highlights(run: Run, told: tuple[Finding, ...], say: Catalogue) -> tuple[Highlight, ...]:
     cameras = run.result.cameras
     several = len(cameras) > 1
     shown: list[Highlight] = []
@@ -122,21 +122,23 @@ def _highlights(run: Run, say: Catalogue) -> tuple[Highlight, ...]:
     if not several:
         shown.append(_principal_point(next(iter(cameras.values())), say))
     shown += [_residuals(run, say), _network(run, say)]
-    return (*shown, _test(run, say), _checks(run, say))
+    return (*shown, _test(run, told, say), _checks(run, say))
 
 
-def _test(run: Run, say: Catalogue) -> Highlight:
-    test = run.result.global_test
+def _test(run: Run, told: tuple[Finding, ...], say: Catalogue) -> Highlight:
+    test, judged = run.result.global_test, _tested(run, told)
     if test is None:
         return Highlight(say("highlight.test"), say("highlight.untested"), say("highlight.untested_remark"))
+    if judged.severity == "untested":
+        return Highlight(say("highlight.test"), say("highlight.unclaimed"), say("highlight.unclaimed_remark"))
     remark = say(
         "highlight.test_remark",
         chi2=fixed(run.result.chi_squared, 1, say.mark),
         dof=run.result.degrees_of_freedom,
         p=relation(test.p_value, say.mark),
     )
-    verdict = say("highlight.accepted") if test.accepted else say("highlight.refused")
-    return Highlight(say("highlight.test"), verdict, remark)
+    key = "accepted" if test.accepted else "equivalent" if judged.severity == "passed" else "refused"
+    return Highlight(say("highlight.test"), say(f"highlight.{key}"), remark)
 
 
 def _principal_point(camera: Camera, say: Catalogue) -> Highlight:

@@ -69,6 +69,14 @@ def uncertainty(title: str, run: Run, particulars: Particulars, say: Catalogue) 
     return Section(title, pieces or (Paragraph(say("uncertainty.none")),))
 
 
+def combined(parts: list[tuple[float, float]]) -> tuple[float, float, float]:
+    """Combine standard uncertainties with their degrees of freedom: u, effective degrees, k for 95 %."""
+    u = math.sqrt(sum(part**2 for part, _ in parts))
+    weights = sum(part**4 / nu for part, nu in parts if math.isfinite(nu) and nu > 0.0)
+    freedom = u**4 / weights if weights > 0.0 else math.inf
+    return u, freedom, critical_t(math.floor(min(freedom, 1e6)))
+
+
 def _budget(camera_id: str, run: Run, particulars: Particulars, say: Catalogue) -> Table:
     result, camera = run.result, run.result.cameras[camera_id]
     factor = math.sqrt(max(result.sigma0_squared or 1.0, 1.0))
@@ -76,10 +84,7 @@ def _budget(camera_id: str, run: Run, particulars: Particulars, say: Catalogue) 
     entered = particulars.uncertainty.of_c
     parts = [(own, float(result.degrees_of_freedom))]
     parts += [(entered[key], math.inf) for key in ENTERED if key in entered]
-    combined = math.sqrt(sum(u**2 for u, _ in parts))
-    weights = sum(u**4 / nu for u, nu in parts if math.isfinite(nu) and nu > 0.0)
-    freedom = min(combined**4 / weights, 1e6) if weights > 0.0 else 1e6
-    k = critical_t(math.floor(freedom))
+    total, freedom, k = combined(parts)
     columns = (
         Column(say("uncertainty.source"), align="left"),
         Column(say("uncertainty.type"), align="center"),
@@ -90,19 +95,19 @@ def _budget(camera_id: str, run: Run, particulars: Particulars, say: Catalogue) 
     def row(key: str, kind: str, u: float | None) -> tuple[str, ...]:
         if u is None:
             return say(f"uncertainty.{key}"), kind, say("laboratory.not_stated"), ""
-        share = 100.0 * u**2 / combined**2 if combined > 0.0 else 0.0
+        share = 100.0 * u**2 / total**2 if total > 0.0 else 0.0
         return say(f"uncertainty.{key}"), kind, significant(u, 2, say.mark), fixed(share, 1, say.mark)
 
     rows = [row("adjustment", "A", own), *(row(key, "B", entered.get(key)) for key in ENTERED)]
-    rows.append(row("combined", "", combined))
-    c = measured(camera.value("c"), k * combined, say.mark)
+    rows.append(row("combined", "", total))
+    c = measured(camera.value("c"), k * total, say.mark)
     note = say(
         "uncertainty.note",
         c=c.value,
         u=c.sigma,
         unit=camera.unit,
         k=fixed(k, 2, say.mark),
-        nu=f"{math.floor(freedom)}" if freedom < 1e6 else "∞",
+        nu=f"{math.floor(freedom)}" if math.isfinite(freedom) else "∞",
         factor=fixed(factor, max(decimals_of(factor), 2), say.mark),
     )
     return Table(say("uncertainty.table", camera=camera_id), columns, tuple(rows), note)

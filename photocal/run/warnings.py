@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from photocal.findings.finding import Finding
-from photocal.findings.hypotheses import FAULTS, fault
+from photocal.findings.hypotheses import FAULTS, Fault, fault
 from photocal.findings.texts import findings_of
 from photocal.findings.verdict import of_global_test, verdict
 from photocal.geometry.camera import PARAMETERS
@@ -98,7 +98,9 @@ def kind(finding: Finding) -> str:
     return finding.severity if finding.severity in ("consequence", "note") else "warning"
 
 
-def causes_first(given: Iterable[Finding], fixed_percent: float) -> tuple[Finding, ...]:
+def causes_first(
+    given: Iterable[Finding], fixed_percent: float, table: tuple[Fault, ...] = FAULTS
+) -> tuple[Finding, ...]:
     """Mark what follows from other findings, and put it behind them.
 
     A surveyor who reads two causes does not know which to believe. The search for systematic errors names
@@ -115,7 +117,7 @@ def causes_first(given: Iterable[Finding], fixed_percent: float) -> tuple[Findin
     codes = {one.code for one in findings}
     if fixed_percent >= _JUDGED_FROM_PERCENT:
         codes.discard("ppk-not-fixed")
-    excuse = next((entry for code in _EXCUSES if code in codes and (entry := fault(code))), None)
+    excuse = next((entry for code in _EXCUSES if code in codes and (entry := fault(code, table))), None)
     if excuse is not None:
         findings = tuple(
             _not_judged(one, excuse.code)
@@ -124,7 +126,7 @@ def causes_first(given: Iterable[Finding], fixed_percent: float) -> tuple[Findin
             for one in findings
         )
     codes = {one.code for one in findings}
-    symptoms = {code for one in FAULTS if one.code in codes for code in one.symptoms}
+    symptoms = {code for one in table if one.code in codes for code in one.symptoms}
     findings = tuple(replace(f, severity="consequence") if f.code in symptoms else f for f in findings)
     order = ("warning", "consequence", "note")
     return tuple(sorted(findings, key=lambda one: order.index(kind(one))))

@@ -11,10 +11,15 @@ import pytest
 
 from photocal.block.folder import read_block
 from photocal.block.model import Block
-from photocal.georeferencing.findings import separation_findings
+from photocal.findings.catalogue import catalogue
+from photocal.findings.finding import Finding
+from photocal.findings.hypotheses import Fault
+from photocal.findings.texts import finding_text
+from photocal.georeferencing.findings import named, separation_findings
 from photocal.georeferencing.mounted import with_attitude_angles
 from photocal.georeferencing.separation import separation
 from photocal.georeferencing.systematic import SystematicErrors, systematic_errors
+from photocal.run.warnings import causes_first
 from tests.photocal.findings.english import english
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
@@ -156,3 +161,21 @@ def test_values_left_free_in_the_block_are_estimated(tmp_path: Path) -> None:
         assert values[name].significant
     assert not values["boresight_z"].significant
     assert {"lever-arm", "boresight"}.isdisjoint(one.name for one in found.tested)
+
+
+def test_a_new_fault_is_one_entry_and_its_texts(flown: Flown) -> None:
+    """Search, naming, words and root causes take it from there."""
+    new = Fault("worn-zoom", ("camera",), ("c",), prior=0.1)
+    found = systematic_errors(flown(Errors(focal_mm=0.03), 21), table=(new,))
+    (error,) = found.errors
+    assert error.found.name == "worn-zoom"
+    within_three_sigma(found, {"c[cam]": 12.03})
+    (finding,) = named(found.errors)
+    assert (finding.code, finding.severity) == ("worn-zoom", "grave")
+    say = catalogue("en")
+    texts = {"finding.worn-zoom": "The zoom is worn", "remedy.worn-zoom": "Fix it with glue."}
+    text = finding_text(finding, replace(say, messages={**say.messages, **texts}))
+    assert text.startswith("The zoom is worn; correction c[cam] +0.03")
+    assert text.endswith("Fix it with glue.")
+    told = (replace(finding, stage="georeferencing"), Finding("global-test", "doubtful"))
+    assert [one.severity for one in causes_first(told, 100.0, (new,))] == ["grave", "consequence"]

@@ -23,12 +23,14 @@ from typer.testing import CliRunner
 from drivers.errors import InputMalformedError
 from photocal.cli import app
 from photocal.findings.catalogue import catalogue
+from photocal.findings.finding import Finding
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Particulars, read_particulars
-from photocal.report.document import Document, Figure, Table
+from photocal.report.document import Document, Figure, KeyValues, Table
 from photocal.report.html import html
 from photocal.report.pdf import pdf
 from photocal.report.stored_analysis import Run, read_run
+from tests.photocal.findings.test_findings import every_finding, fragments
 
 DAY = dt.date(2026, 11, 21)
 VOID = {"meta", "br", "col", "link", "img", "hr"}
@@ -220,6 +222,36 @@ def test_refuted_standard_deviations_are_said_on_top_and_scaled_beside(run_folde
     row = next(row for row in orientation.rows if row[0] == "c")
     stated, scaled = (float(row[heads.index(name)]) for name in ("Std. dev.", "Scaled"))
     assert scaled == pytest.approx(factor * stated, rel=0.06)
+
+
+def test_a_portuguese_certificate_with_every_warning_has_no_english_sentence(run_folder: Path) -> None:
+    english, portuguese = catalogue("en"), catalogue("pt-BR")
+    told = tuple(every_finding(portuguese))
+    document = certificate(read_run(run_folder), Particulars(date=DAY), portuguese, told)
+    page = " ".join(outline(html(document)).text)
+    left = sorted(part for part in fragments(english) - fragments(portuguese) if part in page)
+    assert left == []
+    # The same search finds them in the English certificate.
+    other = certificate(read_run(run_folder), Particulars(date=DAY), english, tuple(every_finding(english)))
+    page = " ".join(outline(html(other)).text)
+    assert sum(part in page for part in fragments(english)) > 250
+
+
+def test_warnings_stand_before_everything_but_the_verdict(run_folder: Path) -> None:
+    told = (Finding("antenna-height", "grave", figures={"shift_m": 1.8, "sigma_m": 0.1, "side": "above"}),)
+    document = certificate(read_run(run_folder), Particulars(date=DAY), catalogue("en"), told)
+    assert document.verdicts[0].title == "Not usable as it stands"
+    assert all(one.tone != "good" for one in document.verdicts)
+    assert document.sections[0].title == "Warnings and notes of the processing"
+
+
+def test_what_a_laboratory_did_not_state_is_said(run_folder: Path) -> None:
+    document = certificate(read_run(run_folder), Particulars(date=DAY), catalogue("en"))
+    section = next(one for one in document.sections if one.title.startswith("Statements of the laboratory"))
+    pairs = next(dict(piece.rows) for piece in section.pieces if isinstance(piece, KeyValues))
+    assert pairs["Temperature"] == pairs["Traceability"] == pairs["Authorised by"] == "not stated"
+    assert pairs["Date of issue"]
+    assert pairs["Decision rule"].startswith("simple acceptance")
 
 
 def hold_camera(result: dict[str, Any]) -> None:
