@@ -26,8 +26,7 @@ $(READY): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	$(BIN)/python -c 'from drivers.scan import compile_search; compile_search()'
-	$(BIN)/python -m photocal.adjustment.compile
-	$(BIN)/python -m photocal.measurement.compile
+	$(BIN)/python -m photocal.compiled
 	@touch $(READY)
 
 demo: $(READY)

@@ -12,7 +12,7 @@ from typing import Any
 
 import typer
 
-from drivers.errors import PhotocalError
+from drivers.errors import PhotocalError, ProgramMissingError
 
 
 def application(help_text: str) -> typer.Typer:
@@ -49,6 +49,13 @@ def run(app: typer.Typer) -> None:
         lines = (f"error: {failure}", *map("  ".__add__, failure.details))
         sys.stderr.write("".join(f"{printable(line)}\n" for line in lines))
         sys.exit(failure.exit_code)
+    except ModuleNotFoundError as missing:
+        name = (missing.name or "").partition(".")[0]
+        if name in ("acquire", "drivers", "photocal", ""):
+            raise
+        # A recorder is installed without what only the processing needs.
+        sys.stderr.write(f"error: the package {name} is missing; run: pip install 'photocal[process]'\n")
+        sys.exit(ProgramMissingError.exit_code)
     except BrokenPipeError:
         # The reader of our output went away (`| head`): nothing is left to say.
         sys.stderr.close()

@@ -503,8 +503,11 @@ _SEARCH = (
 
 @cache
 def compile_search() -> None:
-    """Compile the search, once for this machine; to load it takes half a second."""
-    import numba
+    """Compile the search, once for this machine: loading it takes half a second. Plain without numba."""
+    try:
+        import numba
+    except ModuleNotFoundError:
+        return
 
     for function in _SEARCH:
         globals()[function.__name__] = numba.njit(cache=True, nogil=True)(function)

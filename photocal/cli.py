@@ -11,8 +11,10 @@ from photocal.commands import (
     certificate,
     check,
     compare,
+    doctor,
     export,
     exposures,
+    fetch_grids,
     keys,
     mark,
     measure,
@@ -39,6 +41,8 @@ app.command()(certificate.certificate)
 app.command()(verify.verify)
 app.command()(keys.keys)
 app.command()(sign.sign)
+app.command()(doctor.doctor)
+app.command("fetch-grids")(fetch_grids.fetch_grids)
 app.command()(analyse.analyse)
 app.command()(compare.compare)
 app.command()(check.check)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import subprocess
+import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +15,7 @@ from typing import Any, TypeVar, cast
 import numba
 
 from acquire.operating_system import cache_folder, private_folder
-from drivers.errors import OutputError
+from drivers.errors import OutputError, ProgramMissingError
 
 PACKAGE = Path(__file__).resolve().parent
 
@@ -53,6 +55,15 @@ def _cache_folder() -> Path:
 
 numba.config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
 
+
+def compile_all() -> None:
+    """Compile the kernels of adjustment and matching side by side, so that nobody waits for them later."""
+    parts = ("photocal.adjustment.compile", "photocal.measurement.compile")
+    running = [subprocess.Popen([sys.executable, "-m", part]) for part in parts]  # noqa: S603 - our own
+    if sum(abs(part.wait()) for part in running):
+        raise ProgramMissingError("the kernels cannot be compiled", remedy="run: photocal doctor")
+
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -80,3 +91,7 @@ def allocating(function: Function) -> Function:
 def compiled_parallel(function: Function) -> Function:
     """Compile a function that may make arrays and whose `numba.prange` loops run on all threads."""
     return cast("Function", numba.njit(**_COMMON, parallel=True)(function))
+
+
+if __name__ == "__main__":
+    compile_all()
