@@ -4,12 +4,14 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 
-.PHONY: help setup demo demo-dcs460 test check bench evidence manual lock clean
+.PHONY: help setup demo demo-dcs460 test quick wheel check bench evidence manual lock clean
 
 help:
 	@echo "make demo    simulate a flight, record it, process it, compare with the truth"
 	@echo "make demo-dcs460  calibrate a camera from published observations, write its certificate"
 	@echo "make test    run the tests"
+	@echo "make quick   while working: the tests of the rooms that have changed"
+	@echo "make wheel   build the wheel into dist/"
 	@echo "make check   ruff and mypy --strict"
 	@echo "make bench   measure speed"
 	@echo "make evidence  the long statistical studies, into docs/evidence"
@@ -40,10 +42,17 @@ demo-dcs460: $(READY)
 test: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
 
+# Rooms that differ from the main branch, their tests and those that import what has changed.
+quick: $(READY)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.quick
+
+wheel: $(READY)
+	$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation -w dist .
+
 check: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy --explicit-package-bases
+	for system in linux win32 darwin; do $(BIN)/mypy --explicit-package-bases --platform $$system || exit 1; done
 
 bench: $(READY)
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-only

@@ -20,6 +20,22 @@ class Table(BaseModel):
 Content = TypeVar("Content", bound=BaseModel)
 
 
+_MOST_PARTS = 100
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Parse TOML; what is nested or numbered beyond all measure is no TOML either."""
+    # Each part of a dotted name is kept with all before it: many of them would fill the memory.
+    if any(line.partition("=")[0].count(".") > _MOST_PARTS for line in text.splitlines()):
+        raise tomllib.TOMLDecodeError(f"a name has more than {_MOST_PARTS} parts")
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        raise
+    except (RecursionError, ValueError) as failure:
+        raise tomllib.TOMLDecodeError(str(failure)) from None
+
+
 def read_toml(path: Path, model: type[Content], context: dict[str, Any] | None = None) -> Content:
     """Read a TOML file and check it.
 
@@ -32,7 +48,7 @@ def read_toml(path: Path, model: type[Content], context: dict[str, Any] | None =
     """
     try:
         text = path.read_text(encoding="utf-8")
-        content = tomllib.loads(text)
+        content = parse_toml(text)
     except OSError as refusal:
         raise InputNotFoundError(_unreadable(refusal), where=path, remedy="check the path") from refusal
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as failure:

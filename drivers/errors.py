@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+LONGEST = 1200
+
 
 class PhotocalError(Exception):
     """A failure that a person can act on: what happened, where, and what to do.
@@ -32,7 +34,9 @@ class PhotocalError(Exception):
     def __str__(self) -> str:
         place = f"{self.where}: " if self.where else ""
         advice = f"; {self.remedy}" if self.remedy else ""
-        return " ".join(f"{place}{self.what}{advice}".split())
+        line = " ".join(f"{place}{self.what}{advice}".split())
+        # What a damaged file claims to hold may be longer than anybody reads.
+        return line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
 
 
 class InputNotFoundError(PhotocalError):

@@ -61,3 +61,29 @@ def two_workers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         silence_logs=50,
     ) as running:
         yield running
+
+
+SLOW_S, SLOW = 10.0, "photocal/slow"
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark what looks at pages, and what took long when it was last run here."""
+    known = set(config.cache.get(SLOW, [])) if config.cache else set()
+    for item in items:
+        if item.nodeid in known:
+            item.add_marker("slow")
+        if "browser" in getattr(item, "fixturenames", ()):
+            item.add_marker("browser")
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Remember which tests take long, with what they set up."""
+    if config.cache is None:
+        return
+    took: dict[str, float] = {}
+    for reports in terminalreporter.stats.values():
+        for report in reports:
+            if hasattr(report, "duration") and hasattr(report, "nodeid"):
+                took[report.nodeid] = took.get(report.nodeid, 0.0) + report.duration
+    slow = {name for name in config.cache.get(SLOW, []) if name not in took}
+    config.cache.set(SLOW, sorted(slow | {name for name, seconds in took.items() if seconds > SLOW_S}))

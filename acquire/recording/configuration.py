@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import ConfigDict, Field, ValidationError, model_validator
 
-from acquire.checked_toml import Table
+from acquire.checked_toml import Table, parse_toml
 from drivers.errors import ConfigurationError, InputNotFoundError
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
@@ -138,7 +137,7 @@ def read_configuration(path: Path) -> Configuration:
         When it is no TOML, has an unknown key or an impossible value, or names a link twice.
     """
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = parse_toml(path.read_text(encoding="utf-8"))
     except OSError as refusal:
         reason = (refusal.strerror or str(refusal)).lower()
         raise InputNotFoundError(

@@ -10,7 +10,7 @@ from typing import Literal
 
 from pydantic import Field, ValidationError
 
-from acquire.checked_toml import Table
+from acquire.checked_toml import Table, parse_toml
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.accuracy.standard import (
     Basis,
@@ -108,7 +108,7 @@ def load_standard(name: str) -> Standard:
 def parse_standard(text: str, where: str) -> Standard:
     """Read a standard from the text of its TOML file."""
     try:
-        content = tomllib.loads(text)
+        content = parse_toml(text)
         if content.get("kind") == "value":
             return _value_standard(_ValueFile.model_validate(content))
         return _scale_standard(_ScaleFile.model_validate(content))

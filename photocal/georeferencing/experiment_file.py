@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt, ValidationError
 
-from acquire.checked_toml import Table
+from acquire.checked_toml import Table, parse_toml
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.block.model import Block
 from photocal.geometry.camera import Camera
@@ -82,7 +82,7 @@ def read_experiment(
     if not path.is_file():
         raise InputNotFoundError("does not exist", where=path, remedy="name the experiment's TOML file")
     try:
-        asked = _File.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        asked = _File.model_validate(parse_toml(path.read_text(encoding="utf-8")))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as failure:
         raise ConfigurationError(
             f"is not valid TOML ({failure})", where=path, remedy="correct it"

@@ -199,7 +199,7 @@ def _opensfm(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
                     x = x * max(width, height) + (width - 1) / 2
                     y = y * max(width, height) + (height - 1) / 2
                     marks.append(Mark(image, name, x, y, (BY_HAND_PX, BY_HAND_PX), path))
-    except (ValueError, KeyError, TypeError, AttributeError, UnicodeDecodeError) as failure:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as failure:
         raise InputMalformedError(
             f"is no ground_control_points.json ({failure})", where=path, remedy="is it the right file?"
         ) from failure

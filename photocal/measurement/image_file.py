@@ -27,7 +27,7 @@ SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".jp2", "
 # Pictures that are not read: of telephones, and raw ones, which each maker writes in his own way.
 UNREAD = (".heic", ".heif", ".avif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".gif")
 # The largest aerial cameras have 500 million pixels; more is not an image but an attack on the memory.
-LARGEST_PX = 1_000_000_000
+LARGEST_PX = 700_000_000
 SMALLEST_SIDE_PX = 16
 # EXIF orientations that exchange width and height.
 _ON_END = (5, 6, 7, 8)
@@ -193,7 +193,9 @@ def _require_sensible(path: Path, size: tuple[int, int]) -> None:
     width, height = size
     if width * height > LARGEST_PX:
         raise InputMalformedError(
-            f"claims {width} x {height} pixels", where=path, remedy="is the header damaged?"
+            f"claims {width} x {height} pixels",
+            where=path,
+            remedy=f"is the header damaged? At most {LARGEST_PX:_} are read",
         )
     if min(size) < SMALLEST_SIDE_PX:
         raise InputMalformedError(

@@ -51,7 +51,7 @@ def read_area(path: Path) -> Area:
 def _from_geojson(text: str, where: str) -> list[tuple[float, float]]:
     try:
         content = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as refusal:
+    except (ValueError, RecursionError) as refusal:
         raise InputMalformedError(f"is not JSON ({refusal})", where=where) from refusal
     rings = list(_polygons(content, where))
     if len(rings) != 1:

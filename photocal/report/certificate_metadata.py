@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, FiniteFloat, PositiveFloat, ValidationError
 
-from acquire.checked_toml import Table
+from acquire.checked_toml import Table, parse_toml
 from drivers.errors import ConfigurationError, InputNotFoundError
 
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
@@ -194,7 +194,7 @@ def _validated(keys: dict[str, Any], where: object) -> Particulars:
 def load_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return parse_toml(path.read_text(encoding="utf-8"))
     except (FileNotFoundError, IsADirectoryError):
         raise InputNotFoundError("no such file", where=path, remedy="name a TOML file") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as broken:

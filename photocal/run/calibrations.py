@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from acquire.checked_toml import parse_toml
 from drivers.errors import ConfigurationError, InputNotFoundError, PhotocalError
 from photocal.project import read_project
 from photocal.results.folder import RESULT, read_result
@@ -68,7 +68,7 @@ def is_camera_file(path: Path) -> bool:
     if path.is_dir():
         return False
     try:
-        return "project" not in tomllib.loads(path.read_text(encoding="utf-8"))
+        return "project" not in parse_toml(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         # What is wrong with it is said by its reader.
         return True

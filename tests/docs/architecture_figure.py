@@ -74,8 +74,12 @@ class Box:
         return self.top + _TALL
 
 
+def _typed(package: str) -> tuple[str, ...]:
+    return f"{package}.commands", f"{package}.cli", f"{package}.__main__"
+
+
 BOXES = (
-    Box("commands", "what a person types", ("acquire.commands", "acquire.cli"), 20, 500, 0),
+    Box("commands", "what a person types", _typed("acquire"), 20, 500, 0),
     Box("simulate", "a flight with its truth", ("acquire.simulate",), 20, 140, 2),
     Box("monitor", "the live view", ("acquire.monitor",), 176, 140, 2),
     Box("importing", "recordings of others", ("acquire.importing",), 332, 140, 2, "2"),
@@ -83,8 +87,7 @@ BOXES = (
     Box("log · channels", "raw frames, and decoded", ("acquire.log", "acquire.channels"), 176, 344, 5, "3"),
     Box("transports", "serial, UDP, TCP, NTRIP", ("acquire.transports",), 176, 190, 6),
     Box("drivers", "bytes to messages and back; no file, no clock", ("drivers",), 20, 1140, 8, "1"),
-    Box("commands · api", "what a person types", ("photocal.commands", "photocal.cli", "photocal.api"),
-        560, 600, 0),
+    Box("commands · api", "what a person types", (*_typed("photocal"), "photocal.api"), 560, 600, 0),
     Box("run", "the stages of a project, kept by content", ("photocal.run",), 560, 370, 1),
     Box("navigation", "PPK, exposures", ("photocal.navigation",), 560, 150, 2, "4"),
     Box("report", "certificate, verification", ("photocal.report",), 780, 230, 2, "9"),

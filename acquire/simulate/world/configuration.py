@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import datetime as dt
-import tomllib
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, FiniteFloat, PositiveFloat, ValidationError, model_validator
 
-from acquire.checked_toml import Table
+from acquire.checked_toml import Table, parse_toml
 from acquire.simulate.world.faults import Fault, FaultSizes
 from acquire.simulate.world.sections import NonNegative, Pair, PositiveSigmas, Share, Sigmas, Triple
 from drivers.errors import ConfigurationError, InputNotFoundError
@@ -261,7 +260,7 @@ def read_configuration(path: Path, instead: dict[str, Any] | None = None) -> Con
     known = FLIGHTS / f"{path}.toml"
     path = known if not path.exists() and known.is_file() else path
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = parse_toml(path.read_text(encoding="utf-8"))
         return Configuration.model_validate({**content, **(instead or {})})
     except OSError as refusal:
         reason = (refusal.strerror or str(refusal)).lower()

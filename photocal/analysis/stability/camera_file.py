@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, ValidationError
 
-from acquire.checked_toml import Table
+from acquire.checked_toml import Table, parse_toml
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError, PhotocalError
 from photocal.analysis.estimates import Estimates, from_sigmas
 from photocal.analysis.stability.calibration import Calibration
@@ -138,7 +138,7 @@ def read_camera_file(path: Path) -> CameraFile:
             "the file is empty", where=path, remedy="write two or more [[camera]] entries"
         )
     try:
-        tables = tomllib.loads(content.decode("utf-8"))
+        tables = parse_toml(content.decode("utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as broken:
         raise InputMalformedError(f"is not TOML ({broken})", where=path, remedy="correct the file") from None
     return camera_file(tables, path)

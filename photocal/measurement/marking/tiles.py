@@ -29,6 +29,8 @@ TILE_PX = 512
 _QUALITY = 88
 # JPEG blocks of 8 by 8 pixels can be decoded as 4, 2 or 1 pixel: levels 1 to 3 cost no full decoding.
 _COARSEST_DECODED = 3
+# No picture has more levels: a side of 2^24 pixels.
+_MOST_LEVELS = 16
 # Decoded levels are held until they are this many pixels together, 3 bytes each; one may be larger.
 _HELD_PX = 80_000_000
 # Tiles on disk: about 40 pictures of 50 megapixels looked at all over, for a month.
@@ -123,6 +125,8 @@ class Tiles:
         return known[1]
 
     def _make(self, picture: Path, key: str, address: TileAddress) -> bytes:
+        if not 0 <= address.level <= _MOST_LEVELS:
+            raise InputNotFoundError("has no such tile", where=picture, remedy="look at another place")
         with self._decoding:
             level = self._level(picture, key, address.level)
         left, top = address.column * TILE_PX, address.row * TILE_PX
