@@ -68,7 +68,8 @@ SLOW_S, SLOW = 10.0, "photocal/slow"
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark what looks at pages, and what took long when it was last run here."""
-    known = set(config.cache.get(SLOW, [])) if config.cache else set()
+    cache: Any = config.cache
+    known = set(cache.get(SLOW, [])) if cache else set()
     for item in items:
         if item.nodeid in known:
             item.add_marker("slow")
@@ -78,12 +79,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
     """Remember which tests take long, with what they set up."""
-    if config.cache is None:
-        return
     took: dict[str, float] = {}
     for reports in terminalreporter.stats.values():
         for report in reports:
             if hasattr(report, "duration") and hasattr(report, "nodeid"):
                 took[report.nodeid] = took.get(report.nodeid, 0.0) + report.duration
-    slow = {name for name in config.cache.get(SLOW, []) if name not in took}
-    config.cache.set(SLOW, sorted(slow | {name for name, seconds in took.items() if seconds > SLOW_S}))
+    cache: Any = config.cache
+    slow = {name for name in cache.get(SLOW, []) if name not in took} if cache else set()
+    if cache:
+        cache.set(SLOW, sorted(slow | {name for name, seconds in took.items() if seconds > SLOW_S}))

@@ -1,7 +1,7 @@
 """`make quick`: ruff on what has changed, and the tests of the rooms in which it stands.
 
-Changed is what differs from the main branch or is not committed. Run are the tests that stand in the mirror of a
-changed room and those that import a changed module themselves; left out are those marked `slow` and `browser`.
+Changed is what differs from the main branch or is not committed. Run are the tests in the mirror of
+a changed room and those that import a changed module themselves, less those marked `slow` and `browser`.
 """
 
 from __future__ import annotations
