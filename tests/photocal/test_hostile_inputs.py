@@ -18,7 +18,7 @@ from photocal.accuracy.discrepancies import read_discrepancies
 from photocal.accuracy.standard_file import load_standard
 from photocal.block.folder import read_block
 from photocal.block.table import read_columns
-from photocal.exchange.format_detection import read_foreign_block
+from photocal.exchange.formats import read_foreign_block
 from photocal.exchange.metashape import read_metashape
 from photocal.exchange.opencv import read_opencv
 from photocal.exchange.opensfm import read_cameras
