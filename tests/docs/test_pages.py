@@ -15,6 +15,7 @@ from photocal.adjustment.mounting import COMMON
 from photocal.analysis.stability.methods import methods
 from photocal.block import camera_setup, setup
 from photocal.geometry.camera import PARAMETERS
+from tests.docs import fault_page
 from tests.docs.command_pages import FOLDER, MORE, commands, pages
 
 ROOT = Path(__file__).parents[2]
@@ -29,6 +30,10 @@ def test_command_pages_are_those_of_the_programs() -> None:
 @pytest.mark.parametrize("name", sorted(WANTED))
 def test_command_page_says_what_the_program_says(name: str) -> None:
     assert (FOLDER / name).read_text(encoding="utf-8") == WANTED[name], "run `make manual`"
+
+
+def test_page_of_faults_is_that_of_the_table() -> None:
+    assert fault_page.PAGE.read_text(encoding="utf-8") == fault_page.page(), "run `make manual`"
 
 
 def test_every_command_says_what_it_does_and_shows_an_example() -> None:
