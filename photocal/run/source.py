@@ -43,12 +43,15 @@ def needed_modules(start: str, known: Mapping[str, Path]) -> set[str]:
         name = waiting.pop()
         if name in known and name not in seen:
             seen.add(name)
-            waiting += [name.rpartition(".")[0], *_named(known[name])]
+            if name in _PACKAGES:
+                # The face of a package offers all of it, and loads what is asked for.
+                continue
+            waiting += [name.rpartition(".")[0], *_named(name, known[name])]
     return seen
 
 
-def _named(path: Path) -> Iterator[str]:
-    """What a source imports, or names in a text, where tables name what they load."""
+def _named(module: str, path: Path) -> Iterator[str]:
+    """What a source imports, or names in a text: tables name what they load, also within their package."""
     for node in ast.walk(ast.parse(path.read_bytes())):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -56,7 +59,10 @@ def _named(path: Path) -> Iterator[str]:
             yield node.module
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            yield node.value.partition(":")[0]
+            named, colon, _ = node.value.partition(":")
+            yield named
+            if colon:
+                yield f"{module.rpartition('.')[0]}.{named}"
 
 
 @functools.cache

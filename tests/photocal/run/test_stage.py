@@ -100,16 +100,17 @@ def test_random_edits_end_as_a_run_from_nothing(tmp_path: Path) -> None:
 def test_only_imported_code_counts(tmp_path: Path) -> None:
     sources = {
         "p.a": "def f():\n    from p.b import g\n",
-        "p.b": "TABLE = {'x': 'p.c:read'}\n",
+        "p.b": "TABLE = {'x': 'p.c:read', 'y': 'e:read'}\n",
         "p.c": "import os\n",
         "p.d": "from p import a\n",
+        "p.e": "",
         "p": "",
     }
     known = {}
     for name, text in sources.items():
         known[name] = tmp_path / f"{name}.py"
         known[name].write_text(text, encoding="utf-8")
-    assert needed_modules("p.a", known) == {"p", "p.a", "p.b", "p.c"}
+    assert needed_modules("p.a", known) == {"p", "p.a", "p.b", "p.c", "p.e"}
 
 
 def test_a_stage_does_not_depend_on_rooms_that_it_does_not_use() -> None:
