@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -92,6 +93,11 @@ def finding_json(finding: Finding, say: Catalogue) -> dict[str, Any]:
     """
     record = {**asdict(finding), "text": finding_text(finding, say, plain)}
     return {key: _plain(value) for key, value in record.items()}
+
+
+def identity(finding: Finding) -> str:
+    """Everything of a finding but its words: the same before and after it was stored."""
+    return json.dumps(_plain(asdict(finding)), sort_keys=True)
 
 
 def told(findings: Iterable[Finding]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from drivers.errors import InputMalformedError
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import fixed, measured, relation
 from photocal.findings.finding import Finding
-from photocal.findings.texts import finding_text
+from photocal.findings.texts import finding_text, identity
 from photocal.findings.verdict import of_global_test, verdict
 from photocal.geometry.camera import Camera
 from photocal.report.acceptance import verdict as keeps
@@ -92,7 +92,7 @@ def certificate_number(run: Run, particulars: Particulars, told: tuple[Finding, 
     """Make a certificate's number from date, inputs, software and particulars, in whatever language."""
     software = run.result.software
     files = (f"{f.path} {f.sha256}" for f in run.result.inputs)
-    content = [f"{software.name} {software.version}", *files, repr(particulars), *map(repr, told)]
+    content = [f"{software.name} {software.version}", *files, repr(particulars), *map(identity, told)]
     digest = hashlib.sha256("\n".join(content).encode()).hexdigest()
     return f"PC-{particulars.date:%Y%m%d}-{digest[:8].upper()}"
 

@@ -17,7 +17,7 @@ from photocal.findings.catalogue import Catalogue, catalogue
 from photocal.findings.digits import Number
 from photocal.findings.finding import Finding
 from photocal.findings.hypotheses import FAULTS
-from photocal.findings.texts import PHRASES, finding_json, finding_text, findings_of
+from photocal.findings.texts import PHRASES, finding_json, finding_text, findings_of, identity
 
 ENGLISH, PORTUGUESE = catalogue("en"), catalogue("pt-BR")
 ROOM = Path(photocal.__file__).parent
@@ -97,6 +97,7 @@ def test_a_finding_comes_back_from_json() -> None:
     assert "+1,80 ± 0,02" in finding_text(back, PORTUGUESE)
     assert (back.code, back.severity, back.stage) == ("time-offset", "grave", "check")
     assert back.figures["lost"] is None
+    assert identity(back) == identity(finding)
 
 
 def test_a_finding_of_another_version_says_what_to_do() -> None:
