@@ -32,13 +32,13 @@ OUTPUT = Path(__file__).parents[2] / "docs" / "evidence" / "georeferencing.md"
 CASES: tuple[tuple[str, Errors, dict[str, float]], ...] = (
     ("none", Errors(), {}),
     (
-        "lever arm",
+        "lever-arm",
         Errors(lever_arm_m=(0.16, 0.12, 0.0)),
         {"lever_arm_x": 0.16, "lever_arm_y": 0.12, "lever_arm_z": 0.0},
     ),
     ("boresight", Errors(boresight_deg=(0.3, -0.4, 0.0)), {"boresight_x": 0.3, "boresight_y": -0.4}),
-    ("time offset", Errors(time_offset_s=0.017), {"time_offset": 0.017}),
-    ("datum shift", Errors(datum_m=(0.2, 0.1, 0.2)), {"shift_x": 0.2, "shift_y": 0.1, "shift_z": 0.2}),
+    ("time-offset", Errors(time_offset_s=0.017), {"time_offset": 0.017}),
+    ("datum-shift", Errors(datum_m=(0.2, 0.1, 0.2)), {"shift_x": 0.2, "shift_y": 0.1, "shift_z": 0.2}),
 )
 
 
