@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +13,10 @@ from acquire.console import answer, progress
 from drivers.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from photocal.block.model import Block
     from photocal.measurement.match_images import MatchingPlan
+    from photocal.measurement.measure_ties import TieBlock
+    from photocal.measurement.start_camera import GivenLens
     from photocal.tasks.workers import Workers
 
 # A principal distance that is known no better than this is worth a warning.
@@ -54,6 +59,12 @@ def measure(
     charuco: Annotated[
         str, typer.Option(help="Marker dictionary of a ChArUco board, such as 4x4_50 or apriltag_36h11.")
     ] = "",
+    c_px: Annotated[
+        float, typer.Option(help="Principal distance, px, in place of what the pictures state.")
+    ] = 0.0,
+    focal_mm: Annotated[
+        float, typer.Option(help="Focal length, mm, in place of what the pictures state.")
+    ] = 0.0,
     workers: Annotated[int, typer.Option(help="Processes; 0 for one on each core.")] = 0,
     cluster: Annotated[
         str,
@@ -96,16 +107,16 @@ def measure(
         record = _board(images, board, square_m, charuco, output)
         answer(as_json, lambda: record, lambda: _board_text(record, output))
     elif gcp is not None:
-        record = _gcp(images, gcp, (crs, height), gcp_sigma, _plan(crew, cache, images), output)
+        record = _gcp(
+            images, gcp, (crs, height), gcp_sigma, _lens(c_px, focal_mm), _plan(crew, cache, images), output
+        )
         answer(as_json, lambda: record, lambda: _marked_text(record, output))
     else:
-        record = _ties(images, crew, cache, output)
+        record = _ties(images, _lens(c_px, focal_mm), crew, cache, output)
         answer(as_json, lambda: record, lambda: _ties_text(record, output))
 
 
 def _board(images: Path, board: str, square_m: float, charuco: str, output: Path) -> dict[str, Any]:
-    from acquire.outputs import output_folder
-    from photocal.measurement.block_files import write_block
     from photocal.measurement.board_block import measure_board
     from photocal.measurement.boards import parse_board
     from photocal.measurement.image_file import list_images
@@ -114,9 +125,7 @@ def _board(images: Path, board: str, square_m: float, charuco: str, output: Path
     paths = list_images(images)
     with progress("measuring the board", len(paths)) as done:
         measured = measure_board(paths, wanted, images.resolve().name, done)
-    with output_folder(output) as aside:
-        write_block(aside, measured.block, measured.record)
-    return measured.record
+    return _written(measured.block, measured.record, output)
 
 
 def _board_text(record: dict[str, Any], output: Path) -> str:
@@ -140,8 +149,6 @@ def _board_text(record: dict[str, Any], output: Path) -> str:
 def _project(
     path: Path, marks: list[Path], crew: Workers, cache: Path | None, output: Path
 ) -> dict[str, Any]:
-    from acquire.outputs import output_folder
-    from photocal.measurement.block_files import write_block
     from photocal.measurement.orientation import of_exposures
     from photocal.measurement.project_block import measure_project
     from photocal.project import read_project
@@ -151,10 +158,7 @@ def _project(
     folder = project.output / "exposures"
     exposures = of_exposures(project, folder) if (folder / "images.csv").exists() else None
     plan = _plan(crew, cache, project.picture_folder)
-    measured = measure_project(project, exposures, plan, progress, marks)
-    with output_folder(output) as aside:
-        write_block(aside, measured.block, measured.record)
-    return measured.record
+    return _written_anyway(partial(measure_project, project, exposures, plan, progress, marks), output)
 
 
 def _project_text(record: dict[str, Any], output: Path) -> str:
@@ -175,10 +179,14 @@ def _plain_lines(targets: dict[str, Any]) -> list[str]:
 
 
 def _gcp(
-    images: Path, gcp: Path, system: tuple[str, str], sigma: str, plan: MatchingPlan, output: Path
+    images: Path,
+    gcp: Path,
+    system: tuple[str, str],
+    sigma: str,
+    lens: GivenLens,
+    plan: MatchingPlan,
+    output: Path,
 ) -> dict[str, Any]:
-    from acquire.outputs import output_folder
-    from photocal.measurement.block_files import write_block
     from photocal.measurement.gcp_block import measure_gcp
     from photocal.measurement.image_file import list_images
 
@@ -190,12 +198,20 @@ def _gcp(
         raise ConfigurationError(
             f"--gcp-sigma {sigma} is not understood", remedy="give two numbers in metres, such as 0.02,0.03"
         )
-    measured = measure_gcp(
-        list_images(images), gcp, (horizontal, vertical), system, images.resolve().name, plan, progress
+    return _written_anyway(
+        partial(
+            measure_gcp,
+            list_images(images),
+            gcp,
+            (horizontal, vertical),
+            system,
+            images.resolve().name,
+            plan,
+            progress,
+            lens,
+        ),
+        output,
     )
-    with output_folder(output) as aside:
-        write_block(aside, measured.block, measured.record)
-    return measured.record
 
 
 def _marked_text(record: dict[str, Any], output: Path) -> str:
@@ -207,6 +223,12 @@ def _marked_text(record: dict[str, Any], output: Path) -> str:
             _ties_text(record, output),
         ]
     )
+
+
+def _lens(c_px: float, focal_mm: float) -> GivenLens:
+    from photocal.measurement.start_camera import GivenLens
+
+    return GivenLens(c_px, focal_mm)
 
 
 def _crew(workers: int, cluster: str) -> Workers:
@@ -232,17 +254,36 @@ def _plan(crew: Workers, cache: Path | None, images: Path) -> MatchingPlan:
     return MatchingPlan(folder, crew)
 
 
-def _ties(images: Path, crew: Workers, cache: Path | None, output: Path) -> dict[str, Any]:
-    from acquire.outputs import output_folder
-    from photocal.measurement.block_files import write_block
+def _ties(images: Path, lens: GivenLens, crew: Workers, cache: Path | None, output: Path) -> dict[str, Any]:
     from photocal.measurement.image_file import list_images
     from photocal.measurement.measure_ties import measure_ties
 
     paths = list_images(images)
-    measured = measure_ties(paths, images.resolve().name, _plan(crew, cache, images), progress)
+    plan = _plan(crew, cache, images)
+    return _written_anyway(partial(measure_ties, paths, images.resolve().name, plan, progress, lens), output)
+
+
+def _written(block: Block, record: dict[str, Any], output: Path) -> dict[str, Any]:
+    from acquire.outputs import output_folder
+    from photocal.measurement.block_files import write_block
+
     with output_folder(output) as aside:
-        write_block(aside, measured.block, measured.record)
-    return measured.record
+        write_block(aside, block, record)
+    return record
+
+
+def _written_anyway(measure_it: Callable[[], TieBlock], output: Path) -> dict[str, Any]:
+    """Measure and write; images that cannot be oriented cost nobody the minutes of measuring."""
+    from photocal.measurement.oriented_ties import UnorientedError
+
+    try:
+        measured = measure_it()
+        return _written(measured.block, measured.record, output)
+    except UnorientedError as refusal:
+        record = {"schema": "photocal.measurement/1", "refused": str(refusal)}
+        _written(refusal.block, record, output)
+        refusal.remedy += f" (what was measured is in {output})"
+        raise
 
 
 def _ties_text(record: dict[str, Any], output: Path) -> str:

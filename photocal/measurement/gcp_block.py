@@ -28,6 +28,7 @@ from photocal.measurement.project_block import (
     suspected_marks,
 )
 from photocal.measurement.start_block import start_block
+from photocal.measurement.start_camera import NO_LENS, GivenLens
 
 
 def measure_gcp(
@@ -38,6 +39,7 @@ def measure_gcp(
     name: str,
     plan: MatchingPlan,
     progress: Progress,
+    lens: GivenLens = NO_LENS,
 ) -> TieBlock:
     """Measure tie points in images and join them with marked control points.
 
@@ -67,7 +69,7 @@ def measure_gcp(
             where=control_file,
             remedy="give --height ellipsoidal or --height orthometric",
         )
-    sighted = sight(paths, plan, progress, stated_footprints)
+    sighted = sight(paths, plan, progress, stated_footprints, lens)
     sizes = {own.name: own.size_px for own in sighted.facts}
     given = read_control_marks(control_file, sigma_m, sizes)
     crs, height = system

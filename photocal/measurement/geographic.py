@@ -13,14 +13,17 @@ Floats = NDArray[np.float64]
 
 
 def local_places(facts: Sequence[ImageFacts]) -> tuple[Floats, tuple[float, float, float]]:
-    """Projection centres in a topocentric frame (east, north, up) at their middle."""
+    """Projection centres in a topocentric frame (east, north, up) at their median.
+
+    A picture from elsewhere in the folder does not tilt it.
+    """
     from pyproj import Transformer
 
     known = np.array([f.has_position for f in facts])
     geographic = np.array([[f.latitude_deg, f.longitude_deg, f.altitude_m] for f in facts])
     if not known.any():
         return np.full((len(facts), 3), np.nan), (float("nan"),) * 3
-    latitude, longitude, height = geographic[known].mean(axis=0)
+    latitude, longitude, height = np.median(geographic[known], axis=0)
     # Rounded, so that the origin can be written and read without loss.
     origin = (round(float(latitude), 6), round(float(longitude), 6), float(round(float(height))))
     pipeline = (

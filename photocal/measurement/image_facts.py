@@ -72,6 +72,8 @@ class ImageFacts:
         What the maker calls the altitude ("RtkAlt"); empty when not given.
     maker_camera : mapping of str to str
         XMP tags about the camera, for `maker_camera.stated_camera`.
+    c_px : float
+        Principal distance that a person gives in place of all these; NaN when not given.
     """
 
     name: str
@@ -94,6 +96,7 @@ class ImageFacts:
     pitch_mm: float = math.nan
     altitude_kind: str = ""
     maker_camera: Mapping[str, str] = field(default_factory=dict)
+    c_px: float = math.nan
 
     @property
     def has_position(self) -> bool:

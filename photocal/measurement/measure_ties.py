@@ -15,6 +15,7 @@ from photocal.block.model import Block
 from photocal.findings.texts import told
 from photocal.measurement.geographic import local_places
 from photocal.measurement.image_facts import ImageFacts, read_facts
+from photocal.measurement.left_out import explained
 from photocal.measurement.maker_camera import stated_camera
 from photocal.measurement.match_images import MatchingPlan, detect_all, match_all
 from photocal.measurement.oriented_ties import Oriented, Progress, figures, orient_ties
@@ -22,6 +23,7 @@ from photocal.measurement.pair_selection import Footprints, footprints, select_p
 from photocal.measurement.refine import Source
 from photocal.measurement.released import camera_figures
 from photocal.measurement.start_block import position_sigma, start_block
+from photocal.measurement.start_camera import NO_LENS, GivenLens
 from photocal.measurement.tracks import Tracks, of_images
 
 
@@ -78,7 +80,9 @@ class Sighted:
         )
 
 
-def measure_ties(paths: Sequence[Path], name: str, plan: MatchingPlan, progress: Progress) -> TieBlock:
+def measure_ties(
+    paths: Sequence[Path], name: str, plan: MatchingPlan, progress: Progress, lens: GivenLens = NO_LENS
+) -> TieBlock:
     """Measure tie points in images and make their block.
 
     Parameters
@@ -93,7 +97,7 @@ def measure_ties(paths: Sequence[Path], name: str, plan: MatchingPlan, progress:
     PhotocalError
         When too few images can be read, or their tie points do not orient them.
     """
-    sighted = sight(paths, plan, progress, stated_footprints)
+    sighted = sight(paths, plan, progress, stated_footprints, lens)
     places, origin = local_places(sighted.facts)
     start = start_block(sighted.facts, places, name)
     found = orient_ties(start, sighted.sources, sighted.tracks, sighted.pairs, plan.processes, progress)
@@ -116,6 +120,7 @@ def sight(
     plan: MatchingPlan,
     progress: Progress,
     looking: Callable[[Sequence[ImageFacts]], Footprints],
+    lens: GivenLens = NO_LENS,
 ) -> Sighted:
     """Find features in images, match them and join the matches to tracks.
 
@@ -134,7 +139,7 @@ def sight(
         keys, reasons = detect_all(readable, plan, done)
     good = [k for k, reason in enumerate(reasons) if not reason]
     left_out += [{"image": readable[k].name, "reason": r} for k, r in enumerate(reasons) if r]
-    facts, keys = [facts[k] for k in good], tuple(keys[k] for k in good)
+    facts, keys = [lens.of(facts[k]) for k in good], tuple(keys[k] for k in good)
     if len(facts) < 2:
         raise InputNotFoundError(
             f"{len(facts)} of {len(paths)} images can be used",
@@ -150,11 +155,12 @@ def sight(
 
 def tie_record(sighted: Sighted, found: Oriented) -> dict[str, Any]:
     """What was measured and how, for `measurement.json`."""
+    paths = {source.path.name: source.path for source in sighted.sources}
     return {
         "schema": "photocal.measurement/1",
         "images": list(found.adjusted.block.images.names),
         "turned_by_exif": [f.name for f in sighted.facts if f.orientation != 1],
-        "left_out": [*sighted.left_out, *found.left_out],
+        "left_out": [*sighted.left_out, *explained(found.left_out, paths, sighted.facts)],
         "pairs": {
             "rule": sighted.rule,
             "examined": len(sighted.pairs),

@@ -10,16 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import IllPosedError
+from drivers.errors import IllPosedError, PhotocalError
 from photocal.block.model import Block
 from photocal.block.network import block_frame
 from photocal.findings.finding import Finding
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.measurement.placing import Placed, oriented
+from photocal.measurement.placing import oriented
 from photocal.measurement.ray_sigmas import GROSS
 from photocal.measurement.refine import HALF, Source, refine
 from photocal.measurement.start_block import without_images
 from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, pixel_residuals
+from photocal.measurement.tie_block import with_ties
 from photocal.measurement.tracks import Tracks, of_images, spaced, thin, without_twins
 from photocal.measurement.views import intersected, misses, views_of
 from photocal.tasks.workers import Workers
@@ -68,6 +69,53 @@ class Oriented:
     findings: tuple[Finding, ...]
 
 
+class UnorientedError(IllPosedError):
+    """No two images could be oriented; `block` has what was measured, without orientation."""
+
+    def __init__(self, what: str, *, remedy: str = "", block: Block) -> None:
+        """Keep the block beside the message."""
+        super().__init__(what, remedy=remedy)
+        self.block = block
+
+
+@dataclass(frozen=True)
+class First:
+    """Images oriented by tracks of features.
+
+    Attributes
+    ----------
+    kept : ndarray of int
+        Which of the images these are.
+    left_out, findings
+        As in `Oriented`.
+    """
+
+    adjusted: Adjusted
+    kept: Integers
+    left_out: tuple[dict[str, str], ...]
+    findings: tuple[Finding, ...]
+
+
+def first_orientation(start: Block, tracks: Tracks) -> First:
+    """Orient a block by tracks of features.
+
+    Raises
+    ------
+    PhotocalError
+        When no two images can be oriented.
+    """
+    start, tracks, kept, left_out = _connected(start, tracks)
+    sizes = _sizes(start)
+    placed = oriented(start, _strong(tracks, sizes, FIRST_IN_A_CELL))
+    named = zip(start.images.names, placed.reasons, strict=True)
+    left_out += [{"image": name, "reason": why, "code": "not-joined"} for name, why in named if why]
+    reached = np.array([not reason for reason in placed.reasons])
+    start, tracks = without_images(placed.block, ~reached), of_images(tracks, reached)
+    first = adjust_ties(start, placed.poses[reached], _strong(tracks, sizes[reached], FIRST_IN_A_CELL))
+    holds = np.isin(start.images.names, first.start.images.names)
+    return First(first, kept[reached][holds], (*left_out, *first.left_out), placed.findings)
+
+
 def orient_ties(
     start: Block,
     sources: Sequence[Source],
@@ -76,27 +124,42 @@ def orient_ties(
     processes: Workers,
     progress: Progress,
 ) -> Oriented:
-    """Orient a block by tracks of features and measure its tie points precisely."""
+    """Orient a block by tracks of features and measure its tie points precisely.
+
+    Raises
+    ------
+    UnorientedError
+        When no two images can be oriented: what was measured goes with it.
+    """
     names = start.images.names
-    start, tracks, kept, left_out = _connected(start, tracks)
-    sizes = np.array([own.size_px for own in start.cameras], dtype=float)[start.images.camera]
-    placed, reached, more = _reached(start, tracks, sizes)
-    left_out += more
-    start, tracks = without_images(placed.block, ~reached), of_images(tracks, reached)
-    first = adjust_ties(start, placed.poses[reached], _strong(tracks, sizes[reached], FIRST_IN_A_CELL))
-    holds = np.isin(start.images.names, first.start.images.names)
-    tracks, kept, sizes = of_images(tracks, holds), kept[reached][holds], sizes[reached][holds]
-    views = _views(first)
+    try:
+        first = first_orientation(start, tracks)
+    except PhotocalError as refusal:
+        places = np.full((tracks.count, 3), np.nan)
+        block = with_ties(start, tracks, places, np.ones(len(tracks.track)))
+        raise UnorientedError(refusal.what, remedy=refusal.remedy, block=block) from refusal
+    kept = np.isin(np.arange(len(names)), first.kept)
+    tracks, sizes = of_images(tracks, kept), _sizes(first.adjusted.start)
+    views = _views(first.adjusted)
     tracks, points = _placed(views, thin(tracks, sizes, CELLS, MATCHED_IN_A_CELL))
-    partners = _partners(pairs, kept, len(names))
-    chosen = [sources[k] for k in kept]
-    with progress("matching tie points precisely", 2 * len(kept)) as done:
+    partners = _partners(pairs, first.kept, len(names))
+    chosen = [sources[k] for k in first.kept]
+    with progress("matching tie points precisely", 2 * len(chosen)) as done:
         matched = refine(chosen, views, tracks, points, partners, processes, done)
-    matched = without_twins(matched, TWIN_PX)
-    final = adjust_ties(first.start, first.values, _strong(spaced(matched, PATCH_PX), sizes, IN_A_CELL))
-    matched = of_images(matched, np.isin(first.start.images.names, final.start.images.names))
-    left_out += [*first.left_out, *final.left_out]
-    return Oriented(final, _verified(final, matched), tuple(left_out), (*placed.findings, ESTIMATED))
+    matched, final = without_twins(matched, TWIN_PX), first.adjusted
+    left_out, findings = list(first.left_out), [*first.findings, ESTIMATED]
+    try:
+        final = adjust_ties(final.start, final.values, _strong(spaced(matched, PATCH_PX), sizes, IN_A_CELL))
+        left_out += final.left_out
+        matched = of_images(matched, np.isin(first.adjusted.start.images.names, final.start.images.names))
+    except PhotocalError as refusal:
+        matched = final.tracks
+        findings.append(Finding("matches-not-adjusted", "doubtful", refusal.what))
+    return Oriented(final, _verified(final, matched), tuple(left_out), tuple(findings))
+
+
+def _sizes(block: Block) -> Floats:
+    return np.array([own.size_px for own in block.cameras], dtype=float)[block.images.camera]
 
 
 def _connected(start: Block, tracks: Tracks) -> tuple[Block, Tracks, Integers, list[dict[str, str]]]:
@@ -118,17 +181,6 @@ def _connected(start: Block, tracks: Tracks) -> tuple[Block, Tracks, Integers, l
         ]
         _require_two(~few, left_out)
         start, tracks, kept = without_images(start, few), of_images(tracks, ~few), kept[~few]
-
-
-def _reached(start: Block, tracks: Tracks, sizes: Floats) -> tuple[Placed, Flags, list[dict[str, str]]]:
-    """Orient the images; which of them are, and why the others are not."""
-    placed = oriented(start, _strong(tracks, sizes, FIRST_IN_A_CELL))
-    left_out = [
-        {"image": name, "reason": reason, "code": "not-joined"}
-        for name, reason in zip(start.images.names, placed.reasons, strict=True)
-        if reason
-    ]
-    return placed, np.array([not reason for reason in placed.reasons]), left_out
 
 
 def _require_two(keep: Flags, left_out: list[dict[str, str]]) -> None:

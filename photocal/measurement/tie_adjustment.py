@@ -9,13 +9,19 @@ from numpy.typing import NDArray
 
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
+from photocal.adjustment.datum import with_datum
+from photocal.adjustment.normal import prepare
+from photocal.adjustment.snooping import ray_fit, robust_state
 from photocal.adjustment.solution import Solution
+from photocal.adjustment.state import start_state
 from photocal.block.model import Block, Images
 from photocal.block.network import NetworkOfBlock, assemble
 from photocal.geometry.camera import Camera
+from photocal.geometry.oriented_images import given_poses
+from photocal.geometry.rotation import angles_from_matrix
 from photocal.measurement.ray_sigmas import GROSS, ray_sigmas
 from photocal.measurement.start_block import without_images
-from photocal.measurement.tie_block import fitting, place, with_ties
+from photocal.measurement.tie_block import START_GROSS, fitting, place, with_ties
 from photocal.measurement.tracks import Tracks, of_images
 from photocal.results.adjusted import given_exposures, given_points
 
@@ -96,7 +102,11 @@ class _Ties:
         """Take out the images that too few rays hold."""
         few, names = count < FEWEST_RAYS, self.start.images.names
         gone = [
-            {"image": names[k], "reason": f"only {count[k]} of its tie points fit the other images"}
+            {
+                "image": names[k],
+                "reason": f"only {count[k]} of its tie points fit the other images",
+                "code": "few-ties",
+            }
             for k in np.flatnonzero(few)
         ]
         if (~few).sum() < 2:
@@ -121,7 +131,11 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
     ties, block = ties.some(fitting(block)[len(ties.start.observations.image) :]).held()
     for round_ in range(_ROUNDS):
         # Gross errors first: they must not go into the camera.
-        start, assembly, solution = _solved(ties.start, block, held=round_ == 0)
+        try:
+            start, assembly, solution = _solved(ties.start, block, held=round_ == 0)
+        except (IllPosedError, NotConvergedError):
+            ties, block = _robustly(ties, block).held()
+            start, assembly, solution = _solved(ties.start, block, held=round_ == 0)
         ties = replace(ties, start=start, poses=given_exposures(assembly, solution)[0])
         size, redundancy = _by_ray(assembly, solution)
         own = slice(len(start.observations.image), None)
@@ -177,6 +191,20 @@ def _solved(start: Block, block: Block, *, held: bool) -> tuple[Block, NetworkOf
         better = tuple(own.with_values(v) for own, v in zip(after, solution.cameras, strict=True))
         return replace(start, cameras=better), assembly, solution
     raise AssertionError
+
+
+def _robustly(ties: _Ties, block: Block) -> _Ties:
+    """Ties without the rays that a robust adjustment leaves far off, at its poses."""
+    assembly = assemble(replace(block, cameras=_held(block.cameras)))
+    start = start_state(assembly.network)
+    problem = with_datum(prepare(assembly.network), start)
+    state = robust_state(problem, start)
+    fit = np.empty(len(assembly.rays))
+    fit[assembly.rays] = ray_fit(problem, state)
+    poses = np.hstack([angles_from_matrix(state.rotation), state.centre])
+    good = fit <= START_GROSS * np.median(fit)
+    ties = ties.some(good[len(ties.start.observations.image) :])
+    return replace(ties, poses=given_poses(assembly.frame, poses))
 
 
 def _held(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:

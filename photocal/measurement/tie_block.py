@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.network import block_frame, observed_plane
+from photocal.geometry.distortion import undistorted
 from photocal.geometry.oriented_images import given_places
 from photocal.geometry.resection import ray_residuals
 from photocal.measurement.tracks import Tracks
@@ -75,6 +76,8 @@ def fitting(block: Block) -> Flags:
     frame = block_frame(block)
     camera = block.images.camera[seen.image]
     c = np.array([own.value("c") for own in block.cameras])[camera]
+    for k, own in enumerate(block.cameras):
+        plane[camera == k] = undistorted(own, plane[camera == k])
     views = views_of(block, frame)
     rotation, station = views.rotation[seen.image], views.station[seen.image]
     points = frame.to_local(block.points.values)[seen.point]

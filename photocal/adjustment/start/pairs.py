@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from photocal.adjustment.start.bearings import Sights
 from photocal.adjustment.start.model import Model, empty_model, grown, misfit, support
+from photocal.geometry.camera import Camera
 from photocal.geometry.relative_orientation import FEWEST, RelativeOrientation, relative_orientations
 
 Flags = NDArray[np.bool_]
@@ -19,6 +20,8 @@ PAIRS, TRIALS, TRIAL_IMAGES = 24, 6, 4
 WIDE = np.radians(25.0)
 # A trial is good when its rays miss by this share of the principal distance, and this share of them meets.
 CLOSE, MEETING = 1e-3, 0.7
+# Shares of the given principal distance that are tried where it gives no good one.
+OTHER_C = (1.0, 1.2, 0.83)
 
 
 def first_model(sights: Sights, free: Flags) -> Model | None:
@@ -29,15 +32,33 @@ def first_model(sights: Sights, free: Flags) -> Model | None:
     """
     own = sights.some(free[sights.rays.image])
     best: Model | None = None
-    for first, second, candidates in _pairs(sights, free)[:TRIALS]:
+    for share in OTHER_C:
+        # What fits best of a wrong principal distance may be a wrong model.
+        seen = own.by(tuple(_scaled(camera, share) for camera in own.given))
+        if share == 1 or any(camera.estimated[0] for camera in own.given):
+            best = _best_trial(seen, free, best)
+        if best is not None and best.oriented.sum() == min(TRIAL_IMAGES, free.sum()) and _good(best):
+            break
+    return None if best is None else replace(best, sights=sights.by(best.sights.cameras))
+
+
+def _scaled(camera: Camera, share: float) -> Camera:
+    values = camera.values.copy()
+    values[0] *= share if camera.estimated[0] else 1.0
+    return camera.with_values(values)
+
+
+def _best_trial(seen: Sights, free: Flags, best: Model | None) -> Model | None:
+    """The best of a few trials, and of one that was made before."""
+    for first, second, candidates in _pairs(seen, free)[:TRIALS]:
         for candidate in candidates:
-            trial = grown(_pair_model(own, first, second, candidate), free, TRIAL_IMAGES)
+            trial = grown(_pair_model(seen, first, second, candidate), free, TRIAL_IMAGES)
             holds = trial.oriented.sum() >= 2 and trial.placed.any()
             if holds and (best is None or _rank(trial) > _rank(best)):
                 best = trial
         if best is not None and best.oriented.sum() == TRIAL_IMAGES and _good(best):
             break
-    return None if best is None else replace(best, sights=sights.by(best.sights.cameras))
+    return best
 
 
 def _rank(trial: Model) -> tuple[int, int, float]:

@@ -1,0 +1,216 @@
+"""Study of random subsets of flights: wrong c, wrong positions, pictures from elsewhere.
+
+Each subset has 5 to 18 pictures of one flight in any order of gaps, one in ten from elsewhere; c starts up to
+20 % wrong, positions are up to 30 m off. What is connected is judged by the matches alone: pictures that
+share twenty points of three and more rays. Features and matches are kept for each picture and pair.
+Writes `docs/evidence/subsets.md`.
+
+Run: `make evidence`, or `python -m tests.evidence.subsets [COUNT [SEED]]`.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+from drivers.errors import PhotocalError
+from photocal.measurement.geographic import local_places
+from photocal.measurement.match_images import MatchingPlan
+from photocal.measurement.measure_ties import Sighted, sight, stated_footprints
+from photocal.measurement.oriented_ties import first_orientation
+from photocal.measurement.start_block import start_block
+from photocal.measurement.tie_adjustment import pixel_residuals
+from tests.photocal.measurement.site import SIDE, flight, texture
+
+Floats = NDArray[np.float64]
+ROOT = Path(__file__).parents[2]
+DATA = ROOT.parent / "shared" / "data"
+OUTPUT = ROOT / "docs" / "evidence" / "subsets.md"
+FLIGHTS = {
+    "lewis": "flight-lewis-ten/*.jpg",
+    "caliterra": "flight-caliterra-twelve/IMG*",
+    "brighton": "uav-brighton-beach/images/*",
+}
+ELSEWHERE = (
+    "opensfm-berlin-gcp/images/01.jpg",
+    "micmac-saisies-gcp/IMGP4167.JPG",
+    "sequoia-rig/IMG_161122_163239_0001_RGB.JPG",
+    "mavlink-tlog-cuav-images/exifimg2018021100040450Z.jpg",
+)
+FEWEST, MOST, ONE_IN = 5, 18, 10
+WRONG_C, WRONG_M = 0.2, 30.0
+# Two pictures belong together by so many points of three and more rays; a block has so many pictures.
+SHARED, BLOCK = 20, 4
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a subset.
+
+    Attributes
+    ----------
+    connected : int
+        Pictures of the largest group that shares points.
+    refused : str
+        Why, or empty.
+    named : bool
+        Whether all pictures that are not oriented are named with a reason.
+    strangers : int
+        Pictures from elsewhere that were oriented.
+    """
+
+    flight: str
+    pictures: int
+    connected: int
+    oriented: int
+    refused: str
+    named: bool
+    strangers: int
+    rms_px: float
+    c_start: float
+    c: float
+    seconds: float
+
+
+@contextmanager
+def quiet(_: str, __: float | None) -> Iterator[Callable[[float], None]]:
+    """Show no progress."""
+    yield lambda _: None
+
+
+def connected(sighted: Sighted) -> int:
+    """Pictures of the largest group that shares points, whatever their orientation."""
+    tracks = sighted.tracks.some((sighted.tracks.rays >= 3)[sighted.tracks.track])
+    images = len(sighted.facts)
+    seen = csr_array((np.ones(len(tracks.track)), (tracks.image, tracks.track)), (images, tracks.count))
+    together = (seen @ seen.T).toarray() >= SHARED
+    _, label = connected_components(together, directed=False)
+    return int(np.bincount(label).max())
+
+
+def one(
+    name: str, paths: Sequence[Path], strangers: Sequence[Path], rng: np.random.Generator, cache: Path
+) -> Outcome:
+    """Orient a subset with a wrong start."""
+    began = time.process_time()
+    sighted = sight([*paths, *strangers], MatchingPlan(cache, 1), quiet, stated_footprints)
+    places, _ = local_places(sighted.facts)
+    wrong = rng.normal(size=places.shape)
+    wrong *= WRONG_M * rng.random((len(places), 1)) / np.linalg.norm(wrong, axis=1)[:, None]
+    start = start_block(sighted.facts, places + wrong, name)
+    share = 1 + rng.uniform(-WRONG_C, WRONG_C)
+    cameras = []
+    for own in start.cameras:
+        values = own.values.copy()
+        values[0] *= share
+        cameras.append(own.with_values(values))
+    group, names = connected(sighted), [f.name for f in sighted.facts]
+    c_start = float(cameras[int(start.images.camera[names.index(paths[0].name)])].values[0])
+    try:
+        first = first_orientation(replace(start, cameras=tuple(cameras)), sighted.tracks)
+    except PhotocalError as refusal:
+        spent = time.process_time() - began
+        nan = float("nan")
+        return Outcome(name, len(names), group, 0, str(refusal), False, 0, nan, c_start, nan, spent)
+    block = first.adjusted.block
+    told = {entry["image"] for entry in first.left_out}
+    residuals = pixel_residuals(first.adjusted.assembly, first.adjusted.solution)
+    return Outcome(
+        name,
+        len(names),
+        group,
+        len(block.images.names),
+        "",
+        set(names) - set(block.images.names) == told,
+        len({path.name for path in strangers} & set(block.images.names)),
+        float(np.sqrt(np.mean(residuals**2))),
+        c_start,
+        float(block.cameras[0].value("c")),
+        time.process_time() - began,
+    )
+
+
+def study(count: int, seed: int, cache: Path) -> list[Outcome]:
+    """Orient random subsets."""
+    rng = np.random.default_rng(seed)
+    flights = {name: sorted(DATA.glob(pattern)) for name, pattern in FLIGHTS.items()}
+    flights = {name: paths for name, paths in flights.items() if len(paths) >= FEWEST}
+    for number in range(2):
+        folder = cache / f"rendered-{number}"
+        site = flight(number)
+        if not folder.exists():
+            folder.mkdir(parents=True)
+            site.render(texture(number, SIDE), folder, number)
+        flights[f"rendered {number + 1}"] = sorted(folder.iterdir())
+    elsewhere = [path for name in ELSEWHERE if (path := DATA / name).exists()]
+    found = []
+    for k in range(count):
+        name = list(flights)[k % len(flights)]
+        paths = flights[name]
+        size = int(rng.integers(FEWEST, min(MOST, len(paths)) + 1))
+        foreign = int(rng.binomial(size, 1 / ONE_IN)) if elsewhere else 0
+        chosen = sorted(rng.choice(len(paths), size, replace=False).tolist())
+        strangers = [
+            elsewhere[j] for j in rng.choice(len(elsewhere), min(foreign, len(elsewhere)), replace=False)
+        ]
+        found.append(one(name, [paths[j] for j in chosen], strangers, rng, cache))
+        print(k, found[-1], flush=True)
+    return found
+
+
+def page(found: Sequence[Outcome], seed: int) -> str:
+    """Write the outcomes as a table."""
+    due = [one for one in found if one.connected >= BLOCK]
+    lines = [
+        "# Random subsets of flights",
+        "",
+        f"Made by `python -m tests.evidence.subsets {len(found)} {seed}`.",
+        "",
+        f"{len(found)} subsets, {len(due)} of them with a connected block of {BLOCK} pictures and more.",
+        f"Refused of these: {sum(bool(one.refused) for one in due)}.",
+        f"Pictures left out without a name: in {sum(not one.named and not one.refused for one in found)}.",
+        f"Pictures from elsewhere that were oriented: {sum(one.strangers for one in found)}.",
+        "",
+        "| flight | subsets | with a block | refused | connected | oriented | rms (px) | c over its start |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name in dict.fromkeys(one.flight for one in found):
+        mine = [one for one in due if one.flight == name]
+        kept = [one for one in mine if not one.refused]
+        if not kept:
+            continue
+        ratio = [one.c / one.c_start for one in kept]
+        lines.append(
+            f"| {name} | {sum(one.flight == name for one in found)} | {len(mine)} "
+            f"| {sum(bool(one.refused) for one in mine)} | {sum(one.connected for one in mine)} "
+            f"| {sum(one.oriented for one in kept)} | {np.median([one.rms_px for one in kept]):.2f} "
+            f"| {min(ratio):.2f} to {max(ratio):.2f} |"
+        )
+    refused = [one for one in due if one.refused]
+    lines += ["", *(f"- {one.flight}, {one.pictures} pictures: {one.refused}" for one in refused)]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the study."""
+    count = int(arguments[0]) if arguments else 500
+    seed = int(arguments[1]) if len(arguments) > 1 else 1
+    kept = os.environ.get("PHOTOCAL_STUDY_CACHE")
+    with tempfile.TemporaryDirectory() as folder:
+        found = study(count, seed, Path(kept or folder))
+    OUTPUT.write_text(page(found, seed), encoding="utf-8", newline="\n")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
