@@ -18,8 +18,9 @@ from photocal.adjustment.normal import (
     diagonal_addresses,
     normal_equations,
 )
-from photocal.adjustment.rank import SUSPECT, explain_singular, weakest_pivot
+from photocal.adjustment.rank import SINGULAR, SUSPECT, Limits, explain_singular, weakest_pivot
 from photocal.adjustment.state import State, moved_exposures, round_the_middle
+from photocal.adjustment.unknowns import unknowns
 
 Floats = NDArray[np.float64]
 
@@ -31,6 +32,8 @@ SHORT = 1e4
 # A step this short that no longer lowers the sum of squares shows that rounding is reached.
 ROUNDING = 1e-6
 ITERATIONS = 50
+# Where the iteration comes to no end, a step this short (sigmas) is none.
+NEARLY = 0.01
 # Below this share of a diagonal element that remains after elimination, rounding decides.
 SINGULAR_PIVOT = 1e-13
 
@@ -120,16 +123,30 @@ def minimise(
                 continue
         damping = 10 * damping if damping else 1e-3
         if damping > 1e8:
-            explain_singular(problem, state)
-            raise NotConvergedError(
-                "no step reduces the sum of squares",
-                remedy="check the start values of images and points, their units and axes",
-            )
+            return _released(problem, _ended(problem, state, steps, SINGULAR), start)
         normal = normal_equations(problem, state, damping, normal.kept)
-    explain_singular(problem, state, SUSPECT)
+    return _released(problem, _ended(problem, state, steps, SUSPECT), start)
+
+
+def _ended(problem: Problem, state: State, steps: list[Iteration], limits: Limits) -> Minimum:
+    """Where the iteration did not come to its end: the minimum for all purposes, or why it is none."""
+    normal = normal_equations(problem, state)
+    size = np.sqrt(np.maximum(normal.matrix[diagonal_addresses(problem)], 0.0))
+    step = reduced_step(problem, normal, 0.0)
+    decrement = np.inf if step is None else moved_by(problem, state, normal, step)[1]
+    if decrement < NEARLY**2:
+        return Minimum(state, normal_equations(problem, state), tuple(steps))
+    explain_singular(problem, state, limits)
+    moving = ""
+    if step is not None:
+        named = unknowns(problem)
+        load = np.abs(step) * size * np.array([one is not None for one in named])
+        some = [one.name for k in np.argsort(-load)[:3] if (one := named[k]) is not None and load[k] > 0]
+        moving = f": {', '.join(some)} would still move" if some else ""
     raise NotConvergedError(
-        f"not converged after {ITERATIONS} iterations (last step {np.sqrt(decrement):.2g} sigma)",
-        remedy="check the start values, and what the network leaves undetermined",
+        f"not converged after {len(steps)} iterations (last step {np.sqrt(decrement):.2g} sigma){moving}",
+        remedy="check the start values of images and points, their units and axes, for gross errors, and "
+        "whether other observations should hold what moves",
     )
 
 
