@@ -16,13 +16,7 @@ from drivers.errors import PhotocalError, ProgramMissingError
 
 
 def application(help_text: str) -> typer.Typer:
-    """Make a command line application with the shared settings.
-
-    Returns
-    -------
-    typer.Typer
-        The application, without commands.
-    """
+    """Make a command line application with the shared settings."""
     return typer.Typer(
         help=help_text,
         no_args_is_help=True,
@@ -63,13 +57,7 @@ def run(app: typer.Typer) -> None:
 
 
 def answer(as_json: bool, figures: Callable[[], Any], text: Callable[[], str]) -> None:
-    """Print an answer for a program or for a person.
-
-    Parameters
-    ----------
-    figures, text : callable
-        Make the JSON value or the text; only the one that is needed is called.
-    """
+    """Print an answer for a program or for a person."""
     if as_json:
         typer.echo(json.dumps(figures(), indent=2, allow_nan=False))
     else:
@@ -84,11 +72,6 @@ def progress(title: str, total: float | None) -> Iterator[Callable[[float], None
     ----------
     total : float or None
         The amount of work, in any unit; None when it is not known.
-
-    Yields
-    ------
-    callable
-        Takes the amount of work done since the last call.
     """
     if not sys.stderr.isatty():
         # Nobody looks: the import of the bar would cost more than many a piece of work.

@@ -17,16 +17,6 @@ from drivers.errors import OutputError
 def output_file(path: Path) -> Iterator[Path]:
     """Give a temporary path beside `path`; on success it takes the place of `path`.
 
-    Parameters
-    ----------
-    path : Path
-        The file to be made; its folder is created.
-
-    Yields
-    ------
-    Path
-        Where to write.
-
     Raises
     ------
     OutputError
@@ -54,11 +44,6 @@ def output_folder(path: Path) -> Iterator[Path]:
     """Give a temporary folder beside `path`; on success its files take their places in `path`.
 
     Files of an earlier run that this one does not make again stay where they are.
-
-    Yields
-    ------
-    Path
-        The folder to write into.
 
     Raises
     ------

@@ -223,11 +223,6 @@ def serving(app: ASGIApp, address: Address) -> Iterator[str]:
 
     Reachable from this computer alone it needs no token; anywhere else it makes one.
 
-    Yields
-    ------
-    str
-        The address for the browser, with the token where there is one.
-
     Raises
     ------
     ConfigurationError

@@ -145,20 +145,7 @@ class Framer(Protocol):
 def gather(
     data: bytes, start: NDArray[np.int64], length: NDArray[np.int64], row: np.dtype[Any]
 ) -> NDArray[Any]:
-    """Copy pieces of a buffer into the rows of a structured array; what a piece lacks is zero.
-
-    Parameters
-    ----------
-    data : bytes
-        The buffer.
-    start, length : int64 (n,)
-        Where each piece lies, bytes.
-
-    Returns
-    -------
-    structured array (n,)
-        One row per piece.
-    """
+    """Copy pieces of a buffer into the rows of a structured array; what a piece lacks is zero."""
     width = row.itemsize
     if not len(start):
         return np.empty(0, row)

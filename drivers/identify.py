@@ -14,13 +14,7 @@ _LONGEST_HEAD, _LEAST_MAVLINK = 16, 8
 
 
 def batch_of_payloads(wire: Wire, payloads: list[bytes], dialect: Dialect) -> Batch:
-    """Return intact frames of one protocol as a batch.
-
-    Parameters
-    ----------
-    payloads : list of bytes
-        The frames.
-    """
+    """Return intact frames of one protocol as a batch."""
     length = np.fromiter(map(len, payloads), np.int64, len(payloads))
     # What another program calls a frame may be shorter than the head of one.
     data = b"".join(payloads) + bytes(_LONGEST_HEAD)

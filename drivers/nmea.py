@@ -44,10 +44,6 @@ def gga(
     ----------
     time_utc_ns : int
         UTC, nanoseconds since 1970.
-    latitude_deg, longitude_deg, height_msl_m : float
-        Position; height above mean sea level.
-    quality : int
-        1 single, 2 differential, 4 fixed, 5 float.
     """
     second, hundredths = divmod(time_utc_ns // 10_000_000 % 8_640_000, 100)
     time = f"{second // 3600:02d}{second // 60 % 60:02d}{second % 60:02d}.{hundredths:02d}"
@@ -126,8 +122,6 @@ def decode_times(batch: Batch) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
     Returns
     -------
-    index : int64 (n,)
-        Position of each sentence in the batch.
     utc_ns : int64 (n,)
         UTC, nanoseconds since 1970.
     """

@@ -68,8 +68,6 @@ def decode_dates(batch: Batch) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
     Returns
     -------
-    index : int64 (n,)
-        Position of each message in the batch.
     utc_ns : int64 (n,)
         UTC, nanoseconds since 1970, to the second.
     """
@@ -89,8 +87,6 @@ def decode_epochs(batch: Batch) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
     Returns
     -------
-    index : int64 (n,)
-        Position of each message in the batch.
     time_of_week_ns : int64 (n,)
         GPS time of week; Galileo's system time counts the same.
     """

@@ -103,26 +103,7 @@ def new_memory() -> NDArray[np.int64]:
 def search_stream(
     data: Octets, closed: bool, starts: Octets, memory: NDArray[np.int64], tables: Tables
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], int, int]:
-    """Find the frames of a piece of a stream.
-
-    Parameters
-    ----------
-    data : int32 (n,)
-        The bytes of the piece.
-    memory : int64 (m, 2)
-        Unknown messages so far, see `new_memory`.
-
-    Returns
-    -------
-    frames : int64 (f, 5)
-        Place, length, protocol, kind and known.
-    damage : int64 (d, 2)
-        Place and length of what lies between.
-    rest : int
-        Where the rest begins that is looked at again with more bytes.
-    needed : int
-        How many bytes the rest needs.
-    """
+    """Find the frames of a piece of a stream."""
     end = len(data)
     running = _running(data, starts[V2] == MAVLINK, starts[0xD3] == RTCM3, starts[0xB5] == UBX, tables)
     ahead = np.zeros(2, np.int64)

@@ -73,35 +73,7 @@ def block_of_arrays(
     image_names: Sequence[str] = (),
     check: Sequence[str] = (),
 ) -> Block:
-    """Make a block of two arrays: where points are, and where images show them.
-
-    Parameters
-    ----------
-    object_points : array_like, shape (n, 3)
-        X, Y, Z, m.
-    image_points : array_like, shape (m, n, 2)
-        Column and row of each point in each image, px; the centre of the upper-left pixel is (0, 0). NaN
-        where an image does not show a point.
-    size_px : (int, int)
-        Width and height of the images.
-    sigma_px : float
-        Standard deviation of a column or row.
-    sigma_m : float or None
-        Standard deviation of the object coordinates; 0 holds them, None takes them as start values of a free
-        network.
-    lens : Camera, optional
-        What to start from and what to estimate. Without it: model brown-ideal in px, c from 1.2 times the
-        longer side, and c, x0, y0, K1, K2, P1, P2 are estimated.
-    point_names, image_names : sequence of str, optional
-        Numbers from 1 when left out.
-    check : sequence of str, optional
-        Points whose coordinates judge the result and take no part in it.
-
-    Raises
-    ------
-    ConfigurationError
-        For arrays whose shapes do not fit.
-    """
+    """Make a block of two arrays: where points are, and where images show them."""
     points, pixels = np.array(object_points, dtype=float), np.array(image_points, dtype=float)
     if points.ndim != 2 or points.shape[1] != 3 or pixels.ndim != 3 or pixels.shape[1:] != (len(points), 2):
         raise ConfigurationError(
@@ -141,18 +113,7 @@ def with_relations(
     kind: Literal["distance", "height_difference", "azimuth"],
     rows: Iterable[tuple[str, str, float, float]],
 ) -> Block:
-    """Add observations between points: scale bars, levelled height differences, azimuths.
-
-    Parameters
-    ----------
-    rows : iterable of (from, to, value, sigma)
-        Names of the points; m, or radians from the Y axis towards X. A very small sigma makes a constraint.
-
-    Raises
-    ------
-    ConfigurationError
-        For a point that the block does not have.
-    """
+    """Add observations between points: scale bars, levelled height differences, azimuths."""
     given, number = list(rows), {name: k for k, name in enumerate(block.points.names)}
     for name in (name for row in given for name in row[:2]):
         if name not in number:
@@ -175,13 +136,6 @@ def with_relations(
 def adjust(block: Block, *, snooping: Literal["w", "tau"] | None = None, components: bool = False) -> Result:
     """Adjust a block by least squares: cameras, orientations and points with their covariances.
 
-    Parameters
-    ----------
-    snooping : {"w", "tau"}, optional
-        Search for gross errors with this test (Baarda 1968; Pope 1976).
-    components : bool
-        Estimate the standard deviation of each group of observations, and use it (Foerstner 1979).
-
     Raises
     ------
     PhotocalError
@@ -201,17 +155,7 @@ def _wanted(*, components: bool) -> Wanted:
 def analyse(
     block: Block, result: Result | None = None, *, alpha: float = 0.10, threshold: float = 0.8
 ) -> Outcome:
-    """Look for what an adjustment hides: systematic errors, insignificant and correlated parameters.
-
-    Parameters
-    ----------
-    result : Result, optional
-        Of this very block: rejected observations stay away, estimated sigmas are used.
-    alpha : float
-        Significance level of the F tests.
-    threshold : float
-        Absolute value from which correlations are named.
-    """
+    """Look for what an adjustment hides: systematic errors, insignificant and correlated parameters."""
     from photocal.analysis.outcome import analyse_network
     from photocal.analysis.systematic_errors.left_out import Checks
     from photocal.block.network import assemble
@@ -242,24 +186,7 @@ def check(block: Block, *, standards: Sequence[str] = (), scale: float | None = 
 
 
 def read_log(path: str | Path, topics: Sequence[str] = ()) -> dict[str, dict[str, NDArray[Any]]]:
-    """Read a flight log into arrays, one for each field of each topic.
-
-    Parameters
-    ----------
-    topics : sequence of str
-        Those that are wanted; all decoded ones when left out.
-
-    Returns
-    -------
-    dict
-        By topic: `log_ns` and `publish_ns` (times of receipt and of the device, UTC, int64 ns), and the
-        fields of the messages, nested ones as `rotation.w`. Of raw frames, which must be named: `payload`.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        When it is no flight log, or damaged.
-    """
+    """Read a flight log into arrays, one for each field of each topic."""
     from acquire.log.arrays import arrays_of_log
 
     return arrays_of_log(Path(path), frozenset(topics))

@@ -92,8 +92,6 @@ def geopackage(path: Path, system: ReferenceSystem) -> Iterator[sqlite3.Connecti
 
     Parameters
     ----------
-    path : Path
-        Replaced when it is there.
     system : ReferenceSystem
         Of the layers; the standard's own ones stand in each file.
     """
@@ -119,19 +117,7 @@ def add_layer(
     features: Iterable[Feature],
     changed_utc: str,
 ) -> None:
-    """Add a layer with its features.
-
-    Parameters
-    ----------
-    database : Connection
-        From `geopackage`.
-    system : ReferenceSystem
-        The one that the file was made with, or one that each file has.
-    features : iterable of Feature
-        Numbers that are not finite become NULL.
-    changed_utc : str
-        Time to be noted as that of the last change, as `2025-01-31T12:00:00.000Z`.
-    """
+    """Add a layer with its features."""
     rows, corners = [], [np.zeros((0, 2))]
     for places, values in features:
         rows.append((_geometry(layer, system.number, places), *values))

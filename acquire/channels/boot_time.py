@@ -41,11 +41,6 @@ def boot_time(batches: Iterable[Batch], definitions: Definitions) -> BootTime | 
     A record of a receiver is written some time after the epoch that it tells, never before: so the largest
     difference of UTC and running time is the nearest to the truth. It is early by the shortest delay of the
     receiver, some hundredths to a tenth of a second.
-
-    Parameters
-    ----------
-    definitions : Definitions
-        Those of the log; they are learned on the way.
     """
     offsets = [np.empty(0, np.int64)]
     for batch in batches:

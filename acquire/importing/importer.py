@@ -99,10 +99,6 @@ def import_recordings(
 
     Parameters
     ----------
-    output : Path
-        The flight log; it is there when the import has succeeded, not before.
-    advance : callable
-        Is told the number of bytes that were read since the last call.
     near_ns : int, optional
         UTC within half a day of the beginning of streams that do not tell their date, nanoseconds since 1970.
 

@@ -83,11 +83,6 @@ def since_boot(
 
     Records without a time have the last one; what comes before the first has the time of the start. Times
     never go back.
-
-    Parameters
-    ----------
-    definitions : Definitions
-        Those of the log; they are learned on the way.
     """
     last = boot.utc_ns
     for batch in batches:

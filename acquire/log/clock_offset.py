@@ -62,8 +62,6 @@ def verdict(offset_s: NDArray[np.float64], ratio: float | None) -> str:
 
     Parameters
     ----------
-    offset_s : float64 (n,)
-        Clock of the host less clock of the autopilot.
     ratio : float or None
         Seconds of the autopilot's clock per second of the host's.
     """

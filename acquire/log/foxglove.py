@@ -70,8 +70,6 @@ def location_fixes(
     ----------
     time_ns : int64 (n,)
         Time of validity, UTC, nanoseconds since 1970.
-    latitude_deg, longitude_deg, height_m : float64 (n,)
-        Position; the kind of the height is told by the channel.
     horizontal_m, vertical_m : float64 (n,)
         Accuracy that the device claims: radius in the plane, standard deviation of the height. NaN: unknown.
         The variance of each horizontal component is taken as half of the radius squared.
@@ -115,8 +113,6 @@ def frame_transforms(
     ----------
     time_ns : int64 (n,)
         Time of validity, UTC, nanoseconds since 1970.
-    quaternion : float64 (n, 4)
-        x, y, z, w: takes vectors of the child into the parent.
     """
     columns = {
         "#seconds": time_ns // SECOND_NS,
@@ -132,18 +128,7 @@ def frame_transforms(
 def quaternion_from_euler(
     roll: NDArray[np.float64], pitch: NDArray[np.float64], yaw: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the rotation from body (forward, right, down) to north, east, down.
-
-    Parameters
-    ----------
-    roll, pitch, yaw : float64 (n,)
-        Radians; the rotation is yaw about down, then pitch, then roll.
-
-    Returns
-    -------
-    float64 (n, 4)
-        x, y, z, w.
-    """
+    """Return the rotation from body (forward, right, down) to north, east, down."""
     (sr, cr), (sp, cp), (sy, cy) = ((np.sin(a / 2), np.cos(a / 2)) for a in (roll, pitch, yaw))
     return np.stack(
         [

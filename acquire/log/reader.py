@@ -96,11 +96,6 @@ class LogReader:
     ) -> Iterator[list[Messages]]:
         """Yield the messages of each whole chunk, channel by channel.
 
-        Parameters
-        ----------
-        damaged : callable, optional
-            Is told of each damaged record, which is then passed over; without it the first one is an error.
-
         Raises
         ------
         InputNotFoundError

@@ -77,11 +77,6 @@ class _Unframed:
 def recover(path: Path, output: Path) -> Recovered:
     """Write what is whole in a log to a new one with all indexes.
 
-    Parameters
-    ----------
-    path : Path
-        The log; it is not changed.
-
     Raises
     ------
     InputNotFoundError, InputMalformedError

@@ -68,8 +68,6 @@ def replay(
 
     Parameters
     ----------
-    speed : float
-        1 for the pace of the recording, N for N times as fast, 0 as fast as the frames are taken.
     clock, sleep : callable
         Seconds of a steady clock, and waiting for seconds.
 

@@ -15,11 +15,6 @@ _STARTS = (V1, V2)
 def export_tlog(path: Path, link: str, output: Path) -> int:
     """Write the frames of a link as a telemetry log: each after its time of receipt.
 
-    Returns
-    -------
-    int
-        Number of frames.
-
     Raises
     ------
     InputMalformedError

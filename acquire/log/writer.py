@@ -108,12 +108,8 @@ class LogWriter:
 
         Parameters
         ----------
-        payloads : sequence of bytes or Pieces (n,)
-            The messages.
         log_ns, publish_ns : int64 (n,)
             Time of receipt and time of the device, UTC, nanoseconds since 1970.
-        sequence : int64 (n,)
-            Number of each message; 32 bits are kept.
         """
         if not len(payloads):
             return

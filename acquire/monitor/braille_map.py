@@ -23,13 +23,7 @@ _LEAST_EXTENT_M = 20.0
 
 
 def braille_map(layers: Sequence[Layer], width: int, height: int) -> Text:
-    """Draw layers, north up.
-
-    Parameters
-    ----------
-    width, height : int
-        Room in cells; the last row is the scale bar's.
-    """
+    """Draw layers, north up."""
     rows = height - 1
     drawn = [layer for layer in layers if len(layer.points)]
     if not drawn or width < 8 or rows < 2:

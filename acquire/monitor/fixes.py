@@ -85,8 +85,6 @@ def correction_age_s(receiver: Receiver, link: Link, now_ns: int) -> float | Non
 
     Parameters
     ----------
-    link : Link
-        Its link: without a word of its own, what it was sent cannot be younger than the last that was sent.
     now_ns : int
         The time, UTC.
     """

@@ -20,13 +20,6 @@ def serving_foxglove(address: Address) -> Iterator[tuple[Callable[[list[Messages
     The protocol and foxglove-sdk know no token: their server stands at an address that nobody can guess,
     behind a gate that asks for one.
 
-    Yields
-    ------
-    callable
-        Takes the messages of a chunk and passes them on, raw and decoded.
-    str
-        The address to open in Foxglove; the token is part of it.
-
     Raises
     ------
     ProgramMissingError

@@ -24,15 +24,7 @@ def follow(
     stop: threading.Event,
     listen: Callable[[list[Messages]], None] = lambda _: None,
 ) -> None:
-    """Keep a state up to date until told to stop.
-
-    Parameters
-    ----------
-    publish : callable
-        Is given each new state.
-    listen : callable, optional
-        Is given each new chunk.
-    """
+    """Keep a state up to date until told to stop."""
     state = State()
     look_at = 0.0
     while not stop.is_set():

@@ -27,13 +27,7 @@ _LONGEST_NAME = 12
 
 
 def render(view: View, layers: Sequence[Layer], width: int, height: int) -> RenderableType:
-    """Return the view for a window.
-
-    Parameters
-    ----------
-    layers : sequence of Layer
-        The map; it is left out where there is no room.
-    """
+    """Return the view for a window."""
     map_width = max(_LEAST_MAP, round(_MAP_SHARE * width)) if width >= _LEAST_WITH_MAP else 0
     left = width - map_width - (2 if map_width else 0)
     sections = _sections(view, left)

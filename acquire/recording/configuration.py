@@ -124,11 +124,6 @@ class Configuration(Table):
 def read_configuration(path: Path) -> Configuration:
     """Read a configuration.
 
-    Parameters
-    ----------
-    path : Path
-        The file; a relative output is taken from its folder.
-
     Raises
     ------
     InputNotFoundError

@@ -65,11 +65,6 @@ def new_log(
     """Make the file of a log under a name that is free; the folder is made.
 
     Whoever makes the file has it: a name that another recorder takes at the same moment is passed over.
-
-    Raises
-    ------
-    OSError
-        When it cannot be made.
     """
     folder.mkdir(parents=True, exist_ok=True)
     moment = dt.datetime.fromtimestamp(time_ns / 1e9, dt.UTC).strftime("%Y%m%dT%H%M%SZ")

@@ -65,15 +65,7 @@ def check(
     host: Host,
     dialect: Dialect,
 ) -> list[Finding]:
-    """Listen to all links for a while and judge what was heard.
-
-    Parameters
-    ----------
-    base : Path
-        Where relative paths of the configuration begin.
-    seconds : float
-        How long to listen.
-    """
+    """Listen to all links for a while and judge what was heard."""
     stop = threading.Event()
     framers = {link.name: StreamFramer(wires_of(link.protocol), dialect) for link in configuration.link}
     heard = {link.name: _Heard() for link in configuration.link}

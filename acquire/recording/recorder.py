@@ -78,17 +78,6 @@ def record(
 ) -> Recorded:
     """Record all links until told to stop.
 
-    Parameters
-    ----------
-    base : Path
-        Where relative paths of the configuration begin.
-    stop : Event
-        Ends the recording; the log is closed properly.
-    tell : callable
-        Is told in words what happens to links and files.
-    sources : dict, optional
-        Where the links come from; otherwise from their addresses.
-
     Raises
     ------
     OutputError

@@ -20,18 +20,7 @@ SPOKEN_TO = ("vehicle", "rover", "base")
 def on_ports(
     flight: PlayedFlight, clock: FlightClock, *, udp_port: int = 0, base_on_tcp: bool = False
 ) -> Iterator[dict[str, str]]:
-    """Let vehicle, rover and base speak: by UDP, on a pseudo terminal, and on another one or by TCP.
-
-    Parameters
-    ----------
-    udp_port : int
-        To which the vehicle sends; 0 for any that is free.
-
-    Yields
-    ------
-    dict of str to str
-        The URL of each link, as `acquire record` takes it.
-    """
+    """Let vehicle, rover and base speak: by UDP, on a pseudo terminal, and on another one or by TCP."""
     with ExitStack() as stack:
         port = udp_port or _free_port()
         autopilot = FlownAutopilot("vehicle", flight.lines["vehicle"], clock)

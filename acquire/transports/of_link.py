@@ -42,11 +42,6 @@ def source_of_link(
 ) -> Source:
     """Return the source of a link.
 
-    Parameters
-    ----------
-    position : callable, optional
-        Gives the sentence that a caster is told with the request.
-
     Raises
     ------
     ConfigurationError

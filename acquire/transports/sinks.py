@@ -146,19 +146,6 @@ class MemorySink:
 def open_sink(url: str) -> Iterator[tuple[Sink, str]]:
     """Open where a stream is to be sent.
 
-    Parameters
-    ----------
-    url : str
-        ``udp://HOST:PORT`` sends datagrams there. ``tcp://HOST:PORT`` listens at this address for one
-        reader; the port may be 0 for any free one. ``pty`` makes a pseudo terminal.
-
-    Yields
-    ------
-    Sink
-        Where to send.
-    str
-        What a reader has to open, known before the reader has come: printed by `announce`.
-
     Raises
     ------
     ConfigurationError

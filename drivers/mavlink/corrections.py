@@ -20,13 +20,6 @@ def fragments(message: bytes, sequence: int) -> list[dict[str, Any]]:
     ----------
     message : bytes
         A whole RTCM 3 frame.
-    sequence : int
-        Number of the message; taken modulo 32.
-
-    Returns
-    -------
-    list of dict
-        Values for `drivers.mavlink.encode.encode`; none when the message is longer than four fragments.
     """
     if len(message) > FRAGMENT_BYTES * FRAGMENTS:
         return []

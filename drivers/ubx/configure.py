@@ -33,11 +33,6 @@ class Version:
 def read_version(payload: bytes) -> Version:
     """Read the answer to a poll of MON-VER.
 
-    Parameters
-    ----------
-    payload : bytes
-        Payload of the message.
-
     Raises
     ------
     DeviceError
@@ -88,11 +83,6 @@ def steps(version: Version, port: str, messages: tuple[str, ...], rate_ms: int) 
     """Return the requests that switch messages on and set the time between measurements.
 
     Settings go to the working memory only: they are gone with the next cold start.
-
-    Parameters
-    ----------
-    rate_ms : int
-        Time between measurements, milliseconds.
     """
     from pyubx2 import POLL, SET, UBXMessage, cfgname2key
 

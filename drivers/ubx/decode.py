@@ -112,11 +112,6 @@ def correction_age_s(pvt: NDArray[Any]) -> NDArray[np.float64]:
 
     The receiver tells classes (`lastCorrectionAge`, bits 1 to 4 of `flags3`): the result is the longest age
     of each, infinite for 120 s or more, NaN where it tells none.
-
-    Parameters
-    ----------
-    pvt : structured array (n,)
-        The fields of NAV-PVT.
     """
     return np.asarray(_AGES_S[pvt["flags3"] >> 1 & 0x0F])
 

@@ -19,11 +19,6 @@ SCHEMA = "photocal.check/1"
 def to_json(assessment: Assessment, say: Catalogue | None = None) -> dict[str, Any]:
     """Give an assessment as a JSON value.
 
-    Parameters
-    ----------
-    assessment : Assessment
-        The figures.
-
     Returns
     -------
     dict

@@ -27,11 +27,6 @@ _NONE = "-"
 def to_text(assessment: Assessment) -> str:
     """Write an assessment for people.
 
-    Parameters
-    ----------
-    assessment : Assessment
-        The figures.
-
     Returns
     -------
     str

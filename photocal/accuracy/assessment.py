@@ -153,15 +153,6 @@ def assess(discrepancies: Discrepancies, standards: tuple[Standard, ...], questi
     ----------
     discrepancies : Discrepancies
         Reference minus product.
-    standards : tuple of Standard
-        Those to apply, in the order of the report.
-    question : Question
-        Scale, interval and levels.
-
-    Returns
-    -------
-    Assessment
-        Statistics, tests and classes.
 
     Raises
     ------

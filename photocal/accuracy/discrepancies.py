@@ -51,15 +51,8 @@ class Discrepancies:
     def component(self, name: str) -> tuple[tuple[str, ...], FloatArray]:
         """Give the values of one component with the names of their points.
 
-        Parameters
-        ----------
-        name : {"E", "N", "h"}
-            The component.
-
         Returns
         -------
-        points : tuple of str
-            Names of the points that have it.
         values_m : ndarray, shape (k,)
             Discrepancies, m.
         """

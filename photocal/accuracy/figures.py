@@ -32,11 +32,6 @@ def round_down(value: float) -> float:
 def residual_map(discrepancies: Discrepancies) -> Figure | None:
     """Draw the planimetric discrepancies as vectors, the heights as bars, at their points.
 
-    Parameters
-    ----------
-    discrepancies : Discrepancies
-        With positions.
-
     Returns
     -------
     matplotlib.figure.Figure or None
@@ -129,13 +124,6 @@ def write_figures(discrepancies: Discrepancies, folder: Path) -> tuple[Path, ...
     ----------
     discrepancies : Discrepancies
         Reference minus product.
-    folder : Path
-        Gets `residual_map.pdf` (where positions are known) and `histograms.pdf`.
-
-    Returns
-    -------
-    tuple of Path
-        The files.
 
     Raises
     ------

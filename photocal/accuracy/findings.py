@@ -22,13 +22,7 @@ _SIDES = {
 
 
 def findings(assessment: Assessment) -> tuple[Finding, ...]:
-    """Say what an assessment found.
-
-    Returns
-    -------
-    tuple of Finding
-        What limits the judgement first, then bias, outliers, and where the classes differ.
-    """
+    """Say what an assessment found."""
     listed = _sample_sizes(assessment.components)
     for component in assessment.components:
         listed += _bias(component)

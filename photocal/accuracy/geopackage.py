@@ -44,11 +44,6 @@ def reference_system(crs: str | None) -> ReferenceSystem:
     crs : str or None
         Such as `EPSG:31982`; None for a local system that nothing else is known of.
 
-    Returns
-    -------
-    ReferenceSystem
-        For `write_geopackage`.
-
     Raises
     ------
     ConfigurationError
@@ -81,22 +76,6 @@ def write_geopackage(
     path: Path, groups: tuple[tuple[str, Discrepancies], ...], system: ReferenceSystem, changed_utc: str
 ) -> int:
     """Write ground points and their residual vectors.
-
-    Parameters
-    ----------
-    path : Path
-        The file; replaced as a whole.
-    groups : tuple of tuple
-        Role (such as `check` or `control`) and discrepancies with positions, each.
-    system : ReferenceSystem
-        Coordinate system of the positions.
-    changed_utc : str
-        Time to be noted as that of the last change, as `2025-01-31T12:00:00.000Z`.
-
-    Returns
-    -------
-    int
-        Number of points written; those without position are left out.
 
     Raises
     ------

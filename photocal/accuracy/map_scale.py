@@ -13,16 +13,6 @@ _SCALE = re.compile(r"^(?:1:)?(?P<denominator>[0-9]+(?:\.[0-9]+)?)$")
 def parse_scale(text: str) -> float:
     """Read a scale.
 
-    Parameters
-    ----------
-    text : str
-        Such as `1:1000` or `1000`.
-
-    Returns
-    -------
-    float
-        The denominator.
-
     Raises
     ------
     ConfigurationError

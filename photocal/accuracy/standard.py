@@ -75,11 +75,6 @@ class LimitTable:
         ----------
         size : float
             Scale denominator, or contour interval in m, as `basis` says.
-
-        Returns
-        -------
-        tuple of ClassLimit
-            The best class first.
         """
         return tuple(
             ClassLimit(limit.name, limit.pec_m * size, limit.ep_m * size) for limit in self.unit_limits
@@ -92,11 +87,6 @@ class LimitTable:
         ----------
         size : float
             Scale denominator, or contour interval in m, as `basis` says.
-
-        Returns
-        -------
-        tuple of ClassLimit
-            The best class first.
         """
         printed = {
             entry.limit.name: entry.limit
@@ -107,11 +97,6 @@ class LimitTable:
 
     def interval_at(self, scale_denominator: float) -> float | None:
         """Give the contour interval that the standard lists for a scale.
-
-        Parameters
-        ----------
-        scale_denominator : float
-            Scale denominator.
 
         Returns
         -------

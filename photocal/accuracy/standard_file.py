@@ -79,11 +79,6 @@ def load_standard(name: str) -> Standard:
         Name of a shipped standard (`decree-89817`, `pec-pcd`, `asprs-2024`), or the path of a TOML
         file of the same form.
 
-    Returns
-    -------
-    Standard
-        The standard with all its tables.
-
     Raises
     ------
     InputNotFoundError

@@ -87,13 +87,7 @@ def value_class(
     stated: Stated,
     errors: Mapping[str, tuple[tuple[str, ...], FloatArray]] | None = None,
 ) -> ValueClass:
-    """Compute the class reached, and what goes by the class that was asked for.
-
-    Parameters
-    ----------
-    errors : mapping, optional
-        By component (E, N, h): names of its points and their errors, m.
-    """
+    """Compute the class reached, and what goes by the class that was asked for."""
     horizontal = _with_survey(plane, stated.survey_horizontal_m)
     vertical = _with_survey(height, stated.survey_vertical_m)
     wide, high = stated.target_horizontal_m, stated.target_vertical_m

@@ -22,15 +22,8 @@ def adjust(
 
     Parameters
     ----------
-    report : callable, optional
-        Called after each iteration.
     state : State, optional
         To start from, in place of the network's values: of a solution of the same images and points.
-
-    Returns
-    -------
-    Solution
-        Values, covariances, residuals, redundancy numbers.
 
     Raises
     ------

@@ -97,18 +97,7 @@ def open_combinations(problem: Problem, normal: Normal, moves: Floats) -> Floats
 
 
 def with_datum(problem: Problem, state: State) -> Problem:
-    """Hold lightly as many columns as a free network has defects.
-
-    Parameters
-    ----------
-    state : State
-        Start values.
-
-    Returns
-    -------
-    Problem
-        The same problem when the observations carry the datum.
-    """
+    """Hold lightly as many columns as a free network has defects."""
     if problem.network.datum_points is None:
         return problem
     normal = normal_equations(problem, state)
@@ -163,17 +152,7 @@ def _datum_points(network: Network) -> Integers:
 
 
 def correction(problem: Problem, normal: Normal, bare_normal: Normal, state: State) -> Correction:
-    """What the S-transformation to inner constraints needs.
-
-    Parameters
-    ----------
-    problem : Problem
-        From `with_datum`.
-    normal : Normal
-        At `state`, factorised.
-    bare_normal : Normal
-        The same before it was factorised.
-    """
+    """What the S-transformation to inner constraints needs."""
     reduced, points = similarity_moves(problem, state)
     open_ones = _open_ones(problem, bare_normal, reduced)
     reduced, points = reduced @ open_ones, points @ open_ones

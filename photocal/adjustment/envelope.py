@@ -75,10 +75,6 @@ def envelope(reach: Integers, block: int, border: int) -> Envelope:
     ----------
     reach : ndarray of int, shape (blocks,)
         One past the last row that is not zero in the columns of each block.
-    block : int
-        Columns in a block; panels hold whole blocks.
-    border : int
-        Columns of the border.
     """
     band = len(reach) * block
     panel = max(PANEL // block, 1) * block
@@ -106,11 +102,6 @@ def _one_thread() -> AbstractContextManager[object]:
 
 def factorise(structure: Envelope, values: Floats) -> int:
     """Replace a matrix by its Cholesky factor, in place.
-
-    Parameters
-    ----------
-    values : ndarray
-        Values of the matrix; receives those of L with L L' = matrix.
 
     Returns
     -------
@@ -175,8 +166,6 @@ def solve(structure: Envelope, factor: Floats, right: Floats) -> Floats:
 
     Parameters
     ----------
-    factor : ndarray
-        From `factorise`.
     right : ndarray, shape (n,) or (n, m)
         Right-hand sides.
 
@@ -220,11 +209,6 @@ def _rows(structure: Envelope, j: int) -> Integers:
 
 def selected_inverse(structure: Envelope, factor: Floats) -> Floats:
     """Elements of the inverse within the structure (Takahashi, Fagan and Chin 1973, by panels).
-
-    Parameters
-    ----------
-    factor : ndarray
-        From `factorise`.
 
     Returns
     -------

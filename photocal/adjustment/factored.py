@@ -38,11 +38,6 @@ class Factored:
 def factored(network: Network, state: State) -> Factored:
     """Set up and factorise the normal equations at an adjusted state.
 
-    Parameters
-    ----------
-    state : State
-        Of its solution.
-
     Raises
     ------
     IllPosedError

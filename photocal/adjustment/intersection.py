@@ -18,8 +18,6 @@ def intersect(
     ----------
     point : ndarray of int, shape (n,)
         Point of each ray.
-    count : int
-        Number of points.
     centre : ndarray, shape (n, 3)
         Projection centre of each ray.
     rotation : ndarray, shape (n, 3, 3)

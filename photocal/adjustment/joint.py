@@ -34,11 +34,6 @@ class JointCovariance:
 def joint_covariance(at: Factored, chosen: Sequence[tuple[str, str]]) -> JointCovariance:
     """Covariance of all unknowns of chosen images, cameras, points and of the mounting.
 
-    Parameters
-    ----------
-    chosen : sequence of (kind, name)
-        Kind `image`, `camera`, `point` or `mounting` (whose name is empty).
-
     Raises
     ------
     ConfigurationError

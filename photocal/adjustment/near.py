@@ -83,24 +83,7 @@ def chords(
     equations: Callable[[State], list[Equations]],
     hold: tuple[int, Floats, Floats] | None = None,
 ) -> Near:
-    """Step to a minimum with a factor that is given.
-
-    Parameters
-    ----------
-    normal : Normal
-        Factorised, of a state nearby.
-    near : float
-        Squared distance, in units of the standard deviations, that may be left.
-    equations : callable
-        Observations beside rays and points at a state.
-    hold : (int, ndarray, ndarray), optional
-        Column of an unknown that keeps its value, and its column of the inverse: reduced part and points.
-
-    Raises
-    ------
-    NotConvergedError
-        When the steps do not become shorter: the minimum is not near.
-    """
+    """Step to a minimum with a factor that is given."""
     before = np.inf
     for _ in range(STEPS):
         chi_squared, reduced, points = gradient(problem, state, equations(state))

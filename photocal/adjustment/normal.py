@@ -75,13 +75,7 @@ class Normal:
 
 
 def prepare(network: Network) -> Problem:
-    """Order a network's unknowns and lay out its arrays for the kernels.
-
-    Parameters
-    ----------
-    network : Network
-        Its rays sorted by point.
-    """
+    """Order a network's unknowns and lay out its arrays for the kernels."""
     rays, points, exposures = network.rays, network.points, network.exposures
     ray_start = np.searchsorted(rays.point, np.arange(len(points.values) + 1))
     where = layout(network, ray_start)
@@ -173,16 +167,7 @@ def other_equations(problem: Problem, state: State) -> dict[str, Equations]:
 def normal_equations(
     problem: Problem, state: State, damping: float = 0.0, room: Eliminated | None = None
 ) -> Normal:
-    """Set up the reduced normal equations at a state.
-
-    Parameters
-    ----------
-    damping : float
-        Relative addition to the diagonal (Marquardt 1963).
-    room : Eliminated, optional
-        Arrays of normal equations that are no longer needed, to be filled again: fresh memory for
-        millions of rays costs as much time as the arithmetic.
-    """
+    """Set up the reduced normal equations at a state."""
     design, structure, where = problem.design, problem.structure, problem.layout
     threads, points = len(design.pieces) - 1, len(design.point_free)
     kept = room or Eliminated(

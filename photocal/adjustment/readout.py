@@ -64,11 +64,6 @@ def with_readouts(
 
     A movement that departs from the given motion has that motion's sigma times the readout. With a readout
     of zero nothing departs, and the test of a global shutter is exact.
-
-    Parameters
-    ----------
-    solution : Solution
-        Of the network as it is.
     """
     doubtful = [
         k for k, camera in enumerate(network.cameras) if camera.shutter == "unknown" and not camera.rolling

@@ -63,23 +63,7 @@ class Reliability:
 
 
 def noncentrality(significance: float = SIGNIFICANCE, power: float = POWER, dimensions: int = 1) -> float:
-    """Shift of a standardised residual that its two-sided test finds with a stated power.
-
-    Parameters
-    ----------
-    significance : float
-        alpha0, the probability of rejecting a good observation.
-    power : float
-        beta0, the probability of finding the error.
-    dimensions : int
-        Degrees of freedom of the test; 2 for both coordinates of a ray at once.
-
-    Returns
-    -------
-    float
-        delta0, the root of the non-centrality lambda0 of the chi-squared distribution: 4.13 for 0.1 % and
-        80 % (Baarda 1968).
-    """
+    """Shift of a standardised residual that its two-sided test finds with a stated power."""
     limit = special.chdtri(dimensions, significance)
     return float(np.sqrt(special.chndtrinc(limit, dimensions, 1.0 - power)))
 
@@ -106,15 +90,7 @@ def _checked(redundancy: Floats) -> Floats:
 def reliability(
     network: Network, solution: Solution, significance: float = SIGNIFICANCE, power: float = POWER
 ) -> Reliability:
-    """Internal and external reliability of all rays and control coordinates.
-
-    Parameters
-    ----------
-    solution : Solution
-        Of the same network.
-    significance, power : float
-        Of the test of a standardised residual.
-    """
+    """Internal and external reliability of all rays and control coordinates."""
     delta0 = noncentrality(significance, power)
     at = factored(network, solution.state)
     with np.errstate(divide="ignore", invalid="ignore"):

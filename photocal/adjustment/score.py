@@ -46,8 +46,6 @@ def score(at: Factored, residuals: Floats, fields: Floats) -> Score:
 
     Parameters
     ----------
-    at : Factored
-        At the minimum without them.
     residuals : ndarray, shape (rays, 2)
         There, computed minus measured.
     fields : ndarray, shape (t, rays, 2)

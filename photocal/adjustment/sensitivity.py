@@ -53,8 +53,6 @@ def along(
 
     Parameters
     ----------
-    design, values, structure
-        As in `kernels.accumulate`.
     step : ndarray, shape (n,)
         Direction in the reduced system.
     point_step : ndarray, shape (points, 3)
@@ -100,18 +98,7 @@ def across_piece(
 def across(
     design: Design, values: Values, structure: Structure, change: Floats, reduced: Floats, points: Floats
 ) -> None:
-    """Right-hand side A'P d of the normal equations for a change d of all image coordinates.
-
-    Parameters
-    ----------
-    design, values, structure
-        As in `kernels.accumulate`.
-    change : ndarray, shape (rays, 2)
-    reduced : ndarray, shape (threads, n)
-        Receives, for each thread, the part of images and cameras, added to what is there.
-    points : ndarray, shape (points, 3)
-        Receives the part of the points.
-    """
+    """Right-hand side A'P d of the normal equations for a change d of all image coordinates."""
     for piece in numba.prange(len(design.pieces) - 1):
         across_piece(design, values, structure, piece, change, scratch(columns(design)), reduced, points)
 

@@ -70,8 +70,6 @@ def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None
     test : {"w", "tau"}
         Test with the a priori standard deviations (Baarda's w) or with the a posteriori variance factor
         (Pope's tau).
-    report : callable, optional
-        Called after each iteration.
 
     Raises
     ------

@@ -143,11 +143,6 @@ class Solution:
 def global_test(chi_squared: float, degrees_of_freedom: int, probability: float = 0.95) -> GlobalTest | None:
     """Test whether v'Pv is as large as the weights claim.
 
-    Parameters
-    ----------
-    probability : float
-        Confidence of the two-sided interval.
-
     Returns
     -------
     GlobalTest or None

@@ -83,10 +83,6 @@ def minimise(
 
     Parameters
     ----------
-    state : State
-        Start values of all unknowns.
-    report : callable, optional
-        Called after each iteration.
     near : float
         Squared distance to the minimum, in units of the standard deviations, that may be left.
 

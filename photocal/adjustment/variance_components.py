@@ -117,19 +117,6 @@ def estimate_components(
 ) -> VarianceComponents:
     """Estimate the variance of each group of observations.
 
-    Parameters
-    ----------
-    network : Network
-        Its standard deviations are the first guess.
-    rays : RayGroups, optional
-        How the rays are divided; all together when left out. The other groups are those of
-        `Solution.groups`: control, camera, exposure, distance and so on.
-    hold : collection of str
-        Groups whose standard deviations are known. Groups with less than one redundant observation are
-        held too.
-    report : callable, optional
-        Called after each iteration of each adjustment.
-
     Raises
     ------
     IllPosedError

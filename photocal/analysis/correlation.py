@@ -58,18 +58,7 @@ def strong_correlations(estimates: Estimates, threshold: float = 0.8) -> tuple[S
 
 
 def cause(first: str, second: str) -> str:
-    """Give the code of why two parameters are correlated.
-
-    Parameters
-    ----------
-    first, second : str
-        Names of parameters, in either order.
-
-    Returns
-    -------
-    str
-        Key of the words in the reports; `UNKNOWN` for a pair without usual cause.
-    """
+    """Give the code of why two parameters are correlated."""
     for left, right, words in _CAUSES:
         if (first in left and second in right) or (first in right and second in left):
             return words

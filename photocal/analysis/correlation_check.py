@@ -44,20 +44,7 @@ def correlation_findings(names: tuple[str, ...], matrix: Floats | None, rounding
 
 
 def sign_repair(matrix: Floats) -> tuple[tuple[int, int], float]:
-    """Find the one entry whose changed sign raises the least eigenvalue most.
-
-    Parameters
-    ----------
-    matrix : ndarray, shape (n, n)
-        Symmetric, n at least 2.
-
-    Returns
-    -------
-    pair : tuple of int
-        Row and column of the entry, row greater than column.
-    least : float
-        Least eigenvalue of the matrix with that sign changed.
-    """
+    """Find the one entry whose changed sign raises the least eigenvalue most."""
     best, least = (1, 0), -np.inf
     for i in range(1, len(matrix)):
         for j in range(i):

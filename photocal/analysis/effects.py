@@ -45,18 +45,9 @@ def effects(camera: Camera, estimates: Estimates, reach: float = np.inf) -> tupl
 
     Parameters
     ----------
-    camera : Camera
-        With its adjusted values.
-    estimates : Estimates
-        The estimated parameters with their covariance.
     reach : float
         Largest distance of an observation from the image centre, in the unit of the camera: beyond it
         nothing determined the distortion.
-
-    Returns
-    -------
-    tuple of Effect
-        Single parameters in their order, then groups of two and more.
     """
     names = [name for name in estimates.names if name != "c"]
     groups = [tuple(name for name in group if name in names) for group in GROUPS]

@@ -44,16 +44,6 @@ class Estimates:
     def indices(self, parameters: Iterable[str]) -> list[int]:
         """Give the places of the named parameters.
 
-        Parameters
-        ----------
-        parameters : iterable of str
-            Names, each one of `names`.
-
-        Returns
-        -------
-        list of int
-            Their places in the arrays.
-
         Raises
         ------
         ConfigurationError
@@ -70,18 +60,7 @@ class Estimates:
         return [place[name] for name in wanted]
 
     def select(self, parameters: Iterable[str]) -> Estimates:
-        """Give some of the parameters; the others stay estimated (marginal covariance).
-
-        Parameters
-        ----------
-        parameters : iterable of str
-            Names to keep.
-
-        Returns
-        -------
-        Estimates
-            These parameters alone.
-        """
+        """Give some of the parameters; the others stay estimated (marginal covariance)."""
         at = self.indices(parameters)
         return Estimates(tuple(self.names[i] for i in at), self.values[at], self.covariance[np.ix_(at, at)])
 
@@ -121,20 +100,6 @@ def without(estimates: Estimates, removed: Iterable[str]) -> tuple[Estimates, fl
 
     Deleting a parameter from an adjustment deletes its row and column of the reduced normal
     matrix, the inverse of the covariance: exact for a linear model, a prediction for ours.
-
-    Parameters
-    ----------
-    estimates : Estimates
-        All parameters as they were estimated together.
-    removed : iterable of str
-        Those to be left out.
-
-    Returns
-    -------
-    remaining : Estimates
-        The other parameters as an adjustment without the removed ones gives them.
-    increase : float
-        By how much the weighted sum of squares grows, x_b' S_bb^-1 x_b.
 
     Raises
     ------

@@ -105,20 +105,7 @@ class MethodCheck:
 
 
 def shape(network: Network, state: State) -> Shape:
-    """Measure the geometry of a network.
-
-    Parameters
-    ----------
-    network : Network
-        The network.
-    state : State
-        Its adjusted values.
-
-    Returns
-    -------
-    Shape
-        Its figures.
-    """
+    """Measure the geometry of a network."""
     axes = -state.rotation[:, 2, :]
     rays = network.rays
     apart = state.points[rays.point] - state.centre[rays.image]

@@ -49,24 +49,6 @@ def analyse_network(
 ) -> Outcome:
     """Adjust a network and analyse it.
 
-    Parameters
-    ----------
-    network : Network
-        As it was adjusted.
-    checks : Checks
-        Check points, perhaps none.
-    alpha : float
-        Significance level of the F tests.
-    threshold : float
-        Absolute value from which correlations are named.
-    done : callable
-        Called after each new adjustment.
-
-    Returns
-    -------
-    Outcome
-        All figures.
-
     Raises
     ------
     IllPosedError, NotConvergedError

@@ -112,18 +112,7 @@ class CalibrationRecord:
 
 
 def plausibility(record: CalibrationRecord) -> tuple[Finding, ...]:
-    """Check a calibration for contradictions with itself.
-
-    Parameters
-    ----------
-    record : CalibrationRecord
-        The figures as they are printed or are about to be.
-
-    Returns
-    -------
-    tuple of Finding
-        What was found, refusals first; empty when nothing contradicts.
-    """
+    """Check a calibration for contradictions with itself."""
     found = [
         *correlation_findings(record.names, record.correlation, record.correlation_rounding),
         *_sigmas(record),

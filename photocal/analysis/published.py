@@ -56,12 +56,6 @@ def analyse_published(
         CSV. Either parameter, value and std_dev (or sigma), perhaps set and degrees_of_freedom: each set is
         analysed alone. Or a square matrix of correlations, or a covariance, with the names in its head and
         its first column.
-    matrix : Path, optional
-        Such a matrix for the parameters of the table.
-    set_name : str, optional
-        The only set to be analysed.
-    degrees_of_freedom : float
-        Redundancy where the table does not state it; unknown: infinite.
 
     Raises
     ------

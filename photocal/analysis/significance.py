@@ -75,15 +75,6 @@ def significance(estimates: Estimates, degrees_of_freedom: float, alpha: float =
     ----------
     estimates : Estimates
         Parameters with their covariance, scaled by the a posteriori variance of unit weight.
-    degrees_of_freedom : float
-        Redundancy of the adjustment.
-    alpha : float
-        Significance level.
-
-    Returns
-    -------
-    tuple of FTest
-        Single tests, then groups, then cumulative ones; a group counts when two or more of it were estimated.
 
     Raises
     ------

@@ -82,11 +82,6 @@ class CameraKeys(Table):
 def make_camera(keys: CameraKeys, where: object) -> Camera:
     """Make the camera that a `[[camera]]` describes.
 
-    Parameters
-    ----------
-    where : object
-        What to name in messages.
-
     Raises
     ------
     ConfigurationError

@@ -35,11 +35,6 @@ OBSERVATION_COLUMNS = ("image", "point", "x", "y")
 def read_block(folder: Path) -> Block:
     """Read a block folder.
 
-    Parameters
-    ----------
-    folder : Path
-        With block.toml, images.csv, points.csv and observations.csv or .parquet.
-
     Raises
     ------
     InputNotFoundError

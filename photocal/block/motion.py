@@ -44,15 +44,6 @@ def motion_of(
     """Motion of every image and by how much it may depart from it, in local axes, each of shape (n, 6).
 
     Also of which images the velocity is known, shape (n,).
-
-    Parameters
-    ----------
-    centre : ndarray, shape (n, 3)
-        Projection centres as far as they are known, in local coordinates.
-    positions : Positions
-        In local coordinates.
-    turn : ndarray, shape (n, 3, 3)
-        From the block's axes at each image to the local ones.
     """
     images, attitudes = block.images, block.attitudes
     motion, sigma = images.motion.copy(), images.motion_sigma.copy()

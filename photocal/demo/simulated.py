@@ -62,11 +62,6 @@ def fly(plan: Path, flight: Path, seed: int | None) -> None:
 def record(flight: Path, speed: float) -> None:
     """Let the devices speak on real ports and record them with the commands of the field.
 
-    Parameters
-    ----------
-    flight : Path
-        With `site/` and `truth/`; gets `site/flight.mcap`.
-
     Raises
     ------
     DeviceError

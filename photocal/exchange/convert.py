@@ -98,24 +98,7 @@ def unbalanced(own: Camera) -> Camera:
 def converted(
     own: Camera, model: Model, affinity: Affinity = "after", terms: Sequence[str] | None = None
 ) -> Conversion:
-    """Convert a camera to another model.
-
-    Parameters
-    ----------
-    own : Camera
-        Without balanced distortion (see `unbalanced`).
-    model : {"brown-observed", "brown-ideal"}
-    affinity : {"additive", "before", "after"}
-        Where the affinity acts in the new model.
-    terms : sequence of str, optional
-        Distortion parameters that the new model has; K1 to K4, P1, P2, B1, B2 when not given. c, x0 and y0
-        are kept where the directions are the same and adapt otherwise.
-
-    Returns
-    -------
-    Conversion
-        Nothing is lost and the residual is zero when the models are the same.
-    """
+    """Convert a camera to another model."""
     own = unbalanced(own)
     allowed = tuple(terms or ("K1", "K2", "K3", "K4", "P1", "P2", "B1", "B2"))
     used = {name for name, value in zip(PARAMETERS[3:], own.values[3:], strict=True) if value}

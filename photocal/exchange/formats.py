@@ -170,16 +170,6 @@ def named(name: str) -> Format:
 def export(form: Format, folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
     """Write a block in a format.
 
-    Parameters
-    ----------
-    folder : Path
-        Exists.
-
-    Returns
-    -------
-    tuple of Conversion
-        What the change of model cost each camera; empty for formats without cameras.
-
     Raises
     ------
     ConfigurationError, InputMalformedError

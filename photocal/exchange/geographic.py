@@ -95,11 +95,6 @@ def write_kml(path: Path, given: Reconstruction, to_geographic: ToGeographic) ->
 def footprints(given: Reconstruction, height_m: float) -> Floats:
     """Corners of each image on a horizontal plane.
 
-    Parameters
-    ----------
-    height_m : float
-        Z of the plane.
-
     Returns
     -------
     ndarray, shape (images, 4, 3)
@@ -125,15 +120,8 @@ def features(
 ) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
     """Give exposures, footprints on the median height of the points, and points.
 
-    Parameters
-    ----------
-    to_geographic : callable
-        Turns local coordinates into those to be written.
-
     Yields
     ------
-    geometry : dict
-        As in GeoJSON: points with height, polygons without.
     properties : dict
         kind (exposure, footprint, or the role of a point), name, and figures with their unit in the name.
     """

@@ -57,8 +57,6 @@ def write_geopackage(
     ----------
     to_geographic : callable or None
         From `geographic.topocentric`; None keeps local coordinates.
-    changed_utc : str
-        Time to be noted as that of the last change, as `2025-01-31T12:00:00.000Z`.
     """
     system = LOCAL if to_geographic is None else wgs84()
     layers: dict[str, tuple[Layer, list[Feature]]] = {

@@ -79,11 +79,6 @@ class ImagePosition:
 def read_gcp_list(path: Path) -> tuple[str, tuple[GroundMark, ...]]:
     """Read gcp_list.txt.
 
-    Returns
-    -------
-    crs : str
-        As written in the first line.
-
     Raises
     ------
     InputNotFoundError, InputMalformedError

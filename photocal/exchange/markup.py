@@ -17,11 +17,6 @@ MAX_XML_BYTES = 256 << 20
 def read_xml(path: Path) -> Element:
     """Read an XML file.
 
-    Returns
-    -------
-    Element
-        The root.
-
     Raises
     ------
     InputNotFoundError

@@ -104,8 +104,6 @@ def observations(
     ----------
     marks : sequence of Mark
         In `unit` and `axes`.
-    image_names, point_names : sequence of str
-        Of the block.
     unit, axes
         As in `Observations`.
 
@@ -150,13 +148,6 @@ def observations(
 
 def require_unique(names: Sequence[str], what: str, place: object) -> None:
     """Complain when a name comes twice.
-
-    Parameters
-    ----------
-    what : str
-        What they name.
-    place : object
-        For messages.
 
     Raises
     ------

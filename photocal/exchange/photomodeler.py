@@ -43,11 +43,6 @@ def read_control(path: Path) -> dict[str, tuple[Floats, Floats]]:
 def read_positions(path: Path) -> dict[str, tuple[Floats, float]]:
     """Read a table of camera positions: image, X, Y, Z, standard deviation of each coordinate.
 
-    Parameters
-    ----------
-    path : Path
-        Comma-separated.
-
     Returns
     -------
     dict

@@ -46,15 +46,7 @@ class _Shot:
 
 
 def read_pix4d_project(folder: Path) -> ForeignProject:
-    """Read a params folder.
-
-    Raises
-    ------
-    InputNotFoundError
-        When cameras or measurements are missing.
-    InputMalformedError
-        For a file that is cut or not what it should be.
-    """
+    """Read a params folder."""
     path, bingo = _file(folder, CAMERAS), _file(folder, BINGO)
     if path is None or bingo is None:
         raise InputNotFoundError(

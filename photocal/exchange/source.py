@@ -44,11 +44,6 @@ class Line:
 def require_readable(path: Path) -> int:
     """Complain when a path is no file with content of a credible size.
 
-    Returns
-    -------
-    int
-        Its size in bytes.
-
     Raises
     ------
     InputNotFoundError
@@ -75,11 +70,6 @@ def require_readable(path: Path) -> int:
 
 def read_text(path: Path) -> str:
     """Read a text file: UTF-8, or UTF-16 with its mark.
-
-    Returns
-    -------
-    str
-        With line feeds as line ends.
 
     Raises
     ------
@@ -108,16 +98,6 @@ def read_text(path: Path) -> str:
 def read_lines(path: Path, comment: str = "#") -> list[Line]:
     """Read the lines of a text file that have content.
 
-    Parameters
-    ----------
-    comment : str
-        What a line of comment starts with; empty when there is none.
-
-    Returns
-    -------
-    list of Line
-        Neither blank nor comment.
-
     Raises
     ------
     InputNotFoundError, InputMalformedError
@@ -133,13 +113,6 @@ def read_lines(path: Path, comment: str = "#") -> list[Line]:
 
 def number(cell: str, place: object, what: str) -> float:
     """Read one finite number.
-
-    Parameters
-    ----------
-    place : object
-        File and line, for messages.
-    what : str
-        What the number is.
 
     Raises
     ------
@@ -165,15 +138,6 @@ def number(cell: str, place: object, what: str) -> float:
 def numbers(text: str, place: object, what: str, count: int | None = None) -> list[float]:
     """Read numbers separated by blanks.
 
-    Parameters
-    ----------
-    place : object
-        For messages.
-    what : str
-        What the numbers are.
-    count : int, optional
-        How many there must be.
-
     Raises
     ------
     InputMalformedError
@@ -191,11 +155,6 @@ def numbers(text: str, place: object, what: str, count: int | None = None) -> li
 
 def whole(cell: str, place: object, what: str) -> int:
     """Read one whole number.
-
-    Parameters
-    ----------
-    cell, place, what
-        As in `number`.
 
     Raises
     ------
@@ -222,15 +181,6 @@ def beside(folder: Path, name: str, place: object) -> Path:
 
     Set-ups name their tables by relative paths that hold on the machine where they were made. When the
     path does not exist here, a file of the same name beside the set-up is taken.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the set-up.
-    name : str
-        As the set-up names it.
-    place : object
-        For messages.
 
     Raises
     ------

@@ -46,11 +46,6 @@ class Catalogue:
 def catalogue(language: str) -> Catalogue:
     """Read the texts of a language.
 
-    Parameters
-    ----------
-    language : str
-        One of `LANGUAGES`.
-
     Raises
     ------
     ConfigurationError

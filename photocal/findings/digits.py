@@ -35,15 +35,6 @@ class Measured:
 def fixed(value: float, decimals: int, mark: str) -> str:
     """Print a number with a fixed number of decimals.
 
-    Parameters
-    ----------
-    value : float
-        The number.
-    decimals : int
-        Decimals to keep; negative rounds to tens, hundreds ...
-    mark : str
-        The decimal mark, "." or ",".
-
     Returns
     -------
     str
@@ -63,22 +54,7 @@ def decimals_of(sigma: float, digits: int = 2) -> int:
 
 
 def significant(value: float, digits: int, mark: str) -> str:
-    """Print a number with so many significant digits, without exponent.
-
-    Parameters
-    ----------
-    value : float
-        The number.
-    digits : int
-        Significant digits.
-    mark : str
-        The decimal mark.
-
-    Returns
-    -------
-    str
-        The number; 0 as "0".
-    """
+    """Print a number with so many significant digits, without exponent."""
     if value == 0.0:
         return "0"
     return fixed(value, decimals_of(abs(value), digits), mark)
@@ -123,20 +99,7 @@ def symbol(parameter: str) -> str:
 
 
 def probability(p: float, mark: str) -> str:
-    """Write a probability: three decimals, or that it is smaller than that.
-
-    Parameters
-    ----------
-    p : float
-        Between 0 and 1.
-    mark : str
-        The decimal mark.
-
-    Returns
-    -------
-    str
-        "0.130" or "< 0.001".
-    """
+    """Write a probability: three decimals, or that it is smaller than that."""
     return relation(p, mark).removeprefix("=\u00a0")
 
 

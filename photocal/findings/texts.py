@@ -36,18 +36,6 @@ def plain(parameter: str) -> str:
 def finding_text(finding: Finding, say: Catalogue, name: Callable[[str], str] = symbol) -> str:
     """Say a finding in words.
 
-    Parameters
-    ----------
-    say : Catalogue
-        Language.
-    name : callable
-        How parameters are written: `symbol` or `plain`.
-
-    Returns
-    -------
-    str
-        What was found, why, and what to do: one sentence or some.
-
     Raises
     ------
     InputMalformedError
@@ -84,13 +72,7 @@ def remedy_text(finding: Finding, say: Catalogue, figures: Mapping[str, object])
 
 
 def finding_json(finding: Finding, say: Catalogue) -> dict[str, Any]:
-    """Give a finding as a JSON value; `Finding` can be validated from it.
-
-    Returns
-    -------
-    dict
-        Its attributes, and "text" in the language asked for.
-    """
+    """Give a finding as a JSON value; `Finding` can be validated from it."""
     record = {**asdict(finding), "text": finding_text(finding, say, plain)}
     return {key: _plain(value) for key, value in record.items()}
 

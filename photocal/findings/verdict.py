@@ -22,8 +22,6 @@ def of_global_test(
     ----------
     accepted : bool or None
         Its outcome; None without degrees of freedom.
-    estimated : bool
-        Whether the standard deviations come from the same residuals: then they test nothing.
     """
     if accepted is None or degrees_of_freedom < 1:
         return untested("global-factor", "no-redundancy")
@@ -37,14 +35,7 @@ def of_global_test(
 
 
 def verdict(findings: Iterable[Finding]) -> Finding:
-    """Judge over all findings: what is grave withholds acceptance, what is doubtful is a reservation.
-
-    Returns
-    -------
-    Finding
-        "usable" (passed), "usable-with-reservations" (doubtful) or "not-usable" (grave), with the codes of
-        what decided it.
-    """
+    """Judge over all findings: what is grave withholds acceptance, what is doubtful is a reservation."""
     listed = tuple(findings)
     grave = [
         f for f in listed if f.severity in ("refused", "grave") or (f.code in _EFFECTIVE and not f.small)

@@ -214,14 +214,6 @@ def camera(
     ----------
     camera_id, model, unit, size_px, pitch, reference_radius, affinity, affinity_form, focus_m
         As the attributes of `Camera`.
-    parameters : dict
-        Values by the names of `PARAMETERS`.
-    estimate : tuple of str
-        Names of the parameters to estimate.
-    prior_sigma : dict, optional
-        Standard deviations of values that are observations too.
-    photo_variant : dict, optional
-        Standard deviations of the images' deviations, see `Camera.deviation_sigma`.
 
     Raises
     ------

@@ -24,11 +24,6 @@ def scale_ratio(camera: Camera, distance_m: Floats) -> Floats:
 def focused(near: Camera, far: Camera, focus_m: float) -> Camera:
     """Camera focused to a distance, its radial distortion from calibrations at two others.
 
-    Parameters
-    ----------
-    near, far : Camera
-        The calibrations, each with its `focus_m`; that of `far` may be infinite.
-
     Returns
     -------
     Camera

@@ -184,8 +184,6 @@ def reference_frame(name: str, height: str, origin: Floats) -> ReferenceFrame:
 
     Parameters
     ----------
-    height : {"ellipsoidal", "orthometric", ...}
-        Kind of the heights.
     origin : ndarray, shape (3,)
         Middle of the block.
 

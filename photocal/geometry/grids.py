@@ -35,8 +35,6 @@ def missing_grids(crs: str, area: Area | None = None) -> list[str]:
 
     Parameters
     ----------
-    crs : str
-        As in a project, such as "EPSG:31982+5773".
     area : tuple of float, optional
         West, south, east, north, degrees; the whole area of the system when not given.
 

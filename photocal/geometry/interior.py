@@ -67,11 +67,6 @@ def interior_orientation(
         Readings of the marks, in any unit and of either handedness.
     known : ndarray, shape (n, 2)
         Their calibrated coordinates in the image system (x right, y up).
-    kind : {"conformal", "affine", "projective"}
-        x' = a x - b y + c, y' = b x + a y + d; six or eight parameters (Kraus 2007, section 2.1). A
-        conformal one takes up a mirrored reading system by itself.
-    names : sequence of str
-        Of the marks, for messages.
 
     Raises
     ------

@@ -157,19 +157,8 @@ def ray_residual(
         Camera parameters.
     optics_of : ndarray, shape (cameras, 14)
         From `optics`.
-    k : int
-        Which camera.
-    x, y : float
-        Coordinates in the image plane.
     u, v, w : float
         Object point in camera axes, m.
-    room : Scratch
-        Its `by_q` and `by_camera` receive the derivatives.
-
-    Returns
-    -------
-    tuple of float
-        In x and y. It depends on x - x0: its derivative to (x, y) is the negative one to (x0, y0).
     """
     by_q, by_camera, slope, terms = room.by_q, room.by_camera, room.slope, room.terms
     c, x0, y0, b1, b2 = (

@@ -50,11 +50,6 @@ def relative_orientations(first: Floats, second: Floats) -> list[RelativeOrienta
     ----------
     first, second : ndarray, shape (n, 2)
         Undistorted image coordinates over the principal distance (x right, y up) of the common points.
-
-    Returns
-    -------
-    list of RelativeOrientation
-        Those that see the points in front of both images; empty when there is none.
     """
     if len(first) < FEWEST:
         return []

@@ -44,12 +44,8 @@ def rolling_residual(
         Parameters of the camera, then V (m, object axes) and W (rad, camera axes).
     optics_of : ndarray, shape (lenses, 20)
         From `optics`, then the given velocity (m/s) and rate (rad/s).
-    rotation, i
-        Rotations of the images, and which is meant.
     u, v, w : float
         Object point in camera axes at the middle of the readout, m.
-    room : Scratch
-        Its `by_camera` receives the derivatives to camera, V and W, its `by_q` those to the point below.
 
     Returns
     -------

@@ -57,11 +57,6 @@ class Calibration:
 def calibrate(block: Block) -> Calibration:
     """Adjust a block and keep camera and mounting.
 
-    Parameters
-    ----------
-    block : Block
-        With positions and attitudes.
-
     Raises
     ------
     PhotocalError

@@ -112,17 +112,6 @@ def check_block(
 ) -> BlockCheck:
     """Georeference a block three ways and judge it at its ground points.
 
-    Parameters
-    ----------
-    standards : tuple of Standard
-        Applied to the check points of each method.
-    simulate : (Degradation, Generator), optional
-        Direct georeferencing from the adjusted orientation with this noise, labelled as simulated.
-    done : callable
-        Called with the name of each stage that ended.
-    calibration : Calibration, optional
-        Camera and mounting for direct georeferencing; without it those that the block states.
-
     Raises
     ------
     IllPosedError

@@ -38,22 +38,6 @@ def control_numbers(
 ) -> tuple[Outcome, dict[str, Any]]:
     """Repeat the adjustment with several numbers of control points.
 
-    Parameters
-    ----------
-    counts : iterable of int
-        Numbers that the block does not have are left out; all but one comes behind them.
-    seed : int
-        Of the choices.
-    done : callable
-        Called after each adjustment.
-
-    Returns
-    -------
-    outcome : Outcome
-        Every adjustment.
-    figures : dict
-        By number: RMSE seen and predicted, share of the errors within 95 % of their prediction.
-
     Raises
     ------
     ConfigurationError

@@ -47,15 +47,7 @@ class JointTest:
 
 
 def joint_test(d: Floats, covariance: Floats) -> JointTest:
-    """Judge differences jointly.
-
-    Parameters
-    ----------
-    d : ndarray, shape (n, 3)
-        m.
-    covariance : ndarray, shape (3 n, 3 n)
-        Of all of them.
-    """
+    """Judge differences jointly."""
     factor = np.linalg.cholesky(covariance)
     chi_squared = float(np.sum(np.linalg.solve(factor, d.ravel()) ** 2))
     average = np.tile(np.eye(3), len(d)) / len(d)
@@ -120,12 +112,7 @@ class Differences:
 
 
 def differences(block: Block, found: Georeferenced, role: Role) -> Differences:
-    """Compare the ground points of one role with their survey.
-
-    Parameters
-    ----------
-    role : {"control", "check"}
-    """
+    """Compare the ground points of one role with their survey."""
     mine = block.points.role[found.points] == ROLES.index(role)
     index, fitted = found.points[mine], found.fitted[mine]
     surveyed = block.points.values[index]

@@ -48,11 +48,6 @@ class DirectOrientation:
 def direct_orientation(block: Block) -> DirectOrientation:
     """Exterior orientation of the images of a block from its position and attitude observations.
 
-    Parameters
-    ----------
-    block : Block
-        With `positions` and `attitudes`, or with a sigma at all six elements of an image.
-
     Returns
     -------
     DirectOrientation

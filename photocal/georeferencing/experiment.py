@@ -164,18 +164,7 @@ class Outcome:
 
 
 def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: None) -> Outcome:
-    """Run an experiment.
-
-    Parameters
-    ----------
-    done : callable
-        Called after each run.
-
-    Returns
-    -------
-    Outcome
-        Runs that cannot be computed say why.
-    """
+    """Run an experiment."""
     block = with_attitude_angles(checkable(in_local_frame(experiment.block)))
     if experiment.noise is not None:
         # One realisation for all runs, so that they differ by what is being compared only.

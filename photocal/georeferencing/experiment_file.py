@@ -65,13 +65,6 @@ def read_experiment(
 ) -> Experiment:
     """Read an experiment.
 
-    Parameters
-    ----------
-    path : Path
-        Its paths are relative to its own folder.
-    read_block, read_interiors : callable
-        Readers of a block and of a file with [[camera]] entries.
-
     Raises
     ------
     InputNotFoundError

@@ -67,17 +67,6 @@ def to_text(outcome: Outcome) -> str:
 def write_experiment(outcome: Outcome, folder: Path) -> tuple[str, ...]:
     """Write the results of an experiment.
 
-    Parameters
-    ----------
-    folder : Path
-        Gets `experiment.json`, `runs.csv`, `leave_one_out.csv`, `rmse.pdf` and, where the number of control
-        points differs, `rmse_by_control.pdf`.
-
-    Returns
-    -------
-    tuple of str
-        Names of the files.
-
     Raises
     ------
     OutputError

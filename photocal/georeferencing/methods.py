@@ -93,14 +93,6 @@ def of_method(
 ) -> Georeferenced:
     """Georeference a block by one method.
 
-    Parameters
-    ----------
-    method : {"direct", "integrated", "indirect"}
-    note : str
-        Added to the label, such as where simulated orientations come from.
-    calibration : Calibration, optional
-        Camera and mounting for the direct method; without it those that the block states.
-
     Raises
     ------
     ConfigurationError
@@ -124,8 +116,6 @@ def without_weak_images(block: Block) -> tuple[Block, NDArray[np.bool_]]:
 
     Returns
     -------
-    block : Block
-        Without the rays of those images; their exterior orientation is held, so that it has no effect.
     weak : ndarray of bool, shape (images,)
     """
     weak = np.zeros(len(block.images.names), dtype=np.bool_)

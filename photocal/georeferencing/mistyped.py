@@ -66,17 +66,6 @@ def mistyped_control(
 
     Nothing is named when more than three are in contradiction, or when others could be to blame as well:
     then it is not the points.
-
-    Parameters
-    ----------
-    block : Block
-        In a local frame.
-    given : ndarray, shape (points, 3)
-        Coordinates as they were typed.
-    to_given : callable
-        From local coordinates to those of `given`.
-    system : str
-        Reference system of `given`.
     """
     control = np.flatnonzero(block.points.of_role("control"))
     if len(control) < _FEWEST:
@@ -105,17 +94,7 @@ def mistyped_control(
 
 
 def contradicting(d: Floats, covariance: Floats, common: Floats) -> tuple[int, ...]:
-    """Choose the fewest points without which the differences agree; none where that is not clear.
-
-    Parameters
-    ----------
-    d : ndarray, shape (n, 3)
-        Given less computed, m.
-    covariance : ndarray, shape (3 n, 3 n)
-        Of all of them together.
-    common : ndarray, shape (3 n, k)
-        What all of them may have in common.
-    """
+    """Choose the fewest points without which the differences agree; none where that is not clear."""
     removed: tuple[int, ...] = ()
     n = len(d)
     chi_squared = _misfit(d, covariance, common, removed)

@@ -30,20 +30,8 @@ def write_check(
 
     Parameters
     ----------
-    content : dict
-        From `as_json.to_json`.
-    folder : Path
-        Gets `check.json`, `ground_points.csv`, `images.csv`, `systematic_errors.csv`, `report.md` and for
-        each method with check points a residual map, histograms and a GeoPackage.
     system : ReferenceSystem
         Of the block's coordinates, for the GeoPackage.
-    changed_utc : str
-        Time that the GeoPackage notes.
-
-    Returns
-    -------
-    tuple of str
-        Names of the files.
 
     Raises
     ------

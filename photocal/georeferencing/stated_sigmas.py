@@ -22,11 +22,6 @@ def wrong_sigma(first: Solution, cause: float) -> GroupTest | None:
 
     A factor is one unknown, and gains likelihood where all residuals of a group are too large or too small;
     an error competes with it (Schwarz 1978). Too small residuals no error explains.
-
-    Parameters
-    ----------
-    cause : float
-        What the best error gains of v'Pv, beyond what its unknowns cost more than one.
     """
     groups = (tested(group) for group in first.groups if group.name in ("position", "attitude"))
     wrong = [

@@ -88,19 +88,7 @@ class Fit:
 
 
 def compare(name: str, before: Fit, after: Fit, unknowns: int, tests: int) -> Hypothesis:
-    """Test a fault.
-
-    Parameters
-    ----------
-    name : str
-        Code of the fault.
-    before, after : Fit
-        With its values held, and freed under weak observations of its values.
-    unknowns : int
-        Values that were freed.
-    tests : int
-        Faults that are tested: the significance of the whole is shared by them.
-    """
+    """Test a fault."""
     gain = max(before.chi_squared - after.chi_squared, 0.0)
     # As many weak observations as unknowns came in: the degrees of freedom are those of the data.
     freedom = max(before.degrees_of_freedom - unknowns, 1)

@@ -16,17 +16,7 @@ from photocal.geometry.camera import PARAMETERS, Camera
 
 
 def write_block(folder: Path, block: Block, record: dict[str, Any]) -> None:
-    """Write a block with observations in px of the stored pixel grid.
-
-    Parameters
-    ----------
-    folder : Path
-        Exists.
-    block : Block
-        Without relations, antenna positions and attitudes, which measurements of images do not make.
-    record : dict
-        How it was measured; becomes `measurement.json`.
-    """
+    """Write a block with observations in px of the stored pixel grid."""
     (folder / "block.toml").write_text(_setup(block), encoding="utf-8", newline="\n")
     images, points, seen = block.images, block.points, block.observations
     _write(

@@ -51,13 +51,6 @@ def measure_board(
     give, and a common part for what they cannot know (the flatness of the board, motion, the camera
     model), taken from the residuals of a first adjustment.
 
-    Parameters
-    ----------
-    name : str
-        Of the block.
-    done : callable
-        Told 1 after each image.
-
     Raises
     ------
     InputNotFoundError

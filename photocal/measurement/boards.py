@@ -62,11 +62,6 @@ class Board:
 def parse_board(text: str, square_m: float, dictionary_name: str = "") -> Board:
     """Read a board from "10x7" (squares in a row and in a column).
 
-    Parameters
-    ----------
-    dictionary_name : str
-        Of a ChArUco board; empty for a plain chessboard.
-
     Raises
     ------
     ConfigurationError

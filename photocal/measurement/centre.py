@@ -70,10 +70,6 @@ def accepted(
 
     Parameters
     ----------
-    fit : Fit
-        Its first two parameters are the place of the centre, relative to the middle of the window.
-    contrast : float
-        Grey values.
     approximate : tuple of float
         Column and row where it was expected, px.
     farthest : float

@@ -45,16 +45,8 @@ def measure_gcp(
 
     Parameters
     ----------
-    paths : sequence of Path
-        Of the images.
-    control_file : Path
-        See `read_control_marks`.
-    sigma_m : tuple of float
-        Horizontal and vertical, of points whose file does not say it.
     system : tuple of str
         Coordinate reference system in place of the file's, or empty; and the kind of the heights.
-    name : str
-        Of the block.
 
     Raises
     ------

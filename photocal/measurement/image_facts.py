@@ -107,11 +107,6 @@ class ImageFacts:
 def read_facts(path: Path) -> ImageFacts:
     """Read what an image says of itself, without decoding its pixels.
 
-    Returns
-    -------
-    ImageFacts
-        Damaged or missing tags are "not given", never guessed.
-
     Raises
     ------
     InputNotFoundError, InputMalformedError

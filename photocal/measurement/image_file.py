@@ -36,11 +36,6 @@ _ON_END = (5, 6, 7, 8)
 def list_images(folder: Path) -> tuple[Path, ...]:
     """List the image files of a folder, by their names.
 
-    Returns
-    -------
-    tuple of Path
-        Sorted; hidden files are left out.
-
     Raises
     ------
     InputNotFoundError

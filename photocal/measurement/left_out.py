@@ -24,15 +24,7 @@ OTHERS = 3
 def explained(
     left_out: Iterable[Mapping[str, str]], paths: Mapping[str, Path], facts: Sequence[ImageFacts]
 ) -> list[dict[str, str]]:
-    """Reasons with what the picture itself has to do with them.
-
-    Parameters
-    ----------
-    paths : mapping
-        Of all pictures that can be read, by name.
-    facts : sequence of ImageFacts
-        Of the same pictures.
-    """
+    """Reasons with what the picture itself has to do with them."""
     entries = [dict(entry) for entry in left_out]
     gone = {entry["image"] for entry in entries}
     of_image = {own.name: own for own in facts}

@@ -49,11 +49,6 @@ class Marker:
 def dictionary(name: str) -> Any:
     """Give a dictionary of markers by its name.
 
-    Parameters
-    ----------
-    name : str
-        One of `DICTIONARIES`.
-
     Raises
     ------
     ConfigurationError

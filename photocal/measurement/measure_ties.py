@@ -85,13 +85,6 @@ def measure_ties(
 ) -> TieBlock:
     """Measure tie points in images and make their block.
 
-    Parameters
-    ----------
-    name : str
-        Of the block.
-    progress : callable
-        Shows a bar for a title and an amount of work.
-
     Raises
     ------
     PhotocalError
@@ -123,11 +116,6 @@ def sight(
     lens: GivenLens = NO_LENS,
 ) -> Sighted:
     """Find features in images, match them and join the matches to tracks.
-
-    Parameters
-    ----------
-    looking : callable
-        Gives the footprints of images, by which pairs are chosen.
 
     Raises
     ------

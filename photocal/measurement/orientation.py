@@ -67,11 +67,6 @@ def of_exposures(project: Project, folder: Path) -> Orientation:
 
     The covariances of the attitudes hold how unsure the boresight is.
 
-    Parameters
-    ----------
-    folder : Path
-        That `photocal exposures` made.
-
     Raises
     ------
     InputNotFoundError, InputMalformedError

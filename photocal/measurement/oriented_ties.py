@@ -97,13 +97,7 @@ class First:
 
 
 def first_orientation(start: Block, tracks: Tracks) -> First:
-    """Orient a block by tracks of features.
-
-    Raises
-    ------
-    PhotocalError
-        When no two images can be oriented.
-    """
+    """Orient a block by tracks of features."""
     start, tracks, kept, left_out = _connected(start, tracks)
     sizes = _sizes(start)
     placed = oriented(start, _strong(tracks, sizes, FIRST_IN_A_CELL))
@@ -124,13 +118,7 @@ def orient_ties(
     processes: Workers,
     progress: Progress,
 ) -> Oriented:
-    """Orient a block by tracks of features and measure its tie points precisely.
-
-    Raises
-    ------
-    UnorientedError
-        When no two images can be oriented: what was measured goes with it.
-    """
+    """Orient a block by tracks of features and measure its tie points precisely."""
     names = start.images.names
     try:
         first = first_orientation(start, tracks)

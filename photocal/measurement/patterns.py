@@ -27,8 +27,6 @@ def cross(p: Floats, x: Floats, y: Floats, bend: Floats = FLAT) -> Floats:
 
     Parameters
     ----------
-    p : ndarray
-        Column, row, directions of the bars, width, blur, grey value beside, contrast of the bars.
     x, y : ndarray, shape (n,)
     bend : ndarray, shape (2, 2, 2)
         Of the ground, from `eccentricity.ground_bend`.

@@ -73,13 +73,9 @@ def measure_project(
 
     Parameters
     ----------
-    project : Project
-        Of it: the folder of the pictures, cameras, control points, marks and targets, system and heights.
     exposures : Orientation or None
         Exterior orientations of some or all images in the project's system, NaN where unknown: good to start
         from, and with their covariances to predict targets. Without: the positions that the images state.
-    marks_files : sequence of Path
-        Marks of other programs, beside those of the project, which go before them.
 
     Returns
     -------

@@ -66,13 +66,6 @@ class Sheet:
 def plain_target(kind: str, size_mm: float) -> Sheet:
     """Draw an uncoded target: disc, ring, cross or hourglass.
 
-    Parameters
-    ----------
-    kind : str
-        One of `PLAIN`.
-    size_mm : float
-        Diameter, or side of the square around it.
-
     Raises
     ------
     ConfigurationError
@@ -97,11 +90,6 @@ def plain_target(kind: str, size_mm: float) -> Sheet:
 
 def coded_target(dictionary_name: str, number: int, size_mm: float) -> Sheet:
     """Draw an ArUco or AprilTag marker.
-
-    Parameters
-    ----------
-    size_mm : float
-        Side of its black square.
 
     Raises
     ------

@@ -25,16 +25,6 @@ _DATE = dt.datetime(2000, 1, 1, tzinfo=dt.UTC)
 def sheets_pdf(sheets: Sequence[Sheet], paper: str) -> bytes:
     """Set target sheets, one on a page.
 
-    Parameters
-    ----------
-    paper : str
-        One of `PAPERS_MM`; turned when the target is wider than high.
-
-    Returns
-    -------
-    bytes
-        A PDF.
-
     Raises
     ------
     ConfigurationError

@@ -106,11 +106,6 @@ def of_images(tracks: Tracks, keep: NDArray[np.bool_]) -> Tracks:
     Parameters
     ----------
     keep : ndarray of bool, shape (images,)
-
-    Returns
-    -------
-    Tracks
-        Those with two rays and more.
     """
     left = tracks.some(keep[tracks.image])
     return replace(left, image=(np.cumsum(keep) - 1)[left.image])

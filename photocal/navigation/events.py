@@ -89,22 +89,8 @@ def time_marks(
 
     Parameters
     ----------
-    fields : structured array (n,)
-        Fields by the names of the interface description, in the order of the recording.
-    edge : str
-        ``rising`` or ``falling``.
-    link : str
-        Whose they are.
     leap_s : int, optional
         GPS time minus UTC where the table has ended.
-    stream_ns : int64 (n,), optional
-        Last epoch before each message in the stream, see `Events`.
-
-    Returns
-    -------
-    Events
-        With jumps of the counter in the remarks. Several edges between two epochs of navigation come as
-        several messages, of which each brings at most one new edge of a kind.
 
     Raises
     ------

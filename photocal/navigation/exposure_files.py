@@ -64,8 +64,6 @@ def write_block_images(
     path : Path
         The file; ``covariance.parquet`` in the same folder has the lower triangle, row by row, of X, Y, Z
         (m), omega, phi, kappa (deg) of every image, as a run folder has it.
-    exposures : Exposures
-        Those with position and image are written.
     camera : str
         The camera's id in the block.
     rig : Rig or None
@@ -159,8 +157,6 @@ def write_geo_txt(path: Path, exposures: Exposures, rig: Rig) -> None:
 
     Parameters
     ----------
-    exposures : Exposures
-        Those with position and image are written.
     rig : Rig
         Camera axes and boresight: the angles are the camera's, see `photocal.exchange.ground_points`.
     """

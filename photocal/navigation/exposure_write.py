@@ -25,14 +25,8 @@ def write_run(folder: Path, run: ExposureRun, rig: Rig, camera: str, crs: str | 
 
     Parameters
     ----------
-    folder : Path
-        Exists.
-    run : ExposureRun
-        What was found.
     rig : Rig
         Camera axes and boresight.
-    camera : str
-        Id of the camera in `images.csv`.
     crs : str or None
         System of `images.csv`; without: local.
 

@@ -70,8 +70,6 @@ def match(
     ----------
     image_s, event_s : float64 (n,), (m,)
         Times in seconds since any origin that both share up to the offset; any order.
-    resolution_s : float
-        Steps or jitter of the coarser clock (1 for EXIF without fractions).
     largest_offset_s, largest_drift : float, optional
         Bounds of offset (s) and drift between the clocks.
 

@@ -137,19 +137,6 @@ def process(
     ----------
     inputs : Inputs
         Observations, ephemerides and the base's position.
-    options : ProcessingOptions
-        From `options_for`.
-    mode : str
-        ``kinematic`` or ``static``.
-    engine : Engine
-        What computes positions.
-    folder : Path
-        Where the engine may leave its files.
-
-    Returns
-    -------
-    PpkResult
-        The trajectory and what is needed to judge it.
 
     Raises
     ------

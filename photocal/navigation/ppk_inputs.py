@@ -157,17 +157,6 @@ def converted(
 ) -> RinexFiles:
     """Convert what a receiver recorded to RINEX.
 
-    Parameters
-    ----------
-    recording : ReceiverRecording
-        Intact frames.
-    engine : Engine
-        What converts.
-    stem : Path
-        Where the files go.
-    near : GpsTime, optional
-        Settles the week of RTCM; without: the first epoch, else the time of receipt.
-
     Raises
     ------
     IllPosedError

@@ -15,11 +15,6 @@ from photocal.project import Project
 def choices_of_project(project: Project) -> Choices:
     """Return what `[flight]`, `[images]` and `[rig]` ask for.
 
-    Parameters
-    ----------
-    project : Project
-        Without a `[rig]` positions stay at the antenna.
-
     Raises
     ------
     ConfigurationError

@@ -51,11 +51,6 @@ class Survey:
 def run_survey(survey: Survey) -> tuple[NetworkSolution, list[dict[str, Any]]]:
     """Compute precise points, then the baselines one after the other, and adjust them.
 
-    Returns
-    -------
-    sessions : list of dict
-        Times against the required ones, status and length of every session.
-
     Raises
     ------
     ConfigurationError

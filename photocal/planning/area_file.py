@@ -20,11 +20,6 @@ def read_area(path: Path) -> Area:
     path : Path
         `.geojson` or `.json` (RFC 7946), `.kml`, or `.csv` with the columns lat_deg and lon_deg.
 
-    Returns
-    -------
-    Area
-        The polygon.
-
     Raises
     ------
     InputNotFoundError

@@ -41,17 +41,8 @@ def suggest_layout(corners_m: FloatArray, control: int, check: int, margin_m: fl
     ----------
     corners_m : ndarray, shape (n, 2)
         Corners of the area, m.
-    control : int
-        Number of control points, at least 3.
-    check : int
-        Number of check points.
     margin_m : float
         Distance that the places keep from the border, m, so that they lie on several photos.
-
-    Returns
-    -------
-    ControlLayout
-        The places; a suggestion for the map, to be moved to where the sky and the ground are open.
 
     Raises
     ------

@@ -42,11 +42,6 @@ def error_budget(
 def joined(stages: tuple[Stage, ...]) -> float:
     """Join the contributions of all stages.
 
-    Parameters
-    ----------
-    stages : tuple of Stage
-        The stages.
-
     Returns
     -------
     float

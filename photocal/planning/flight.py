@@ -156,18 +156,6 @@ def level_geometry(wish: Wish, height_m: float) -> LevelGeometry:
 def plan_flight(area: Area, wish: Wish) -> Flight:
     """Plan a flight over a polygon.
 
-    Parameters
-    ----------
-    area : Area
-        The polygon.
-    wish : Wish
-        Camera, heights and overlaps.
-
-    Returns
-    -------
-    Flight
-        With strips, exposures and expected precision.
-
     Raises
     ------
     ConfigurationError

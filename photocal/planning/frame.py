@@ -86,25 +86,7 @@ def footprint(gsd_m: float, frame: Frame) -> tuple[float, float]:
 
 
 def air_base(overlap: float, ground_side_m: float) -> float:
-    """Give the distance of neighbouring photos or strips (canon-elph study, equation 33).
-
-    Parameters
-    ----------
-    overlap : float
-        Share of the side that both photos show, 0 to below 1.
-    ground_side_m : float
-        Side of the footprint in that direction, m.
-
-    Returns
-    -------
-    float
-        Distance, m.
-
-    Raises
-    ------
-    ConfigurationError
-        For an overlap outside 0 to 1.
-    """
+    """Give the distance of neighbouring photos or strips (canon-elph study, equation 33)."""
     if not 0.0 <= overlap < 1.0:
         raise ConfigurationError(
             f"an overlap of {overlap:g} cannot be flown", remedy="give a share below 1, such as 0.8"

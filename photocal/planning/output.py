@@ -26,24 +26,8 @@ def write_plan(
 
     Parameters
     ----------
-    folder : Path
-        Gets `plan.json`, `exposures.csv`, `plan.geojson`, and `flight.plan` and `flight.waypoints` when
-        the take-off place is known.
-    flight : Flight
-        The plan.
-    layout : ControlLayout
-        Suggested control and check points.
     takeoff : tuple of Home and float, or None
         The take-off place, and the height of the ground of the area above mean sea level, m.
-    autopilot, vehicle : str
-        For the mission.
-    figures : dict
-        Content of `plan.json`.
-
-    Returns
-    -------
-    tuple of str
-        Names of the files.
 
     Raises
     ------

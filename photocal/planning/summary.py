@@ -42,12 +42,8 @@ def targets_of(standard: Standard, scale_denominator: float, class_name: str) ->
 
     Parameters
     ----------
-    standard : Standard
-        A standard of scales.
     scale_denominator : float
         Map scale 1:N.
-    class_name : str
-        Class of the standard.
 
     Returns
     -------
@@ -79,22 +75,7 @@ def targets_of(standard: Standard, scale_denominator: float, class_name: str) ->
 
 
 def to_json(flight: Flight, targets: tuple[Target, ...], said: tuple[Finding, ...]) -> dict[str, Any]:
-    """Give a planned flight as a JSON value.
-
-    Parameters
-    ----------
-    flight : Flight
-        The plan.
-    targets : tuple of Target
-        Classes that the product shall reach.
-    said : tuple of Finding
-        What is to be remarked.
-
-    Returns
-    -------
-    dict
-        Units in the names.
-    """
+    """Give a planned flight as a JSON value."""
     return {
         "schema": SCHEMA,
         "area_ha": flight.area_m2 / 1e4,
@@ -122,19 +103,10 @@ def remarks(
 
     Parameters
     ----------
-    flight : Flight
-        The plan.
-    targets : tuple of Target
-        Classes that the product shall reach.
     exposure_time_s : float or None
         Exposure time, s.
     shortest_interval_s : float or None
         Shortest time between two photos that the camera manages, s.
-
-    Returns
-    -------
-    tuple of Finding
-        What stands against it.
     """
     listed = []
     speed = flight.wish.speed_m_s
@@ -164,22 +136,7 @@ def remarks(
 
 
 def to_text(flight: Flight, targets: tuple[Target, ...], said: tuple[Finding, ...]) -> str:
-    """Write a planned flight for people.
-
-    Parameters
-    ----------
-    flight : Flight
-        The plan.
-    targets : tuple of Target
-        Classes that the product shall reach.
-    said : tuple of Finding
-        What is to be remarked.
-
-    Returns
-    -------
-    str
-        Several lines.
-    """
+    """Write a planned flight for people."""
     return "\n".join(
         [
             _heading(flight),

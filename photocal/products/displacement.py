@@ -90,15 +90,8 @@ def displacement(
 
     Parameters
     ----------
-    right, wrong : OrientedImages
-        The same images with two orientations.
     x, y : ndarray, shape (n,)
         Ground points, m.
-
-    Returns
-    -------
-    Displacement
-        Of the points that an image shows, in the image with the best nadir.
 
     Raises
     ------
@@ -128,11 +121,6 @@ def displacement(
 
 def draw_displacement(field: Displacement, title: str, path: Path) -> None:
     """Draw the shifts as arrows on a map; their scale is beside the map's own.
-
-    Parameters
-    ----------
-    path : Path
-        Ending in .pdf, .svg or .png.
 
     Raises
     ------

@@ -73,14 +73,6 @@ def fit(
         Measured coordinates, m, near the origin.
     covariance : ndarray, shape (n, d, d)
         Covariance of each point, m2; different points are uncorrelated.
-    start : ndarray
-        First parameters.
-    condition : callable
-        From parameters and points to the misclosures and both derivatives.
-    moved : callable
-        Applies a step of u parameters.
-    what : str
-        Name of the surface for messages.
 
     Raises
     ------

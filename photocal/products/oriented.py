@@ -18,8 +18,6 @@ def oriented(folder: Path, run: Path | None) -> tuple[Block, Frame, OrientedImag
 
     Parameters
     ----------
-    folder : Path
-        Block folder, or the set-up file of another program.
     run : Path or None
         Folder of its adjustment.
 
@@ -27,8 +25,6 @@ def oriented(folder: Path, run: Path | None) -> tuple[Block, Frame, OrientedImag
     -------
     frame : Frame
         Between the block's coordinates and the local ones of the images.
-    images : OrientedImages
-        In local coordinates.
 
     Raises
     ------

@@ -48,16 +48,6 @@ class Made:
 def image_files(block: Block, folder: Path, wanted: tuple[str, ...]) -> dict[int, RasterFile]:
     """Find the image files of a block.
 
-    Parameters
-    ----------
-    wanted : tuple of str
-        Names of images; empty for all.
-
-    Returns
-    -------
-    dict
-        From the number of an image to its file; all have the same bands and the size of their camera.
-
     Raises
     ------
     InputNotFoundError, InputMalformedError, ConfigurationError
@@ -201,8 +191,6 @@ def plan_grid(
 
     Returns
     -------
-    grid : Grid
-        Its corner is a multiple of the cell, so that neighbouring products fit together.
     pixel : float
         Median size of an image's pixel on the ground, m.
 
@@ -258,19 +246,6 @@ def write_orthophoto(
     advance: Callable[[float], None],
 ) -> Made:
     """Make an orthophoto and write it as GeoTIFF.
-
-    Parameters
-    ----------
-    recipe : Recipe
-        Its shots are those of the files, in their order.
-    files : dict
-        Of the images.
-    crs : str
-        WKT.
-    tags : dict
-        Metadata.
-    advance : callable
-        Takes the number of cells done.
 
     Raises
     ------

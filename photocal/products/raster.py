@@ -115,18 +115,6 @@ def _height_kind(source: Any) -> str:
 def terrain_source(raster: RasterFile, height_kind: str) -> Callable[[Bounds], Terrain]:
     """Give a reader of pieces of a terrain model; it may be called from several threads.
 
-    Parameters
-    ----------
-    raster : RasterFile
-        The first band is taken.
-    height_kind : str
-        Kind of its heights.
-
-    Returns
-    -------
-    callable
-        From bounds to the terrain around them.
-
     Raises
     ------
     InputMalformedError

@@ -22,8 +22,6 @@ def draw_rings(tank: Tank, axes: tuple[str, str, str], path: Path) -> None:
     ----------
     axes : tuple of str
         Names of the two horizontal axes and the vertical one.
-    path : Path
-        Ending in .pdf, .svg or .png.
 
     Raises
     ------

@@ -99,8 +99,6 @@ def read_ring_points(path: Path, vertical: Vertical, sigma_m: float | None) -> R
     ----------
     path : Path
         Columns section, point, X, Y, Z (m), optional sX, sY, sZ (m), rXY, rXZ, rYZ (correlations).
-    vertical : {"X", "Y", "Z"}
-        Axis that points up.
     sigma_m : float or None
         Standard deviation of all coordinates of a table without sX, sY, sZ.
 
@@ -173,15 +171,8 @@ def measure_tank(points: RingPoints, wall_thickness: float = 0.0) -> Tank:
 
     Parameters
     ----------
-    points : RingPoints
-        On the outside of the shell.
     wall_thickness : float
         Taken from every radius before a volume is computed, m; 0 where the points lie inside.
-
-    Returns
-    -------
-    Tank
-        Radii and circles are those of the points; mean radius and volumes those of the inside.
 
     Raises
     ------

@@ -82,14 +82,10 @@ def grid_of_points(points: TerrainPoints, cell: float, crs: str, height_kind: st
 
     Parameters
     ----------
-    points : TerrainPoints
-        Contours are made denser first, so that triangles follow and do not cross them.
     cell : float
         Size of the cells, m.
     crs : str
         WKT of the reference system, empty for a local frame.
-    height_kind : str
-        Kind of the heights.
 
     Returns
     -------

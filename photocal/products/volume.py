@@ -51,11 +51,6 @@ def cylinder_volume(radius: float, radius_sigma: float, height: float, height_si
     radius, radius_sigma, height, height_sigma : float
         m; radius and height uncorrelated.
 
-    Returns
-    -------
-    Volume
-        V = pi R2 H with var V = (2 pi R H)2 var R + (pi R2)2 var H (da Silva, 1995, eq. 61 to 64).
-
     Raises
     ------
     ConfigurationError

@@ -30,15 +30,8 @@ def tank_json(tank: Tank, axes: tuple[str, str, str], wall_thickness: float) -> 
 
     Parameters
     ----------
-    axes : tuple of str
-        Names of the coordinates; the last one is the vertical.
     wall_thickness : float
         m.
-
-    Returns
-    -------
-    dict
-        Standard deviations are a priori; the variance factors stand beside them.
     """
     cylinder = tank.cylinder
     return {

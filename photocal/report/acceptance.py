@@ -76,18 +76,7 @@ def limits(
 
 
 def verdict(checked: tuple[Limit, ...]) -> Verdict:
-    """Judge over all limits: one that is broken decides, one that is not determined leaves it open.
-
-    Parameters
-    ----------
-    checked : tuple of Limit
-        The limits.
-
-    Returns
-    -------
-    str
-        "acceptable", "new_calibration" or "not_determined".
-    """
+    """Judge over all limits: one that is broken decides, one that is not determined leaves it open."""
     kept = [limit.met for limit in checked]
     if False in kept:
         return "new_calibration"

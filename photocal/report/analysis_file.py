@@ -39,24 +39,9 @@ def analyse_run(
 
     Parameters
     ----------
-    folder : Path
-        Run folder that `photocal adjust` wrote.
     block : Path or None
         Block folder or set-up file; looked for where the run says, beside it and below the current folder
         when not given.
-    alpha : float
-        Significance level of the F tests.
-    threshold : float
-        Absolute value from which correlations are named.
-    done : callable
-        Called after each new adjustment.
-    say : Catalogue, optional
-        Language of the sentences in the file; English if not given.
-
-    Returns
-    -------
-    Outcome
-        All figures.
 
     Raises
     ------

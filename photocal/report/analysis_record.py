@@ -20,20 +20,7 @@ from photocal.report.stored_analysis import SCHEMA
 
 
 def analysis_record(outcome: Outcome, say: Catalogue) -> dict[str, Any]:
-    """Turn an analysis into plain values, ready for JSON.
-
-    Parameters
-    ----------
-    outcome : Outcome
-        The analysis.
-    say : Catalogue
-        Language of the sentences; codes and figures are the same in all.
-
-    Returns
-    -------
-    dict
-        "findings" first, worst first; what is not determined is null.
-    """
+    """Turn an analysis into plain values, ready for JSON."""
     search = outcome.search
     names = [camera.id for camera in search.first.network.cameras]
     return {

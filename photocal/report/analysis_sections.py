@@ -54,21 +54,7 @@ def _sigma(run: Run, analysis: StoredAnalysis, say: Catalogue) -> str:
 
 
 def parameters(title: str, camera_id: str, run: Run, analysis: StoredAnalysis, say: Catalogue) -> Section:
-    """Judge the parameters of one camera: tests, correlations, components, left out, jackknife.
-
-    Parameters
-    ----------
-    title : str
-        Title of the section.
-    camera_id : str
-        The camera.
-    run : Run
-        The run.
-    analysis : StoredAnalysis
-        Its analysis; the camera has estimated parameters.
-    say : Catalogue
-        Language.
-    """
+    """Judge the parameters of one camera: tests, correlations, components, left out, jackknife."""
     record, camera = analysis.cameras[camera_id], run.result.cameras[camera_id]
     if record is None:
         return Section(title, (Paragraph(say("analysis.none_found")),))

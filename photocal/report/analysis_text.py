@@ -14,20 +14,7 @@ from photocal.geometry.camera import PARAMETERS
 
 
 def analysis_text(outcome: Outcome, say: Catalogue) -> str:
-    """Turn an analysis into text.
-
-    Parameters
-    ----------
-    outcome : Outcome
-        The analysis.
-    say : Catalogue
-        Language.
-
-    Returns
-    -------
-    str
-        Findings first, worst first; then each camera; then the methods.
-    """
+    """Turn an analysis into text."""
     parts = [_findings(outcome, say)]
     for k, one in enumerate(outcome.cameras):
         if one is not None:

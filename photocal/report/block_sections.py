@@ -24,17 +24,7 @@ ARCSECONDS = 3600.0
 
 
 def method(title: str, run: Run, say: Catalogue) -> Section:
-    """Say how the calibration was done and from what.
-
-    Parameters
-    ----------
-    title : str
-        Title of the section.
-    run : Run
-        The adjustment.
-    say : Catalogue
-        Language.
-    """
+    """Say how the calibration was done and from what."""
     result = run.result
     models = sorted({camera.model for camera in result.cameras.values()})
     texts = [say("method.text"), *(say(f"method.model_{m.removeprefix('brown-')}") for m in models)]
@@ -115,17 +105,7 @@ def _block_facts(run: Run, say: Catalogue) -> KeyValues:
 
 
 def exterior_orientation(title: str, run: Run, say: Catalogue) -> Section:
-    """Make the table of exterior orientations and the summary of their standard deviations.
-
-    Parameters
-    ----------
-    title : str
-        Title of the section.
-    run : Run
-        The adjustment.
-    say : Catalogue
-        Language.
-    """
+    """Make the table of exterior orientations and the summary of their standard deviations."""
     n = len(run.result.images.names)
     order, caption, remark = list(range(n)), say("eop.table"), ""
     if n > ROWS:
@@ -183,17 +163,7 @@ def _eop_quality(run: Run, say: Catalogue) -> Table:
 
 
 def check_points(title: str, run: Run, say: Catalogue) -> Section:
-    """Make the table of check points, or say that there are none.
-
-    Parameters
-    ----------
-    title : str
-        Title of the section.
-    run : Run
-        The adjustment.
-    say : Catalogue
-        Language.
-    """
+    """Make the table of check points, or say that there are none."""
     checks = run.result.checks
     if checks.n == 0:
         return Section(title, (Paragraph(say("checks.none")),))
@@ -238,17 +208,7 @@ def _check_decimals(points: tuple[CheckPoint, ...]) -> int:
 
 
 def global_test(title: str, run: Run, say: Catalogue) -> Section:
-    """Say how the global test came out and what the a posteriori factor is.
-
-    Parameters
-    ----------
-    title : str
-        Title of the section.
-    run : Run
-        The adjustment.
-    say : Catalogue
-        Language.
-    """
+    """Say how the global test came out and what the a posteriori factor is."""
     result, test = run.result, run.result.global_test
     if test is None or result.sigma0_squared is None:
         return Section(title, (Paragraph(say("test.none")),))
@@ -273,17 +233,7 @@ def percent(probability: float, say: Catalogue) -> str:
 
 
 def inputs(title: str, run: Run, say: Catalogue) -> Section:
-    """List the software and every file with its SHA-256.
-
-    Parameters
-    ----------
-    title : str
-        Title of the section.
-    run : Run
-        The adjustment.
-    say : Catalogue
-        Language.
-    """
+    """List the software and every file with its SHA-256."""
     software = run.result.software
     return Section(
         title,

@@ -101,19 +101,7 @@ def _affinity(camera: Camera, say: Catalogue) -> str:
 
 
 def interior_orientation(title: str, camera: Camera, result: Result, say: Catalogue) -> Section:
-    """Make the table of interior orientation parameters with standard deviations and significance.
-
-    Parameters
-    ----------
-    title : str
-        Title of the section.
-    camera : Camera
-        The camera.
-    result : Result
-        The adjustment: where its test is rejected the scaled standard deviations stand beside.
-    say : Catalogue
-        Language.
-    """
+    """Make the table of interior orientation parameters with standard deviations and significance."""
     dof, test = result.degrees_of_freedom, result.global_test
     critical = critical_t(dof)
     refuted = test is not None and not test.accepted and bool(result.sigma0_squared)

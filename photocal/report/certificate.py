@@ -50,17 +50,6 @@ def certificate(
 ) -> Document:
     """Compose the certificate.
 
-    Parameters
-    ----------
-    run : Run
-        Results of the adjustment.
-    particulars : Particulars
-        What a person gives.
-    say : Catalogue
-        Language.
-    told : tuple of Finding
-        By the processing before the adjustment.
-
     Raises
     ------
     InputMalformedError

@@ -56,17 +56,7 @@ class Facts:
 
 
 def facts(run: Run, camera_id: str, particulars: Particulars) -> Facts:
-    """Collect the figures and check them.
-
-    Parameters
-    ----------
-    run : Run
-        The adjustment.
-    camera_id : str
-        One of its cameras.
-    particulars : Particulars
-        What a person gave; given figures go before computed ones.
-    """
+    """Collect the figures and check them."""
     camera, campaign = run.result.cameras[camera_id], particulars.campaign
     pixel = pixel_size_mm(camera, particulars)
     focal = camera.value("c") if camera.unit == "mm" else camera.value("c") * pixel if pixel else None

@@ -100,15 +100,6 @@ def residual_map(camera: Camera, vectors: Vectors, say: Catalogue) -> str:
     ----------
     camera : Camera
         Format and unit.
-    vectors : Vectors
-        The arrows.
-    say : Catalogue
-        Language of the labels.
-
-    Returns
-    -------
-    str
-        SVG.
     """
     extent = np.array(camera.size_px) * np.array(camera.pitch)
     w, h = (float(side) for side in extent)

@@ -41,31 +41,12 @@ def issue(
 
     Parameters
     ----------
-    run : Path
-        Folder that `photocal adjust` wrote, with what `photocal analyse` added.
-    output : Path
-        Folder for the certificate; made or renewed when everything has succeeded.
-    day : date
-        Of the certificate.
-    language : str
-        One of `catalogue.LANGUAGES`.
     block : Path or None
         Block folder or set-up file of the run; looked for near it when not given. Its files are carried.
     particulars : Path or None
         TOML file with what a person gives.
-    client, operator : str
-        For whom and by whom; go before those of the file.
     key : str
         Fingerprint of the key by which it will be signed; printed.
-    told : tuple of Finding
-        By the processing before the adjustment.
-    done : callable
-        Called after each of four steps.
-
-    Returns
-    -------
-    Document
-        What was printed.
 
     Raises
     ------

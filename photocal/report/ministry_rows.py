@@ -317,18 +317,7 @@ FILLERS: dict[str, Callable[[Context], Filled]] = {
 
 
 def corners(c: Context) -> tuple[tuple[str, ...], ...]:
-    """Corners of the image: number, column and line (px), x and y (mm, from the image centre, y up).
-
-    Parameters
-    ----------
-    c : Context
-        The camera and its pixel size.
-
-    Returns
-    -------
-    tuple of tuple of str
-        Upper left, lower left, lower right, upper right; the millimetres are empty without a pixel size.
-    """
+    """Corners of the image: number, column and line (px), x and y (mm, from the image centre, y up)."""
     width, height = c.camera.size_px
     places = (("1", 0, 0), ("2", 0, height), ("3", width, height), ("4", width, 0))
     (_, px), (_, py) = _sides(c)

@@ -73,17 +73,7 @@ def _centimetres(value: float | None, say: Catalogue) -> str:
 
 
 def findings(title: str, found: tuple[Finding, ...], say: Catalogue) -> Section:
-    """List what the plausibility checks found.
-
-    Parameters
-    ----------
-    title : str
-        Title of the section.
-    found : tuple of Finding
-        Worst first.
-    say : Catalogue
-        Language.
-    """
+    """List what the plausibility checks found."""
     text = Paragraph(say("plausibility.text"))
     if not found:
         return Section(title, (text, Paragraph(say("plausibility.none"))))

@@ -43,19 +43,8 @@ def record(
 
     Parameters
     ----------
-    run : Run
-        Results of the adjustment.
-    particulars : Particulars
-        What a person gave.
     say : Catalogue
         Language of the technical report's texts.
-    told : tuple of Finding
-        By the processing before the adjustment.
-
-    Returns
-    -------
-    dict
-        Plain values, ready for JSON. `documents` is for the caller to fill.
     """
     result = {key: value for key, value in result_json(run.result).items() if key in RESULT_KEYS}
     known = tuple(facts(run, name, particulars) for name in run.result.cameras)
@@ -159,18 +148,6 @@ def with_documents(certificate: dict[str, Any], documents: dict[str, bytes]) -> 
 def read_record(path: Path) -> tuple[dict[str, Any], Path]:
     """Read a machine-readable certificate.
 
-    Parameters
-    ----------
-    path : Path
-        certificate.json, or the folder that has it.
-
-    Returns
-    -------
-    certificate : dict
-        Its content.
-    folder : Path
-        The folder it lies in.
-
     Raises
     ------
     InputNotFoundError
@@ -200,13 +177,6 @@ def read_record(path: Path) -> tuple[dict[str, Any], Path]:
 
 def certified_result(certificate: dict[str, Any], folder: Path) -> Figures:
     """Give the result of the adjustment that a certificate carries.
-
-    Parameters
-    ----------
-    certificate : dict
-        From `read_record`.
-    folder : Path
-        Where it lies, for messages.
 
     Raises
     ------

@@ -31,22 +31,6 @@ def repeated(
 ) -> Run:
     """Adjust and analyse the certified inputs anew, as the certificate says that it was done.
 
-    Parameters
-    ----------
-    certified : dict
-        Machine-readable certificate.
-    folder : Path
-        Where it lies, for messages.
-    source : Source
-        The inputs, all with their certified digests.
-    done : callable
-        Called after each adjustment.
-
-    Returns
-    -------
-    Run
-        What the certificate should tell of.
-
     Raises
     ------
     PhotocalError

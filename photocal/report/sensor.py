@@ -56,14 +56,10 @@ def to_plane(camera: Camera, measured: Floats, residual: Floats, *, unit: str, a
 
     Parameters
     ----------
-    camera : Camera
-        Format and pitch.
     measured, residual : ndarray, shape (n, 2)
         In `unit` and `axes`.
     unit : {"px", "mm"}
         Unit of the observations.
-    axes : {"pixel", "photo"}
-        Column and row, or x right and y up from the image centre.
     """
     # Pitch in the unit of the observations per pixel, and in the unit of the camera per pixel.
     observed = np.array((1.0, 1.0) if unit == "px" else camera.pitch)
@@ -75,22 +71,7 @@ def to_plane(camera: Camera, measured: Floats, residual: Floats, *, unit: str, a
 
 
 def thinned(residuals: SensorResiduals, camera: Camera, at_most: int) -> Vectors:
-    """Keep every residual, or their means over square cells when there are too many to see.
-
-    Parameters
-    ----------
-    residuals : SensorResiduals
-        All rays.
-    camera : Camera
-        Its format bounds the cells.
-    at_most : int
-        More rays than this are averaged over about as many cells as a quarter of it.
-
-    Returns
-    -------
-    Vectors
-        The arrows; each stands for one ray when nothing was averaged.
-    """
+    """Keep every residual, or their means over square cells when there are too many to see."""
     n = len(residuals.place)
     if n <= at_most:
         return Vectors(residuals.place, residuals.residual_px, np.ones(n, dtype=np.int64))

@@ -102,15 +102,6 @@ def own_key() -> Key | None:
 def sign(folder: Path, number: str, now: dt.datetime, passphrase: str = "") -> Key:
     """Sign a certificate's folder as it lies there and note it in the journal.
 
-    Parameters
-    ----------
-    folder : Path
-        With certificate.json; gets `signature.json`.
-    number : str
-        Of the certificate.
-    now : datetime
-        With its zone.
-
     Raises
     ------
     PhotocalError
@@ -158,10 +149,6 @@ def authenticity(folder: Path, named: str, known: Mapping[str, str]) -> Authenti
 
     Parameters
     ----------
-    folder : Path
-        Of the certificate.
-    named : str
-        Fingerprint that the certificate names on its page; empty when it names none.
     known : mapping of str to str
         Names by the fingerprints of known keys.
     """

@@ -72,13 +72,7 @@ def changed_files(certificate: dict[str, Any], folder: Path) -> list[str]:
 
 
 def changed_pages(folder: Path, pages: Mapping[str, bytes]) -> list[str]:
-    """Name the pages of a certificate that do not say what its figures give.
-
-    Parameters
-    ----------
-    pages : mapping of str to bytes
-        Printed anew, by the names of their files.
-    """
+    """Name the pages of a certificate that do not say what its figures give."""
     return [
         f"{name} does not say what the figures give"
         for name, printed in pages.items()
@@ -107,22 +101,7 @@ def _drawings(page: bytes) -> bytes:
 
 
 def differences(certified: Any, found: Any, place: str = "", sigma: float = 0.0) -> list[Difference]:
-    """Compare two certificates figure by figure.
-
-    Parameters
-    ----------
-    certified, found : dict, list or plain value
-        The certificate, and the same made anew.
-    place : str
-        Where they stand, for the answer.
-    sigma : float
-        Standard deviation of the value, if it stands beside one.
-
-    Returns
-    -------
-    list of Difference
-        Empty when every figure is the same.
-    """
+    """Compare two certificates figure by figure."""
     if isinstance(certified, dict) and isinstance(found, dict):
         return _in_mappings(certified, found, place)
     if isinstance(certified, list) and isinstance(found, list) and len(certified) == len(found):

@@ -45,15 +45,7 @@ def result_of(
     components: Sequence[Component] = (),
     timing_s: dict[str, float] | None = None,
 ) -> Result:
-    """Make the result of an adjustment; covariances are scaled by the a priori unit variance.
-
-    Parameters
-    ----------
-    assembly : NetworkOfBlock
-        What was adjusted in the end: without the rejected rays, with the estimated sigmas.
-    timing_s : dict, optional
-        Seconds by stage.
-    """
+    """Make the result of an adjustment; covariances are scaled by the a priori unit variance."""
     factor = solution.variance_factor
     cameras = tuple(
         _adjusted_camera(camera, values, covariance)

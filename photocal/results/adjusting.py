@@ -38,21 +38,6 @@ def adjust_block(
 ) -> Result:
     """Read a block, adjust it, write the results.
 
-    Parameters
-    ----------
-    source : Path
-        Block folder, or what `read` takes.
-    output : Path
-        Run folder; made or renewed when everything has succeeded.
-    snooping : {"w", "tau"}, optional
-        Search for gross errors with this test.
-    report : callable, optional
-        Called after each iteration.
-    wanted : Wanted
-        What is asked for beside the tables that every run has.
-    read : callable
-        Reader of the source; `exchange.any_block.read_any_block` takes set-up files of other programs too.
-
     Raises
     ------
     PhotocalError
@@ -115,18 +100,6 @@ def adjusted(
     assembly: NetworkOfBlock, snooping: Test | None = None, report: Report | None = None
 ) -> tuple[NetworkOfBlock, Solution]:
     """Adjust the network of an assembly.
-
-    Parameters
-    ----------
-    snooping : {"w", "tau"}, optional
-        Search for gross errors with this test.
-    report : callable, optional
-        Called after each iteration.
-
-    Returns
-    -------
-    assembly : NetworkOfBlock
-        With snooping, only what is accepted remains in its network.
 
     Raises
     ------

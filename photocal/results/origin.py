@@ -61,20 +61,7 @@ def digest(path: Path) -> str:
 
 
 def changed_inputs(inputs: Sequence[InputFile], folder: Path) -> list[Changed]:
-    """Compare files with their digests.
-
-    Parameters
-    ----------
-    inputs : sequence of InputFile
-        What was read, with paths within the folder.
-    folder : Path
-        Where the files lie.
-
-    Returns
-    -------
-    list of Changed
-        Those that are missing or different, in order.
-    """
+    """Compare files with their digests."""
     found = []
     for file in inputs:
         path = folder / file.path
@@ -89,19 +76,8 @@ def block_of_run(run: Path, result: Figures, given: Path | None, here: Path) -> 
 
     Parameters
     ----------
-    run : Path
-        The run folder.
-    result : Figures
-        Content of its result.json.
     given : Path or None
         The block folder or set-up file, when the user named it.
-    here : Path
-        Folder to look below when it is neither where the run says nor beside the run.
-
-    Returns
-    -------
-    Source
-        All of its files have the hashes of the run.
 
     Raises
     ------
@@ -151,10 +127,6 @@ def carry(inputs: Sequence[InputFile], source: Source, folder: Path) -> None:
 
     Parameters
     ----------
-    inputs : sequence of InputFile
-        The files.
-    source : Source
-        Where they lie.
     folder : Path
         The certificate's.
     """

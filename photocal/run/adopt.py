@@ -64,17 +64,6 @@ def adopt(
 ) -> dict[str, Any]:
     """Adjust a project anew; `output` gets its block, the run, `adoption.json` and the certificate.
 
-    Parameters
-    ----------
-    path : Path
-        Folder or set-up file.
-    output : Path
-        Folder, made.
-    day : date
-        Of the certificate.
-    gcp : Path, optional
-        Control points with their marks for a project that has none; a `gcp_list.txt` in it is taken.
-
     Raises
     ------
     PhotocalError

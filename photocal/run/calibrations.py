@@ -77,11 +77,6 @@ def is_camera_file(path: Path) -> bool:
 def read_calibrated(paths: Sequence[Path]) -> tuple[Calibrated, ...]:
     """Find the calibrations of run folders, work folders and projects.
 
-    Returns
-    -------
-    tuple of Calibrated
-        With different names.
-
     Raises
     ------
     InputNotFoundError
@@ -136,13 +131,6 @@ def cameras_of(flights: Sequence[Calibrated]) -> CameraFile:
 
 def exchanged(flights: Sequence[Calibrated], done: Callable[[], None] = lambda: None) -> tuple[Use, ...]:
     """Georeference every flight directly with the calibration of every one, judged at its check points.
-
-    Parameters
-    ----------
-    flights : sequence of Calibrated
-        Of one rig, with antenna positions and attitudes.
-    done : callable
-        Called after each.
 
     Raises
     ------

@@ -51,26 +51,6 @@ def run_projects(
 ) -> list[dict[str, Any]]:
     """Run projects, which do not depend on each other.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Project files.
-    day : date
-        Of certificates that are made now.
-    progress : callable
-        Shows what goes on, where it goes on here.
-    until, again, rehash
-        As in `workflow.run_project`.
-    workers : int
-        Processes.
-    cluster : str, optional
-        Address of a Dask scheduler whose workers see the same files.
-
-    Returns
-    -------
-    list of dict
-        Figures of each project, in order.
-
     Raises
     ------
     PhotocalError
@@ -136,20 +116,6 @@ def run_one(
     say: Callable[[str], None] = _say,
 ) -> dict[str, Any]:
     """Run one project and give its figures.
-
-    Parameters
-    ----------
-    path : Path
-        Project file.
-    day, until, again, rehash, progress
-        As in `workflow.run_project`.
-    say : callable
-        Is told of each stage that is done and, when the run fails, of what was found doubtful.
-
-    Returns
-    -------
-    dict
-        From `summary.summary`.
 
     Raises
     ------

@@ -41,34 +41,13 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
 
 
 def sweep(folder: Path) -> None:
-    """Remove what a killed run has left beside a folder.
-
-    Parameters
-    ----------
-    folder : Path
-        That `replaced_folder` was making.
-    """
+    """Remove what a killed run has left beside a folder."""
     for left in folder.parent.glob(f".{folder.name}.*{_ASIDE}"):
         shutil.rmtree(left, ignore_errors=True)
 
 
 def publish(made: Path, public: Path, record: Path) -> tuple[str, ...]:
-    """Bring the public copy of a stage's files up to date; what the stages have not written stays.
-
-    Parameters
-    ----------
-    made : Path
-        Folder with nothing but the files of the stage.
-    public : Path
-        Where people find them, and put files of their own beside them.
-    record : Path
-        File that remembers what was published.
-
-    Returns
-    -------
-    tuple of str
-        What is not of the stage, one phrase each.
-    """
+    """Bring the public copy of a stage's files up to date; what the stages have not written stays."""
     new = {path.relative_to(made).as_posix(): _digest(path) for path in _files(made) if path != made / RECORD}
     owned = _published(record)
     with _refusals(public):

@@ -50,11 +50,6 @@ class NewProject:
 def new_project(folder: Path, crs: str = "", height: str = "") -> NewProject:
     """Write `project.toml` and, where control stands in another form, `control.csv` and `marks.csv`.
 
-    Parameters
-    ----------
-    crs, height : str
-        Of the control points, where their file does not say it; empty: unknown.
-
     Raises
     ------
     InputNotFoundError

@@ -46,15 +46,7 @@ _UNITS = {"feet": 0.3048, "millimetres": 0.001, "centimetres": 0.01, "kilometres
 
 
 def check_project(project: Project) -> None:
-    """Complain of a system, of control and of places that cannot be right together.
-
-    Raises
-    ------
-    ConfigurationError
-        With the cause.
-    PhotocalError
-        For control that cannot be read.
-    """
+    """Complain of a system, of control and of places that cannot be right together."""
     given = project.contents.measurements
     if given is not None and given.block is not None:
         return
@@ -258,13 +250,7 @@ def _neighbours(crs: str, latitude: float, longitude: float) -> Iterator[str]:
 
 
 def check_near(project: Project, control: ObjectPoints, places: Floats) -> None:
-    """Complain of control that no picture can show, for it lies beside all positions.
-
-    Parameters
-    ----------
-    places : ndarray, shape (images, 3)
-        In the project's system; NaN where unknown.
-    """
+    """Complain of control that no picture can show, for it lies beside all positions."""
     places = places[np.isfinite(places).all(axis=1)]
     points = control.values[control.of_role("control")]
     if not len(places) or not len(points):
@@ -282,16 +268,7 @@ def check_near(project: Project, control: ObjectPoints, places: Floats) -> None:
 
 
 def check_rays(block: Block, control_file: Path | None, *, alike: bool = False) -> None:
-    """Complain of control far from where rays of oriented exposures meet, naming the slip that explains it.
-
-    Parameters
-    ----------
-    block : Block
-        Whose images are oriented by GNSS and inertial unit.
-    alike : bool
-        Complain of control that is shifted all alike, too: base, datum and antenna can do that, and an
-        adjustment that succeeds tells them apart.
-    """
+    """Complain of control far from where rays of oriented exposures meet, with the slip that explains it."""
     frame = block_frame(block)
     rows = np.flatnonzero(~block.points.of_role("tie") & np.isfinite(block.points.values).all(axis=1))
     seen = block.observations

@@ -21,22 +21,7 @@ _BORESIGHT = ("boresight_x", "boresight_y", "boresight_z")
 
 
 def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any]:
-    """Collect the figures of the stages.
-
-    Parameters
-    ----------
-    name : str
-        Of the project.
-    work : Path
-        Work folder.
-    made : sequence of StageResult
-        The stages of this run.
-
-    Returns
-    -------
-    dict
-        Ready for JSON; null where a stage was not made.
-    """
+    """Collect the figures of the stages."""
     done, say = {one.name for one in made}, catalogue("en")
 
     def figures(stage: str, file: str) -> dict[str, Any] | None:
@@ -132,18 +117,7 @@ def _classes(check: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def summary_text(figures: dict[str, Any]) -> str:
-    """Write a summary for people.
-
-    Parameters
-    ----------
-    figures : dict
-        From `summary`.
-
-    Returns
-    -------
-    str
-        Some twenty lines.
-    """
+    """Write a summary for people."""
     kept = sum(one["kept"] for one in figures["stages"])
     seconds = sum(one["seconds"] for one in figures["stages"] if not one["kept"])
     made = len(figures["stages"]) - kept

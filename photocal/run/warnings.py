@@ -28,20 +28,7 @@ _NOT_CHECKED = Finding("not-checked", "doubtful", stage="certificate")
 
 
 def gather(work: Path, stages: Container[str] | None = None) -> tuple[Finding, ...]:
-    """Collect the findings of the stages: causes, consequences, notes, each in the order of the stages.
-
-    Parameters
-    ----------
-    work : Path
-        Work folder.
-    stages : container of str, optional
-        Names of the stages that count; without, all that are there.
-
-    Returns
-    -------
-    tuple of Finding
-        Each once.
-    """
+    """Collect the findings of the stages: causes, consequences, notes, each in the order of the stages."""
     listed: list[Finding] = []
     for stage, name, read in _SOURCES:
         path = work / stage / name
@@ -54,18 +41,7 @@ def gather(work: Path, stages: Container[str] | None = None) -> tuple[Finding, .
 
 
 def told_beside(run: Path) -> tuple[Finding, ...]:
-    """Give what the whole processing found to a certificate that is made of one of its stages.
-
-    Parameters
-    ----------
-    run : Path
-        Run folder; a stage of `photocal run` or not.
-
-    Returns
-    -------
-    tuple of Finding
-        Nothing for a folder of `photocal adjust`, which has no stages beside it.
-    """
+    """Give what the whole processing found to a certificate that is made of one of its stages."""
     work = run.resolve().parent
     if not (made_in(work) / run.resolve().name).is_dir():
         return ()
@@ -107,11 +83,6 @@ def causes_first(
     no more than the observations need; here the other stages come in: what positions without fixed
     ambiguities contradict, or images whose rows are not of one moment, is no proof against base, antenna,
     lever arm or zoom.
-
-    Parameters
-    ----------
-    fixed_percent : float
-        Share of the positions that have fixed ambiguities.
     """
     findings = tuple(given)
     codes = {one.code for one in findings}

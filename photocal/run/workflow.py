@@ -60,21 +60,6 @@ def run_project(
 ) -> tuple[StageResult, ...]:
     """Bring the stages of a project up to date.
 
-    Parameters
-    ----------
-    day : date
-        Of a certificate that is made now.
-    progress : callable
-        Shows what goes on.
-    until : str, optional
-        Last stage.
-    again : str, optional
-        A stage that is made even when nothing has changed.
-    rehash : bool
-        Whether every file is read again, also large ones that look unchanged.
-    told : callable
-        Told of each stage that is done.
-
     Raises
     ------
     PhotocalError

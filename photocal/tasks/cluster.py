@@ -36,16 +36,6 @@ class Cluster:
     def run(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
         """Do a piece of work for each task; one whose worker dies is done again by another.
 
-        Parameters
-        ----------
-        function : callable
-            Of a module, so that workers find it.
-
-        Yields
-        ------
-        result
-            In the order of the tasks; only a few are held at a time.
-
         Raises
         ------
         ProgramMissingError
@@ -67,11 +57,6 @@ class Cluster:
 
     def require_shared(self, images: Path, cache: Path) -> None:
         """Make sure that all workers see the images, and results that others keep.
-
-        Parameters
-        ----------
-        images, cache : Path
-            Folders.
 
         Raises
         ------

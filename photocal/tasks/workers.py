@@ -27,20 +27,6 @@ def run_tasks(
 ) -> Iterator[Result]:
     """Do a piece of work for each task.
 
-    Parameters
-    ----------
-    function : callable
-        Of a module, so that new processes find it.
-    tasks : iterable
-        Small: file names, not images.
-    workers : int or Cluster
-        Number of processes; 1 does all the work in this process.
-
-    Yields
-    ------
-    result
-        In the order of the tasks; only a few are held at a time.
-
     Raises
     ------
     ProgramMissingError

@@ -44,13 +44,7 @@ class Clock:
 
 
 def run(model: ReceiverModel, start_gps_ns: int, stop_gps_ns: int, rng: np.random.Generator) -> Clock:
-    """Let a clock run through a session.
-
-    Parameters
-    ----------
-    start_gps_ns, stop_gps_ns : int
-        First and last possible epoch; epochs are whole multiples of the interval in receiver time.
-    """
+    """Let a clock run through a session."""
     every = round(model.interval_s * SECOND_NS)
     tag = np.arange(-(-start_gps_ns // every) * every, stop_gps_ns + 1, every, dtype=np.int64)
     bias = rng.uniform(-4e-4, 4e-4) if model.clock_bias_s is None else model.clock_bias_s

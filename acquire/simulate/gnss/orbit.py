@@ -44,11 +44,6 @@ def evaluate(ephemeris: Ephemeris, seconds: Floats, origin_gps_ns: int) -> Orbit
     ----------
     seconds : float64 (n,)
         GPS time since `origin_gps_ns`, seconds: small numbers keep the time exact.
-
-    Returns
-    -------
-    Orbit
-        Position, velocity and clock at those times.
     """
     v = ephemeris.value
     tk = seconds + (origin_gps_ns - ephemeris.toe_gps_ns) / SECOND_NS

@@ -64,17 +64,8 @@ def simulate(
 
     Parameters
     ----------
-    rover, base : Antenna
-        Their ways; the base stands still.
     start_gps_ns, stop_gps_ns : int
         Session, GPS nanoseconds since 1980-01-06.
-    rng : Generator
-        All chance comes from it: the same state gives the same bytes.
-
-    Returns
-    -------
-    Session
-        Measurements, from which the streams are made.
 
     Raises
     ------

@@ -52,15 +52,7 @@ class Tracking:
 def track(
     seconds: Floats, visible: Flags, slips_per_hour: float, data: bool, rng: np.random.Generator
 ) -> Tracking:
-    """Follow a signal.
-
-    Parameters
-    ----------
-    seconds : float64 (n,)
-        Times of the epochs, rising.
-    visible : bool (n,)
-        Whether the signal arrives.
-    """
+    """Follow a signal."""
     code = np.zeros(len(seconds), bool)
     starts: list[float] = []
     ends: list[float] = []

@@ -43,8 +43,6 @@ def sight(
     Parameters
     ----------
     points_m : ndarray, shape (n, 3)
-    readout_s : float
-        Time from the first to the last row; 0 for a global shutter.
     """
     image, point, pixels = [], [], []
     for number in range(len(exposures)):

@@ -23,20 +23,7 @@ Advance = Callable[[float], None]
 
 
 def simulate_flight(configuration: Configuration, folder: Path, advance: Advance) -> dict[str, Any]:
-    """Simulate a flight and write `site/` and `truth/`.
-
-    Parameters
-    ----------
-    folder : Path
-        An empty folder.
-    advance : callable
-        Is told the share of the work done since the last call.
-
-    Returns
-    -------
-    dict
-        Figures of the summary.
-    """
+    """Simulate a flight and write `site/` and `truth/`."""
     world = make_world(configuration)
     site, truth = folder / "site", folder / "truth"
     site.mkdir(parents=True)

@@ -249,15 +249,8 @@ def accumulate(
 
     Parameters
     ----------
-    design, values, structure
-        The network, the current unknowns and where they stand.
     damping : float
         Relative addition to the diagonal of each point's own block (Marquardt 1963).
-    matrices, gradients, totals
-        Receive, for each thread, the matrix, the gradient A'Pv and the sum of v'Pv, which is infinite
-        when a point lies behind a camera that sees it.
-    kept : Eliminated
-        Receives what the points' steps need.
     singular : ndarray of bool, shape (points,)
         Receives the points that their rays do not determine.
     """

@@ -31,8 +31,6 @@ def evaluate(design: Design, values: Values, residuals: Floats, depth: Floats) -
 
     Parameters
     ----------
-    design, values
-        As in `accumulate`.
     residuals : ndarray, shape (rays, 2)
         Receives computed minus measured.
     depth : ndarray, shape (rays,)

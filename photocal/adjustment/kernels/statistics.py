@@ -169,12 +169,6 @@ def statistics(
 
     Parameters
     ----------
-    design, values, structure
-        As in `accumulate`, at the adjusted values.
-    inverse : ndarray
-        Selected inverse of the reduced matrix.
-    kept : Eliminated
-        From `accumulate` at the adjusted values, without damping.
     point_covariance : ndarray, shape (points, 3, 3)
     residuals, redundancy : ndarray, shape (rays, 2)
         Receive the results. r = 1 - p a Q a' with a the row of the design matrix (Foerstner 1979).

@@ -78,8 +78,6 @@ def sights(cameras: tuple[Camera, ...], camera_of: Integers, points: int, rays: 
     Parameters
     ----------
     camera_of : ndarray of int, shape (images,)
-    rays : Rays
-        Sorted by point.
     """
     return Sights(cameras, cameras, camera_of, points, rays, _slopes(cameras, camera_of, rays))
 

@@ -86,15 +86,7 @@ def empty_model(sights: Sights, given: Floats) -> Model:
 
 
 def grown(model: Model, among: Flags, limit: int | None = None) -> Model:
-    """Orient image after image, until no more can be reached.
-
-    Parameters
-    ----------
-    among : ndarray of bool, shape (images,)
-        Images that may be oriented.
-    limit : int, optional
-        Number of images to stop at.
-    """
+    """Orient image after image, until no more can be reached."""
     model = intersected(model)
     adjusted_at = int(model.oriented.sum())
     failed = ~among

@@ -67,12 +67,8 @@ def start_values(
         NaN where unknown. Complete ones are kept as they are; of others a known X, Y, Z serves as control.
     points : ndarray, shape (points, 3)
         Coordinates of control points, NaN for all others.
-    rays : Rays
-        Sorted by point.
     relations : Relations
         Their distances give a free network its scale.
-    free : bool
-        Whether a network without control is wanted in a system of its own: that of the largest model.
     """
     seen = sights(cameras, camera_of, len(points), rays)
     model = _known_poses(empty_model(seen, points), exposures)

@@ -55,8 +55,6 @@ def sensor_grid(size_px: tuple[int, int], step_px: float | None = None) -> Array
 
     Parameters
     ----------
-    size_px : (int, int)
-        Columns and rows of the image.
     step_px : float, optional
         Distance of the grid points; 100 px unless the image is so small that fewer than 20 columns of
         points would fit. The first point stands half a step from the upper left.
@@ -81,8 +79,6 @@ def view(camera: Camera, pixels: Array) -> View:
 
     Parameters
     ----------
-    camera : Camera
-        The calibration.
     pixels : (n, 2) array
         Column and row, px.
 

@@ -114,11 +114,6 @@ def read_camera_file(path: Path) -> CameraFile:
         TOML: `[[camera]]` as in block.toml with optional `sigma` and `correlation` (names, matrix); optional
         `[comparison]` and `[[published]]`. The model "pix4d" takes f, Px, Py, R1, R2, R3, T1, T2.
 
-    Returns
-    -------
-    CameraFile
-        Its content.
-
     Raises
     ------
     InputNotFoundError
@@ -145,20 +140,7 @@ def read_camera_file(path: Path) -> CameraFile:
 
 
 def camera_file(tables: dict[str, Any], path: Path) -> CameraFile:
-    """Check the tables of such a file.
-
-    Parameters
-    ----------
-    tables : dict
-        As TOML gives them.
-    path : Path
-        What to name in messages.
-
-    Raises
-    ------
-    ConfigurationError
-        When a key is unknown or missing, or a value impossible.
-    """
+    """Check the tables of such a file."""
     try:
         file = _File.model_validate(tables)
     except ValidationError as refusal:

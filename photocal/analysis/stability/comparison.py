@@ -77,23 +77,8 @@ def compare(
 
     Parameters
     ----------
-    calibrations : tuple of Calibration
-        Two or more, of one format.
     pixels : (n, 2) array
         The grid, column and row, px.
-    chosen : tuple of Method
-        Methods to apply, made for n points.
-    generator : numpy.random.Generator
-        For the distribution of each figure.
-    draws : int
-        Random draws for each distribution.
-    done : callable
-        Called after each pair.
-
-    Returns
-    -------
-    tuple of Pair
-        Pairs in the order of the calibrations.
 
     Raises
     ------

@@ -95,24 +95,7 @@ def resection_misfit(heights: Array) -> Misfit:
 
 
 def methods(points: int, terrains: tuple[Terrain, ...], repeats: int, seed: int) -> tuple[Method, ...]:
-    """List every method with every definition.
-
-    Parameters
-    ----------
-    points : int
-        Number of grid points.
-    terrains : tuple of Terrain
-        Grounds for the single photo resection.
-    repeats : int
-        Random grounds of each kind, over which the figure is averaged.
-    seed : int
-        Of the random heights.
-
-    Returns
-    -------
-    tuple of Method
-        Misclosure, zero rotation, rotation, and a resection for each kind of ground.
-    """
+    """List every method with every definition."""
     fixed = (
         Method("MIS", "root mean square", "equations", 0, False, (misclosure_misfit,)),
         Method("MIS", "mean distance", "tables", 0, True, (misclosure_misfit,)),
@@ -158,18 +141,6 @@ def fitted_pose(method: Method, misfit: Misfit, first: View, second: View) -> tu
 def figure(method: Method, misfit_px: Array) -> Array:
     """Condense misfits into the figure of a method.
 
-    Parameters
-    ----------
-    method : Method
-        Root mean square with the redundancy 2n - k, or mean distance.
-    misfit_px : (..., n, 2) array
-        Differences, px.
-
-    Returns
-    -------
-    (...) array
-        The figure, px.
-
     Notes
     -----
     Without a pose the root mean square is that of the distances, sqrt(sum(dx^2 + dy^2) / n); with a pose it
@@ -182,20 +153,7 @@ def figure(method: Method, misfit_px: Array) -> Array:
 
 
 def redundancy(method: Method, points: int) -> int:
-    """Give the divisor of the sum of squares: 2n - k with a pose, n (distances) without.
-
-    Parameters
-    ----------
-    method : Method
-        With its k pose elements.
-    points : int
-        Number n of grid points.
-
-    Returns
-    -------
-    int
-        The divisor.
-    """
+    """Give the divisor of the sum of squares: 2n - k with a pose, n (distances) without."""
     return 2 * points - method.pose_size if method.pose_size else points
 
 

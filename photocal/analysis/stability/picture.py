@@ -26,16 +26,8 @@ def draw(
 
     Parameters
     ----------
-    pairs : tuple of Pair
-        The comparison.
-    names : tuple of str
-        The calibrations in order.
     thresholds_px : tuple of float
         Limits between the colours, ascending, px.
-    path : Path
-        Picture to write.
-    ending : str
-        Its format: "png", "svg" or "pdf".
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.colors import BoundaryNorm, LinearSegmentedColormap

@@ -51,20 +51,7 @@ class Followed:
 
 
 def follow(printed: tuple[Printed, ...], pairs: tuple[Pair, ...]) -> tuple[Followed, ...]:
-    """Set printed figures against those of the comparison.
-
-    Parameters
-    ----------
-    printed : tuple of Printed
-        Printed figures; those of pairs or methods that were not compared are left out.
-    pairs : tuple of Pair
-        The comparison.
-
-    Returns
-    -------
-    tuple of Followed
-        Both figures, in the order of `printed`.
-    """
+    """Set printed figures against those of the comparison."""
     computed = {
         (figure.method, figure.definition, pair.first, pair.second): figure.value_px
         for pair in pairs
@@ -81,8 +68,6 @@ def likeness(figure: Figure, thresholds_px: tuple[float, ...]) -> float | None:
 
     Parameters
     ----------
-    figure : Figure
-        A figure of a pair.
     thresholds_px : tuple of float
         Thresholds, px.
 
@@ -101,17 +86,8 @@ def sentences(
 
     Parameters
     ----------
-    pairs : tuple of Pair
-        The comparison.
     thresholds_px : tuple of float
         Thresholds, px.
-    followed : tuple of Followed
-        Printed figures against computed ones.
-
-    Returns
-    -------
-    tuple of str
-        One sentence on stability for each method, then one for each printed figure that does not follow.
     """
     loosest = max(thresholds_px)
     said = []

@@ -16,18 +16,7 @@ from photocal.findings.finding import Finding
 
 
 def findings(search: Search) -> tuple[Finding, ...]:
-    """Turn a search into a list.
-
-    Parameters
-    ----------
-    search : Search
-        What was found.
-
-    Returns
-    -------
-    tuple of Finding
-        Large ones first, in the order in which they should be dealt with, then small ones.
-    """
+    """Turn a search into a list."""
     listed = [of_round(one) for one in search.rounds]
     listed += of_shift(search)
     listed += of_sigma(search)

@@ -53,18 +53,7 @@ def of_groups(search: Search) -> list[Finding]:
 
 
 def of_images(search: Search) -> list[Finding]:
-    """Describe images that scatter more, or have a scale or principal point of their own.
-
-    Parameters
-    ----------
-    search : Search
-        What was found.
-
-    Returns
-    -------
-    list of Finding
-        No line, or one for each that is concerned.
-    """
+    """Describe images that scatter more, or have a scale or principal point of their own."""
     components = {one.name: one for one in search.images}
     sigma_px = search.sigma.found / min(search.last.network.cameras[0].pitch)
     overall = search.sigma.found / search.sigma.assumed

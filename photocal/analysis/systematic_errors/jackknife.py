@@ -45,18 +45,6 @@ class Jackknife:
 def jackknife(fit: Fit, done: Callable[[], None] = lambda: None) -> Jackknife:
     """Take each image out of the minimum, or each group of neighbours in a large network.
 
-    Parameters
-    ----------
-    fit : Fit
-        The network at its minimum.
-    done : callable
-        Called after each adjustment.
-
-    Returns
-    -------
-    Jackknife
-        Parameters without each, and their standard error.
-
     Notes
     -----
     Efron, The jackknife, the bootstrap and other resampling plans, 1982.

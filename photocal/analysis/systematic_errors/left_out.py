@@ -84,24 +84,7 @@ def without_parameter(fit: Fit, camera: int, parameter: int) -> Lowest | Near:
 def left_out(
     fit: Fit, camera: int, checks: Checks, done: Callable[[], None] = lambda: None
 ) -> tuple[LeftOut, ...]:
-    """Find the minimum without each estimated parameter but c, one at a time.
-
-    Parameters
-    ----------
-    fit : Fit
-        The network at its minimum.
-    camera : int
-        Whose parameters.
-    checks : Checks
-        Check points, perhaps none.
-    done : callable
-        Called after each adjustment.
-
-    Returns
-    -------
-    tuple of LeftOut
-        Outcomes; parameters without which nothing converges are not among them.
-    """
+    """Find the minimum without each estimated parameter but c, one at a time."""
     own = fit.network.cameras[camera]
     found = []
     for at in np.flatnonzero(own.estimated):

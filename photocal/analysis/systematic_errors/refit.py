@@ -73,15 +73,8 @@ def fit(network: Network, state: State | None = None) -> Fit:
 
     Parameters
     ----------
-    network : Network
-        What to adjust.
     state : State, optional
         Where to start; the network's own start values otherwise.
-
-    Returns
-    -------
-    Fit
-        Minimum and statistics.
 
     Raises
     ------
@@ -111,24 +104,7 @@ def with_sigmas(network: Network, factor: float) -> Network:
 
 
 def without_images(network: Network, state: State, left_out: NDArray[np.bool_]) -> tuple[Network, State]:
-    """Take images out of a network, and the points that are then not determined.
-
-    Parameters
-    ----------
-    network : Network
-        The network.
-    state : State
-        Its current values.
-    left_out : (images,) array of bool
-        True for those to take out.
-
-    Returns
-    -------
-    network : Network
-        The smaller network.
-    state : State
-        Current values of what is left.
-    """
+    """Take images out of a network, and the points that are then not determined."""
     image_place = np.cumsum(~left_out) - 1
     kept = ~left_out[network.rays.image]
     count = np.bincount(network.rays.point[kept], minlength=len(network.point_names))

@@ -60,8 +60,6 @@ def residual_map(
 
     Parameters
     ----------
-    size_px : (int, int)
-        Columns and rows of the image.
     pixel : (n, 2) array
         Measured column and row, px.
     residual_px : (n, 2) array
@@ -70,13 +68,6 @@ def residual_map(
         Standardised residuals in the same axes; NaN where nothing checks a ray.
     variance_factor : float
         Variance of unit weight that the standardised residuals are judged by.
-    level : float
-        Probability of one or more significant cells without a systematic part.
-
-    Returns
-    -------
-    ResidualMap
-        The grid with its tests.
     """
     from scipy import stats
 

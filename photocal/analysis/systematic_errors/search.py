@@ -94,20 +94,7 @@ class Search:
 
 
 def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
-    """Look for systematic errors in an adjusted network.
-
-    Parameters
-    ----------
-    first : Fit
-        The network at its minimum.
-    done : callable
-        Called after each piece of work.
-
-    Returns
-    -------
-    Search
-        What was found.
-    """
+    """Look for systematic errors in an adjusted network."""
     rounds = list[Round]()
     shift = position_shift(first)
     if shift is not None and shift.p_value >= LEVEL:

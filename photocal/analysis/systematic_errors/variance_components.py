@@ -45,17 +45,6 @@ def variance_components(
     ----------
     names : tuple of str
         Names of the m groups.
-    group : (n,) array of int
-        Group of each observation.
-    squares : (n,) array
-        Squared residuals over the assumed variances, (v / sigma)^2.
-    redundancy : (n,) array
-        Redundancy numbers, 0 to 1.
-
-    Returns
-    -------
-    tuple of VarianceComponent
-        One for each group with at least two checked observations, in order.
 
     Notes
     -----

@@ -7,24 +7,7 @@ from pathlib import Path
 
 
 def sweep(folder: Path, most_bytes: int, unused_s: float, now_s: float) -> int:
-    """Remove the files that were not used for longest.
-
-    Parameters
-    ----------
-    folder : Path
-        All files in it and below count, and nothing else is touched; links are not followed.
-    most_bytes : int
-        What remains has no more.
-    unused_s : float
-        Files not used for longer than this go, however few there are.
-    now_s : float
-        Seconds since 1970.
-
-    Returns
-    -------
-    int
-        Bytes that remain.
-    """
+    """Remove the files that were not used for longest."""
     files = []
     for where, _, names in os.walk(folder):
         for name in names:

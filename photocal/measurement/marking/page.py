@@ -31,13 +31,7 @@ _LONGEST_REQUEST = 10_000
 
 
 def application(scene: Scene, store: MarkStore, cache: Path) -> Starlette:
-    """Return the page and what answers it.
-
-    Parameters
-    ----------
-    cache : Path
-        Where tiles are kept.
-    """
+    """Return the page and what answers it."""
     desk = Desk(scene, store, cache)
 
     def telling(path: str, tell: Callable[[], dict[str, Any]]) -> Route:

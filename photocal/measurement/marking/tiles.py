@@ -81,11 +81,6 @@ class Tiles:
     def tile(self, picture: Path, address: TileAddress) -> bytes:
         """Give a tile as JPEG.
 
-        Returns
-        -------
-        bytes
-            Tiles at the right and lower edge are smaller.
-
         Raises
         ------
         InputNotFoundError
