@@ -184,7 +184,7 @@ def test_plan_targets_and_products_are_there(certified: Desk) -> None:
 
 
 def test_the_certificate_is_verified_and_a_changed_digit_named(certified: Desk) -> None:
-    assert "verified" in certified.said["photocal verify"]
+    assert "reproducible" in certified.said["photocal verify"]
     points = certified.folder / "work" / "certificate" / "inputs" / "points.csv"
     points.write_text(points.read_text().replace("control", "check", 1))
     words = _program("photocal", "verify", "work/certificate")
