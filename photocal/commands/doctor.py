@@ -195,7 +195,9 @@ def _disk(folder: Path) -> Check:
 
 def _memory() -> Check:
     with contextlib.suppress(OSError, ValueError, AttributeError):
-        total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        # Where there is no such call, the size is not known.
+        sysconf = getattr(os, "sysconf")  # noqa: B009
+        total = sysconf("SC_PAGE_SIZE") * sysconf("SC_PHYS_PAGES")
         text = f"{total / 2**30:.1f} GiB"
         if total < LEAST_MEMORY:
             return Check("memory", "poor", text, "take smaller blocks, or a machine with 4 GiB or more")

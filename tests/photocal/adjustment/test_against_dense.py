@@ -98,7 +98,8 @@ def test_large_errors_inside_the_polynomial() -> None:
 
 def test_all_parameters_with_priors() -> None:
     prior = {"K3": 1e-9, "K4": 1e-12, "P3": 1e-2, "P4": 1e-4, "x0": 0.05, "c": 0.1}
-    own = networks.lens(estimate=PARAMETERS, prior_sigma=prior)
+    # But for the readout: images that stand still tell nothing of it.
+    own = networks.lens(estimate=PARAMETERS[:-1], prior_sigma=prior)
     # P3 and P4 multiply P1 and P2: the last 1e-4 sigma of the iteration shows in the covariance.
     same(networks.observe(networks.convergent((own,), images=5, points=14), np.random.default_rng(4)), 2e-4)
 

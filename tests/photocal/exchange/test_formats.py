@@ -25,7 +25,7 @@ READ = [form for form in FORMATS if form.read is not None]
 SURVEYED = ("metashape", "dbat", "micmac")
 # Formats that leave out the marks of the others.
 FEW_MARKS = ("metashape",)
-TO_RADIUS = np.array([-1, -1, -1, 2, 4, 6, 8, 1, 1, 2, 4, 0, 0], dtype=float)
+TO_RADIUS = np.array([-1, -1, -1, 2, 4, 6, 8, 1, 1, 2, 4, 0, 0, 0], dtype=float)
 
 unit = st.floats(-1, 1)
 lens = st.tuples(st.floats(0.6, 1.0), *[unit] * 7)
