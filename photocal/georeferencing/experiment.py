@@ -37,7 +37,7 @@ class InteriorSet:
         Values.
     sigma : ndarray, shape (13,)
         Standard deviations; NaN where none is known.
-    correlation : ndarray, shape (13, 13), or None
+    correlation : ndarray, shape (14, 14), or None
         Correlations of the parameters with a sigma; None where they are not known.
     """
 

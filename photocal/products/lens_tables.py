@@ -20,7 +20,7 @@ class LensTables:
 
     Attributes
     ----------
-    values : ndarray, shape (cameras, 13)
+    values : ndarray, shape (cameras, 14)
     optics : ndarray, shape (cameras, 11)
     pitch, size : ndarray, shape (cameras, 2)
     limit : ndarray, shape (cameras,)

@@ -28,9 +28,9 @@ class Jackknife:
     ----------
     left_out : tuple of tuple of str
         Images that were left out together, one entry for each of m adjustments.
-    cameras : (m, cameras, 13) array
+    cameras : (m, cameras, 14) array
         Parameters without them.
-    standard_error : (cameras, 13) array
+    standard_error : (cameras, 14) array
         Jackknife standard error, sqrt((m - 1) / m sum (t_i - mean)^2); NaN when m < 3.
     not_possible : tuple of str
         Images without which the rest is not determined.

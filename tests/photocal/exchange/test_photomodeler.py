@@ -42,7 +42,8 @@ def test_round_trip_with_two_cameras(tmp_path: Path) -> None:
 
 
 def test_affinity_goes_into_the_width_of_a_pixel(tmp_path: Path) -> None:
-    own = replace(observed_camera(), affinity="before").with_values([*observed_camera().values[:11], 2e-4, 0, 0])
+    values = [*observed_camera().values[:11], 2e-4, 0, 0]
+    own = replace(observed_camera(), affinity="before").with_values(values)
     given = reconstruction_of((own,))
     write_photomodeler(tmp_path / "e.txt", given)
     block = read_photomodeler(tmp_path / "e.txt", tmp_path / "e-control.txt")
