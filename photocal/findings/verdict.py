@@ -37,9 +37,7 @@ def of_global_test(
 def verdict(findings: Iterable[Finding]) -> Finding:
     """Judge over all findings: what is grave withholds acceptance, what is doubtful is a reservation."""
     listed = tuple(findings)
-    grave = [
-        f for f in listed if f.severity in ("refused", "grave") or (f.code in _EFFECTIVE and not f.small)
-    ]
+    grave = [f for f in listed if _grave(f)]
     doubtful = [f for f in listed if f.severity in ("doubtful", "consequence") and f not in grave]
     decided = tuple(dict.fromkeys(f.code for f in grave or doubtful))
     figures = {"n": float(len(grave or doubtful)), "codes": decided, "limit": FACTOR}

@@ -79,11 +79,13 @@ def targets_of_project(
 
 
 def _require_points(project: Project, control: ObjectPoints) -> None:
+    table = project.control.points
     for own in project.control.plain_targets:
         for name in own.points:
             if name not in control.names:
                 raise ConfigurationError(
-                    f"targets ({own.kind}) name point {name}, which the control points lack",
+                    f"targets ({own.kind}) name point {name}, "
+                    f"which {'[control] without points' if table is None else table.name} lacks",
                     where=project.path,
                     remedy="correct the name or add the point",
                 )

@@ -260,7 +260,10 @@ def test_a_project_uses_them(field: Field, tmp_path: Path, photocal: Callable[..
     record = json.loads(said.out)
     plain = record["targets"]["plain"]
     assert plain["found"] == record["marks"]["targets"] >= 8
-    assert any(text.startswith("ambiguous, not used: point P6: 2 targets") for text in record["warnings"])
+    refused = [one["subject"] for one in record["findings"] if one["code"] == "target-ambiguous"]
+    assert sorted(subject[:9] for subject in refused) == ["point P6:", "point P7:", "point P8:"]
+    text_of_p6 = "Ambiguous target, not used: point P6: 2 targets"
+    assert any(text.startswith(text_of_p6) for text in record["warnings"])
     assert record["suspected_marks"] == []
     block = read_block(tmp_path / "block")
     seen = block.observations
@@ -280,6 +283,7 @@ def test_what_a_project_lacks_is_said(field: Field, tmp_path: Path) -> None:
     assert without.marks == ()
     (finding,) = without.findings
     assert (finding.code, finding.subject) == ("targets-not-sought", "cross, hourglass, disc, ring")
+    assert not without.findings[0].small
     few = replace(points, names=("A", *points.names[1:]))
     with pytest.raises(ConfigurationError, match=r"\(cross\) name point P1, which control.csv lacks"):
         targets_of_project(project, [], None, few, 1, quiet)  # type: ignore[arg-type]

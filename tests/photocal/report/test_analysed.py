@@ -93,11 +93,14 @@ def test_warnings_reach_every_form(analysed: Run) -> None:
     fixed = {"percent": 62.0, "n_float": 9.0, "n_single": 0.0}
     told = (Finding("ppk-not-fixed", "doubtful", figures=fixed), Finding("one-height", "note"))
     warned = certificate(analysed, given, say, told)
-    assert "62.0 % of the epochs" in warned.verdicts[-1].text
+    # Second only to the verdict, which it takes part in.
+    assert warned.verdicts[1].tone == "bad"
+    assert "62.0 % of the epochs" in warned.verdicts[1].text
     assert "62.0 % of the epochs" in words(warned)
     assert warned.number != certificate(analysed, given, say).number
     plain = record(analysed, given, say, told)
     assert [one["code"] for one in plain["warnings"]] == ["ppk-not-fixed"]
+    assert "62.0 % of the epochs" in plain["warnings"][0]["text"]
     assert [one["code"] for one in plain["notes"]] == ["one-height"]
     json.dumps(plain, allow_nan=False)
 

@@ -32,6 +32,8 @@ block = "block"
 scale = "1:1000"
 standards = ["pec-pcd"]
 """
+BASE = "The coordinates of the base station, or its datum or epoch, are wrong"
+NOT_CHECKED = "nobody has looked for faults of positions, mounting and control"
 
 
 def project(folder: Path, errors: Errors, seed: int = 4) -> Path:
@@ -68,15 +70,17 @@ def test_a_fault_is_named_and_reaches_the_certificate(shifted: tuple[Path, Resul
     assert "base-position" in {one["code"] for one in json.loads(said.stdout)["warnings"]}
     folder = path.parent / "work" / "certificate"
     warned = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))["warnings"]
-    assert any("base-position" in text for text in warned)
-    assert "base-position" in (folder / "certificate.html").read_text(encoding="utf-8")
+    (base,) = [one for one in warned if one["code"] == "base-position"]
+    assert base["stage"] == "georeferencing"
+    assert base["text"].startswith(BASE)
+    assert BASE in (folder / "certificate.html").read_text(encoding="utf-8")
 
 
 def test_no_certificate_of_a_stage_is_silent(shifted: tuple[Path, Result], tmp_path: Path) -> None:
     work = shifted[0].parent / "work"
     said = CliRunner().invoke(app, ["certificate", str(work / "calibration"), "-o", str(tmp_path / "c")])
     assert said.exit_code == 0, said.output
-    assert "base-position" in (tmp_path / "c" / "certificate.html").read_text(encoding="utf-8")
+    assert BASE in (tmp_path / "c" / "certificate.html").read_text(encoding="utf-8")
 
 
 def test_a_certificate_before_the_check_says_so(shifted: tuple[Path, Result], tmp_path: Path) -> None:
@@ -87,7 +91,7 @@ def test_a_certificate_before_the_check_says_so(shifted: tuple[Path, Result], tm
     calibration = str(tmp_path / "work" / "calibration")
     said = CliRunner().invoke(app, ["certificate", calibration, "-o", str(tmp_path / "c")])
     assert said.exit_code == 0, said.output
-    assert "not-checked" in (tmp_path / "c" / "certificate.html").read_text(encoding="utf-8")
+    assert NOT_CHECKED in (tmp_path / "c" / "certificate.html").read_text(encoding="utf-8")
 
 
 def test_nothing_is_made_twice(shifted: tuple[Path, Result]) -> None:
@@ -130,7 +134,7 @@ def test_a_run_that_fails_tells_why(tmp_path: Path) -> None:
     points.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
     said = run(str(path))
     assert isinstance(said.exception, NotConvergedError)
-    assert f"warning: control-mistyped: control point {name} contradicts" in said.stderr
+    assert f"warning: control-mistyped: Control point {name} contradicts" in said.stderr
     assert not (tmp_path / "work" / "certificate").exists()
 
 
