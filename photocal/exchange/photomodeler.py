@@ -158,7 +158,7 @@ def _camera(export: Export, own: tuple[float, ...], name: str, place: str) -> Ca
     c, px, py, width, height, k1, k2, k3, p1, p2 = export.interior if same and only else own
     if not (c > 0 and width > 0 and height > 0):
         raise InputMalformedError("principal distance or format is not positive", where=place)
-    return camera(
+    found = camera(
         name,
         "brown-observed",
         "mm",
@@ -167,6 +167,7 @@ def _camera(export: Export, own: tuple[float, ...], name: str, place: str) -> Ca
         {"c": c, "x0": px - width / 2, "y0": height / 2 - py}
         | {"K1": -k1, "K2": -k2, "K3": -k3, "P1": -p1, "P2": -p2},
     )
+    return replace(found, distortion_at="measured")
 
 
 def read_back(folder: Path) -> Reconstruction:
