@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,14 +130,18 @@ def without_weak_images(block: Block) -> tuple[Block, NDArray[np.bool_]]:
         return block, weak
     sigma = block.images.sigma.copy()
     sigma[weak] = 0.0
-    positions, attitudes = block.positions, block.attitudes
-    kept = ~weak[positions.image], ~weak[attitudes.image]
     return replace(
         block,
         images=replace(block.images, sigma=sigma),
-        positions=Positions(*(column[kept[0]] for column in vars(positions).values())),
-        attitudes=Attitudes(*(column[kept[1]] for column in vars(attitudes).values())),
+        positions=Positions(**_of_images(block.positions, ~weak)),
+        attitudes=Attitudes(**_of_images(block.attitudes, ~weak)),
     ), weak
+
+
+def _of_images(observed: Positions | Attitudes, keep: NDArray[np.bool_]) -> dict[str, Any]:
+    """Columns of the observations of some images; those that are not known stay so."""
+    kept = keep[observed.image]
+    return {name: column if column is None else column[kept] for name, column in vars(observed).items()}
 
 
 def _keep(block: Block, keep: NDArray[np.bool_]) -> Block:
