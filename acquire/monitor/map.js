@@ -307,7 +307,7 @@ function northArrow(pen, width) {
 function description(sorted) {
   const of = (kind) => sorted.filter((layer) => layer.kind === kind);
   const count = (kind) => of(kind).reduce((sum, layer) => sum + layer.places.length, 0);
-  const tracks = of("track").map((layer) => layer.name).join(", ") || "none";
+  const tracks = of("track").map((layer) => layer.name).sort().join(", ") || "none";
   return `Map: tracks ${tracks}; ${count("picture")} pictures, ${count("missed")} missed`;
 }
 
