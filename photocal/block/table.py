@@ -155,6 +155,19 @@ def read_table(path: Path, required: tuple[str, ...], optional: tuple[str, ...] 
     InputMalformedError
         When it cannot be read as a table, is cut, or has other columns.
     """
+    table = read_wider_table(path, required)
+    for name in table.columns.column_names:
+        if name not in required + optional:
+            raise InputMalformedError(
+                f"column {name} is not known",
+                where=path,
+                remedy=f"allowed are {', '.join(required + optional)}",
+            )
+    return table
+
+
+def read_wider_table(path: Path, required: tuple[str, ...]) -> Table:
+    """Read a table that may have any further columns; errors as of `read_table`."""
     table = read_columns(path)
     found = list(table.columns.column_names)
     for name in required:
@@ -165,10 +178,9 @@ def read_table(path: Path, required: tuple[str, ...], optional: tuple[str, ...] 
                 remedy=f"the header must have {', '.join(required)}",
             )
     for name in found:
-        if name not in required + optional or found.count(name) > 1:
-            what = "comes twice" if found.count(name) > 1 else "is not known"
+        if found.count(name) > 1:
             raise InputMalformedError(
-                f"column {name} {what}", where=path, remedy=f"allowed are {', '.join(required + optional)}"
+                f"column {name} comes twice", where=path, remedy="give each column its own name"
             )
     return table
 

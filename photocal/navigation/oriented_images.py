@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from photocal.block.table import read_table
+from photocal.block.table import read_wider_table
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.measure_ties import measure_ties
@@ -20,8 +20,7 @@ def oriented_images(folder: Path, images: list[str]) -> OrientedImages:
         return _in_order(read_result(folder).images, images)
     path = folder / "images.csv" if folder.is_dir() else folder
     angles = ("omega", "phi", "kappa")
-    optional = (*angles, "camera", "sX", "sY", "sZ", "so", "sp", "sk")
-    table = read_table(path, ("image", "X", "Y", "Z"), optional)
+    table = read_wider_table(path, ("image", "X", "Y", "Z"))
     # Without angles the positions serve all the same.
     values = [np.radians(table.numbers(name, empty=np.nan)) for name in angles]
     values += [table.numbers(axis) for axis in "XYZ"]
