@@ -123,9 +123,13 @@ def rotation_check(exposures: Exposures, pairs: list[PairRotation], source: str)
     clauses = ("within",) if within.any() and not within.all() else ()
     figures["within"] = int(within.sum())
     if turned:
-        figures["images"] = tuple(exposures.image[row] for row in sorted(turned))
+        rows = sorted(turned)
+        figures["images"] = tuple(exposures.image[row] for row in rows)
+        figures["first"], figures["last"] = figures["images"][0], figures["images"][-1]
+        strip = len(rows) > 2 and rows[-1] - rows[0] == len(rows) - 1
+        stored = "strip-turned" if strip else "stored-turned"
         figures["turns_deg"] = tuple(sorted({str(90 * turn) for turn in turned.values()}))
-        return Finding(CODE, "grave", figures=figures, clauses=("stored-turned", "pairs-differ", *clauses))
+        return Finding(CODE, "grave", figures=figures, clauses=(stored, "pairs-differ", *clauses))
     if figures["median_deg"] > ROUGH_DEG:
         return Finding(CODE, "grave", figures=figures, clauses=("other-images", "pairs-differ", *clauses))
     return Finding(CODE, "passed", figures=figures, clauses=clauses)
