@@ -68,7 +68,7 @@ SLOW_S, SLOW = 10.0, "photocal/slow"
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark what looks at pages, and what took long when it was last run here."""
-    cache: Any = config.cache
+    cache: Any = getattr(config, "cache", None)
     known = set(cache.get(SLOW, [])) if cache else set()
     for item in items:
         if item.nodeid in known:
@@ -84,7 +84,7 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
         for report in reports:
             if hasattr(report, "duration") and hasattr(report, "nodeid"):
                 took[report.nodeid] = took.get(report.nodeid, 0.0) + report.duration
-    cache: Any = config.cache
+    cache: Any = getattr(config, "cache", None)
     slow = {name for name in cache.get(SLOW, []) if name not in took} if cache else set()
     if cache:
         cache.set(SLOW, sorted(slow | {name for name, seconds in took.items() if seconds > SLOW_S}))
