@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Integers
 from drivers.frames import Batch, Wire, gather
 from drivers.gnsstime import gps_to_utc_ns, week_to_ns
 from drivers.logged import Records
@@ -116,7 +117,7 @@ class DataflashFormats:
         names = fields.dtype.names or ()
         return Records(index, {c: fields[c] * scales[c] if c in scales else fields[c] for c in names})
 
-    def boot_ns(self, batch: Batch) -> NDArray[np.int64]:
+    def boot_ns(self, batch: Batch) -> Integers:
         """Return the time of each record since the autopilot started, nanoseconds; -1 where it has none."""
         boot = np.full(len(batch), -1, np.int64)
         names = {kind: name for name, kind in self._types.items()}
@@ -131,7 +132,7 @@ class DataflashFormats:
             boot[index] = _ns(self._fields(batch, index, kind)[unit[0]], unit[1])
         return boot
 
-    def told_utc(self, batch: Batch) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def told_utc(self, batch: Batch) -> tuple[Integers, Integers]:
         """Return times since the start and UTC (nanoseconds) of the records of receivers with a 3D fix."""
         boots, told = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
         all_boot = self.boot_ns(batch)
@@ -144,7 +145,7 @@ class DataflashFormats:
             told.append(gps_to_utc_ns(week_to_ns(week[good], tow[good] * 1e-3)))
         return np.concatenate(boots), np.concatenate(told)
 
-    def _fields(self, batch: Batch, index: NDArray[np.int64], kind: int) -> NDArray[Any]:
+    def _fields(self, batch: Batch, index: Integers, kind: int) -> NDArray[Any]:
         start, length = batch.start[index] + HEAD_BYTES, batch.length[index] - HEAD_BYTES
         return gather(batch.data, start, length, self._rows[kind])
 
@@ -162,7 +163,7 @@ def _time_column(name: str, columns: tuple[str, ...]) -> tuple[str, int] | None:
     return ("TimeMS", _MILLISECOND_NS) if "TimeMS" in columns else None
 
 
-def _ns(values: NDArray[Any], unit_ns: int) -> NDArray[np.int64]:
+def _ns(values: NDArray[Any], unit_ns: int) -> Integers:
     """Return nanoseconds; what no running time of an autopilot can be (over a year) becomes -1."""
     wide = values.astype(np.uint64)
     return np.where(wide < 366 * 86_400 * 10**9 // unit_ns, wide, 0).astype(np.int64) * unit_ns - (

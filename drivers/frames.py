@@ -10,6 +10,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Bytes, Flags, Integers
+
 
 class Wire(IntEnum):
     """The protocols of streams, and the formats of logs whose records are kept as they are."""
@@ -81,13 +83,13 @@ class Batch:
 
     data: bytes
     base: int
-    start: NDArray[np.int64]
-    length: NDArray[np.int64]
-    wire: NDArray[np.uint8]
-    kind: NDArray[np.int64]
-    known: NDArray[np.bool_]
-    damage: NDArray[np.int64]
-    host_ns: NDArray[np.int64] | None = None
+    start: Integers
+    length: Integers
+    wire: Bytes
+    kind: Integers
+    known: Flags
+    damage: Integers
+    host_ns: Integers | None = None
 
     def __len__(self) -> int:
         return len(self.start)
@@ -111,7 +113,7 @@ class Batch:
         for offset, length in self.damage.tolist():
             yield offset, self.data[offset - self.base : offset - self.base + length]
 
-    def where(self, wire: Wire, kind: int) -> NDArray[np.int64]:
+    def where(self, wire: Wire, kind: int) -> Integers:
         """Return the indices of the known frames of one kind."""
         return np.flatnonzero((self.kind == kind) & (self.wire == wire) & self.known)
 
@@ -142,9 +144,7 @@ class Framer(Protocol):
         ...
 
 
-def gather(
-    data: bytes, start: NDArray[np.int64], length: NDArray[np.int64], row: np.dtype[Any]
-) -> NDArray[Any]:
+def gather(data: bytes, start: Integers, length: Integers, row: np.dtype[Any]) -> NDArray[Any]:
     """Copy pieces of a buffer into the rows of a structured array; what a piece lacks is zero."""
     width = row.itemsize
     if not len(start):

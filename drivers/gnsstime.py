@@ -6,8 +6,8 @@ import datetime as dt
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Integers
 from drivers.leap_seconds import installed_leap_seconds
 
 SECOND_NS = 1_000_000_000
@@ -26,7 +26,7 @@ _FROM_NS = np.array(
 _OFFSET_S = np.array(_TABLE.offsets_s, np.int64)
 
 
-def gps_to_utc_ns(gps_ns: NDArray[np.int64], leap_s: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
+def gps_to_utc_ns(gps_ns: Integers, leap_s: Integers | None = None) -> Integers:
     """Convert GPS time to UTC.
 
     Parameters
@@ -67,13 +67,13 @@ def expiry_warning(utc_ns: int) -> str:
     )
 
 
-def week_to_ns(week: Any, seconds: Any) -> NDArray[np.int64]:
+def week_to_ns(week: Any, seconds: Any) -> Integers:
     """Return GPS time in nanoseconds from the GPS week and the seconds of the week."""
     whole = np.asarray(week).astype(np.int64) * (WEEK_S * SECOND_NS)
     return np.asarray(whole + np.rint(np.asarray(seconds, np.float64) * 1e9).astype(np.int64), np.int64)
 
 
-def utc_date_ns(year: Any, month: Any, day: Any) -> NDArray[np.int64]:
+def utc_date_ns(year: Any, month: Any, day: Any) -> Integers:
     """Return midnight (UTC, nanoseconds since 1970) of calendar dates given as arrays.
 
     Source: Hinnant (2014), "chrono-compatible low-level date algorithms", days_from_civil.

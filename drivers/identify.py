@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers import mrk, nmea, ulog
+from drivers.arrays import Bytes, Integers
 from drivers.checksums import x25
 from drivers.frames import Batch, Wire
 from drivers.mavlink.dialect import SIGNATURE_BYTES, SIGNED, V2, Dialect
@@ -58,7 +58,7 @@ def _ulog_kind(payload: bytes) -> int:
     return payload[2] << 16 | (payload[3] | payload[4] << 8 if payload[2] == ulog.DATA else 0)
 
 
-def _mavlink_kinds(octets: NDArray[np.uint8], start: NDArray[np.int64]) -> NDArray[np.int64]:
+def _mavlink_kinds(octets: Bytes, start: Integers) -> Integers:
     second = octets[start] == V2
     at = np.where(second, start + 7, start)
     wide = octets[at].astype(np.int64) | octets[at + 1].astype(np.int64) << 8

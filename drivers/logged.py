@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Integers
 from drivers.frames import Batch, Wire
 
 
@@ -24,7 +25,7 @@ class Records:
         Their members in the units of the log.
     """
 
-    index: NDArray[np.int64]
+    index: Integers
     columns: Mapping[str, NDArray[Any]]
 
     def __len__(self) -> int:
@@ -36,7 +37,7 @@ class Records:
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self.columns[name]
 
-    def number(self, *names: str) -> NDArray[np.float64]:
+    def number(self, *names: str) -> Floats:
         """Return the first of several members that is there; NaN when none is."""
         for name in names:
             if name in self.columns and self.columns[name].dtype.kind in "iufb":
@@ -45,7 +46,7 @@ class Records:
                     return self.columns[name].astype(float)
         return np.full(len(self.index), np.nan)
 
-    def rows(self, kept: NDArray[np.bool_]) -> Records:
+    def rows(self, kept: Flags) -> Records:
         """Return some of the records."""
         return Records(self.index[kept], {name: column[kept] for name, column in self.columns.items()})
 
@@ -61,11 +62,11 @@ class Definitions(Protocol):
         """Return the records of a kind, by name; none when the log does not define it."""
         ...
 
-    def boot_ns(self, batch: Batch) -> NDArray[np.int64]:
+    def boot_ns(self, batch: Batch) -> Integers:
         """Return the time of each record since the autopilot started, nanoseconds; -1 where it has none."""
         ...
 
-    def told_utc(self, batch: Batch) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def told_utc(self, batch: Batch) -> tuple[Integers, Integers]:
         """Return times since the start and UTC (nanoseconds) where a GNSS receiver told UTC."""
         ...
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import re
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Integers
 from drivers.frames import Batch, Wire
 from drivers.gnsstime import week_to_ns
 from drivers.logged import Records, batch_of_rows
@@ -83,7 +83,7 @@ def decode(batch: Batch) -> Records:
     return Records(index, dict(zip(COLUMNS, table.T, strict=True)))
 
 
-def event_gps_ns(events: Records) -> NDArray[np.int64]:
+def event_gps_ns(events: Records) -> Integers:
     """Return GPS time of events, nanoseconds since its epoch; -1 where week or seconds cannot be meant."""
     week, seconds = events["week"], events["seconds_of_week_s"]
     sure = (week > 0) & (week < 1 << 16) & (seconds >= 0) & (seconds < 604_800)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from drivers.frames import Batch, Wire
 from drivers.gnsstime import SECOND_NS, utc_date_ns
 
@@ -89,15 +89,15 @@ class Fixes:
         Horizontal dilution and age of the corrections; NaN where missing.
     """
 
-    index: NDArray[np.int64]
-    time_of_day_ns: NDArray[np.int64]
-    latitude_deg: NDArray[np.float64]
-    longitude_deg: NDArray[np.float64]
-    height_m: NDArray[np.float64]
-    quality: NDArray[np.int64]
-    satellites: NDArray[np.int64]
-    hdop: NDArray[np.float64]
-    age_s: NDArray[np.float64]
+    index: Integers
+    time_of_day_ns: Integers
+    latitude_deg: Floats
+    longitude_deg: Floats
+    height_m: Floats
+    quality: Integers
+    satellites: Integers
+    hdop: Floats
+    age_s: Floats
 
 
 def decode_gga(batch: Batch) -> Fixes:
@@ -117,7 +117,7 @@ def decode_gga(batch: Batch) -> Fixes:
     )
 
 
-def decode_times(batch: Batch) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def decode_times(batch: Batch) -> tuple[Integers, Integers]:
     """Decode date and time of the valid RMC and of the ZDA sentences of a batch.
 
     Returns

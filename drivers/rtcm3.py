@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from drivers.checksums import crc24q
 from drivers.frames import Batch, Wire
 from drivers.gnsstime import DAY_NS, SECOND_NS
@@ -37,10 +37,10 @@ class Stations:
         Height of the antenna above the mark; NaN for 1005, which has none.
     """
 
-    index: NDArray[np.int64]
-    station: NDArray[np.int64]
-    ecef_m: NDArray[np.float64]
-    antenna_height_m: NDArray[np.float64]
+    index: Integers
+    station: Integers
+    ecef_m: Floats
+    antenna_height_m: Floats
 
 
 def decode_stations(batch: Batch) -> Stations:
@@ -63,7 +63,7 @@ def decode_stations(batch: Batch) -> Stations:
     )
 
 
-def decode_dates(batch: Batch) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def decode_dates(batch: Batch) -> tuple[Integers, Integers]:
     """Decode the date and time of the system parameter messages (1013).
 
     Returns
@@ -82,7 +82,7 @@ def decode_dates(batch: Batch) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return index, np.array(times, np.int64)
 
 
-def decode_epochs(batch: Batch) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def decode_epochs(batch: Batch) -> tuple[Integers, Integers]:
     """Decode the GPS time of week of observations (1001 to 1004, 1071 to 1077, 1091 to 1097).
 
     Returns

@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Integers
 from drivers.checksums import crc24q_contributions
 from drivers.mavlink.dialect import SIGNATURE_BYTES, SIGNED, V1, V2, Dialect, ardupilotmega
 
@@ -44,19 +45,19 @@ _CAPITAL, _DIGIT, _TEXT, _HEX = 1, 2, 4, 8
 
 # What is 8 to 24 bits wide, in a width in which nothing runs over.
 Octets = NDArray[np.int32]
-Rows = NDArray[np.int64]
+Rows = Integers
 
 
 class Tables(NamedTuple):
     """What the search looks up: of MAVLink messages seed, size and ends of fields; steps of the checksums."""
 
-    seeds: NDArray[np.int64]
-    sizes: NDArray[np.int64]
-    boundaries: NDArray[np.bool_]
-    crc16_far: NDArray[np.int64]
-    seed_step: NDArray[np.int64]
-    crc24_far: NDArray[np.int64]
-    letters: NDArray[np.int64]
+    seeds: Integers
+    sizes: Integers
+    boundaries: Flags
+    crc16_far: Integers
+    seed_step: Integers
+    crc24_far: Integers
+    letters: Integers
 
 
 class Running(NamedTuple):
@@ -95,14 +96,14 @@ def tables_of(dialect: Dialect) -> Tables:
     return Tables(seeds, sizes, boundaries, far, inverse, far24, letters)
 
 
-def new_memory() -> NDArray[np.int64]:
+def new_memory() -> Integers:
     """Return the empty memory of unknown messages: rows of a hash table, key and count."""
     return np.zeros((_REMEMBERED, 2), np.int64)
 
 
 def search_stream(
-    data: Octets, closed: bool, starts: Octets, memory: NDArray[np.int64], tables: Tables
-) -> tuple[NDArray[np.int64], NDArray[np.int64], int, int]:
+    data: Octets, closed: bool, starts: Octets, memory: Integers, tables: Tables
+) -> tuple[Integers, Integers, int, int]:
     """Find the frames of a piece of a stream."""
     end = len(data)
     running = _running(data, starts[V2] == MAVLINK, starts[0xD3] == RTCM3, starts[0xB5] == UBX, tables)
@@ -142,8 +143,8 @@ def search_stream(
 
 
 def search_records(
-    data: Octets, closed: bool, stamp_us: int, memory: NDArray[np.int64], tables: Tables
-) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+    data: Octets, closed: bool, stamp_us: int, memory: Integers, tables: Tables
+) -> tuple[Integers, Integers, int]:
     """Find the records of a piece of a telemetry log: stamps, each with the MAVLink frame after it.
 
     A frame whose stamp was damaged is kept with the stamp before it, at first `stamp_us`. See
@@ -341,8 +342,8 @@ def _mavlink(
     at: int,
     closed: bool,
     starts: Octets,
-    memory: NDArray[np.int64],
-    ahead: NDArray[np.int64],
+    memory: Integers,
+    ahead: Integers,
     running: Running,
     tables: Tables,
 ) -> tuple[int, int, bool]:
@@ -405,7 +406,7 @@ def _known_inside(
     at: int,
     end: int,
     closed: bool,
-    ahead: NDArray[np.int64],
+    ahead: Integers,
     running: Running,
     tables: Tables,
 ) -> int:
@@ -428,7 +429,7 @@ def _known_inside(
     return 1 if ahead[1] > 0 else int(ahead[1] - (ahead[0] - at))
 
 
-def _recall(memory: NDArray[np.int64], key: int, more: int) -> int:
+def _recall(memory: Integers, key: int, more: int) -> int:
     """Return how often a key was remembered, `more` included; once the memory is full no key is added."""
     mask = len(memory) - 1
     # Fibonacci hashing (Knuth, The Art of Computer Programming 3, section 6.4).
@@ -450,8 +451,8 @@ def _record(
     place: int,
     clean: int,
     closed: bool,
-    memory: NDArray[np.int64],
-    ahead: NDArray[np.int64],
+    memory: Integers,
+    ahead: Integers,
     running: Running,
     tables: Tables,
 ) -> tuple[int, int, bool, int]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from binascii import crc_hqx
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers import scan
+from drivers.arrays import Bytes, Flags, Integers
 from drivers.checksums import REVERSED
 from drivers.frames import Batch, Wire
 from drivers.mavlink.dialect import SIGNATURE_BYTES, SIGNED, V1, V2, Dialect, ardupilotmega
@@ -74,7 +74,7 @@ class TlogFramer:
         damage[:, 0] += self._offset + at
         return self._batch(np.concatenate([rows, more]), damage, at + rest)
 
-    def _walk(self) -> NDArray[np.int64]:
+    def _walk(self) -> Integers:
         """Walk along the lengths of records; return them up to the first that is not plainly intact."""
         data, end = self._pending, len(self._pending)
         at = 0
@@ -96,9 +96,7 @@ class TlogFramer:
         rows, intact = self._examine(start, np.append(start[1:] - STAMP_BYTES, at))
         return rows if intact.all() else rows[: int(np.argmin(intact))]
 
-    def _examine(
-        self, start: NDArray[np.int64], after: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    def _examine(self, start: Integers, after: Integers) -> tuple[Integers, Flags]:
         octets = np.frombuffer(self._pending, np.uint8)
         view = self._pending.translate(REVERSED)
         turned = np.frombuffer(view, np.uint8)
@@ -117,7 +115,7 @@ class TlogFramer:
         rows = (start, after - start, kind, intact, stamp)
         return np.stack(rows, axis=1).astype(np.int64), intact
 
-    def _batch(self, rows: NDArray[np.int64], damage: NDArray[np.int64], consumed: int) -> Batch:
+    def _batch(self, rows: Integers, damage: Integers, consumed: int) -> Batch:
         data, base = self._pending[:consumed], self._offset
         self._pending = self._pending[consumed:]
         self._offset += consumed
@@ -134,12 +132,12 @@ class TlogFramer:
         )
 
 
-def _little24(octets: NDArray[np.uint8], at: NDArray[np.int64]) -> NDArray[np.int64]:
+def _little24(octets: Bytes, at: Integers) -> Integers:
     low = octets[at].astype(np.int64)
     return low | octets[at + 1].astype(np.int64) << 8 | octets[at + 2].astype(np.int64) << 16
 
 
-def _stamps(octets: NDArray[np.uint8], at: NDArray[np.int64]) -> NDArray[np.int64]:
+def _stamps(octets: Bytes, at: Integers) -> Integers:
     value = np.zeros(len(at), np.uint64)
     for position in range(STAMP_BYTES):
         value = value << np.uint64(8) | octets[at + position]

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Integers
 from drivers.frames import Batch, Wire, gather
 from drivers.logged import Records
 from drivers.records import NOTHING, WAIT, RecordFramer
@@ -112,7 +113,7 @@ class UlogFormats:
         text = np.array([record[12:].decode("utf-8", "replace") for record in records], str)
         return Records(index, {"severity": severity, "text": text})
 
-    def boot_ns(self, batch: Batch) -> NDArray[np.int64]:
+    def boot_ns(self, batch: Batch) -> Integers:
         """Return the time of each record since the autopilot started, nanoseconds; -1 where it has none."""
         boot = np.full(len(batch), -1, np.int64)
         for kind in np.unique(batch.kind[batch.kind >> 16 == DATA]).tolist():
@@ -126,7 +127,7 @@ class UlogFormats:
         boot[index] = _since_boot_ns(stamp["t"])
         return boot
 
-    def told_utc(self, batch: Batch) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def told_utc(self, batch: Batch) -> tuple[Integers, Integers]:
         """Return times since the start and UTC (nanoseconds) of the records of receivers with a 3D fix."""
         boots, told = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
         all_boot = self.boot_ns(batch)
@@ -140,7 +141,7 @@ class UlogFormats:
             told.append(utc_us[good].astype(np.int64) * 1000)
         return np.concatenate(boots), np.concatenate(told)
 
-    def _fields(self, batch: Batch, index: NDArray[np.int64], number: int) -> NDArray[Any]:
+    def _fields(self, batch: Batch, index: Integers, number: int) -> NDArray[Any]:
         head = HEAD_BYTES + 2
         return gather(batch.data, batch.start[index] + head, batch.length[index] - head, self.rows[number])
 
@@ -235,7 +236,7 @@ def _text(data: bytes, at: int, end: int) -> int:
     return int(not _CONTROL.search(data, at, end))
 
 
-def _since_boot_ns(time_us: NDArray[np.uint64]) -> NDArray[np.int64]:
+def _since_boot_ns(time_us: NDArray[np.uint64]) -> Integers:
     """Return nanoseconds; what no running time of an autopilot can be (over a year) becomes -1."""
     sure = time_us < _YEAR_US
     return np.where(sure, np.where(sure, time_us, 0).astype(np.int64) * 1000, -1)

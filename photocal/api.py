@@ -43,7 +43,6 @@ __all__ = [
     "write_result",
 ]
 
-Floats = NDArray[np.float64]
 # What a calibration estimates unless it is told otherwise.
 USUAL = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
 

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from drivers.arrays import Floats
+
 Kind = Literal["POINT", "LINESTRING", "POLYGON"]
 # Coordinates of the corners, shape (n, 2) or (n, 3), and what stands in the other columns.
 Value = str | bytes | int | float | None

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Integers
 from drivers.frames import Batch
 from drivers.logged import Definitions
 
@@ -30,7 +30,7 @@ class BootTime:
     utc_ns: int
     pairs: int
 
-    def of(self, boot_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    def of(self, boot_ns: Integers) -> Integers:
         """Return UTC of times since the start; -1 stays -1."""
         return np.where(boot_ns >= 0, self.utc_ns + boot_ns, -1)
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.channels.boot_time import BootTime
 from acquire.channels.decoded import Decoded, Times
 from acquire.channels.log_decoder import LogDecoder, Part
 from acquire.channels.logged import Logged, fix_names
 from acquire.log import foxglove
+from drivers.arrays import Floats, Integers
 from drivers.dataflash import DataflashFormats
 from drivers.gnsstime import gps_to_utc_ns, week_to_ns
 from drivers.logged import Records
@@ -71,7 +71,7 @@ def _receiver(every: Logged, part: Part[DataflashFormats]) -> Iterator[Decoded]:
         yield logged.clock(_told_utc(found, ("GWk", "Week"), ("GMS", "TimeMS")), part.boot_ns[found.index])
 
 
-def _place(logged: Logged) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _place(logged: Logged) -> tuple[Floats, Floats, Floats]:
     found = logged.records
     return found.number("Lat"), found.number("Lng"), found.number("Alt")
 
@@ -95,9 +95,7 @@ def _exposure(logged: Logged, edge: str, part: Part[DataflashFormats]) -> Decode
     )
 
 
-def _told_utc(
-    found: Records, week_names: tuple[str, ...], millisecond_names: tuple[str, ...]
-) -> NDArray[np.int64]:
+def _told_utc(found: Records, week_names: tuple[str, ...], millisecond_names: tuple[str, ...]) -> Integers:
     """Return UTC of the GPS times that records tell, nanoseconds since 1970; -1 where they tell none."""
     week, milliseconds = found.number(*week_names), found.number(*millisecond_names)
     told = (week > 0) & (week < 1 << 16) & (milliseconds >= 0)

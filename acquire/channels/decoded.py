@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.log.records import Channel, Schema
+from drivers.arrays import Integers
 from drivers.frames import Batch
 
 SECOND_NS = 1_000_000_000
@@ -34,8 +35,8 @@ class Decoded:
 
     channel: Channel
     payloads: list[bytes]
-    index: NDArray[np.int64]
-    publish_ns: NDArray[np.int64]
+    index: Integers
+    publish_ns: Integers
 
 
 def in_order(parts: Iterable[Decoded]) -> list[Decoded]:
@@ -73,7 +74,7 @@ class Made:
 
     channel: Channel
     payloads: list[bytes]
-    rows: NDArray[np.int64]
+    rows: Integers
     common: bool = False
 
 
@@ -83,7 +84,7 @@ class Decoder(Protocol):
     The result does not depend on how the frames were cut into batches.
     """
 
-    def feed(self, batch: Batch, log_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[Decoded]]:
+    def feed(self, batch: Batch, log_ns: Integers) -> tuple[Integers, list[Decoded]]:
         """Return the device's time of each frame (UTC ns; of receipt where unknown) and the messages."""
         ...
 
@@ -139,7 +140,7 @@ def words(description: str) -> dict[str, str]:
 class Times:
     """A column of times, UTC nanoseconds since 1970, that a row shows as seconds and nanoseconds."""
 
-    def __init__(self, time_ns: NDArray[np.int64]) -> None:
+    def __init__(self, time_ns: Integers) -> None:
         self.time_ns = time_ns
 
     def texts(self) -> list[str]:

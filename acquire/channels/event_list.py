@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.channels.decoded import Decoded, Times
 from acquire.channels.logged import Logged
 from acquire.channels.receiver import ELLIPSOIDAL
 from drivers import mrk
+from drivers.arrays import Integers
 from drivers.frames import Batch
 from drivers.gnsstime import gps_to_utc_ns
 
@@ -22,7 +22,7 @@ class EventListClock:
     def __init__(self) -> None:
         self.sources: set[str] = set()
 
-    def feed(self, batch: Batch) -> NDArray[np.int64]:
+    def feed(self, batch: Batch) -> Integers:
         """Return UTC of each frame, nanoseconds since 1970; -1 where it is not told."""
         events = mrk.decode(batch)
         utc = np.full(len(batch), -1, np.int64)
@@ -42,7 +42,7 @@ class EventListDecoder:
         self._link = link
         self._clock = EventListClock()
 
-    def feed(self, batch: Batch, log_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[Decoded]]:
+    def feed(self, batch: Batch, log_ns: Integers) -> tuple[Integers, list[Decoded]]:
         """Return the time of each event and the decoded messages."""
         told = self._clock.feed(batch)
         utc = np.where(told >= 0, told, log_ns)

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.channels.decoded import Decoder
 from acquire.log.records import ARRIVED_ENCODING, DAMAGE_ENCODING, Channel, Payloads, Pieces
+from drivers.arrays import Integers
 from drivers.frames import Batch, Wire
 
 LISTED_RUNS = 200
@@ -85,9 +85,9 @@ class MessageWriter(Protocol):
         self,
         channel: Channel,
         payloads: Payloads,
-        log_ns: NDArray[np.int64],
-        publish_ns: NDArray[np.int64],
-        sequence: NDArray[np.int64],
+        log_ns: Integers,
+        publish_ns: Integers,
+        sequence: Integers,
     ) -> None:
         """Add messages of one channel."""
         ...
@@ -110,7 +110,7 @@ class LinkLog:
         self.last_ns = 0
         self.tally = Tally()
 
-    def write(self, batch: Batch, log_ns: NDArray[np.int64]) -> None:
+    def write(self, batch: Batch, log_ns: Integers) -> None:
         """Write a batch.
 
         Parameters
@@ -145,11 +145,11 @@ class LinkLog:
         if len(log_ns):
             self.last_ns = int(log_ns[-1])
 
-    def _damage(self, batch: Batch, times: NDArray[np.int64], numbers: NDArray[np.int64]) -> None:
+    def _damage(self, batch: Batch, times: Integers, numbers: Integers) -> None:
         payloads = [data for _, data in batch.damaged()]
         self._writer.messages(damage_channel(self._link), payloads, times, times, numbers)
 
-    def _numbers(self, batch: Batch) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _numbers(self, batch: Batch) -> tuple[Integers, Integers]:
         place = np.concatenate([batch.start + batch.base, batch.damage[:, 0]])
         number = np.empty(len(place), np.int64)
         number[np.argsort(place, kind="stable")] = self._next + np.arange(len(place))

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.channels.boot_time import BootTime
 from acquire.channels.decoded import Decoded, in_order
 from acquire.channels.logged import Logged
+from drivers.arrays import Integers
 from drivers.frames import Batch
 from drivers.logged import Definitions
 
@@ -38,8 +38,8 @@ class Part(Generic[Formats]):
     link: str
     formats: Formats
     batch: Batch
-    utc_ns: NDArray[np.int64]
-    boot_ns: NDArray[np.int64]
+    utc_ns: Integers
+    boot_ns: Integers
 
     def logged(self, name: str) -> Logged:
         """Return the records of a kind."""
@@ -65,7 +65,7 @@ class LogDecoder(ABC, Generic[Formats]):
         self._boot = boot
         self._formats = formats
 
-    def feed(self, batch: Batch, log_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[Decoded]]:
+    def feed(self, batch: Batch, log_ns: Integers) -> tuple[Integers, list[Decoded]]:
         """Return the device's time of each frame and the decoded messages."""
         self._formats.learn(batch)
         boot = self._formats.boot_ns(batch)

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.channels.decoded import Decoded, JsonLayout, Times
 from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, HEALTH
 from acquire.channels.vehicle_messages import FIX_NAMES, SEA_LEVEL
 from acquire.log import foxglove
 from acquire.log.records import Channel
+from drivers.arrays import Flags, Floats, Integers
 from drivers.logged import Records
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -26,12 +24,12 @@ class Logged:
     link: str
     source: str
     records: Records
-    utc_ns: NDArray[np.int64]
+    utc_ns: Integers
 
     def __len__(self) -> int:
         return len(self.records)
 
-    def rows(self, kept: NDArray[np.bool_]) -> Logged:
+    def rows(self, kept: Flags) -> Logged:
         """Return some of the records."""
         return Logged(self.link, self.source, self.records.rows(kept), self.utc_ns[kept])
 
@@ -80,7 +78,7 @@ class Logged:
         channel = Channel(f"/{self.link}/attitude", "protobuf", schema, metadata)
         return Decoded(channel, payloads, self.records.index[there], utc)
 
-    def whole(self, **members: str) -> dict[str, NDArray[np.int64]]:
+    def whole(self, **members: str) -> dict[str, Integers]:
         """Return members that count something under names of ours, where every record has a number."""
         found = {name: self.records.number(member) for name, member in members.items()}
         return {name: v.astype(np.int64) for name, v in found.items() if np.isfinite(v).all()}
@@ -94,7 +92,7 @@ class Logged:
         """Return exposures; `columns` may have a better time than that of the records."""
         return self.json("/camera/exposure", EXPOSURE, {"edge": edge, "time": Times(self.utc_ns), **columns})
 
-    def clock(self, device_utc_ns: NDArray[np.int64], boot_ns: NDArray[np.int64]) -> Decoded:
+    def clock(self, device_utc_ns: Integers, boot_ns: Integers) -> Decoded:
         """Return UTC of a receiver beside the running time of the autopilot."""
         columns = {"device": Times(device_utc_ns), "boot_s": boot_ns / 1e9}
         return self.json("/clock", CLOCK, columns)

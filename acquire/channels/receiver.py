@@ -14,6 +14,7 @@ from acquire.channels.receiver_time import ReceiverClock
 from acquire.log import foxglove
 from acquire.log.records import Channel
 from drivers import nmea, rtcm3
+from drivers.arrays import Flags, Floats, Integers
 from drivers.frames import Batch
 from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS, gps_to_utc_ns
 from drivers.ubx import decode as ubx
@@ -32,7 +33,7 @@ class ReceiverDecoder:
         self._fix_rank = _Rank()
         self._status_rank = _Rank()
 
-    def feed(self, batch: Batch, log_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[Decoded]]:
+    def feed(self, batch: Batch, log_ns: Integers) -> tuple[Integers, list[Decoded]]:
         """Return the device's time of each frame and the decoded messages."""
         device = self._clock.feed(batch)
         publish = np.where(device >= 0, device, log_ns)
@@ -44,7 +45,7 @@ class ReceiverDecoder:
         ]
         return publish, in_order(decoded)
 
-    def _positions(self, batch: Batch, publish: NDArray[np.int64]) -> Iterator[Decoded]:
+    def _positions(self, batch: Batch, publish: Integers) -> Iterator[Decoded]:
         found = {name: read(batch) for name, read in _READERS.items()}
         for source, fixes in self._fix_rank.used(found, len(batch)):
             yield self._fix_messages(source, fixes, publish)
@@ -61,7 +62,7 @@ class ReceiverDecoder:
             }
             yield self._json(f"/gnss/{self._link}/status", GNSS_STATUS, source, columns, fixes.index, publish)
 
-    def _fix_messages(self, source: str, fixes: _Fixes, publish: NDArray[np.int64]) -> Decoded:
+    def _fix_messages(self, source: str, fixes: _Fixes, publish: Integers) -> Decoded:
         there = np.isfinite(fixes.latitude_deg) & np.isfinite(fixes.height_m) & fixes.valid
         f = fixes.rows(there)
         payloads = foxglove.location_fixes(
@@ -78,7 +79,7 @@ class ReceiverDecoder:
         channel = Channel(f"/gnss/{self._link}/fix", "protobuf", schema, metadata)
         return Decoded(channel, payloads, f.index, publish[f.index])
 
-    def _time_marks(self, batch: Batch, publish: NDArray[np.int64]) -> Iterator[Decoded]:
+    def _time_marks(self, batch: Batch, publish: Integers) -> Iterator[Decoded]:
         marks = ubx.decode(batch, ubx.TIM_TM2)
         for edge in ("rising", "falling"):
             new = ubx.time_marks(marks.fields, rising=edge == "rising")
@@ -92,9 +93,7 @@ class ReceiverDecoder:
             index = marks.index[new.index]
             yield self._json("/camera/exposure", EXPOSURE, "TIM-TM2", columns, index, publish)
 
-    def _clocks(
-        self, batch: Batch, log_ns: NDArray[np.int64], publish: NDArray[np.int64]
-    ) -> Iterator[Decoded]:
+    def _clocks(self, batch: Batch, log_ns: Integers, publish: Integers) -> Iterator[Decoded]:
         epochs = ubx.decode_rawx(batch).epochs
         f = epochs.fields
         device = publish[epochs.index]
@@ -107,7 +106,7 @@ class ReceiverDecoder:
         }
         yield self._json("/clock", CLOCK, "RXM-RAWX", columns, epochs.index, publish)
 
-    def _stations(self, batch: Batch, publish: NDArray[np.int64]) -> Iterator[Decoded]:
+    def _stations(self, batch: Batch, publish: Integers) -> Iterator[Decoded]:
         topic = f"/gnss/{self._link}/station"
         announced = rtcm3.decode_stations(batch)
         columns: dict[str, Any] = {
@@ -135,8 +134,8 @@ class ReceiverDecoder:
         layout: JsonLayout,
         source: str,
         columns: Mapping[str, Any],
-        index: NDArray[np.int64],
-        publish: NDArray[np.int64],
+        index: Integers,
+        publish: Integers,
     ) -> Decoded:
         payloads = layout.rows({"link": self._link, "source": source, **columns}, len(index))
         return Decoded(Channel(topic, "json", layout.schema()), payloads, index, publish[index])
@@ -165,22 +164,22 @@ class _Rank:
 class _Fixes:
     """Positions of one message type, whatever it is called there."""
 
-    def __init__(self, index: NDArray[np.int64], **columns: Any) -> None:
+    def __init__(self, index: Integers, **columns: Any) -> None:
         count = len(index)
         self.index = index
-        self.latitude_deg: NDArray[np.float64] = columns["latitude_deg"]
-        self.longitude_deg: NDArray[np.float64] = columns["longitude_deg"]
-        self.height_m: NDArray[np.float64] = columns["height_m"]
+        self.latitude_deg: Floats = columns["latitude_deg"]
+        self.longitude_deg: Floats = columns["longitude_deg"]
+        self.height_m: Floats = columns["height_m"]
         unknown = np.full(count, np.nan)
-        self.horizontal_m: NDArray[np.float64] = columns.get("horizontal_m", unknown)
-        self.vertical_m: NDArray[np.float64] = columns.get("vertical_m", unknown)
-        self.hdop: NDArray[np.float64] = columns.get("hdop", unknown)
-        self.age_s: NDArray[np.float64] = columns.get("age_s", unknown)
-        self.satellites: NDArray[np.int64] = columns.get("satellites", np.full(count, -1))
-        self.valid: NDArray[np.bool_] = columns.get("valid", np.ones(count, bool))
+        self.horizontal_m: Floats = columns.get("horizontal_m", unknown)
+        self.vertical_m: Floats = columns.get("vertical_m", unknown)
+        self.hdop: Floats = columns.get("hdop", unknown)
+        self.age_s: Floats = columns.get("age_s", unknown)
+        self.satellites: Integers = columns.get("satellites", np.full(count, -1))
+        self.valid: Flags = columns.get("valid", np.ones(count, bool))
         self.fix: NDArray[np.str_] = np.asarray(columns.get("fix", ["3d"] * count), "U16")
 
-    def rows(self, used: NDArray[np.bool_]) -> _Fixes:
+    def rows(self, used: Flags) -> _Fixes:
         """Return some of the positions."""
         columns = {name: values[used] for name, values in vars(self).items() if name != "index"}
         return _Fixes(self.index[used], **columns)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers import nmea, rtcm3
+from drivers.arrays import Integers
 from drivers.frames import Batch
 from drivers.gnsstime import DAY_NS, GPS_EPOCH_NS, SECOND_NS, WEEK_S, gps_to_utc_ns, utc_date_ns, week_to_ns
 from drivers.ubx import decode as ubx
@@ -43,7 +44,7 @@ class ReceiverClock:
         self._last_ns = self._suspect_ns = self._leap_s = -1
         self._near_ns = near_ns
 
-    def feed(self, batch: Batch) -> NDArray[np.int64]:
+    def feed(self, batch: Batch) -> Integers:
         """Return the receiver's UTC for each frame, nanoseconds since 1970; -1 before it was told."""
         index, time_ns = self._whole(batch)
         order = np.argsort(index, kind="stable")
@@ -54,7 +55,7 @@ class ReceiverClock:
         self._last_ns = int(times[-1])
         return np.asarray(device, np.int64)
 
-    def _whole(self, batch: Batch) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _whole(self, batch: Batch) -> tuple[Integers, Integers]:
         epochs = ubx.decode_rawx(batch).epochs
         f = epochs.fields
         leap = self._leaps(epochs.index, f)
@@ -82,9 +83,7 @@ class ReceiverClock:
             np.concatenate([time for _, time in parts.values()]),
         )
 
-    def _leaps(
-        self, index: NDArray[np.int64], epochs: NDArray[Any]
-    ) -> Callable[[NDArray[np.int64]], NDArray[np.int64]]:
+    def _leaps(self, index: Integers, epochs: NDArray[Any]) -> Callable[[Integers], Integers]:
         """Return what gives the leap seconds last told before each frame, -1 where none were."""
         told = (epochs["recStat"] & 1) != 0
         since = index[told]
@@ -92,9 +91,7 @@ class ReceiverClock:
         self._leap_s = int(leaps[-1])
         return lambda frames: np.asarray(leaps[np.searchsorted(since, frames, side="right")])
 
-    def _credible(
-        self, index: NDArray[np.int64], time_ns: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _credible(self, index: Integers, time_ns: Integers) -> tuple[Integers, Integers]:
         """Leave out times that leap and are not confirmed by the next: short checksums let errors through."""
         if not len(index):
             return index, time_ns
@@ -112,9 +109,7 @@ class ReceiverClock:
             self._suspect_ns = -1 if near or confirmed else time
         return index[kept], time_ns[kept]
 
-    def _completed(
-        self, batch: Batch, index: NDArray[np.int64], time_ns: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _completed(self, batch: Batch, index: Integers, time_ns: Integers) -> tuple[Integers, Integers]:
         """Add the times of messages without week or day, completed with the whole time before them."""
         before = self._last_ns if self._last_ns >= 0 else self._near_ns
         whole = np.concatenate([[before], time_ns])
@@ -140,11 +135,11 @@ class ReceiverClock:
         return all_index[order], np.concatenate(more_time)[order]
 
     @staticmethod
-    def _week_offset(utc_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _week_offset(utc_ns: Integers) -> Integers:
         leap = utc_ns - gps_to_utc_ns(utc_ns - GPS_EPOCH_NS)
         return np.asarray(GPS_EPOCH_NS - leap, np.int64)
 
 
-def _nearest(near: NDArray[np.int64], phase: NDArray[np.int64], period: int) -> NDArray[np.int64]:
+def _nearest(near: Integers, phase: Integers, period: int) -> Integers:
     """Return the time with the given phase of a period that is nearest to another time."""
     return np.asarray(near + (phase - near + period // 2) % period - period // 2, np.int64)

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.channels.boot_time import BootTime
 from acquire.channels.decoded import Decoded, Times
 from acquire.channels.log_decoder import LogDecoder, Part
 from acquire.channels.logged import Logged, fix_names
+from drivers.arrays import Floats, Integers
 from drivers.ulog import UlogFormats
 
 _YEAR_2000_US, _YEAR_2100_US = 946_684_800e6, 4_102_444_800e6
@@ -68,7 +68,7 @@ def _receiver(logged: Logged, receiver: str, part: Part[UlogFormats]) -> Iterato
     yield logged.clock(device, part.boot_ns[found.index])
 
 
-def _gps_place(logged: Logged) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _gps_place(logged: Logged) -> tuple[Floats, Floats, Floats]:
     found = logged.records
     if "latitude_deg" in found:  # since 1.15
         height = found.number("altitude_msl_m")
@@ -76,7 +76,7 @@ def _gps_place(logged: Logged) -> tuple[NDArray[np.float64], NDArray[np.float64]
     return found.number("lat") * 1e-7, found.number("lon") * 1e-7, found.number("alt") * 1e-3
 
 
-def _quaternion(logged: Logged) -> NDArray[np.float64]:
+def _quaternion(logged: Logged) -> Floats:
     found = logged.records
     if "q" not in found or found["q"].shape[1:] != (4,):
         return np.full((len(found), 4), np.nan)
@@ -93,7 +93,7 @@ def _exposure(logged: Logged, edge: str) -> Decoded:
     return logged.exposure(edge, {**columns, **logged.whole(sequence="seq")})
 
 
-def _told_utc(microseconds: NDArray[np.float64], earliest_us: float) -> NDArray[np.int64]:
+def _told_utc(microseconds: Floats, earliest_us: float) -> Integers:
     """Return UTC that records tell, nanoseconds since 1970; -1 where they tell none."""
     told = (microseconds > earliest_us) & (microseconds < _YEAR_2100_US)
     return np.where(told, np.where(told, microseconds, 0).astype(np.int64) * 1000, -1)

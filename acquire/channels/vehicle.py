@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from acquire.channels.decoded import Decoded, Made, in_order
 from acquire.channels.vehicle_messages import MAKERS, Sent
+from drivers.arrays import Integers
 from drivers.frames import Batch, Wire
 from drivers.mavlink.decode import Messages, decode
 from drivers.mavlink.dialect import Dialect
@@ -38,7 +39,7 @@ class VehicleDecoder:
         self._made = {dialect.number(name) for name in MAKERS}
         self._system_time = dialect.number("SYSTEM_TIME")
 
-    def feed(self, batch: Batch, log_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[Decoded]]:
+    def feed(self, batch: Batch, log_ns: Integers) -> tuple[Integers, list[Decoded]]:
         """Return the device's time of each frame and the decoded messages."""
         publish = log_ns.copy()
         wanted = (batch.wire == Wire.MAVLINK) & batch.known
@@ -59,7 +60,7 @@ class VehicleDecoder:
                 decoded.extend(self._decode(kind, messages, log_ns, publish))
         return publish, in_order(decoded)
 
-    def _boot_offsets(self, batch: Batch) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _boot_offsets(self, batch: Batch) -> tuple[Integers, Integers]:
         """Return from which frame on which UTC of boot holds (-1: unknown)."""
         messages = decode(batch, self._system_time, self._dialect)
         utc = _ns(messages.fields["time_unix_usec"], 1000)
@@ -73,9 +74,7 @@ class VehicleDecoder:
         self._boot_utc_ns = int(offsets[-1]) if len(offsets) > 1 else self._boot_utc_ns
         return np.concatenate([[-1], messages.index[good]]).astype(np.int64), offsets
 
-    def _device_ns(
-        self, messages: Messages, member: str, boot: tuple[NDArray[np.int64], NDArray[np.int64]]
-    ) -> NDArray[np.int64]:
+    def _device_ns(self, messages: Messages, member: str, boot: tuple[Integers, Integers]) -> Integers:
         time = _ns(messages.fields[member], _TIMES[member])
         since, offsets = boot
         offset = offsets[np.searchsorted(since, messages.index, side="right") - 1]
@@ -83,7 +82,7 @@ class VehicleDecoder:
         return np.where(time > EARLIEST_UTC_NS, time, np.where(own, offset + time, -1))
 
     def _decode(
-        self, kind: int, messages: Messages, log_ns: NDArray[np.int64], publish: NDArray[np.int64]
+        self, kind: int, messages: Messages, log_ns: Integers, publish: Integers
     ) -> Iterable[Decoded]:
         senders = messages.system.astype(np.int64) * 256 + messages.component
         for sender in dict.fromkeys(senders.tolist()):
@@ -105,8 +104,8 @@ class VehicleDecoder:
         self,
         made: Made,
         source: tuple[int, int],
-        index: NDArray[np.int64],
-        publish: NDArray[np.int64],
+        index: Integers,
+        publish: Integers,
     ) -> Decoded:
         channel = made.channel
         if not made.common:
@@ -119,7 +118,7 @@ class VehicleDecoder:
         return topic if owner == source else f"{topic}/system-{source[0]}-{source[1]}"
 
 
-def _ns(values: NDArray[Any], unit_ns: int) -> NDArray[np.int64]:
+def _ns(values: NDArray[Any], unit_ns: int) -> Integers:
     """Return times in nanoseconds; what no date of ours can be becomes 0."""
     largest = np.uint64(4_102_444_800_000_000_000 // unit_ns)
     wide = values.astype(np.uint64)

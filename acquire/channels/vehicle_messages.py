@@ -13,6 +13,7 @@ from acquire.channels.decoded import JsonLayout, Made, Times
 from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, HEALTH
 from acquire.log import foxglove
 from acquire.log.records import Channel
+from drivers.arrays import Floats, Integers
 
 SEA_LEVEL = "above mean sea level, as the autopilot computes it"
 FIX_NAMES = ("none", "none", "2d", "3d", "differential", "rtk_float", "rtk_fixed", "3d", "3d")
@@ -38,8 +39,8 @@ class Sent:
     name: str
     source: tuple[int, int]
     fields: NDArray[Any]
-    log_ns: NDArray[np.int64]
-    publish_ns: NDArray[np.int64]
+    log_ns: Integers
+    publish_ns: Integers
 
     def json(
         self, topic: str, layout: JsonLayout, columns: Mapping[str, Any], *, common: bool = True
@@ -239,9 +240,9 @@ MAKERS: dict[str, tuple[Callable[[Sent], Made], ...]] = {
 def _location(
     sent: Sent,
     topic: str,
-    rows: NDArray[np.int64],
-    horizontal_m: NDArray[np.float64],
-    vertical_m: NDArray[np.float64],
+    rows: Integers,
+    horizontal_m: Floats,
+    vertical_m: Floats,
 ) -> Made:
     f = sent.fields[rows]
     payloads = foxglove.location_fixes(
@@ -258,7 +259,7 @@ def _location(
     return Made(channel, payloads, rows)
 
 
-def _claimed(fields: NDArray[Any], name: str) -> NDArray[np.float64]:
+def _claimed(fields: NDArray[Any], name: str) -> Floats:
     """Return an accuracy in metres; zero is what devices send that do not know it."""
     value = fields[name].astype(float) * 1e-3
     return np.where(value > 0, value, np.nan)

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Iterator
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.channels.boot_time import BootTime
+from drivers.arrays import Integers
 from drivers.errors import InputMalformedError
 from drivers.frames import Batch
 from drivers.logged import Definitions
@@ -22,7 +22,7 @@ class Clock(Protocol):
         """What told the time so far."""
         ...
 
-    def feed(self, batch: Batch) -> NDArray[np.int64]:
+    def feed(self, batch: Batch) -> Integers:
         """Return UTC for each frame, nanoseconds since 1970; -1 before it was told."""
         ...
 
@@ -31,16 +31,14 @@ class Clock(Protocol):
         ...
 
 
-def stamped(batches: Iterable[Batch]) -> Iterator[tuple[Batch, NDArray[np.int64]]]:
+def stamped(batches: Iterable[Batch]) -> Iterator[tuple[Batch, Integers]]:
     """Yield batches with the host stamps of their recording."""
     for batch in batches:
         assert batch.host_ns is not None  # noqa: S101
         yield batch, batch.host_ns
 
 
-def derived(
-    batches: Iterable[Batch], clock: Clock, where: object
-) -> Iterator[tuple[Batch, NDArray[np.int64]]]:
+def derived(batches: Iterable[Batch], clock: Clock, where: object) -> Iterator[tuple[Batch, Integers]]:
     """Yield batches with the receiver's own UTC, since there is no time of receipt.
 
     Each frame has the last time that was told before it; what comes before the first time has that one.
@@ -78,7 +76,7 @@ def derived(
 
 def since_boot(
     batches: Iterable[Batch], definitions: Definitions, boot: BootTime
-) -> Iterator[tuple[Batch, NDArray[np.int64]]]:
+) -> Iterator[tuple[Batch, Integers]]:
     """Yield batches of an autopilot's own log with the UTC of its records, since there is no receipt.
 
     Records without a time have the last one; what comes before the first has the time of the start. Times
@@ -92,5 +90,5 @@ def since_boot(
         yield batch, times
 
 
-def _steady(device: NDArray[np.int64], last: int) -> NDArray[np.int64]:
+def _steady(device: Integers, last: int) -> Integers:
     return np.asarray(np.maximum.accumulate(np.concatenate([[last], device]))[1:], np.int64)

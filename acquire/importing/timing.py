@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from acquire.channels.boot_time import BootTime, boot_time
 from acquire.channels.decoded import Decoder
 from acquire.channels.vehicle import VehicleDecoder
@@ -20,6 +17,7 @@ from acquire.importing.recording import (
     Format,
     Source,
 )
+from drivers.arrays import Integers
 from drivers.errors import InputMalformedError
 from drivers.frames import Batch
 from drivers.gnsstime import expiry_warning
@@ -28,7 +26,7 @@ from drivers.mavlink.dialect import Dialect
 
 HOST_TIME = "host stamps of the recording"
 
-Timed = Iterator[tuple[Batch, NDArray[np.int64]]]
+Timed = Iterator[tuple[Batch, Integers]]
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Bytes, Floats, Integers
+
 EARLIEST_US = 946_684_800_000_000
 _SAMPLES = 24
 # A clock is wrong from 1 % on: good ones stay below 0.01 %.
@@ -20,11 +22,11 @@ class ClockOffset:
     """Collects the readings of the clocks of one link; the first system that tells the date counts."""
 
     system: int | None = None
-    host: list[NDArray[np.int64]] = field(default_factory=list)
-    device: list[NDArray[np.int64]] = field(default_factory=list)
-    boot: list[NDArray[np.int64]] = field(default_factory=list)
+    host: list[Integers] = field(default_factory=list)
+    device: list[Integers] = field(default_factory=list)
+    boot: list[Integers] = field(default_factory=list)
 
-    def add(self, system: NDArray[np.uint8], fields: NDArray[Any], host_ns: NDArray[np.int64]) -> None:
+    def add(self, system: Bytes, fields: NDArray[Any], host_ns: Integers) -> None:
         """Take SYSTEM_TIME messages with their times of receipt."""
         good = fields["time_unix_usec"] > EARLIEST_US
         if self.system is None and good.any():
@@ -57,7 +59,7 @@ class ClockOffset:
         }
 
 
-def verdict(offset_s: NDArray[np.float64], ratio: float | None) -> str:
+def verdict(offset_s: Floats, ratio: float | None) -> str:
     """Say what the readings mean.
 
     Parameters
@@ -75,7 +77,7 @@ def verdict(offset_s: NDArray[np.float64], ratio: float | None) -> str:
     )
 
 
-def _ratio(host: NDArray[np.int64], boot: NDArray[np.int64]) -> float | None:
+def _ratio(host: Integers, boot: Integers) -> float | None:
     """Return the rate of the autopilot's clock over the longest stretch without a restart."""
     restarts = np.flatnonzero(np.diff(boot) < 0) + 1
     edges = np.concatenate([[0], restarts, [len(boot)]])

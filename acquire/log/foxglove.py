@@ -6,10 +6,10 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.log.protobuf_rows import Field, RowEncoder, length_delimited
 from acquire.log.records import Schema
+from drivers.arrays import Floats, Integers
 
 SECOND_NS = 1_000_000_000
 
@@ -57,12 +57,12 @@ def _location_encoder(frame: str) -> RowEncoder:
 
 def location_fixes(
     frame: str,
-    time_ns: NDArray[np.int64],
-    latitude_deg: NDArray[np.float64],
-    longitude_deg: NDArray[np.float64],
-    height_m: NDArray[np.float64],
-    horizontal_m: NDArray[np.float64],
-    vertical_m: NDArray[np.float64],
+    time_ns: Integers,
+    latitude_deg: Floats,
+    longitude_deg: Floats,
+    height_m: Floats,
+    horizontal_m: Floats,
+    vertical_m: Floats,
 ) -> list[bytes]:
     """Return `foxglove.LocationFix` messages.
 
@@ -104,9 +104,7 @@ def _transform_encoder(parent: str, child: str) -> RowEncoder:
     )
 
 
-def frame_transforms(
-    parent: str, child: str, time_ns: NDArray[np.int64], quaternion: NDArray[np.float64]
-) -> list[bytes]:
+def frame_transforms(parent: str, child: str, time_ns: Integers, quaternion: Floats) -> list[bytes]:
     """Return `foxglove.FrameTransform` messages of a pure rotation.
 
     Parameters
@@ -125,9 +123,7 @@ def frame_transforms(
     return _transform_encoder(parent, child).encode(columns, len(time_ns))
 
 
-def quaternion_from_euler(
-    roll: NDArray[np.float64], pitch: NDArray[np.float64], yaw: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def quaternion_from_euler(roll: Floats, pitch: Floats, yaw: Floats) -> Floats:
     """Return the rotation from body (forward, right, down) to north, east, down."""
     (sr, cr), (sp, cp), (sy, cy) = ((np.sin(a / 2), np.cos(a / 2)) for a in (roll, pitch, yaw))
     return np.stack(

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Bytes
+
 _VARINT_BYTES = 5
 _LENGTH_DELIMITED, _FIXED64, _VARINT = 2, 1, 0
 
@@ -106,7 +108,7 @@ def _minimal(value: int) -> bytes:
     return bytes(out)
 
 
-def _varint(values: NDArray[Any]) -> NDArray[np.uint8]:
+def _varint(values: NDArray[Any]) -> Bytes:
     shifts = 7 * np.arange(_VARINT_BYTES)
     groups = (np.asarray(values, np.int64)[:, None] >> shifts & 0x7F).astype(np.uint8)
     groups[:, :-1] |= 0x80

@@ -16,11 +16,11 @@ from mcap import records as mcap
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from numpy.typing import NDArray
 
 from acquire.console import printable
 from acquire.log import records
 from acquire.log.records import Channel, Schema
+from drivers.arrays import Integers
 from drivers.errors import InputMalformedError, InputNotFoundError
 
 # What is unpacked or read at once; chunks of our own and of other programs have one to some megabytes.
@@ -45,9 +45,9 @@ class Messages:
 
     channel: Channel
     payloads: list[bytes]
-    log_ns: NDArray[np.int64]
-    publish_ns: NDArray[np.int64]
-    sequence: NDArray[np.int64]
+    log_ns: Integers
+    publish_ns: Integers
+    sequence: Integers
 
 
 @dataclass(frozen=True)

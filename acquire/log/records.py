@@ -16,6 +16,8 @@ from mcap.opcode import Opcode
 from mcap.records import McapRecord
 from numpy.typing import NDArray
 
+from drivers.arrays import Bytes, Integers
+
 MAGIC = b"\x89MCAP0\r\n"
 
 # What stands before the payload of a message, as a packed row.
@@ -86,8 +88,8 @@ class Pieces:
     """
 
     data: bytes
-    start: NDArray[np.int64]
-    length: NDArray[np.int64]
+    start: Integers
+    length: Integers
 
     def __len__(self) -> int:
         return len(self.start)
@@ -126,7 +128,7 @@ def message_records(head: NDArray[np.void], payloads: Payloads) -> bytes | memor
     return made.data
 
 
-def _items(octets: NDArray[np.uint8], width: int) -> NDArray[np.void]:
+def _items(octets: Bytes, width: int) -> NDArray[np.void]:
     """Return a view with an item of some bytes beginning at every byte."""
     return np.ndarray((len(octets) - width + 1,), f"V{width}", octets, strides=(1,))
 

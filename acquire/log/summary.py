@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.log.clock_offset import ClockOffset
 from acquire.log.reader import LogReader, Messages, link_of, read_json
 from acquire.log.records import DAMAGE_ENCODING
+from drivers.arrays import Bytes, Integers
 from drivers.frames import Batch, Wire
 from drivers.identify import batch_of_payloads
 from drivers.mavlink.decode import decode, sequences, sources
@@ -42,12 +42,12 @@ class LinkSummary:
     frames: int = 0
     frame_bytes: int = 0
     damage_bytes: int = 0
-    times: list[NDArray[np.int64]] = field(default_factory=list)
-    by_type: dict[tuple[str, str], list[NDArray[np.int64]]] = field(default_factory=dict)
-    senders: dict[tuple[int, int], list[NDArray[np.uint8]]] = field(default_factory=dict)
+    times: list[Integers] = field(default_factory=list)
+    by_type: dict[tuple[str, str], list[Integers]] = field(default_factory=dict)
+    senders: dict[tuple[int, int], list[Bytes]] = field(default_factory=dict)
     clock: ClockOffset = field(default_factory=ClockOffset)
 
-    def add(self, batch: Batch, log_ns: NDArray[np.int64]) -> None:
+    def add(self, batch: Batch, log_ns: Integers) -> None:
         """Count frames of one protocol."""
         self.frames += len(batch)
         self.frame_bytes += int(batch.length.sum())
@@ -85,7 +85,7 @@ class LinkSummary:
         }
 
     @staticmethod
-    def _type(key: tuple[str, str], parts: list[NDArray[np.int64]]) -> dict[str, Any]:
+    def _type(key: tuple[str, str], parts: list[Integers]) -> dict[str, Any]:
         times = np.sort(np.concatenate(parts))
         steps = np.diff(times)
         return {
@@ -160,7 +160,7 @@ def _add(link: LinkSummary, messages: Messages) -> None:
         link.add(batch_of_payloads(_ENCODINGS[encoding], messages.payloads, link.dialect), messages.log_ns)
 
 
-def _sender(source: tuple[int, int], parts: list[NDArray[np.uint8]]) -> dict[str, int]:
+def _sender(source: tuple[int, int], parts: list[Bytes]) -> dict[str, int]:
     # Each source numbers its frames modulo 256: what the steps skip was sent but did not arrive.
     numbers = np.concatenate(parts).astype(np.int64)
     steps = (numbers[1:] - numbers[:-1]) & 0xFF
@@ -173,7 +173,7 @@ def _sender(source: tuple[int, int], parts: list[NDArray[np.uint8]]) -> dict[str
     }
 
 
-def _gaps(times: NDArray[np.int64]) -> dict[str, Any]:
+def _gaps(times: Integers) -> dict[str, Any]:
     steps = np.diff(times) / 1e9
     long = np.flatnonzero(steps > GAP_S)
     worst = long[np.argsort(-steps[long], kind="stable")][:_LISTED_GAPS]

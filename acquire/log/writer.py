@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from acquire.log import records
 from acquire.log.records import Channel, Payloads, Pieces, Schema, encoded
+from drivers.arrays import Integers
 
 LIBRARY = "photocal"
 COMPRESSION = "lz4"
@@ -100,9 +101,9 @@ class LogWriter:
         self,
         channel: Channel,
         payloads: Payloads,
-        log_ns: NDArray[np.int64],
-        publish_ns: NDArray[np.int64],
-        sequence: NDArray[np.int64],
+        log_ns: Integers,
+        publish_ns: Integers,
+        sequence: Integers,
     ) -> None:
         """Add messages of one channel to the open chunk.
 

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.text import Text
 
 from acquire.monitor.chart import Layer
+from drivers.arrays import Floats, Integers
 
 # Dots of a Braille cell by column and row (Unicode 15, chapter 21.1).
 _DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
@@ -35,7 +35,7 @@ def braille_map(layers: Sequence[Layer], width: int, height: int) -> Text:
     dots_per_m = min((2 * width - 3) / extent[0], (4 * rows - 3) / extent[1])
     middle = (low + high) / 2
 
-    def dots(layer: Layer) -> NDArray[np.float64]:
+    def dots(layer: Layer) -> Floats:
         away = (metres(layer.points, drawn[0].points[0]) - middle) * dots_per_m
         return np.column_stack([width - 0.5 + away[:, 0], 2 * rows - 0.5 - away[:, 1]])
 
@@ -63,7 +63,7 @@ def braille_map(layers: Sequence[Layer], width: int, height: int) -> Text:
     return text.append(_scale_bar(width, dots_per_m))
 
 
-def metres(points: NDArray[np.float64], origin: NDArray[np.float64]) -> NDArray[np.float64]:
+def metres(points: Floats, origin: Floats) -> Floats:
     """Return metres east and north of an origin, with the radii of curvature there."""
     sine = math.sin(math.radians(origin[0]))
     w = math.sqrt(1 - _E2 * sine**2)
@@ -80,7 +80,7 @@ def round_step(value: float) -> float:
     return next(factor * power for factor in (5, 2, 1) if factor * power <= value * (1 + 1e-9))
 
 
-def _line(cells: NDArray[np.int64], styles: dict[tuple[int, int], str], at: NDArray[np.float64]) -> None:
+def _line(cells: Integers, styles: dict[tuple[int, int], str], at: Floats) -> None:
     for start, end in pairwise(at):
         steps = max(int(np.ceil(np.abs(end - start).max())), 1)
         between = start + (end - start) * np.linspace(0, 1, steps + 1)[:, None]
@@ -89,13 +89,13 @@ def _line(cells: NDArray[np.int64], styles: dict[tuple[int, int], str], at: NDAr
     _set(cells, at)
 
 
-def _set(cells: NDArray[np.int64], at: NDArray[np.float64]) -> None:
+def _set(cells: Integers, at: Floats) -> None:
     for x, y in np.rint(at).astype(int).tolist():
         if 0 <= y // 4 < cells.shape[0] and 0 <= x // 2 < cells.shape[1]:
             cells[y // 4, x // 2] |= _DOTS[x % 2][y % 4]
 
 
-def _cells(at: NDArray[np.float64], shape: tuple[int, ...]) -> list[tuple[int, int]]:
+def _cells(at: Floats, shape: tuple[int, ...]) -> list[tuple[int, int]]:
     places = [(y // 4, x // 2) for x, y in np.rint(at).astype(int).tolist()]
     return [(row, column) for row, column in places if 0 <= row < shape[0] and 0 <= column < shape[1]]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.monitor.state import State
+from drivers.arrays import Floats
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Layer:
 
     kind: str
     name: str
-    points: NDArray[np.float64]
+    points: Floats
     edition: str
     labels: tuple[str, ...] = ()
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
+
+from drivers.arrays import Floats, Integers
 
 LONGEST = 4000
 # Points that lie closer to the last one show nothing new.
@@ -13,11 +14,11 @@ STEP_M = 0.5
 _METRES_PER_DEG = 111_195.0  # mean sphere: only a threshold hangs on it
 
 
-def _nowhere() -> NDArray[np.float64]:
+def _nowhere() -> Floats:
     return np.empty((0, 2))
 
 
-def _never() -> NDArray[np.int64]:
+def _never() -> Integers:
     return np.empty(0, np.int64)
 
 
@@ -35,12 +36,12 @@ class Track:
         How many times every second point was left out; as long as it stays, points are only added.
     """
 
-    points: NDArray[np.float64] = field(default_factory=_nowhere)
-    times_ns: NDArray[np.int64] = field(default_factory=_never)
+    points: Floats = field(default_factory=_nowhere)
+    times_ns: Integers = field(default_factory=_never)
     thinned: int = 0
 
 
-def extended(track: Track, points: NDArray[np.float64], times_ns: NDArray[np.int64]) -> Track:
+def extended(track: Track, points: Floats, times_ns: Integers) -> Track:
     """Add points."""
     if not len(points):
         return track

@@ -9,13 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-import numpy as np
-from numpy.typing import NDArray
-
 from acquire.log import records
 from acquire.log.records import Channel
 from acquire.log.writer import LogWriter
 from acquire.recording.disk import WholeWrites, new_file, new_log
+from drivers.arrays import Integers
 from drivers.errors import OutputError
 
 # What is held in memory while no disk takes anything, and how often it is tried again.
@@ -95,9 +93,9 @@ class LogFiles:
         self,
         channel: Channel,
         payloads: records.Payloads,
-        log_ns: NDArray[np.int64],
-        publish_ns: NDArray[np.int64],
-        sequence: NDArray[np.int64],
+        log_ns: Integers,
+        publish_ns: Integers,
+        sequence: Integers,
     ) -> None:
         """Add messages, see `LogWriter.messages`."""
         self._writer.messages(channel, payloads, log_ns, publish_ns, sequence)

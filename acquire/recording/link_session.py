@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.channels.decoded import Decoded, Decoder
 from acquire.channels.link import LinkLog, MessageWriter, arrived_channel
@@ -22,6 +21,7 @@ from acquire.recording.reader import Arrival
 from acquire.recording.receiver_dialogue import ReceiverDialogue
 from acquire.recording.vehicle_dialogue import VehicleDialogue
 from acquire.transports.sources import LinkLostError, Source
+from drivers.arrays import Integers
 from drivers.errors import ConfigurationError
 from drivers.frames import Batch, Wire
 from drivers.framing import StreamFramer, wires_of
@@ -58,7 +58,7 @@ class ShieldedDecoder:
         self._failed = False
         self.failure = ""
 
-    def feed(self, batch: Batch, log_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[Decoded]]:
+    def feed(self, batch: Batch, log_ns: Integers) -> tuple[Integers, list[Decoded]]:
         """Decode a batch, see `Decoder`."""
         try:
             return self._decoder.feed(batch, log_ns)

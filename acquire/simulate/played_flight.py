@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import InputMalformedError, InputNotFoundError
-
-Floats = NDArray[np.float64]
 
 _STAMP_BYTES = 8
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Bytes, Integers
 from drivers.frames import Batch, Wire, gather
 from drivers.mavlink.dialect import V2, Dialect
 
@@ -27,9 +28,9 @@ class Messages:
         sent are zero, as the standard has it.
     """
 
-    index: NDArray[np.int64]
-    system: NDArray[np.uint8]
-    component: NDArray[np.uint8]
+    index: Integers
+    system: Bytes
+    component: Bytes
     fields: NDArray[Any]
 
     def __len__(self) -> int:
@@ -48,7 +49,7 @@ def decode(batch: Batch, message: int, dialect: Dialect) -> Messages:
     return Messages(index, system, component, fields)
 
 
-def sources(batch: Batch, index: NDArray[np.int64]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+def sources(batch: Batch, index: Integers) -> tuple[Bytes, Bytes]:
     """Return system and component of MAVLink frames."""
     start = batch.start[index]
     octets = np.frombuffer(batch.data, np.uint8)
@@ -56,7 +57,7 @@ def sources(batch: Batch, index: NDArray[np.int64]) -> tuple[NDArray[np.uint8], 
     return octets[start + np.where(second, 5, 3)], octets[start + np.where(second, 6, 4)]
 
 
-def sequences(batch: Batch, index: NDArray[np.int64]) -> NDArray[np.uint8]:
+def sequences(batch: Batch, index: Integers) -> Bytes:
     """Return the sequence numbers of MAVLink frames: each source counts its frames modulo 256."""
     start = batch.start[index]
     octets = np.frombuffer(batch.data, np.uint8)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Integers
 from drivers.frames import Batch, Wire, gather
 from drivers.gnsstime import week_to_ns
 
@@ -96,7 +97,7 @@ class Messages:
         The fields by the names and in the units of the interface description (of RXM-SFRBX the header only).
     """
 
-    index: NDArray[np.int64]
+    index: Integers
     fields: NDArray[Any]
 
     def __len__(self) -> int:
@@ -107,7 +108,7 @@ class Messages:
 _AGES_S = np.array([np.nan, 1, 2, 5, 10, 15, 20, 30, 45, 60, 90, 120, *[np.inf] * 4])
 
 
-def correction_age_s(pvt: NDArray[Any]) -> NDArray[np.float64]:
+def correction_age_s(pvt: NDArray[Any]) -> Floats:
     """Return the age of the last differential correction that NAV-PVT tells, seconds.
 
     The receiver tells classes (`lastCorrectionAge`, bits 1 to 4 of `flags3`): the result is the longest age
@@ -151,12 +152,12 @@ class TimeMarks:
         Accuracy as the receiver claims it.
     """
 
-    index: NDArray[np.int64]
-    count: NDArray[np.int64]
-    time_ns: NDArray[np.int64]
-    base: NDArray[np.int64]
-    valid: NDArray[np.bool_]
-    accuracy_ns: NDArray[np.int64]
+    index: Integers
+    count: Integers
+    time_ns: Integers
+    base: Integers
+    valid: Flags
+    accuracy_ns: Integers
 
 
 def time_marks(fields: NDArray[Any], *, rising: bool) -> TimeMarks:
@@ -192,7 +193,7 @@ class RawObservations:
     """
 
     epochs: Messages
-    epoch: NDArray[np.int64]
+    epoch: Integers
     signals: NDArray[Any]
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.accuracy.classes import AdmittedSize, ClassDecision, Sample, admitted_size, decide, sample
 from photocal.accuracy.discrepancies import COMPONENTS, Discrepancies
@@ -15,7 +16,6 @@ from photocal.accuracy.probable_error import circular_error, counted_error, line
 from photocal.accuracy.significance_tests import BiasTest, NormalityTest, bias_test, normality_test
 from photocal.accuracy.standard import LimitTable, ScaleStandard, Standard, ValueStandard
 from photocal.accuracy.statistics import (
-    FloatArray,
     LengthStatistics,
     Moments,
     Spread,
@@ -224,8 +224,8 @@ def _component(discrepancies: Discrepancies, name: str, confidence: float) -> Co
     )
 
 
-def _plane(vectors: FloatArray) -> VectorResult:
-    second_moments: FloatArray = vectors.T @ vectors / len(vectors)
+def _plane(vectors: Floats) -> VectorResult:
+    second_moments: Floats = vectors.T @ vectors / len(vectors)
     return VectorResult(
         length_statistics(lengths(vectors)),
         circular_error(second_moments, PROBABLE_ERROR),
@@ -233,7 +233,7 @@ def _plane(vectors: FloatArray) -> VectorResult:
     )
 
 
-def _height(values: FloatArray) -> VectorResult:
+def _height(values: Floats) -> VectorResult:
     statistics = length_statistics(np.abs(values))
     return VectorResult(
         statistics,
@@ -242,7 +242,7 @@ def _height(values: FloatArray) -> VectorResult:
     )
 
 
-def _space(vectors: FloatArray) -> VectorResult:
+def _space(vectors: Floats) -> VectorResult:
     return VectorResult(
         length_statistics(lengths(vectors)), None, counted_error(lengths(vectors), PROBABLE_ERROR)
     )

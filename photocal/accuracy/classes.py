@@ -12,10 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.arrays import Floats
 from photocal.accuracy.probable_error import counted_error
 from photocal.accuracy.significance_tests import PrecisionTest, precision_quantile, precision_test
 from photocal.accuracy.standard import ClassLimit, LimitTable
-from photocal.accuracy.statistics import FloatArray, Moments, combined_rmse, lengths, moments
+from photocal.accuracy.statistics import Moments, combined_rmse, lengths, moments
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Sample:
     """
 
     components: tuple[Moments, ...]
-    lengths_m: FloatArray | None = None
+    lengths_m: Floats | None = None
 
     @property
     def rmse_m(self) -> float:
@@ -101,7 +102,7 @@ class AdmittedSize:
         return self.rmse if self.share is None else max(self.rmse, self.share)
 
 
-def sample(vectors_m: FloatArray) -> Sample:
+def sample(vectors_m: Floats) -> Sample:
     """Make a sample from discrepancies."""
     return Sample(tuple(moments(column) for column in vectors_m.T), lengths(vectors_m))
 

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats
 from drivers.errors import InputMalformedError, InputNotFoundError
-from photocal.accuracy.statistics import FloatArray
 
 SIGN = "reference minus product"
 COMPONENTS = ("E", "N", "h")
@@ -45,10 +44,10 @@ class Discrepancies:
     """
 
     points: tuple[str, ...]
-    d_m: FloatArray
-    positions_m: FloatArray | None = None
+    d_m: Floats
+    positions_m: Floats | None = None
 
-    def component(self, name: str) -> tuple[tuple[str, ...], FloatArray]:
+    def component(self, name: str) -> tuple[tuple[str, ...], Floats]:
         """Give the values of one component with the names of their points.
 
         Returns
@@ -58,16 +57,16 @@ class Discrepancies:
         """
         return self._complete([COMPONENTS.index(name)], 0)
 
-    def planimetric(self) -> tuple[tuple[str, ...], FloatArray]:
+    def planimetric(self) -> tuple[tuple[str, ...], Floats]:
         """Give the plane vectors of the points that have both dE and dN."""
         return self._complete([0, 1], slice(None))
 
-    def spatial(self) -> tuple[tuple[str, ...], FloatArray]:
+    def spatial(self) -> tuple[tuple[str, ...], Floats]:
         """Give the vectors of the points that have all three components."""
         return self._complete([0, 1, 2], slice(None))
 
-    def _complete(self, columns: list[int], pick: int | slice) -> tuple[tuple[str, ...], FloatArray]:
-        known: NDArray[np.bool_] = np.all(np.isfinite(self.d_m[:, columns]), axis=1)
+    def _complete(self, columns: list[int], pick: int | slice) -> tuple[tuple[str, ...], Floats]:
+        known: Flags = np.all(np.isfinite(self.d_m[:, columns]), axis=1)
         names = tuple(name for name, has in zip(self.points, known.tolist(), strict=True) if has)
         return names, self.d_m[known][:, columns][:, pick]
 

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.outputs import output_folder
+from drivers.arrays import Flags, Floats
 from photocal.accuracy.discrepancies import COMPONENTS, SIGN, Discrepancies
-from photocal.accuracy.statistics import FloatArray, moments
+from photocal.accuracy.statistics import moments
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,7 +43,7 @@ def residual_map(discrepancies: Discrepancies) -> Figure | None:
     if discrepancies.positions_m is None:
         return None
     table = np.column_stack((discrepancies.positions_m[:, :2], discrepancies.d_m))
-    known: NDArray[np.bool_] = np.all(np.isfinite(table[:, :4]), axis=1)
+    known: Flags = np.all(np.isfinite(table[:, :4]), axis=1)
     if not known.any():
         return None
     names = [name for name, has in zip(discrepancies.points, known.tolist(), strict=True) if has]
@@ -101,7 +101,7 @@ def histograms(discrepancies: Discrepancies) -> Figure:
     return figure
 
 
-def _histogram(axes: Axes, name: str, values: FloatArray) -> None:
+def _histogram(axes: Axes, name: str, values: Floats) -> None:
     edges = np.histogram_bin_edges(values, bins="sturges")
     axes.hist(values, bins=edges.tolist(), color="#9db8d9", edgecolor="black", linewidth=0.5)
     figures = moments(values)

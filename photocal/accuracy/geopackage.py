@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from acquire.outputs import output_file
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.accuracy.discrepancies import Discrepancies
-from photocal.accuracy.statistics import FloatArray
 from photocal.geopackage import LOCAL, Layer, ReferenceSystem, add_layer, geopackage
 
 # First number that no authority uses, for a coordinate system without one.
@@ -106,11 +106,11 @@ class _Row:
 
     role: str
     name: str
-    e_n_h: FloatArray
-    d: FloatArray
+    e_n_h: Floats
+    d: Floats
 
     @property
-    def place(self) -> FloatArray:
+    def place(self) -> Floats:
         """Where it lies, shape (1, 2)."""
         return self.e_n_h[None, :2]
 
@@ -124,7 +124,7 @@ class _Row:
         """Whether its discrepancy in the plane is known."""
         return math.isfinite(self.plane_m)
 
-    def vector(self, enlarged: float) -> FloatArray:
+    def vector(self, enlarged: float) -> Floats:
         """Give the drawn vector, shape (2, 2)."""
         return np.vstack([self.e_n_h[:2], self.e_n_h[:2] + enlarged * self.d[:2]])
 

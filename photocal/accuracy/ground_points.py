@@ -12,11 +12,9 @@ from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.findings.finding import Figure, Finding
-
-FloatArray = NDArray[np.float64]
 
 # One foot in metres: international; the U.S. survey foot differs in the sixth digit.
 FOOT_M = 0.3048
@@ -42,7 +40,7 @@ class GroundPoints:
     """
 
     names: tuple[str, ...]
-    xyz_m: FloatArray
+    xyz_m: Floats
 
 
 def check_points_used_as_control(control: GroundPoints, check: GroundPoints) -> tuple[Finding, ...]:
@@ -88,7 +86,7 @@ def control_in_few_images(
 
 
 def latitude_longitude_swapped(
-    latitude_deg: FloatArray, longitude_deg: FloatArray, exposures_deg: FloatArray | None
+    latitude_deg: Floats, longitude_deg: Floats, exposures_deg: Floats | None
 ) -> tuple[Finding, ...]:
     """Find latitude and longitude that changed places."""
     code, worst = "latitude-longitude-swapped", float(np.max(np.abs(latitude_deg)))
@@ -126,7 +124,7 @@ def feet_for_metres(points: GroundPoints, block: GroundPoints) -> tuple[Finding,
 
 
 def wrong_utm_zone(
-    points: GroundPoints, zone: int, *, southern: bool, exposures_deg: FloatArray
+    points: GroundPoints, zone: int, *, southern: bool, exposures_deg: Floats
 ) -> tuple[Finding, ...]:
     """Find coordinates that were given the wrong UTM zone or hemisphere."""
     centre = np.nanmean(points.xyz_m[:, :2], axis=0)
@@ -159,7 +157,7 @@ def geodesic_m(latitude_1: float, longitude_1: float, latitude_2: float, longitu
     return float(Geod(ellps="WGS84").inv(longitude_1, latitude_1, longitude_2, latitude_2)[2])
 
 
-def _utm_distance(centre: FloatArray, zone: int, southern: bool, latitude: float, longitude: float) -> float:
+def _utm_distance(centre: Floats, zone: int, southern: bool, latitude: float, longitude: float) -> float:
     from pyproj import Proj
 
     projection = Proj(proj="utm", zone=zone, south=southern, ellps="WGS84")
@@ -176,7 +174,7 @@ def _kilometres(distance_m: float) -> float:
     return min(distance_m, _NOWHERE_M) / 1000.0
 
 
-def _distance_ratio(a: FloatArray, b: FloatArray) -> float | None:
+def _distance_ratio(a: Floats, b: Floats) -> float | None:
     """Ratio of the root mean square distances from the centre; None where it says nothing."""
     known = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
     if int(known.sum()) < 2:

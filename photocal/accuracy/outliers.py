@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy import stats
 
-from photocal.accuracy.statistics import FloatArray
+from drivers.arrays import Floats
 
 # Below this many points a deviation cannot be told from the spread it makes itself.
 SMALLEST_SAMPLE = 5
@@ -15,7 +15,7 @@ SMALLEST_SAMPLE = 5
 MOST_TESTED = 100
 
 
-def outliers(values_m: FloatArray, confidence: float) -> tuple[int, ...]:
+def outliers(values_m: Floats, confidence: float) -> tuple[int, ...]:
     """Find the values that do not belong to the normal distribution of the others.
 
     They are shown, never removed: a check point with a large error is the reason for checking.

@@ -16,14 +16,14 @@ import numpy as np
 from scipy import stats
 from scipy.optimize import brentq
 
-from photocal.accuracy.statistics import FloatArray
+from drivers.arrays import Floats
 
 # Directions over half a turn; the integrand is smooth and periodic, so the rectangle rule converges
 # exponentially and this many suffice for axis ratios down to about 1:100.
 _DIRECTIONS = 2048
 
 
-def counted_error(lengths_m: FloatArray, share: float) -> float:
+def counted_error(lengths_m: Floats, share: float) -> float:
     """Give the smallest length that at least a share of the points does not exceed."""
     n = len(lengths_m)
     # A share times n that is whole up to rounding (0.9 * 30) must not be rounded up.
@@ -36,7 +36,7 @@ def linear_error(rmse_m: float, probability: float) -> float:
     return float(stats.norm.ppf(0.5 + probability / 2.0)) * rmse_m
 
 
-def circular_error(second_moments_m2: FloatArray, probability: float) -> float:
+def circular_error(second_moments_m2: Floats, probability: float) -> float:
     """Give the radius of the circle about zero that holds a share of normal plane errors (CE).
 
     Exact for any ellipse: P(r) is the integral over all directions of the radial part, which has a

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 from scipy import stats
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, IllPosedError
-from photocal.accuracy.statistics import FloatArray, Moments
+from photocal.accuracy.statistics import Moments
 
 # The approximation of Royston 1995 that scipy computes holds for these numbers of points.
 SHAPIRO_WILK_SAMPLES = range(3, 5001)
@@ -121,7 +122,7 @@ def precision_quantile(n: int, confidence: float) -> float:
     return float(stats.chi2.ppf(confidence, n - 1))
 
 
-def normality_test(values_m: FloatArray, confidence: float) -> NormalityTest | None:
+def normality_test(values_m: Floats, confidence: float) -> NormalityTest | None:
     """Test whether a component is normally distributed (Shapiro and Wilk 1965)."""
     _require_level(confidence)
     if len(values_m) not in SHAPIRO_WILK_SAMPLES or float(values_m.max() - values_m.min()) < _NO_RANGE_M:

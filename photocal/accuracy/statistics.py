@@ -9,11 +9,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
-
-FloatArray = NDArray[np.float64]
 
 # 1 / the 0.75 quantile of the standard normal distribution: the median of absolute deviations
 # times this estimates the standard deviation of normal data (Hoehle and Hoehle 2009).
@@ -92,7 +90,7 @@ class LengthStatistics:
     maximum_m: float
 
 
-def moments(values_m: FloatArray) -> Moments:
+def moments(values_m: Floats) -> Moments:
     """Compute number, mean and standard deviation of one component.
 
     Notes
@@ -107,7 +105,7 @@ def moments(values_m: FloatArray) -> Moments:
     return Moments(n, float(np.mean(values_m)), float(np.std(values_m, ddof=1)) if n > 1 else math.nan)
 
 
-def spread(values_m: FloatArray) -> Spread:
+def spread(values_m: Floats) -> Spread:
     """Compute extremes, median and the robust standard deviation of one component.
 
     Parameters
@@ -129,13 +127,13 @@ def spread(values_m: FloatArray) -> Spread:
     )
 
 
-def lengths(vectors_m: FloatArray) -> FloatArray:
+def lengths(vectors_m: Floats) -> Floats:
     """Compute the lengths of residual vectors."""
-    squares: FloatArray = np.sum(np.square(vectors_m), axis=1)
+    squares: Floats = np.sum(np.square(vectors_m), axis=1)
     return np.sqrt(squares)
 
 
-def length_statistics(lengths_m: FloatArray) -> LengthStatistics:
+def length_statistics(lengths_m: Floats) -> LengthStatistics:
     """Sum up lengths of residual vectors by mean and by root mean square.
 
     Silva (tank survey, equation 5) defines Rxyz as the root mean square but prints the mean of the

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.arrays import Floats
 from drivers.errors import IllPosedError
 from photocal.accuracy.significance_tests import bias_test
-from photocal.accuracy.statistics import FloatArray, Moments
+from photocal.accuracy.statistics import Moments
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ def rmse_after_trend_removal(component: Moments, confidence: float) -> float:
     return component.rmse_without_mean_m if biased else component.rmse_m
 
 
-def similarity_trend(positions_m: FloatArray, discrepancies_m: FloatArray) -> SimilarityTrend:
+def similarity_trend(positions_m: Floats, discrepancies_m: Floats) -> SimilarityTrend:
     """Fit shift, scale and rotation to planimetric discrepancies by least squares."""
     if len(positions_m) < 3:
         raise IllPosedError("a similarity trend needs at least three check points with coordinates")

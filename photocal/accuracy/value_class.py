@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from drivers.arrays import Floats
 from photocal.accuracy.classes import Sample
 from photocal.accuracy.standard import ValueStandard
-from photocal.accuracy.statistics import FloatArray
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def value_class(
     plane: Sample | None,
     height: Sample | None,
     stated: Stated,
-    errors: Mapping[str, tuple[tuple[str, ...], FloatArray]] | None = None,
+    errors: Mapping[str, tuple[tuple[str, ...], Floats]] | None = None,
 ) -> ValueClass:
     """Compute the class reached, and what goes by the class that was asked for."""
     horizontal = _with_survey(plane, stated.survey_horizontal_m)

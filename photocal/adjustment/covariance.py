@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from photocal.adjustment.datum import correction
 from photocal.adjustment.envelope import factorise, selected_inverse
 from photocal.adjustment.equations import Equations
@@ -22,9 +22,6 @@ from photocal.adjustment.state import State, lenses, turn_basis
 from photocal.compiled import compiled
 from photocal.geometry.camera import OWN, PARAMETERS
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 def complete(problem: Problem, minimum: Minimum) -> Solution:

@@ -11,18 +11,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.spatial.transform import Rotation
 
+from drivers.arrays import Floats, Integers
 from photocal.adjustment.envelope import multiply, solve
 from photocal.adjustment.kernels.substitution import back_substitute, reduce_right
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import Normal, Problem, diagonal_addresses, normal_equations
 from photocal.adjustment.state import State
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Share of its own diagonal that a similarity transformation may change v'Pv by and still be free.
 OPEN = 1e-9

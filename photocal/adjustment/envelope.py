@@ -12,12 +12,10 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import blas, lapack
 from threadpoolctl import ThreadpoolController
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from drivers.arrays import Floats, Integers
 
 PANEL = 144
 

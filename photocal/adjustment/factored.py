@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.adjustment.datum import Correction, correction, full_solution, with_datum
 from photocal.adjustment.envelope import factorise
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import Normal, Problem, normal_equations, prepare
 from photocal.adjustment.rank import explain_singular
 from photocal.adjustment.state import State
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

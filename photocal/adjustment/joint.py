@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.adjustment.factored import Factored, covariance_column
 from photocal.adjustment.state import turn_basis
 from photocal.adjustment.unknowns import XYZ, Unknown, unknowns
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,16 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from drivers.arrays import Flags, Integers
 from photocal.adjustment.envelope import Envelope, envelope
 from photocal.adjustment.kernels.data import POSE, WIDTHS
 from photocal.adjustment.network import Network, own_parameters
 from photocal.compiled import compiled
-
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -111,7 +109,7 @@ def layout(network: Network, ray_start: Integers) -> Layout:
 
 
 @compiled
-def mark_together(ray_start: Integers, ray_image: Integers, together: NDArray[np.bool_]) -> None:
+def mark_together(ray_start: Integers, ray_image: Integers, together: Flags) -> None:
     """Mark the pairs of images that see a common point."""
     for point in range(len(ray_start) - 1):
         for a in range(ray_start[point], ray_start[point + 1]):

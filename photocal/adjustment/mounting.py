@@ -13,14 +13,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from drivers.arrays import Floats, Integers
 from photocal.adjustment.equations import Equations
 from photocal.geometry.rotation import left_jacobian, skew
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Camera axes (x right, y up in the image, z backwards) of a camera that looks down, the upper edge of its
 # image forward, in terms of body axes (forward, right, down).

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats
 from drivers.errors import NotConvergedError
 from photocal.adjustment.datum import full_solution
 from photocal.adjustment.equations import Equations, add_equations
@@ -29,9 +29,6 @@ from photocal.adjustment.normal import (
 from photocal.adjustment.sensitivity import across
 from photocal.adjustment.solver import ROUNDING, moved_by, reduced_step
 from photocal.adjustment.state import State, moved_exposures
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 STEPS = 12
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.mounting import (
     NO_ATTITUDES,
     NO_MOUNTING,
@@ -16,9 +16,6 @@ from photocal.adjustment.mounting import (
     Positions,
 )
 from photocal.geometry.camera import OWN, PARAMETERS, Camera
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -62,7 +59,7 @@ class Points:
     """
 
     values: Floats
-    held: NDArray[np.bool_]
+    held: Flags
     weight: Floats
 
 
@@ -175,7 +172,7 @@ def covariance_matrices(sigma: Floats, cross: Floats) -> Floats:
     return matrix
 
 
-def point_weights(sigma: Floats) -> tuple[NDArray[np.bool_], Floats]:
+def point_weights(sigma: Floats) -> tuple[Flags, Floats]:
     """Held coordinates and weight matrices from the standard deviations of coordinates.
 
     Parameters

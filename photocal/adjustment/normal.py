@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.equations import Equations, add_equations
 from photocal.adjustment.kernels.data import WIDTHS, Design, Eliminated, Structure, Values
 from photocal.adjustment.kernels.elimination import accumulate
@@ -23,8 +23,6 @@ from photocal.adjustment.observations import (
 from photocal.adjustment.state import State, lens_by_image, lenses, turn_basis
 from photocal.geometry.camera import MOTION, PARAMETERS
 from photocal.geometry.lens import optics
-
-Floats = NDArray[np.float64]
 
 RAYS_PER_THREAD = 4000
 
@@ -45,8 +43,8 @@ class Problem:
     layout: Layout
     design: Design
     structure: Structure
-    held: NDArray[np.bool_]
-    stiffened: NDArray[np.int64]
+    held: Flags
+    stiffened: Integers
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ class Normal:
     matrix: Floats
     gradient: Floats
     chi_squared: float
-    singular: NDArray[np.int64]
+    singular: Integers
     kept: Eliminated
 
 
@@ -196,7 +194,7 @@ def normal_equations(
     return Normal(matrix, gradient, total, np.flatnonzero(singular), kept)
 
 
-def diagonal_addresses(problem: Problem) -> NDArray[np.int64]:
+def diagonal_addresses(problem: Problem) -> Integers:
     """Where the diagonal stands among the values of the reduced matrix, shape (layout.size,)."""
     structure = problem.structure
     column = np.arange(structure.band)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.adjustment.equations import Equations
 from photocal.adjustment.layout import Layout
 from photocal.adjustment.mounting import attitude_equations, common_equations, position_equations
@@ -12,9 +12,6 @@ from photocal.adjustment.network import RELATIONS, Network, own_parameters, own_
 from photocal.adjustment.state import State, turn_basis
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 def camera_equations(network: Network, layout: Layout, state: State) -> Equations:

@@ -6,17 +6,15 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr
 
+from drivers.arrays import Floats, Integers
 from drivers.errors import IllPosedError
 from photocal.adjustment.datum import similarity_moves
 from photocal.adjustment.envelope import dense
 from photocal.adjustment.normal import Normal, Problem, normal_equations
 from photocal.adjustment.state import State
 from photocal.adjustment.unknowns import Unknown, unknowns
-
-Floats = NDArray[np.float64]
 
 
 class Limits(NamedTuple):
@@ -138,7 +136,7 @@ def _null_space(problem: Problem, normal: Normal, limit: float) -> tuple[Floats,
     return scale, scaled, vectors[:, eigenvalues < limit]
 
 
-def _parallel(problem: Problem, normal: Normal, limit: float) -> NDArray[np.int64]:
+def _parallel(problem: Problem, normal: Normal, limit: float) -> Integers:
     """Points whose rays come from one place: their own block is nearly singular."""
     eliminated = problem.design.point_column < 0
     eliminated[normal.singular] = False

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from drivers.errors import IllPosedError, NotConvergedError
@@ -18,7 +17,6 @@ from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration
 from photocal.geometry.camera import PARAMETERS, Camera
 
-Floats = NDArray[np.float64]
 Report = Callable[[Iteration], None]
 
 READOUT = PARAMETERS.index("readout")

@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
+from drivers.arrays import Floats
 from photocal.adjustment.envelope import selected_inverse
 from photocal.adjustment.factored import Factored, covariance_column, factored
 from photocal.adjustment.kernels.statistics import statistics
@@ -21,8 +21,6 @@ from photocal.adjustment.normal import values_of
 from photocal.adjustment.sensitivity import along, point_effects
 from photocal.adjustment.solution import Solution
 from photocal.geometry.camera import PARAMETERS
-
-Floats = NDArray[np.float64]
 
 SIGNIFICANCE, POWER = 0.001, 0.80
 # Below this redundancy number no other observation checks an observation.

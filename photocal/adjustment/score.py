@@ -9,14 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.adjustment.datum import full_solution
 from photocal.adjustment.factored import Factored
 from photocal.adjustment.normal import values_of
 from photocal.adjustment.sensitivity import across, along
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns
 from photocal.adjustment.kernels.ray import ray_rows
 from photocal.adjustment.kernels.statistics import gather, most_rays
 from photocal.compiled import compiled, compiled_parallel
 from photocal.geometry.lens import Scratch, scratch
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @compiled

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
+from drivers.arrays import Flags, Floats, Integers
 from drivers.errors import NotConvergedError
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
@@ -27,8 +27,6 @@ from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration, minimise, moved_by, reduced_step
 from photocal.adjustment.state import State, start_state
 
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 Test = Literal["w", "tau"]
 
 # Largest probability of rejecting one good observation (Baarda 1968). In a large network it is lowered so
@@ -58,7 +56,7 @@ class Snooping:
     network: Network
     solution: Solution
     accepted: Flags
-    points: NDArray[np.int64]
+    points: Integers
     rounds: int
 
 
@@ -168,7 +166,7 @@ def ray_fit(problem: Problem, state: State) -> Floats:
     return np.where(depth > 0, fit, np.inf)
 
 
-def worst_of_points(network: Network, solution: Solution, test: Test) -> NDArray[np.int64]:
+def worst_of_points(network: Network, solution: Solution, test: Test) -> Integers:
     """Rays whose standardised residual is rejected; of each point at most the worst."""
     w = np.abs(solution.standardised(network.rays.sigma))
     if test == "tau":
@@ -194,7 +192,7 @@ def critical_value(degrees_of_freedom: int, test: Test, significance: float) -> 
     return float(t * np.sqrt(degrees_of_freedom) / np.sqrt(degrees_of_freedom - 1 + t**2))
 
 
-def subset(network: Network, accepted: Flags) -> tuple[Network, NDArray[np.int64], NDArray[np.int64]]:
+def subset(network: Network, accepted: Flags) -> tuple[Network, Integers, Integers]:
     """Network of some of the rays, without the points that are then no longer determined."""
     count = np.bincount(network.rays.point[accepted], minlength=len(network.points.values))
     known = network.points.held.all(axis=1) | (np.diagonal(network.points.weight, axis1=1, axis2=2) > 0).any(

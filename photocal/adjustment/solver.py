@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import NotConvergedError
 from photocal.adjustment.datum import inner_state
 from photocal.adjustment.envelope import factorise, solve
@@ -21,8 +21,6 @@ from photocal.adjustment.normal import (
 from photocal.adjustment.rank import SINGULAR, SUSPECT, Limits, explain_singular, weakest_pivot
 from photocal.adjustment.state import State, moved_exposures, round_the_middle
 from photocal.adjustment.unknowns import unknowns
-
-Floats = NDArray[np.float64]
 
 # Squared distance to the minimum, in units of the standard deviations, that is left of a solution.
 CONVERGED = 1e-12

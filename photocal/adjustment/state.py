@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from drivers.arrays import Flags, Floats
 from photocal.adjustment.layout import Layout
 from photocal.adjustment.network import Network, own_parameters
 from photocal.geometry.camera import OWN, PARAMETERS
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles, turn_per_angle, turned
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -92,7 +90,7 @@ def turn_basis(network: Network, state: State) -> Floats:
     return basis
 
 
-def _angles_held(network: Network) -> NDArray[np.bool_]:
+def _angles_held(network: Network) -> Flags:
     held = network.exposures.sigma[:, :3] == 0
     return np.asarray(held.any(axis=1) & ~held.all(axis=1))
 

@@ -10,17 +10,14 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Integers
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.network import RELATIONS, Network
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import State
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # A variance is settled when a round changes it by less than this share of itself.
 SETTLED = 1e-3

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from photocal.analysis.estimates import Array, Estimates, positive_definite, quadratic_form, without
+from drivers.arrays import Floats
+from photocal.analysis.estimates import Estimates, positive_definite, quadratic_form, without
 from photocal.findings.finding import Figure, Finding
 
 # The tank study neglects components with 0.74, 0.98 and 1.14 % of the variance together and keeps 3.15 %.
@@ -38,11 +39,11 @@ class Components:
     """
 
     names: tuple[str, ...]
-    eigenvalues: Array
-    percent: Array
-    cumulative_percent: Array
-    vectors: Array
-    loadings: Array
+    eigenvalues: Floats
+    percent: Floats
+    cumulative_percent: Floats
+    vectors: Floats
+    loadings: Floats
 
 
 def principal_components(estimates: Estimates) -> Components:

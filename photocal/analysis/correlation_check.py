@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.findings.finding import Finding
-
-Floats = NDArray[np.float64]
 
 # A computed matrix may miss by the rounding of its own arithmetic.
 ARITHMETIC = 1e-10

@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from photocal.analysis.estimates import Array, Estimates, without
+from drivers.arrays import Flags, Floats
+from photocal.analysis.estimates import Estimates, without
 from photocal.analysis.significance import GROUPS
 from photocal.analysis.stability.calibration import View, sensor_grid, view
 from photocal.analysis.stability.methods import Method, fitted_pose, rotation_misfit
@@ -58,7 +58,7 @@ def effects(camera: Camera, estimates: Estimates, reach: float = np.inf) -> tupl
     return tuple(effect(camera, estimates, group, grid) for group in wanted)
 
 
-def effect(camera: Camera, estimates: Estimates, parameters: Iterable[str], pixels: Array) -> Effect:
+def effect(camera: Camera, estimates: Estimates, parameters: Iterable[str], pixels: Floats) -> Effect:
     """Give the effect of some parameters over a grid of pixels."""
     removed = tuple(parameters)
     # Beyond the observations the polynomial may fold: those pixels have no ray to compare.
@@ -76,7 +76,7 @@ def effect(camera: Camera, estimates: Estimates, parameters: Iterable[str], pixe
     return Effect(removed, *alone, *left)
 
 
-def _has_ray(camera: Camera, pixels: Array) -> NDArray[np.bool_]:
+def _has_ray(camera: Camera, pixels: Floats) -> Flags:
     """Where the distortion of a camera does not fold, (n,)."""
     plane = pixel_to_plane(camera.size_px, camera.pitch, pixels)
     return np.asarray(np.isfinite(undistorted(camera, plane)).all(axis=1))
@@ -89,11 +89,11 @@ def _with(camera: Camera, changed: dict[str, float]) -> Camera:
     return camera.with_values(values)
 
 
-def _difference(full: View, other: View) -> Array:
+def _difference(full: View, other: View) -> Floats:
     pose, _ = fitted_pose(_ROTATION, rotation_misfit, full, other)
     return rotation_misfit(full, other, pose)
 
 
-def _sizes(moved: Array) -> tuple[float, float]:
+def _sizes(moved: Floats) -> tuple[float, float]:
     length = np.linalg.norm(moved, axis=1)
     return float(length.max()), float(np.sqrt(np.mean(length**2)))

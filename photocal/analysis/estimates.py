@@ -6,11 +6,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, IllPosedError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -28,16 +26,16 @@ class Estimates:
     """
 
     names: tuple[str, ...]
-    values: Array
-    covariance: Array
+    values: Floats
+    covariance: Floats
 
     @property
-    def sigmas(self) -> Array:
+    def sigmas(self) -> Floats:
         """Standard deviations, (p,), in the units of the values."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
-    def correlation(self) -> Array:
+    def correlation(self) -> Floats:
         """Correlation matrix, (p, p)."""
         return self.covariance / np.outer(self.sigmas, self.sigmas)
 
@@ -66,7 +64,7 @@ class Estimates:
 
 
 def from_sigmas(
-    names: Sequence[str], values: Sequence[float], sigmas: Sequence[float], correlation: Array | None = None
+    names: Sequence[str], values: Sequence[float], sigmas: Sequence[float], correlation: Floats | None = None
 ) -> Estimates:
     """Build estimates from standard deviations and correlations, the way they are published."""
     p = len(names)
@@ -120,7 +118,7 @@ def without(estimates: Estimates, removed: Iterable[str]) -> tuple[Estimates, fl
     return remaining, quadratic_form(estimates.select([estimates.names[i] for i in out]))
 
 
-def positive_definite(estimates: Estimates) -> Array:
+def positive_definite(estimates: Estimates) -> Floats:
     """Give the covariance, or refuse it."""
     least = float(np.linalg.eigvalsh(estimates.correlation)[0]) if estimates.names else 1.0
     if not least > 1e-14:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.arrays import Floats
 from photocal.adjustment.factored import covariance_column
 from photocal.adjustment.state import turn_basis
 from photocal.analysis.correlation import cause
-from photocal.analysis.estimates import Array
 from photocal.analysis.systematic_errors.refit import Fit
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
@@ -64,7 +64,7 @@ def exterior_correlations(
     return tuple(sorted(found, key=lambda one: -abs(one.value)))
 
 
-def correlation_with(fit: Fit, camera: int, parameter: int) -> Array:
+def correlation_with(fit: Fit, camera: int, parameter: int) -> Floats:
     """Give the correlation of one camera parameter with every exterior orientation, from its column."""
     layout = fit.factored.problem.layout
     active, columns = layout.camera_columns[camera]

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from photocal.adjustment.network import Network
 from photocal.adjustment.state import State
-from photocal.analysis.estimates import Array
 
 # Convergent cameras: two photographs 90 degrees apart, one rolled by 90 degrees, both with the tolerance of
 # a camera that is held by hand or by a gimbal.
@@ -205,7 +204,7 @@ def _some_pairs(images: int) -> list[tuple[int, int]]:
     return list(combinations(chosen, 2))
 
 
-def _from_right_angle(between: Array) -> float:
+def _from_right_angle(between: Floats) -> float:
     """Give the distance of the roll between two photographs from 90 or 270 degrees, deg.
 
     The roll is the twist about the optical axis in the decomposition of the rotation into swing and twist.
@@ -214,7 +213,7 @@ def _from_right_angle(between: Array) -> float:
     return float(abs(90.0 - abs(np.degrees(np.arctan2(np.sin(twist), np.cos(twist))))))
 
 
-def _across(points: Array, axes: Array) -> Array:
+def _across(points: Floats, axes: Floats) -> Floats:
     """Project points onto the plane across the mean optical axis, (n, 2)."""
     mean = axes.mean(axis=0)
     length = float(np.linalg.norm(mean))
@@ -225,18 +224,18 @@ def _across(points: Array, axes: Array) -> Array:
     return np.asarray(points @ directions[1:].T)
 
 
-def _quadrants(flat: Array, control: NDArray[np.int64]) -> int:
+def _quadrants(flat: Floats, control: Integers) -> int:
     middle = (flat.min(axis=0) + flat.max(axis=0)) / 2.0
     side = flat[control] > middle
     return len({(bool(a), bool(b)) for a, b in side})
 
 
-def _share(flat: Array, control: NDArray[np.int64]) -> float:
+def _share(flat: Floats, control: Integers) -> float:
     whole = _hull_area(flat)
     return _hull_area(flat[control]) / whole if whole > 0.0 else 0.0
 
 
-def _hull_area(flat: Array) -> float:
+def _hull_area(flat: Floats) -> float:
     from scipy.spatial import ConvexHull, QhullError
 
     if len(flat) < 3:

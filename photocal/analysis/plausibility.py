@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.analysis.correlation_check import correlation_findings
 from photocal.findings.finding import Finding
 
-Floats = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 SIGNIFICANT = 1.96

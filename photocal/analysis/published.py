@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.analysis.components import Components, principal_components
 from photocal.analysis.correlation import StrongCorrelation, strong_correlations
-from photocal.analysis.estimates import Array, Estimates, from_sigmas
+from photocal.analysis.estimates import Estimates, from_sigmas
 from photocal.analysis.significance import GROUPS, FTest, f_test
 from photocal.block.table import read_table, require_file
 
@@ -149,7 +150,7 @@ def _sets(path: Path, degrees_of_freedom: float) -> dict[str, tuple[Estimates, f
     return answer
 
 
-def _matrix(path: Path) -> tuple[tuple[str, ...], Array]:
+def _matrix(path: Path) -> tuple[tuple[str, ...], Floats]:
     """Read a square matrix of correlations or a covariance, named in its head and its first column."""
     head = _head(path)
     table = read_table(path, head)

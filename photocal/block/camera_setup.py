@@ -8,10 +8,10 @@ from importlib import resources
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AliasChoices, Field, FiniteFloat, PositiveFloat, PositiveInt
 
 from acquire.checked_toml import Table
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.geometry.camera import (
     MM,
@@ -237,7 +237,7 @@ def _focused(keys: CameraKeys, place: str, own: Camera) -> Camera:
     return focused(near, far, keys.focus.distance_m)
 
 
-def _with_radial(own: Camera, one: FocusCalibrationKeys) -> NDArray[np.float64]:
+def _with_radial(own: Camera, one: FocusCalibrationKeys) -> Floats:
     values = own.values.copy()
     values[[PARAMETERS.index(name) for name in RADIAL]] = [one.K1, one.K2, one.K3, one.K4]
     return values

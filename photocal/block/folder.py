@@ -6,8 +6,8 @@ import hashlib
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.adjustment.network import NO_RELATIONS, RELATIONS, Relations, covariance_matrices
 from photocal.block.camera_setup import make_camera
@@ -18,9 +18,6 @@ from photocal.block.readings import MARKS, READINGS, from_readings
 from photocal.block.setup import ObservationKeys, read_setup
 from photocal.block.table import Table, known_rows, read_table, refuse, refuse_unknown
 from photocal.geometry.camera import Camera
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 IMAGE_COLUMNS = ("image", "camera", "X", "Y", "Z", "omega", "phi", "kappa")
 IMAGE_SIGMAS = ("so", "sp", "sk", "sX", "sY", "sZ")

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.mounting import (
     NO_ATTITUDES,
     NO_MOUNTING,
@@ -19,9 +19,6 @@ from photocal.adjustment.mounting import (
 from photocal.adjustment.network import NO_RELATIONS, Relations
 from photocal.geometry.camera import Camera
 from photocal.geometry.oriented_images import OrientedImages
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 Role = Literal["control", "check", "tie"]
 ROLES: tuple[Role, ...] = ("control", "check", "tie")
@@ -103,7 +100,7 @@ class ObjectPoints:
     role: Integers
     cross: Floats | None = None
 
-    def of_role(self, role: Role) -> NDArray[np.bool_]:
+    def of_role(self, role: Role) -> Flags:
         """Which points play a role, shape (n,)."""
         return np.asarray(self.role == ROLES.index(role))
 

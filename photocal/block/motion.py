@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Integers
 from drivers.errors import ConfigurationError
 from photocal.adjustment.mounting import Positions, body_to_camera
 from photocal.adjustment.network import Network
 from photocal.block.model import Block
 from photocal.block.table import Table
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Integers = NDArray[np.int64]
 
 VELOCITY, RATE = ("vX", "vY", "vZ"), ("wx", "wy", "wz")
 MOTION_COLUMNS = (*VELOCITY, *(f"s{c}" for c in VELOCITY), *RATE, *(f"s{c}" for c in RATE), "time_s")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.adjustment.mounting import (
     BORESIGHT,
@@ -25,9 +25,6 @@ from photocal.adjustment.network import covariance_matrices
 from photocal.block.setup import MountingKeys
 from photocal.block.table import Table, known_rows, read_table, refuse
 from photocal.geometry.body import object_to_body
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 POSITION_COLUMNS = ("image", "X", "Y", "Z", "sX", "sY", "sZ")
 POSITION_EXTRAS = ("sXY", "sXZ", "sYZ", "vX", "vY", "vZ", "strip", "time_s")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Integers
 from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError
 from photocal.adjustment.mounting import Positions
 from photocal.adjustment.network import (
@@ -25,9 +25,6 @@ from photocal.block.start import with_start_values
 from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
 from photocal.geometry.frames import Frame, ShiftedFrame, nearest_rotation, reference_frame
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -166,7 +163,7 @@ def _local_weights(frame: Frame, places: Floats, weight: Floats) -> Floats:
     return local
 
 
-def _known_directions(weight: Floats, held: NDArray[np.bool_]) -> Floats:
+def _known_directions(weight: Floats, held: Flags) -> Floats:
     """Projections onto the directions in which coordinates are held or weighted, shape (n, 3, 3)."""
     size, vectors = np.linalg.eigh(weight)
     known = size > 1e-12 * np.maximum(size[:, -1:], np.finfo(float).tiny)

@@ -6,15 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, IllPosedError
 from photocal.block.model import FiducialFit, Images, Observations
 from photocal.block.table import known_rows, read_table, refuse
 from photocal.geometry.camera import Camera
 from photocal.geometry.interior import Transformation, interior_orientation
-
-Floats = NDArray[np.float64]
 
 MARKS, READINGS = "fiducials.csv", "fiducial_readings.csv"
 

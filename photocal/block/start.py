@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats
 from drivers.errors import IllPosedError
 from photocal.adjustment.intersection import intersect
 from photocal.adjustment.network import Exposures, Rays, Relations
@@ -15,9 +15,6 @@ from photocal.geometry.camera import Camera
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.resection import ray_residuals
 from photocal.geometry.rotation import matrix_from_angles
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 # Start coordinates are impossible where a ray misses them by this many principal distances, and by this many
 # times what rays usually miss: attitudes of a flight may be degrees off, those of all images alike.

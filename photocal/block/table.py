@@ -13,12 +13,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Integers
 from drivers.errors import InputMalformedError, InputNotFoundError
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # As spreadsheets of half the world write them: 1234,5 and 1.234,5.
 _COMMA = r"[+-]?(\d+|\d{1,3}(\.\d{3})+)(,\d+)?([eE][+-]?\d+)?"
@@ -317,7 +314,7 @@ def refuse_unknown(
         )
 
 
-def refuse(table: Table, bad: NDArray[np.bool_], what: str, remedy: str) -> None:
+def refuse(table: Table, bad: Flags, what: str, remedy: str) -> None:
     """Complain of the first bad row."""
     rows = np.flatnonzero(bad)
     if len(rows):

@@ -12,14 +12,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.frames import ReferenceFrame, nearest_rotation, parsed, reference_frame
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
-
-Floats = NDArray[np.float64]
 
 
 def to_cartesian(given: Reconstruction) -> Reconstruction:

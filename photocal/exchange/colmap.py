@@ -12,8 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block
 from photocal.exchange.choices import Choices
@@ -36,8 +36,6 @@ from photocal.exchange.reconstruction import Reconstruction, vision_block
 from photocal.geometry.camera import PARAMETERS, Camera
 
 FILES = ("cameras", "images", "points3D")
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 _WRITTEN = "FULL_OPENCV"
 # Which of our parameters each of COLMAP's makes free.

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Integers
 from drivers.errors import InputMalformedError
 from photocal.exchange.colmap_content import MODELS, NUMBERS, Content, Lens, Shot, key_of, unknown_model
 from photocal.exchange.source import image_size, require_readable
-
-Integers = NDArray[np.int64]
 
 _MARK = np.dtype([("xy", "<f8", 2), ("key", "<i8")])
 _TRACK = np.dtype([("image", "<u4"), ("place", "<u4")])

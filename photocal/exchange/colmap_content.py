@@ -4,13 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from drivers.arrays import Floats, Integers
 from drivers.errors import InputMalformedError
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Name and parameters of each model by COLMAP's number.
 MODELS: dict[int, tuple[str, tuple[str, ...]]] = {

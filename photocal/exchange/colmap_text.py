@@ -6,14 +6,11 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Integers
 from drivers.errors import InputMalformedError
 from photocal.exchange.colmap_content import NUMBERS, Content, Lens, Shot, key_of, unknown_model
 from photocal.exchange.source import Line, image_size, numbers, read_text, whole
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 def read_text_model(folder: Path) -> Content:

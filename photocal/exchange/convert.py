@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.geometry.camera import PARAMETERS, Affinity, Camera, Model
 from photocal.geometry.distortion import affinity_matrix, distorted, undistorted
-
-Floats = NDArray[np.float64]
 
 # Power of a length in each parameter: c, x0, y0 are lengths; K1 is 1/length^2 ...
 _POWERS = np.array([1, 1, 1, -2, -4, -6, -8, -1, -1, -2, -4, 0, 0, 0], dtype=float)

@@ -17,12 +17,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.geometry.camera import PARAMETERS, Affinity, Camera, Model, camera
-
-Floats = NDArray[np.float64]
 
 # DBAT's names in the order of its reports.
 NAMES = ("cc", "px", "py", "as", "sk", "K1", "K2", "K3", "K4", "P1", "P2")

@@ -6,8 +6,8 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block, ObjectPoints
 from photocal.exchange.choices import Choices
@@ -16,8 +16,6 @@ from photocal.exchange.dbat_camera import to_dbat
 from photocal.exchange.markup import write_xml
 from photocal.exchange.reconstruction import Reconstruction, as_block
 from photocal.geometry.camera import PARAMETERS, Camera, plane_to_pixel
-
-Floats = NDArray[np.float64]
 
 CONTROL_FORMAT = "id,x,y,z,sx,sy,sz"
 # Switches of DBAT's estimation, and the parameters that each of them frees.
@@ -120,7 +118,7 @@ def _count(own: Camera, key: str) -> int:
     return int(used[-1]) + 1 if len(used) else 0
 
 
-def _surveyed(points: ObjectPoints, rows: NDArray[np.int64]) -> list[list[object]]:
+def _surveyed(points: ObjectPoints, rows: Integers) -> list[list[object]]:
     found: list[list[object]] = []
     for k in rows:
         if not np.isfinite(points.sigma[k]).all() and points.of_role("control")[k]:

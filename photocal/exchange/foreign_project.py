@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.block.model import ROLES, Block, Observations
 from photocal.exchange.reconstruction import of_block
 from photocal.geometry.camera import Camera
 
-Floats = NDArray[np.float64]
 # Sigmas of control points that nobody has given, X, Y, Z, m.
 ASSUMED_M = (0.02, 0.02, 0.03)
 # Affinities below are what a quotient of equal focal lengths leaves.

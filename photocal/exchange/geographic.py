@@ -15,8 +15,8 @@ from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.exchange.cartesian import to_cartesian, to_wgs84
 from photocal.exchange.choices import Choices, Origin
@@ -25,8 +25,6 @@ from photocal.exchange.markup import write_xml
 from photocal.exchange.pinhole import to_vision
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.distortion import undistorted
-
-Floats = NDArray[np.float64]
 
 # Turns local coordinates, shape (n, 3), into longitude, latitude, height.
 ToGeographic = Callable[[Floats], Floats]

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.exchange.choices import Choices
 from photocal.exchange.convert import Conversion
@@ -27,7 +27,6 @@ from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import Line, number, numbers, read_lines
 from photocal.geometry.rotation import matrix_from_angles
 
-Floats = NDArray[np.float64]
 _CAMERA_TO_BODY = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 # Some metres to the north, in which meridians are straight.
 _NORTH_DEG = 1e-4

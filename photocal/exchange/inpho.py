@@ -15,8 +15,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.exchange.choices import Choices
 from photocal.exchange.convert import Conversion, apart_px
@@ -25,8 +25,6 @@ from photocal.exchange.reconstruction import Reconstruction, orientations_alone
 from photocal.exchange.source import Line, numbers, read_lines
 from photocal.geometry.camera import Camera
 from photocal.geometry.rotation import matrix_from_angles
-
-Floats = NDArray[np.float64]
 
 
 def read_inpho(path: Path) -> tuple[tuple[str, ...], Floats]:

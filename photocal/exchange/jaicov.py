@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.adjustment.network import RELATIONS, Relations
 from photocal.block.model import Block
@@ -33,8 +33,6 @@ from photocal.exchange.source import (
     require_readable,
 )
 from photocal.geometry.camera import Camera, camera
-
-Floats = NDArray[np.float64]
 
 SUFFIXES = (".ior", ".eor", ".obc", ".phc")
 MM = 1e-3

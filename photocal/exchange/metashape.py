@@ -16,8 +16,8 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block, Role
 from photocal.exchange.markup import child, read_xml
@@ -25,8 +25,6 @@ from photocal.exchange.pinhole import from_vision, require_credible
 from photocal.exchange.reconstruction import Reconstruction, vision_block
 from photocal.exchange.source import image_size, number, numbers
 from photocal.geometry.camera import Camera, camera
-
-Floats = NDArray[np.float64]
 
 _KEYS = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
 

@@ -15,8 +15,8 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block
 from photocal.exchange import parts
@@ -24,8 +24,6 @@ from photocal.exchange.markup import child, number_of, read_xml, text_of
 from photocal.exchange.pinhole import from_vision
 from photocal.exchange.source import fingerprint, image_size, numbers
 from photocal.geometry.camera import Camera, camera
-
-Floats = NDArray[np.float64]
 
 CONVENTION = "eConvApero_DistM2C"
 # The uncertainty that the program writes where nobody has given one.

@@ -11,8 +11,8 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.exchange.choices import Choices
 from photocal.exchange.convert import Conversion, converted, in_pixels
 from photocal.exchange.markup import write_xml
@@ -21,8 +21,6 @@ from photocal.exchange.parts import require_file_name
 from photocal.exchange.pinhole import to_vision
 from photocal.exchange.reconstruction import Reconstruction, of_block
 from photocal.geometry.camera import Camera
-
-Floats = NDArray[np.float64]
 
 FOLDER = "Ori-photocal"
 TERMS = ("K1", "K2", "K3", "K4", "P1", "P2", "B1", "B2")

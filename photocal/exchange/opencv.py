@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.exchange.choices import Choices, file_name
 from photocal.exchange.convert import Conversion
@@ -21,8 +21,6 @@ from photocal.exchange.pinhole import Pinhole, from_pinhole, to_pinhole
 from photocal.exchange.reconstruction import Reconstruction, cameras_alone
 from photocal.exchange.source import files_of, image_size, read_text
 from photocal.geometry.camera import PARAMETERS, Camera
-
-Floats = NDArray[np.float64]
 
 MATRICES = ("camera_matrix", "cameraMatrix", "K")
 MOST_NUMBERS = 64

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block
 from photocal.exchange.choices import Choices
@@ -28,7 +28,6 @@ from photocal.exchange.reconstruction import Reconstruction, vision_block
 from photocal.exchange.source import image_size, number, read_lines
 from photocal.geometry.camera import Camera
 
-Floats = NDArray[np.float64]
 _WHAT = "an OpenSfM file"
 
 

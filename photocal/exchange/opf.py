@@ -19,8 +19,8 @@ from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block
 from photocal.exchange.json_source import read_json, structured
@@ -29,8 +29,6 @@ from photocal.exchange.pinhole import LARGEST, Pinhole, from_pinhole
 from photocal.exchange.reconstruction import Reconstruction, vision_block
 from photocal.exchange.source import beside, image_size
 from photocal.geometry.camera import Camera
-
-Floats = NDArray[np.float64]
 
 VERSION = "1.0"
 HALF = 0.5

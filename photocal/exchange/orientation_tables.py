@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.exchange.choices import Angle, Choices
 from photocal.exchange.convert import Conversion
@@ -21,8 +21,6 @@ from photocal.exchange.parts import poses_of_matrices, require_unique
 from photocal.exchange.reconstruction import Reconstruction, orientations_alone
 from photocal.exchange.source import numbers, read_lines
 from photocal.geometry.rotation import matrix_from_angles
-
-Floats = NDArray[np.float64]
 
 _CIRCLE: dict[Angle, float] = {"deg": 360.0, "gon": 400.0}
 

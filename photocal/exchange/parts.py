@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.block.model import ROLES, Images, ObjectPoints, Observations, Role
 from photocal.geometry.rotation import angles_from_matrix
-
-Floats = NDArray[np.float64]
 
 # What a value without a standard deviation of its own is: free.
 FREE = (np.inf, np.inf, np.inf)

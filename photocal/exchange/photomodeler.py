@@ -14,8 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import Block
 from photocal.exchange import parts
@@ -24,8 +24,6 @@ from photocal.exchange.photomodeler_export import Export, read_export
 from photocal.exchange.reconstruction import Reconstruction, of_block
 from photocal.exchange.source import fingerprint, read_lines
 from photocal.geometry.camera import Camera, camera
-
-Floats = NDArray[np.float64]
 
 
 def read_control(path: Path) -> dict[str, tuple[Floats, Floats]]:

@@ -10,15 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.block.model import InputFile
 from photocal.exchange import parts
 from photocal.exchange.dbat_camera import to_column_row
 from photocal.exchange.source import Line, fingerprint, image_size, numbers, read_text
-
-Floats = NDArray[np.float64]
 
 DEFAULT_SIGMA_PX = 1.0
 

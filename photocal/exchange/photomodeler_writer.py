@@ -10,8 +10,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.exchange.choices import Choices
 from photocal.exchange.convert import Conversion, converted
@@ -19,8 +19,6 @@ from photocal.exchange.parts import require_file_name, whole_numbers
 from photocal.exchange.photomodeler import control_beside
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.camera import Camera
-
-Floats = NDArray[np.float64]
 
 # Tolerance and number of iterations of the head; nothing depends on them.
 _HEAD = "0.0005 20"

@@ -25,8 +25,6 @@ from photocal.exchange.markup import MAX_XML_BYTES, child, parse_xml
 from photocal.exchange.metashape import Chunk, Marker, chunk_of, chunk_transform
 from photocal.exchange.source import fingerprint, number, require_readable
 
-Floats = NDArray[np.float64]
-
 _TYPES = {
     "char": "i1",
     "uchar": "u1",

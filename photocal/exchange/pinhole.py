@@ -13,14 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.exchange.convert import Conversion, converted, in_pixels, require_no_skew
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
-
-Floats = NDArray[np.float64]
 
 # From our camera axes to those of computer vision, and back.
 FLIP = np.diag([1.0, -1.0, -1.0])

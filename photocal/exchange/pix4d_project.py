@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.block.model import Block, Observations, Role
 from photocal.exchange.foreign_project import ASSUMED_M, ForeignProject, without_weak_points
@@ -24,8 +24,6 @@ from photocal.exchange.parts import PointEntry, images, object_points
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision
 from photocal.exchange.source import Line, fingerprint, image_size, number, numbers, read_lines
 from photocal.geometry.camera import Camera
-
-Floats = NDArray[np.float64]
 
 CAMERAS = "calibrated_camera_parameters.txt"
 BINGO = "tp_bingo.txt"

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import ROLES, Block, InputFile, ObjectPoints, Observations
 from photocal.exchange.parts import images
@@ -17,8 +17,6 @@ from photocal.geometry.camera import Camera, plane_to_pixel
 from photocal.results.result import Result
 
 UNIT_SIGMA_PX = 1.0
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

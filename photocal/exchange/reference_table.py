@@ -15,16 +15,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.exchange.choices import Choices
 from photocal.exchange.convert import Conversion
 from photocal.exchange.parts import require_unique
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import number, read_text
-
-Floats = NDArray[np.float64]
 
 _SYSTEM = "#CoordinateSystem:"
 _COORDINATES = (("x", "easting", "longitude"), ("y", "northing", "latitude"), ("z", "altitude", "height"))

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
+from drivers.arrays import Flags, Floats
 
 Model = Literal["brown-observed", "brown-ideal"]
 Affinity = Literal["additive", "before", "after"]
@@ -98,7 +98,7 @@ class Camera:
     size_px: tuple[int, int]
     pitch: tuple[float, float]
     values: Floats
-    estimated: NDArray[np.bool_]
+    estimated: Flags
     prior_sigma: Floats
     reference_radius: float = 0.0
     affinity: Affinity = "additive"

@@ -6,11 +6,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.geometry.camera import AFFINITY_MATRICES, MM, Camera
-
-Floats = NDArray[np.float64]
 
 
 def scale_ratio(camera: Camera, distance_m: Floats) -> Floats:

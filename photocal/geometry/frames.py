@@ -11,11 +11,9 @@ from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
-
-Floats = NDArray[np.float64]
 
 
 class Frame(Protocol):

@@ -11,11 +11,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import IllPosedError
-
-Floats = NDArray[np.float64]
 
 Transformation = Literal["conformal", "affine", "projective"]
 PARAMETER_COUNT: dict[Transformation, int] = {"conformal": 4, "affine": 6, "projective": 8}

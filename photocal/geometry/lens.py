@@ -9,12 +9,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.compiled import allocating, inlined
 from photocal.geometry.camera import AFFINITIES, AFFINITY_MATRICES, MM, MODELS, OWN, PARAMETERS, Camera
-
-Floats = NDArray[np.float64]
 
 # Parameters of the lens itself; those of the shutter follow.
 COUNT = PARAMETERS.index("readout")

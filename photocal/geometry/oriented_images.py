@@ -7,15 +7,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from drivers.arrays import Floats, Integers
 from photocal.geometry.camera import Camera, pixel_to_plane, plane_to_pixel
 from photocal.geometry.distortion import projected, undistorted
 from photocal.geometry.frames import Frame, nearest_rotation
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from drivers.arrays import Floats
 
 # Five points make a matrix; more have to choose among several.
 FEWEST = 8

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from drivers.arrays import Floats
 
 
 def matrix_from_angles(angles: Floats) -> Floats:

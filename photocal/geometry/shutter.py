@@ -7,14 +7,10 @@ readout: the given velocity and rate times the readout time, and what the image 
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from drivers.arrays import Floats
 from photocal.compiled import compiled
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.lens import LINE, Scratch, image_residual
-
-Floats = NDArray[np.float64]
 
 # Positions of the readout time and of an image's movement among its parameters, and of the given velocity and
 # rate among its optics.

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from drivers.arrays import Flags, Floats
 
 # Places whose second extent is a smaller share of their first lie too close to a line.
 LINE = 0.02
@@ -65,7 +64,7 @@ def similarity(source: Floats, target: Floats) -> Similarity | None:
     return Similarity(scale, rotation, goal - scale * rotation @ middle)
 
 
-def robust_similarity(source: Floats, target: Floats) -> tuple[Similarity, NDArray[np.bool_]] | None:
+def robust_similarity(source: Floats, target: Floats) -> tuple[Similarity, Flags] | None:
     """Similarity of least sum of misses among those of triples and of all, and the places that fit it.
 
     Returns

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.covariance import blocks
@@ -21,8 +21,6 @@ from photocal.adjustment.normal import normal_equations, prepare
 from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.geometry.camera import PARAMETERS
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

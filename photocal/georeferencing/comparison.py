@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import IllPosedError, PhotocalError
 from photocal.accuracy.assessment import Assessment, Question, assess
 from photocal.accuracy.standard import Standard
@@ -33,8 +33,6 @@ from photocal.georeferencing.plausible import ground_findings
 from photocal.georeferencing.separation import Separation, separation
 from photocal.georeferencing.simulated import Degradation, degraded
 from photocal.georeferencing.systematic import SystematicErrors, systematic_errors
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.block.model import Block
 from photocal.georeferencing.experiment import (
@@ -91,7 +91,7 @@ def _by_number(outcome: Outcome) -> list[dict[str, Any]]:
     return rows
 
 
-def _rms(values: NDArray[np.float64]) -> dict[str, float]:
+def _rms(values: Floats) -> dict[str, float]:
     return {axis: float(rms) for axis, rms in zip("XYZ", np.sqrt(np.mean(values**2, axis=0)), strict=True)}
 
 

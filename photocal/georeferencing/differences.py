@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.linalg import block_diag
 
+from drivers.arrays import Floats
 from photocal.accuracy.discrepancies import Discrepancies
 from photocal.adjustment.ellipses import Ellipses, ellipses
 from photocal.adjustment.network import covariance_matrices
 from photocal.block.model import ROLES, Block, Role
 from photocal.georeferencing.methods import Georeferenced
-
-Floats = NDArray[np.float64]
 
 ELLIPSE_PROBABILITY = 0.95
 # Two-sided 0.1 %, Baarda's usual choice (1968) for single tests.

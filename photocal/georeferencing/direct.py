@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats
 from photocal.adjustment.mounting import BORESIGHT, HEIGHT_SCALE, LEVER, SHIFT, STRIPS, TIME, body_to_camera
 from photocal.block.model import Block
 from photocal.geometry.rotation import left_jacobian, matrix_from_angles, skew, turn_per_angle
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -36,7 +34,7 @@ class DirectOrientation:
         Whether a common value is free in the block, so that its uncertainty is left out.
     """
 
-    known: NDArray[np.bool_]
+    known: Flags
     rotation: Floats
     centre: Floats
     covariance: Floats

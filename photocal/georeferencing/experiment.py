@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from drivers.errors import ConfigurationError, PhotocalError
 from photocal.accuracy.significance_tests import BiasTest, bias_test
 from photocal.accuracy.statistics import moments
@@ -20,9 +20,6 @@ from photocal.georeferencing.local import in_local_frame
 from photocal.georeferencing.methods import Method, checkable, of_method, with_roles
 from photocal.georeferencing.mounted import with_attitude_angles
 from photocal.georeferencing.simulated import Degradation, degraded
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 Use = Literal["weighted", "fixed", "as-given"]
 

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
+from drivers.arrays import Floats
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.mounting import COMMON, SHIFT, STRIPS
@@ -17,8 +17,6 @@ from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.findings.hypotheses import FAULTS, Fault
 from photocal.geometry.camera import PARAMETERS
-
-Floats = NDArray[np.float64]
 
 SIGNIFICANCE = 0.001
 # So many places are tried where the camera may have changed.

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Integers
 from drivers.errors import ConfigurationError, IllPosedError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
@@ -20,9 +20,6 @@ from photocal.geometry.rotation import angles_from_matrix
 from photocal.georeferencing.calibrated import Calibration, joint_covariance, with_calibration
 from photocal.georeferencing.direct import direct_orientation
 from photocal.georeferencing.space_intersection import Intersected, intersect_points
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 Method = Literal["direct", "integrated", "indirect"]
 # Three points orient an image in up to four ways and nothing checks them.
@@ -78,7 +75,7 @@ class Georeferenced:
     points: Integers
     xyz: Floats
     covariance: Floats
-    fitted: NDArray[np.bool_]
+    fitted: Flags
     exposures: Floats
     images: ImageResiduals
     chi_squared: float
@@ -111,7 +108,7 @@ def without_georeference(block: Block) -> Block:
     return replace(block, images=images, positions=NO_POSITIONS, attitudes=NO_ATTITUDES, mounting=NO_MOUNTING)
 
 
-def without_weak_images(block: Block) -> tuple[Block, NDArray[np.bool_]]:
+def without_weak_images(block: Block) -> tuple[Block, Flags]:
     """Set images with fewer than four rays aside: they give the adjustment nothing.
 
     Returns
@@ -138,13 +135,13 @@ def without_weak_images(block: Block) -> tuple[Block, NDArray[np.bool_]]:
     ), weak
 
 
-def _of_images(observed: Positions | Attitudes, keep: NDArray[np.bool_]) -> dict[str, Any]:
+def _of_images(observed: Positions | Attitudes, keep: Flags) -> dict[str, Any]:
     """Columns of the observations of some images; those that are not known stay so."""
     kept = keep[observed.image]
     return {name: column if column is None else column[kept] for name, column in vars(observed).items()}
 
 
-def _keep(block: Block, keep: NDArray[np.bool_]) -> Block:
+def _keep(block: Block, keep: Flags) -> Block:
     """Return the block with some of its observations."""
     if keep.all():
         return block

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.linalg import block_diag
 
+from drivers.arrays import Floats, Integers
 from drivers.errors import PhotocalError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
@@ -25,7 +25,6 @@ from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.georeferencing.methods import checkable, local_origin, with_roles, without_georeference
 
-Floats = NDArray[np.float64]
 Place = Callable[[Floats], Floats]
 
 # With fewer control points a contradiction cannot be laid at the door of one of them.
@@ -145,9 +144,7 @@ def _beside_others(
     return np.asarray((normal @ a.T @ y)[mine]), np.asarray(normal[mine, mine])
 
 
-def _by_the_images(
-    block: Block, control: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
+def _by_the_images(block: Block, control: Integers) -> tuple[Integers, Floats, Floats, Floats]:
     """Places of control points without control: rows, places, covariance with the survey, common part."""
     alone = checkable(with_roles(block, np.zeros(0, dtype=np.int64)))
     cameras = []

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from photocal.adjustment.mounting import (
     NO_MOUNTING,
@@ -17,8 +16,6 @@ from photocal.adjustment.mounting import (
 )
 from photocal.block.model import Block
 from photocal.geometry.rotation import matrix_from_angles, turn_per_angle
-
-Floats = NDArray[np.float64]
 
 
 def as_mounted(block: Block) -> Block:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.accuracy.ground_points import (
     FOOT_M,
     GroundPoints,
@@ -22,8 +22,6 @@ from photocal.block.network import observed_plane
 from photocal.findings.finding import Finding
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.rotation import matrix_from_angles
-
-Floats = NDArray[np.float64]
 
 # Farther than any flight is from its ground points, in a local frame.
 _FAR_M = 50_000.0

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
+from drivers.arrays import Flags, Floats
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.covariance import blocks
@@ -17,8 +17,6 @@ from photocal.adjustment.mounting import BORESIGHT, COMMON, LEVER, SHIFT, TIME
 from photocal.adjustment.normal import normal_equations, prepare
 from photocal.block.model import Block
 from photocal.block.network import assemble
-
-Floats = NDArray[np.float64]
 
 # What is asked of a calibration flight: 1 m, 1 degree, 0.1 s, 1 m; the camera: 1 % of c.
 _SCALE_COMMON = np.array([1.0] * 3 + [np.radians(1.0)] * 3 + [0.1] + [1.0] * 3 + [0.0])
@@ -93,7 +91,7 @@ def separation(block: Block) -> Separation | None:
     )
 
 
-def _interior(estimated: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _interior(estimated: Flags) -> Flags:
     """Of the estimated parameters c, x0 and y0."""
     return np.asarray(estimated & (np.arange(len(estimated)) < 3))
 

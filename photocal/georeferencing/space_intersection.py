@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from drivers.arrays import Floats, Integers
 from photocal.adjustment.intersection import intersect
 from photocal.block.model import Block
 from photocal.block.network import observed_plane, plane_per_unit
@@ -15,9 +15,6 @@ from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.rotation import skew
 from photocal.georeferencing.direct import DirectOrientation
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 _ITERATIONS = 20
 _ENOUGH_M = 1e-7

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import IllPosedError, InputNotFoundError, PhotocalError
 from photocal.adjustment.adjust import adjust
 from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations
@@ -21,8 +21,6 @@ from photocal.measurement.boards import Board, BoardView, find_board
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import read_grey
 from photocal.measurement.start_camera import group_cameras, principal_distance_px, start_camera
-
-Floats = NDArray[np.float64]
 
 ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2", "B1")
 FEWEST_VIEWS = 3

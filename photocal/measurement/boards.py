@@ -6,16 +6,13 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Bytes, Floats, Integers
 from drivers.errors import ConfigurationError
 from photocal.measurement.centre import Centre, measurable
 from photocal.measurement.image_file import Grey, as_eight_bit
 from photocal.measurement.line_targets import saddle_centre
 from photocal.measurement.markers import dictionary
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 FEWEST_CORNERS = 8
 # The window of a corner must not reach the next edge, nor be so large that the lens bends the edges.
@@ -135,7 +132,7 @@ def charuco_board(board: Board) -> Any:
     )
 
 
-def _chessboard(eight: NDArray[np.uint8], board: Board) -> tuple[Integers, Floats] | None:
+def _chessboard(eight: Bytes, board: Board) -> tuple[Integers, Floats] | None:
     import cv2
 
     across, down = board.inner
@@ -157,7 +154,7 @@ def _chessboard(eight: NDArray[np.uint8], board: Board) -> tuple[Integers, Float
     return np.arange(across * down), np.asarray(grid.reshape(-1, 2))
 
 
-def _charuco(eight: NDArray[np.uint8], board: Board) -> tuple[Integers, Floats] | None:
+def _charuco(eight: Bytes, board: Board) -> tuple[Integers, Floats] | None:
     import cv2
 
     parameters = cv2.aruco.DetectorParameters()

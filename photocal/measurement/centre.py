@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.measurement.image_file import Grey, as_eight_bit
 from photocal.measurement.template import Fit, Window, odd_variance
-
-Floats = NDArray[np.float64]
 
 # A contrast below this multiple of the noise is no target.
 WEAKEST_CONTRAST = 3.0

@@ -10,12 +10,10 @@ alone this is the correction of Ahn, Warnecke and Kotowski 1999, up to the third
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.geometry.camera import Camera, pixel_to_plane
 from photocal.geometry.distortion import undistorted
-
-Floats = NDArray[np.float64]
 
 # Far enough for digits, near enough for the third order not to matter.
 _STEP_PX = 8.0

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Bytes, Flags, Integers
+
 Floats32 = NDArray[np.float32]
-Integers = NDArray[np.int64]
 
 # Cells along the longer side, in each of which the coarsest features stay.
 CELLS = 24
@@ -30,9 +31,9 @@ class Features:
 
     pixels: Floats32
     scale: Floats32
-    descriptors: NDArray[np.uint8]
+    descriptors: Bytes
 
-    def some(self, index: Integers | NDArray[np.bool_]) -> Features:
+    def some(self, index: Integers | Flags) -> Features:
         """Give those features only."""
         return Features(self.pixels[index], self.scale[index], self.descriptors[index])
 
@@ -57,7 +58,7 @@ class FeatureSettings:
     longest_px: int = 2400
 
 
-def detect(grey: NDArray[np.uint8], settings: FeatureSettings) -> Features:
+def detect(grey: Bytes, settings: FeatureSettings) -> Features:
     """Detect SIFT features (Lowe 2004), evenly spread, the coarse ones before the fine ones.
 
     Fine features are many, but grass and sand change from image to image: the coarse ones are found again.

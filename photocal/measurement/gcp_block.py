@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.findings.finding import Finding
 from photocal.findings.texts import told
@@ -95,7 +95,7 @@ def measure_gcp(
     return TieBlock(found.adjusted.block, record)
 
 
-def _places(facts: Sequence[ImageFacts], given: ControlMarks) -> NDArray[np.float64]:
+def _places(facts: Sequence[ImageFacts], given: ControlMarks) -> Floats:
     """Where the images say they are; in a local system that says nothing."""
     if given.crs == "local":
         return np.full((len(facts), 3), np.nan)

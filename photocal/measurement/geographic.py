@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.measurement.image_facts import ImageFacts
-
-Floats = NDArray[np.float64]
 
 
 def local_places(facts: Sequence[ImageFacts]) -> tuple[Floats, tuple[float, float, float]]:

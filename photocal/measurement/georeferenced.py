@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.measurement.image_facts import ImageFacts
-
-Floats = NDArray[np.float64]
 
 
 def map_places(facts: Sequence[ImageFacts], crs: str) -> Floats:

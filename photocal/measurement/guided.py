@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from drivers.arrays import Floats, Integers
+
 Floats32 = NDArray[np.float32]
-Integers = NDArray[np.int64]
 
 # The search reaches so many times farther than the known matches lie off their common homography, and this
 # part of the image at least: between them the ground may rise higher.

@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Bytes
 from drivers.errors import InputMalformedError, InputNotFoundError
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-Grey = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]
+Grey = Bytes | NDArray[np.uint16] | NDArray[np.float32]
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".jp2", ".pgm")
 # Pictures that are not read: of telephones, and raw ones, which each maker writes in his own way.
@@ -149,7 +150,7 @@ def read_grey(path: Path) -> Grey:
         return np.asarray(image.convert("L"), dtype=np.uint8)
 
 
-def as_eight_bit(grey: Grey) -> NDArray[np.uint8]:
+def as_eight_bit(grey: Grey) -> Bytes:
     """Reduce grey values to 8 bits for detectors that know no more."""
     if grey.dtype == np.uint8:
         return np.asarray(grey, dtype=np.uint8)

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Bytes
 from drivers.errors import PhotocalError
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.image_file import as_eight_bit, read_grey
@@ -48,14 +48,14 @@ def _camera(own: ImageFacts) -> str:
     return " ".join(part for part in (own.model or own.make, f"{width} x {height} px") if part)
 
 
-def _read(path: Path) -> NDArray[np.uint8] | None:
+def _read(path: Path) -> Bytes | None:
     try:
         return as_eight_bit(read_grey(path))
     except PhotocalError:
         return None
 
 
-def _appearance(grey: NDArray[np.uint8] | None, sharp: Sequence[float]) -> list[str]:
+def _appearance(grey: Bytes | None, sharp: Sequence[float]) -> list[str]:
     if grey is None:
         return []
     white, black = float(np.mean(grey >= WHITE)), float(np.mean(grey <= BLACK))
@@ -68,7 +68,7 @@ def _appearance(grey: NDArray[np.uint8] | None, sharp: Sequence[float]) -> list[
     return []
 
 
-def _sharpness(grey: NDArray[np.uint8]) -> float:
+def _sharpness(grey: Bytes) -> float:
     """Finest detail over all contrast."""
     import cv2
 

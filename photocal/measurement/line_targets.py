@@ -5,15 +5,13 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.measurement import patterns
 from photocal.measurement.centre import Centre, accepted, half_contrast
 from photocal.measurement.image_file import Grey
 from photocal.measurement.patterns import FLAT
 from photocal.measurement.template import Template, Window, cut_window, fit_template
-
-Floats = NDArray[np.float64]
 
 
 def saddle_centre(grey: Grey, approximate: tuple[float, float], radius: float) -> Centre | None:

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.measurement.centre import Centre, measurable
 from photocal.measurement.image_file import Grey, as_eight_bit
 from photocal.measurement.square_targets import quadrilateral_centre
-
-Floats = NDArray[np.float64]
 
 DICTIONARIES = (
     *(f"{n}x{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),

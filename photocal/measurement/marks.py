@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Integers
 from photocal.block.model import Block, Observations
 from photocal.block.table import read_table, refuse
 from photocal.exchange.parts import Mark
@@ -60,6 +60,6 @@ def with_marks(block: Block, marks: Iterable[Mark]) -> tuple[Block, tuple[Mark, 
     return replace(block, observations=observations), tuple(unknown)
 
 
-def _cells(names: tuple[NDArray[np.int64], Sequence[str]]) -> list[str]:
+def _cells(names: tuple[Integers, Sequence[str]]) -> list[str]:
     index, found = names
     return [found[k] for k in index]

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Integers
 from drivers.errors import PhotocalError
 from photocal.measurement.cache import Arrays, cached, combined_key, content_key
 from photocal.measurement.features import Features, FeatureSettings, detect
@@ -16,8 +16,6 @@ from photocal.measurement.image_file import as_eight_bit, read_grey
 from photocal.measurement.matching import MatchSettings, match
 from photocal.measurement.tracks import Tracks, join_tracks
 from photocal.tasks.workers import Workers, run_tasks
-
-Integers = NDArray[np.int64]
 
 # Raised whenever the meaning of cached results changes: of features, of matches.
 FEATURES, MATCHES = 1, 2

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Bytes, Flags, Integers
 from photocal.measurement.features import Features
 from photocal.measurement.guided import search_windows
 
-Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-Integers = NDArray[np.int64]
 
 # So many features at a time: their likenesses fit into the processor's cache.
 _BLOCK = 512
@@ -81,8 +80,8 @@ def _verified(
 
 
 def mutual_matches(
-    first: NDArray[np.uint8],
-    second: NDArray[np.uint8],
+    first: Bytes,
+    second: Bytes,
     ratio: float,
     windows: Iterable[Window] | None = None,
 ) -> Integers:
@@ -111,7 +110,7 @@ def mutual_matches(
     return np.column_stack([np.flatnonzero(good), forward[good]]).astype(np.int64)
 
 
-def epipolar_inliers(first: Floats32, second: Floats32, tolerance_px: float) -> NDArray[np.bool_]:
+def epipolar_inliers(first: Floats32, second: Floats32, tolerance_px: float) -> Flags:
     """Matches that agree with one epipolar geometry (MAGSAC++, Barath et al. 2020)."""
     import cv2
 
@@ -134,12 +133,12 @@ def _blocks(count: int, other: int) -> Iterator[tuple[slice, slice]]:
         yield slice(start, start + _BLOCK), slice(0, other)
 
 
-def _rooted(descriptors: NDArray[np.uint8]) -> Floats32:
+def _rooted(descriptors: Bytes) -> Floats32:
     values = descriptors.astype(np.float32)
     values /= np.maximum(values.sum(axis=1, keepdims=True), 1e-6)
     return np.sqrt(values, out=values)
 
 
-def _is_clear(best: Floats32, other: Floats32, ratio: float) -> NDArray[np.bool_]:
+def _is_clear(best: Floats32, other: Floats32, ratio: float) -> Flags:
     """Whether the best match is clearly nearer, from likenesses (distance^2 = 2 - 2 likeness)."""
     return np.asarray(1 - best < ratio**2 * (1 - other))

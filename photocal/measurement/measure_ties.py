@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from drivers.errors import InputNotFoundError, PhotocalError
 from photocal.block.model import Block
 from photocal.findings.texts import told
@@ -59,7 +59,7 @@ class Sighted:
     facts: tuple[ImageFacts, ...]
     sources: tuple[Source, ...]
     tracks: Tracks
-    pairs: NDArray[np.int64]
+    pairs: Integers
     verified_pairs: int
     rule: str
     left_out: tuple[dict[str, str], ...]
@@ -166,7 +166,7 @@ def tie_record(sighted: Sighted, found: Oriented) -> dict[str, Any]:
     }
 
 
-def position_figures(facts: Sequence[ImageFacts], sigma: NDArray[np.float64]) -> dict[str, Any]:
+def position_figures(facts: Sequence[ImageFacts], sigma: Floats) -> dict[str, Any]:
     """How well the positions were taken to be known, and who said so.
 
     Parameters

@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.block.folder import read_images
 from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.project import Project
 from photocal.results.folder import RESULT, image_covariances, read_result
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

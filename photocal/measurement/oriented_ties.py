@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Integers
 from drivers.errors import IllPosedError, PhotocalError
 from photocal.block.model import Block
 from photocal.block.network import block_frame
@@ -25,9 +25,6 @@ from photocal.measurement.tracks import Tracks, of_images, spaced, thin, without
 from photocal.measurement.views import intersected, misses, views_of
 from photocal.tasks.workers import Workers
 
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Integers = NDArray[np.int64]
 # A title and an amount of work give a context in which the work done is told.
 Progress = Callable[[str, float | None], AbstractContextManager[Callable[[float], None]]]
 

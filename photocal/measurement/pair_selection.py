@@ -6,10 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from drivers.arrays import Floats, Integers
 
 Rule = Literal["footprints", "neighbours", "sequence", "all"]
 

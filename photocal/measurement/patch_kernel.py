@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.compiled import allocating, compiled, inlined
 
-Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 
 _ITERATIONS = 20

@@ -7,10 +7,9 @@ straight edge blurred by a Gaussian of standard deviation s is erf(d / (s sqrt 2
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erf
 
-Floats = NDArray[np.float64]
+from drivers.arrays import Floats
 
 # Of a plane parallel to an image without distortion: see `eccentricity.ground_bend`.
 FLAT = np.zeros((2, 2, 2))

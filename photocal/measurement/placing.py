@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats
 from drivers.errors import IllPosedError
 from photocal.adjustment.network import Rays
 from photocal.adjustment.start.bearings import sights
@@ -30,9 +30,6 @@ from photocal.geometry.similarity import (
 )
 from photocal.measurement.tie_block import with_ties
 from photocal.measurement.tracks import Tracks
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 # The principal distance that was given is kept where the rays fit it so well, and meet in threes so often,
 # as the one that they would choose: flat ground seen from one height says next to nothing about it, and what

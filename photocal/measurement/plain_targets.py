@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.block.model import ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.geometry.camera import PARAMETERS, Camera
@@ -24,8 +24,6 @@ from photocal.measurement.target_look import PARTS, SMALLEST_PX, Look
 from photocal.measurement.target_search import find_targets
 from photocal.project_tables import PlainTargets
 from photocal.tasks.workers import Workers, run_tasks
-
-Floats = NDArray[np.float64]
 
 # Raised whenever the meaning of cached results changes.
 VERSION = 2

@@ -6,14 +6,12 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from drivers.arrays import Flags, Floats
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.orientation import Orientation
-
-Floats = NDArray[np.float64]
 
 # 95 percent of a plane normal distribution lie within this many standard deviations.
 WITHIN_95 = math.sqrt(5.991464547107979)
@@ -127,7 +125,7 @@ def _camera_steps(views: OrientedImages) -> list[tuple[OrientedImages, OrientedI
     return steps
 
 
-def _before(views: OrientedImages, point: Floats) -> NDArray[np.bool_]:
+def _before(views: OrientedImages, point: Floats) -> Flags:
     """Whether images look towards a point, near enough to their field of view."""
     q = np.einsum("nij,nj->ni", views.rotation, point - views.station)
     c = np.array([own.value("c") / own.pitch[0] for own in views.cameras])[views.camera]

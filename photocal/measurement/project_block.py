@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Integers
 from drivers.errors import ConfigurationError, InputNotFoundError, PhotocalError
 from photocal.block.folder import read_points
 from photocal.block.model import Block, Images, ObjectPoints
@@ -51,9 +51,6 @@ from photocal.measurement.start_block import (
 from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, pixel_residuals
 from photocal.measurement.tie_block import place, with_ties
 from photocal.project import Project
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 # While gross errors are sought these are held: a level block determines them only with precise positions,
 # which the measurement does not use.
@@ -153,7 +150,7 @@ def measure_project(
 
 def _with_cameras(
     sighted: Sighted, cameras: Sequence[Camera], starts: Images | None
-) -> tuple[Sighted, NDArray[np.int64]]:
+) -> tuple[Sighted, Integers]:
     """Camera of each image: as the exposures say, else the one of its size; others are left out."""
     if not cameras:
         raise ConfigurationError("the project has no [[camera]]", remedy="add one: see docs/block-folder.md")
@@ -170,9 +167,7 @@ def _with_cameras(
     return sighted, np.array([k for k, why in zip(camera, reasons, strict=True) if not why], dtype=np.int64)
 
 
-def _starts(
-    project: Project, facts: Sequence[ImageFacts], camera: NDArray[np.int64], starts: Images | None
-) -> Images:
+def _starts(project: Project, facts: Sequence[ImageFacts], camera: Integers, starts: Images | None) -> Images:
     values, sigma = np.full((len(facts), 6), np.nan), np.full((len(facts), 6), np.inf)
     if starts is None:
         if project.crs != "local":
@@ -200,7 +195,7 @@ def _position_sigma(project: Project, facts: Sequence[ImageFacts]) -> Floats:
     return position_sigma(facts, given or POSITION_SIGMA_M)
 
 
-def _marked_control(block: Block) -> NDArray[np.int64]:
+def _marked_control(block: Block) -> Integers:
     """Control points that some image shows."""
     seen = block.observations.point
     return np.unique(seen[block.points.of_role("control")[seen]])

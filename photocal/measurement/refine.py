@@ -14,15 +14,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Integers
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.cache import Arrays, array_key, cached, combined_key
 from photocal.measurement.image_file import as_eight_bit, read_grey
 from photocal.measurement.tracks import Tracks
 from photocal.tasks.workers import Workers, run_tasks
 
-Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-Integers = NDArray[np.int64]
 
 # Raised whenever the meaning of cached results changes.
 VERSION = 1
@@ -58,7 +57,7 @@ class _Rays:
     place: Floats
     affinity: Floats
 
-    def some(self, index: NDArray[np.bool_] | Integers) -> _Rays:
+    def some(self, index: Flags | Integers) -> _Rays:
         return _Rays(self.track[index], self.image[index], self.place[index], self.affinity[index])
 
 
@@ -182,7 +181,7 @@ def _expected(
     return _Rays(track, image, place, affinity).some(alike)
 
 
-def _inside(place: Floats, size: Floats) -> NDArray[np.bool_]:
+def _inside(place: Floats, size: Floats) -> Flags:
     border = HALF + _BORDER_PX
     return np.asarray(((place >= border) & (place <= size - 1 - border)).all(axis=1))
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.measurement import patterns
 from photocal.measurement.centre import Centre, accepted, half_contrast
 from photocal.measurement.image_file import Grey
 from photocal.measurement.template import cut_window, fit_template
-
-Floats = NDArray[np.float64]
 
 
 def quadrilateral_centre(grey: Grey, corners: Floats, cell: float) -> tuple[Centre, Floats] | None:

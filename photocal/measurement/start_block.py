@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats
 from photocal.block.model import Block, Images, ObjectPoints, Observations
 from photocal.geometry.camera import PARAMETERS
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.maker_camera import stated_camera
 from photocal.measurement.start_camera import group_cameras
-
-Floats = NDArray[np.float64]
 
 # Sigma of a position that the image does not state, m: single-frequency receivers in the air.
 POSITION_SIGMA_M = (1.5, 1.5, 3.0)
@@ -71,7 +69,7 @@ def position_sigma(
     return np.where(np.isfinite(stated) & (stated > 0), stated, assumed)
 
 
-def without_images(block: Block, gone: NDArray[np.bool_]) -> Block:
+def without_images(block: Block, gone: Flags) -> Block:
     """Take images out of a block, with their observations and the cameras of no other image; points stay.
 
     Parameters

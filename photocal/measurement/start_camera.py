@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Integers
 from photocal.geometry.camera import Camera, camera
 from photocal.measurement.image_facts import ImageFacts
 
@@ -22,7 +22,7 @@ LEAST_WIDTHS, MOST_WIDTHS, UNLIKE = 0.2, 50.0, 0.25
 UNKNOWN_WIDTHS = 1 / (2 * math.tan(math.radians(30)))
 
 
-def group_cameras(facts: Sequence[ImageFacts]) -> tuple[tuple[str, ...], NDArray[np.int64]]:
+def group_cameras(facts: Sequence[ImageFacts]) -> tuple[tuple[str, ...], Integers]:
     """Tell which images were taken by the same camera with the same lens."""
     keys: dict[tuple[object, ...], int] = {}
     names: list[str] = []

@@ -6,12 +6,11 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats
 from photocal.measurement.patterns import FLAT, flattened
 from photocal.measurement.target_shapes import BAR, HOLE
 
-Floats = NDArray[np.float64]
 Kind = Literal["disc", "ring", "cross", "hourglass"]
 
 # Targets that are smaller are not told from specks: side in px where it is seen shortest.
@@ -119,7 +118,7 @@ class Look:
         hole = inside(self.part - away) if self.kind == "ring" else 0.0
         return np.asarray(inside(1 - away) - hole)
 
-    def covered(self, aside: tuple[float, float]) -> NDArray[np.bool_]:
+    def covered(self, aside: tuple[float, float]) -> Flags:
         """Which pixels of `picture` show the target or its margin."""
         return np.asarray(np.hypot(*self._plane(aside)) <= 1 + self.margin / self.semi_axes[1])
 

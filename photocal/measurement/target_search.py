@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.measurement.centre import Centre
 from photocal.measurement.image_file import Grey
 from photocal.measurement.line_targets import cross_centre, saddle_centre
 from photocal.measurement.round_targets import disc_centre, ring_centre
 from photocal.measurement.target_look import Look
 
-Floats = NDArray[np.float64]
 Place = tuple[float, float]
 
 # Of the places that may show the target this part of a plane normal distribution is searched: 99.9 %.

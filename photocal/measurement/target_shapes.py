@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags
 from drivers.errors import ConfigurationError
 from photocal.measurement.boards import Board, charuco_board
 from photocal.measurement.markers import DICTIONARIES, dictionary
 
-Cells = NDArray[np.bool_]
+Cells = Flags
 Place = tuple[float, float]
 
 # Uncoded targets; the bars of a cross are a fifth as wide as long, a ring's hole is half as wide.

@@ -11,11 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats
 from photocal.measurement.image_file import Grey
 
-Floats = NDArray[np.float64]
 # Grey values at columns and rows, relative to the middle of the window, for a vector of parameters.
 Template = Callable[[Floats, Floats, Floats], Floats]
 
@@ -48,7 +47,7 @@ class Window:
     y: Floats
     grey: Floats
 
-    def where(self, mask: NDArray[np.bool_]) -> Window:
+    def where(self, mask: Flags) -> Window:
         """Keep only some pixels; mask of shape (n,)."""
         return Window(self.middle, self.x[mask], self.y[mask], self.grey[mask])
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Integers
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.datum import with_datum
@@ -24,9 +24,6 @@ from photocal.measurement.start_block import without_images
 from photocal.measurement.tie_block import START_GROSS, fitting, place, with_ties
 from photocal.measurement.tracks import Tracks, of_images
 from photocal.results.adjusted import given_exposures, given_points
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 _ROUNDS = 8
 # Three rays give a pose that nothing checks.
@@ -98,7 +95,7 @@ class _Ties:
                 return ties, block
             ties = ties.without_few(count)
 
-    def without_few(self, count: NDArray[np.int64]) -> _Ties:
+    def without_few(self, count: Integers) -> _Ties:
         """Take out the images that too few rays hold."""
         few, names = count < FEWEST_RAYS, self.start.images.names
         gone = [

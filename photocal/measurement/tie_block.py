@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats
 from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.network import block_frame, observed_plane
 from photocal.geometry.distortion import undistorted
@@ -14,9 +14,6 @@ from photocal.geometry.oriented_images import given_places
 from photocal.geometry.resection import ray_residuals
 from photocal.measurement.tracks import Tracks
 from photocal.measurement.views import intersected, spread, views_of
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 TIE = ROLES.index("tie")
 # At the start, when the camera is not calibrated, a ray is wrong when its residual exceeds so many medians.

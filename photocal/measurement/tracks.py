@@ -6,14 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
+from drivers.arrays import Flags, Floats, Integers
 from photocal.measurement.features import Features
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Features with several directions stand at one place: they are one.
 _SAME_PX = 0.25
@@ -49,7 +46,7 @@ class Tracks:
         """Number of rays of each track, shape (count,)."""
         return np.bincount(self.track, minlength=self.count)
 
-    def some(self, rays: NDArray[np.bool_], fewest: int = 2) -> Tracks:
+    def some(self, rays: Flags, fewest: int = 2) -> Tracks:
         """Keep some of the rays, and of those the tracks with enough of them; tracks are numbered anew."""
         left = np.bincount(self.track[rays], minlength=self.count)
         keep = rays & (left >= fewest)[self.track]
@@ -100,7 +97,7 @@ def without_twins(tracks: Tracks, apart_px: float) -> Tracks:
     return tracks.some(~twin[tracks.track])
 
 
-def of_images(tracks: Tracks, keep: NDArray[np.bool_]) -> Tracks:
+def of_images(tracks: Tracks, keep: Flags) -> Tracks:
     """Rays in some of the images only, which are numbered anew.
 
     Parameters

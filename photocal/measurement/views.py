@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.adjustment.intersection import intersect
 from photocal.block.model import Block
 from photocal.geometry.frames import Frame
 from photocal.geometry.oriented_images import OrientedImages, local_poses
 from photocal.measurement.tracks import Tracks
-
-Floats = NDArray[np.float64]
 
 
 def intersected(views: OrientedImages, tracks: Tracks) -> Floats:

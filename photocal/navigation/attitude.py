@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from drivers.arrays import Flags, Floats
 from photocal.geometry.body import object_to_body
 from photocal.navigation.interpolation import LARGEST_GAP_S, local_mean_square
 from photocal.navigation.time import GpsTime
 
-Floats = NDArray[np.float64]
 # East, north, up to north, east, down.
 _TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 # A camera's own axes when its body's forward axis is the line of sight: x right, y up, z backwards.
@@ -45,7 +44,7 @@ class Attitudes:
         return len(self.rotation)
 
     @property
-    def known(self) -> NDArray[np.bool_]:
+    def known(self) -> Flags:
         """Where there is a rotation."""
         return np.asarray(np.isfinite(self.rotation).all(axis=(1, 2)))
 

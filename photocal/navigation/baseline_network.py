@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import IllPosedError
 from photocal.adjustment.reliability import noncentrality
 from photocal.adjustment.solution import GlobalTest, global_test
 from photocal.navigation.trajectory import enu_axes, geodetic
 
-Floats = NDArray[np.float64]
 # Two-sided 0.1 % for one component (Baarda 1968: alpha 0.001, beta 0.80 give lambda 17.075).
 CRITICAL = 3.2905
 _DELTA = noncentrality(0.001, 0.80)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Integers
 from drivers.frames import Wire
 from drivers.identify import batch_of_payloads
 from drivers.mavlink.decode import decode
@@ -14,7 +14,6 @@ from photocal.navigation.events import Events, counter_jumps
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.time import UtcTime
 
-Integers = NDArray[np.int64]
 # Member with the time, its unit in nanoseconds, and the member with the count.
 _KINDS = {
     "CAMERA_FEEDBACK": ("time_usec", 1000, "img_idx"),

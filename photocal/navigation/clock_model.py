@@ -6,11 +6,10 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from drivers.errors import IllPosedError
 
-Floats = NDArray[np.float64]
 _WINDOW = 12
 _LEAST_READINGS = 4
 _JUMP_SIGMAS = 8.0
@@ -77,7 +76,7 @@ class ClockModel:
             steps.append((b.origin_ns - a.origin_ns) / 1e9 + b.offset_s - expected)
         return steps
 
-    def convert(self, device_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], Floats]:
+    def convert(self, device_ns: Integers) -> tuple[Integers, Floats]:
         """Return the reference's time of readings of the device and its standard deviation (s).
 
         Of several stretches with the same readings of the device (a restart) the first counts; between
@@ -102,8 +101,8 @@ class ClockModel:
 
 
 def fit_clock(
-    device_ns: NDArray[np.int64],
-    reference_ns: NDArray[np.int64],
+    device_ns: Integers,
+    reference_ns: Integers,
     resolution_s: float = 1e-3,
     least_jump_s: float = 0.05,
 ) -> ClockModel:
@@ -129,7 +128,7 @@ def fit_clock(
     return ClockModel(tuple(_fit(device_ns[a:b], reference_ns[a:b], resolution_s) for a, b in found))
 
 
-def _seconds(ns: NDArray[np.int64]) -> Floats:
+def _seconds(ns: Integers) -> Floats:
     return np.asarray((ns - ns[0]) / 1e9)
 
 
@@ -144,7 +143,7 @@ def _slope(x: Floats, y: Floats) -> float:
     return float(np.median(rise[good] / run[good]))
 
 
-def _jump(device: NDArray[np.int64], reference: NDArray[np.int64], least_s: float) -> int | None:
+def _jump(device: Integers, reference: Integers, least_s: float) -> int | None:
     """Return where the residuals step, None when they do not."""
     n = len(device)
     if n < 2 * _LEAST_READINGS:
@@ -179,7 +178,7 @@ def _trend(residual: Floats, at: int, width: int) -> float:
     return float(np.median(steps)) * (high - low) / 2
 
 
-def _fit(device: NDArray[np.int64], reference: NDArray[np.int64], resolution_s: float) -> ClockSegment:
+def _fit(device: Integers, reference: Integers, resolution_s: float) -> ClockSegment:
     x, y = _seconds(device), _seconds(reference)
     rate = _slope(x, y)
     offset = float(np.median(y - rate * x))

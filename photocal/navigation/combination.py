@@ -5,19 +5,18 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags
 from photocal.navigation.engine_output import EngineSolution
 from photocal.navigation.trajectory import enu_axes, enu_offsets, geocentric, geodetic
 
-Floats = NDArray[np.float64]
 # Positions are printed to 0.1 mm, and a mean weighted by full matrices may leave the line between both.
 _ROUNDING_M = 0.005
 
 
 def between_directions(
     combined: EngineSolution, forward: EngineSolution, backward: EngineSolution
-) -> tuple[EngineSolution, NDArray[np.bool_]]:
+) -> tuple[EngineSolution, Flags]:
     """Replace combined positions that lie apart from both directions.
 
     The engine now and then inverts a covariance that has lost its digits; its combination is then up to some

@@ -6,15 +6,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.navigation.satellite_residuals import Sights, correlation_time_s, shift_by_zenith_delay
 from photocal.navigation.static_position import PER_METRE
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric, geodetic
 from photocal.navigation.troposphere import DelayLapse, Weather, remaining_lapse
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

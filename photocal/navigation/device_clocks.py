@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from drivers.errors import IllPosedError
 from photocal.navigation.clock_model import ClockModel, fit_clock
 
-Integers = NDArray[np.int64]
-Floats = NDArray[np.float64]
 # Telemetry overtakes itself by fractions of a second; a clock that goes back by more was started anew.
 _RESTART_NS = 5_000_000_000
 

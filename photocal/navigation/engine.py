@@ -12,9 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from drivers.arrays import Floats
 from drivers.errors import IllPosedError, ProgramMissingError
 from photocal.navigation.engine_output import EngineSolution, read_solution
 from photocal.navigation.satellite_residuals import Sights, read_sights
@@ -80,7 +78,7 @@ class Engine(Protocol):
         direction: Direction,
         files: list[Path],
         options: ProcessingOptions,
-        base_m: NDArray[np.float64] | None,
+        base_m: Floats | None,
         folder: Path,
     ) -> EngineSolution:
         """Compute positions from rover, base and navigation files."""
@@ -115,7 +113,7 @@ class Rtklib:
         direction: Direction,
         files: list[Path],
         options: ProcessingOptions,
-        base_m: NDArray[np.float64] | None,
+        base_m: Floats | None,
         folder: Path,
     ) -> EngineSolution:
         """Compute positions with `rnx2rtkp`."""

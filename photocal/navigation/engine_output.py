@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Integers
 from drivers.errors import IllPosedError
 from photocal.navigation.time import WEEK_NS, GpsTime
 
-Floats = NDArray[np.float64]
 FIXED, FLOAT, SINGLE = 1, 2, 5
 _COLUMNS = 15
 _LEAST_SIGMA_M = 1e-4
@@ -43,8 +42,8 @@ class EngineSolution:
     lat_deg: Floats
     lon_deg: Floats
     height_m: Floats
-    quality: NDArray[np.int64]
-    satellites: NDArray[np.int64]
+    quality: Integers
+    satellites: Integers
     covariance_m2: Floats
     age_s: Floats
     ratio: Floats
@@ -53,7 +52,7 @@ class EngineSolution:
     def __len__(self) -> int:
         return len(self.time)
 
-    def rows(self, chosen: NDArray[np.int64] | NDArray[np.bool_]) -> EngineSolution:
+    def rows(self, chosen: Integers | Flags) -> EngineSolution:
         """Return some of the epochs."""
         return EngineSolution(**{name: values[chosen] for name, values in vars(self).items()})
 
@@ -62,7 +61,7 @@ class EngineSolution:
         """Standard deviations (n, 3), east, north, up."""
         return np.asarray(np.sqrt(np.diagonal(self.covariance_m2, axis1=1, axis2=2)))
 
-    def at(self, time: GpsTime, tolerance_ns: int = 20_000_000) -> NDArray[np.int64]:
+    def at(self, time: GpsTime, tolerance_ns: int = 20_000_000) -> Integers:
         """Return the row for each instant, -1 where there is none."""
         place = np.clip(np.searchsorted(self.time.ns, time.ns), 1, max(len(self) - 1, 1))
         left = np.abs(self.time.ns[place - 1] - time.ns)
@@ -71,7 +70,7 @@ class EngineSolution:
         near = np.minimum(left, right) <= tolerance_ns
         return np.where(near, row, -1)
 
-    def with_quality(self, quality: NDArray[np.int64], covariance_m2: Floats) -> EngineSolution:
+    def with_quality(self, quality: Integers, covariance_m2: Floats) -> EngineSolution:
         """Return the same positions with another judgement."""
         return replace(self, quality=quality, covariance_m2=covariance_m2)
 
@@ -117,7 +116,7 @@ def read_solution(path: Path) -> EngineSolution:
     )
 
 
-def _possible(covariance: Floats, quality: NDArray[np.int64]) -> Floats:
+def _possible(covariance: Floats, quality: Integers) -> Floats:
     """Replace matrices that are no covariances by that of the nearest epoch of the same quality.
 
     The engine loses digits when it fixes ambiguities: variances below zero are printed as 0, with

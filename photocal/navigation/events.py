@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from drivers.errors import InputMalformedError
 from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS
 from drivers.ubx import decode as ubx
 from photocal.navigation.flight_log import EXPOSURES, FlightLog
 from photocal.navigation.time import GpsTime, UtcTime
 
-Floats = NDArray[np.float64]
 RISING, FALLING = "rising", "falling"
 _COUNTER = 1 << 16
 _MAVLINK = ("CAMERA_FEEDBACK", "CAMERA_IMAGE_CAPTURED", "CAMERA_TRIGGER")
@@ -49,15 +49,15 @@ class Events:
 
     source: str
     time: GpsTime
-    number: NDArray[np.int64]
+    number: Integers
     accuracy_s: Floats
     remarks: list[str] = field(default_factory=list)
     claimed: Floats | None = None
-    stream_ns: NDArray[np.int64] | None = None
+    stream_ns: Integers | None = None
     delay_ns: int = 0
 
     @property
-    def noted_ns(self) -> NDArray[np.int64]:
+    def noted_ns(self) -> Integers:
         """Times as the device noted them, GPS nanoseconds."""
         return np.asarray(self.time.ns - self.delay_ns)
 
@@ -83,7 +83,7 @@ def time_marks(
     edge: str,
     link: str,
     leap_s: int | None = None,
-    stream_ns: NDArray[np.int64] | None = None,
+    stream_ns: Integers | None = None,
 ) -> Events:
     """Return the events of one edge from RXM-TIM-TM2 messages.
 
@@ -127,7 +127,7 @@ def time_marks(
     )
 
 
-def counter_jumps(count: NDArray[np.int64], edge: str) -> list[str]:
+def counter_jumps(count: Integers, edge: str) -> list[str]:
     """Return a sentence for each place where a counter (modulo 65536) does not go on by one."""
     step = np.diff(count) % _COUNTER
     # Falling edges share the counter of the rising ones: a step of 0 between them is no loss.

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import IllPosedError
 from photocal.findings.finding import Finding, untested
 from photocal.navigation.events import Events
@@ -23,7 +23,6 @@ from photocal.navigation.time import leap_seconds
 from photocal.navigation.trajectory import Trajectory, enu_offsets
 from photocal.navigation.vehicle import VehicleTrack
 
-Floats = NDArray[np.float64]
 # Heights above sea level of autopilots drift by metres with the air pressure.
 _PRESSURE_M = 4.0
 # Of the autopilot's attitudes: with usual turns of 20 degrees a second half of 0.1 s is a degree.

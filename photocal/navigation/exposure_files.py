@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from photocal.navigation.exposures import Exposures, Orientations, orientations
 from photocal.navigation.rig import Rig
 from photocal.navigation.trajectory import COLUMNS, covariance_cells, enu_axes, enu_offsets, geocentric
 
-Floats = NDArray[np.float64]
 EVENT_COLUMNS = (
     *COLUMNS, "image", "roll_deg", "pitch_deg", "yaw_deg", "event", "note", "sroll", "spitch", "syaw",
     "above_take_off_m",
@@ -48,7 +47,7 @@ def write_exposures(path: Path, exposures: Exposures) -> None:
             writer.writerow([*row, int(exposures.number[i]), note, *spread, above])
 
 
-def with_images(exposures: Exposures) -> NDArray[np.int64]:
+def with_images(exposures: Exposures) -> Integers:
     """Return the rows that have a position and exactly the name of an image (or several cameras' ones)."""
     named = np.array([bool(name) for name in exposures.image])
     return np.flatnonzero(exposures.placed.placed & named)

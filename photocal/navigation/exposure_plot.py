@@ -6,13 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.navigation.exposure_run import ExposureRun
 from photocal.navigation.interpolation import LARGEST_GAP_S
 from photocal.navigation.trajectory import enu_offsets
 
-Floats = NDArray[np.float64]
 COLOURS = {"fixed": "tab:green", "float": "tab:orange", "single": "tab:red"}
 _SHOWN_GAP_S = 60.0
 

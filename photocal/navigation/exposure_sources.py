@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags
 from drivers.errors import ConfigurationError
 from photocal.navigation.attitude import LINE_OF_SIGHT, Attitudes, at_instants, from_angles, no_attitudes
 from photocal.navigation.boot_events import boot_exposures
@@ -21,7 +21,6 @@ from photocal.navigation.time import GpsTime, UtcTime
 from photocal.navigation.trajectory import Trajectory
 from photocal.navigation.vehicle import VehicleTrack
 
-Floats = NDArray[np.float64]
 ELLIPSOIDAL, SEA_LEVEL = "ellipsoidal", "above mean sea level, as the autopilot computes it"
 OF_IMAGES = "as the images state it (makers mostly write the height above mean sea level)"
 # Hot shoe before the camera's own word before what the autopilot asked for.
@@ -118,9 +117,7 @@ def attitudes_of_vehicle(vehicle: VehicleTrack | None, time: GpsTime, rig: Rig) 
     return replace(found, covariance=found.covariance + turn)
 
 
-def attitudes_of_images(
-    images: list[ImageMetadata | None], rig: Rig
-) -> tuple[Attitudes, Attitudes, NDArray[np.bool_]]:
+def attitudes_of_images(images: list[ImageMetadata | None], rig: Rig) -> tuple[Attitudes, Attitudes, Flags]:
     """Return the attitudes that the images themselves state (XMP of gimbal and vehicle)."""
     facts = [None if image is None else image.facts for image in images]
     unknown = (np.nan, np.nan, np.nan)

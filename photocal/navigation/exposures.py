@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from drivers.arrays import Floats, Integers
 from drivers.errors import ConfigurationError
 from photocal.geometry.rotation import angles_from_matrix, left_jacobian, skew, turn_per_angle
 from photocal.navigation.attitude import Attitudes
@@ -18,8 +18,6 @@ from photocal.navigation.matching import Matching, match
 from photocal.navigation.mrk import moved
 from photocal.navigation.rig import Rig
 from photocal.navigation.time import GpsTime
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -50,7 +48,7 @@ class Exposures:
     """
 
     time: GpsTime
-    number: NDArray[np.int64]
+    number: Integers
     placed: Placed
     attitude: Attitudes
     cross: Floats

@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Integers
 from photocal.navigation.engine_output import FIXED, FLOAT, SINGLE, EngineSolution
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import enu_offsets
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 # A claim of two runs to the same fix holds when they agree as well as two fixes do.
 _SAME_FIX_M = np.array([0.05, 0.05, 0.10])
@@ -52,7 +49,7 @@ class Judgement:
     demoted: dict[str, Flags]
     float_factor: Floats
     separation_m: Floats
-    directions: NDArray[np.int64]
+    directions: Integers
     velocity_sigma_m_s: float
 
 
@@ -93,15 +90,15 @@ def _enu(solution: EngineSolution, origin: Floats) -> Floats:
     return enu_offsets(solution.lat_deg, solution.lon_deg, solution.height_m, origin)
 
 
-def _quality(solution: EngineSolution, row: NDArray[np.int64]) -> NDArray[np.int64]:
+def _quality(solution: EngineSolution, row: Integers) -> Integers:
     return np.where(row >= 0, solution.quality[row], 0)
 
 
 def _difference(
     forward: EngineSolution,
-    fore: NDArray[np.int64],
+    fore: Integers,
     backward: EngineSolution,
-    back: NDArray[np.int64],
+    back: Integers,
     origin: Floats,
 ) -> Floats:
     difference = _enu(forward, origin)[fore] - _enu(backward, origin)[back]
@@ -184,9 +181,9 @@ def _off_code(here: Floats, combined: EngineSolution, code: EngineSolution, orig
 
 def _float_factor(
     forward: EngineSolution,
-    fore: NDArray[np.int64],
+    fore: Integers,
     backward: EngineSolution,
-    back: NDArray[np.int64],
+    back: Integers,
     separation: Floats,
 ) -> Floats:
     """Return how much too small the float sigmas are, from the separation of the two directions."""
@@ -200,9 +197,7 @@ def _float_factor(
     return np.asarray(np.maximum(np.sqrt(np.mean((separation[rows] / claimed) ** 2, axis=0)), 1.0))
 
 
-def _covariance(
-    combined: EngineSolution, quality: NDArray[np.int64], factor: Floats, separation: Floats
-) -> Floats:
+def _covariance(combined: EngineSolution, quality: Integers, factor: Floats, separation: Floats) -> Floats:
     """Return honest covariances: scaled where float, with a floor for multipath where fixed."""
     scale = np.ones((len(combined), 3))
     sigma = combined.sigma_m

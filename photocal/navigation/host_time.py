@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.navigation.time import GpsTime, HostTime, UtcTime
 from photocal.navigation.vehicle import VehicleTrack
-
-Floats = NDArray[np.float64]
 
 
 def autopilot_time(track: VehicleTrack, host: HostTime) -> tuple[GpsTime, Floats]:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Integers
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory, enu_axes, enu_offsets, geocentric, geodetic
 
-Floats = NDArray[np.float64]
 LARGEST_GAP_S = 1.5
 _LEAST_TRIALS = 20
 _PRIOR_TRIALS = 10
@@ -39,7 +39,7 @@ class Placed:
         The worse one of the two epochs.
     """
 
-    placed: NDArray[np.bool_]
+    placed: Flags
     gap_s: Floats
     lat_deg: Floats
     lon_deg: Floats
@@ -158,8 +158,8 @@ def _local(trajectory: Trajectory) -> tuple[Floats, Floats]:
 def _hermite(
     local: Floats,
     velocity: Floats,
-    before: NDArray[np.int64],
-    after: NDArray[np.int64],
+    before: Integers,
+    after: Integers,
     gap: Floats,
     u: Floats,
 ) -> tuple[Floats, Floats]:

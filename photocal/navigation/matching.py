@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import poisson
 
+from drivers.arrays import Flags, Floats, Integers
 from drivers.errors import IllPosedError
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 _LEAST_PAIRS = 4
 _CERTAIN = 0.6
 _SIGMAS = 4.0
@@ -119,9 +117,7 @@ def match(
     )
 
 
-def _add_late(
-    predicted: Floats, y: Floats, of_image: Integers, mutual: NDArray[np.bool_], reach: float
-) -> None:
+def _add_late(predicted: Floats, y: Floats, of_image: Integers, mutual: Flags, reach: float) -> None:
     """Pair, in place, images and events that are left over and have nobody else within a wider reach.
 
     Cameras stamp a picture late now and then, by far more than they usually scatter; never early.
@@ -183,7 +179,7 @@ def _hits(x: Floats, y: Floats, offset: float, reach: float) -> int:
     return len(np.unique(partner[partner >= 0]))
 
 
-def _partners(from_s: Floats, to_s: Floats, reach: float) -> tuple[Integers, NDArray[np.bool_]]:
+def _partners(from_s: Floats, to_s: Floats, reach: float) -> tuple[Integers, Flags]:
     """Return the nearest partner within reach (-1: none) and whether there is more than one."""
     low = np.searchsorted(to_s, from_s - reach)
     high = np.searchsorted(to_s, from_s + reach, side="right")

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import InputMalformedError, InputNotFoundError
 from drivers.frames import Wire
 from drivers.mrk import parse_event
@@ -16,7 +17,6 @@ from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import enu_axes, geocentric, geodetic
 
-Floats = NDArray[np.float64]
 # Flag of the receiver: 50 fixed, 34 float, 16 single.
 _STATUS = {50: "fixed", 34: "float"}
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from drivers.arrays import Floats, Integers
 from photocal.findings.finding import Finding, untested
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.similarity import similarity
@@ -15,7 +15,6 @@ from photocal.navigation.exposures import Exposures, orientations
 from photocal.navigation.rig import Rig
 from photocal.navigation.rotation_check import ROUGH_DEG, PairRotation, least_turn, places_of, stored_turns
 
-Floats = NDArray[np.float64]
 _LEAST = 6
 _SIGMAS = 3.0
 
@@ -79,7 +78,7 @@ def boresight_check(exposures: Exposures, oriented: OrientedImages, rig: Rig) ->
     return Finding("boresight", "passed", figures=figures)
 
 
-def _common(exposures: Exposures, oriented: OrientedImages) -> NDArray[np.int64]:
+def _common(exposures: Exposures, oriented: OrientedImages) -> Integers:
     known = exposures.attitude.known & np.isfinite(oriented.rotation).all(axis=(1, 2))
     return np.flatnonzero(known)
 

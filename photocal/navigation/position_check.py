@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import IllPosedError
 from photocal.findings.finding import Finding, untested
 from photocal.geometry.similarity import similarity
@@ -21,8 +21,6 @@ from photocal.navigation.position_comparison import (
 )
 from photocal.navigation.rig import Rig
 from photocal.navigation.trajectory import enu_offsets
-
-Floats = NDArray[np.float64]
 
 
 def judge_positions(source: str, ours: Exposures, theirs: Floats, rig: Rig, free: str) -> Finding:

@@ -6,13 +6,12 @@ import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
+from drivers.arrays import Floats, Integers
 from drivers.errors import IllPosedError
 from photocal.geometry.rotation import skew
 
-Floats = NDArray[np.float64]
 _LEAST = 8
 _SIGNIFICANCE = 0.001
 # What falls short by no more than this is as good a name for the same error (Raftery 1995: over 10 is
@@ -206,7 +205,7 @@ class _Model:
         return replace(self, difference=self.difference - by_m)
 
 
-def _without_gross(design: Floats, difference: Floats, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+def _without_gross(design: Floats, difference: Floats, rows: Integers) -> Integers:
     free = np.full(design.shape[2], np.inf)
     for _ in range(5):
         # Gross errors are told by what is left when all errors looked for are allowed.

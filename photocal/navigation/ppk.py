@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, IllPosedError
 from photocal.navigation.combination import between_directions
 from photocal.navigation.common_errors import CommonErrors, common_errors
@@ -53,9 +53,9 @@ class Inputs:
     rover: ObservationFile
     base: ObservationFile
     navigation: list[Path]
-    base_m: NDArray[np.float64]
+    base_m: Floats
     base_source: str
-    base_sigma_m: NDArray[np.float64] | None = None
+    base_sigma_m: Floats | None = None
     weather: Weather | None = None
 
 
@@ -96,7 +96,7 @@ class PpkResult:
     combined: EngineSolution
     judgement: Judgement | None
     trajectory: Trajectory
-    base_off_code_m: NDArray[np.float64]
+    base_off_code_m: Floats
     base_gaps_s: list[tuple[GpsTime, float]]
     replaced: int = 0
     common: CommonErrors | None = None
@@ -210,7 +210,7 @@ def refuse_apart(rover: ObservationFile, base: ObservationFile) -> None:
         )
 
 
-def parse_position(text: str) -> NDArray[np.float64]:
+def parse_position(text: str) -> Floats:
     """Return earth-centred coordinates of ``LAT,LON,H`` (degrees, ellipsoidal height in metres)."""
     try:
         lat, lon, height = (float(part) for part in text.split(","))
@@ -225,9 +225,7 @@ def parse_position(text: str) -> NDArray[np.float64]:
     return np.asarray(geocentric(np.array([lat]), np.array([lon]), np.array([height]))[0])
 
 
-def _base_off_code(
-    inputs: Inputs, options: ProcessingOptions, engine: Engine, folder: Path
-) -> NDArray[np.float64]:
+def _base_off_code(inputs: Inputs, options: ProcessingOptions, engine: Engine, folder: Path) -> Floats:
     """Return the base's position less its own code solution (east, north, up); refuse a wrong one."""
     alone = [inputs.base.path, *inputs.navigation]
     code = engine.solve("single", "forward", alone, options, None, folder)

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, IllPosedError
 from drivers.gnsstime import GPS_EPOCH_NS
 from photocal.navigation.engine import Engine, RinexFiles
@@ -61,7 +61,7 @@ class Sources:
     vehicle_link: str | None = None
     rover_antenna_m: float | None = None
     base_antenna_m: float | None = None
-    base_sigma_m: NDArray[np.float64] | None = None
+    base_sigma_m: Floats | None = None
     weather: Weather | None = None
 
     def with_base(self, sigma: str | None, weather: str | None) -> Sources:
@@ -190,7 +190,7 @@ def _remarks(recording: ReceiverRecording, role: str) -> list[str]:
     return remarks
 
 
-def _base_position(sources: Sources, recording: ReceiverRecording | None) -> tuple[NDArray[np.float64], str]:
+def _base_position(sources: Sources, recording: ReceiverRecording | None) -> tuple[Floats, str]:
     if sources.base_position is not None:
         return parse_position(sources.base_position), "--base-position"
     found = None if recording is None else recording.position_m()

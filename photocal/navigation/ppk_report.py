@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding
 from photocal.findings.texts import finding_json
@@ -156,11 +156,11 @@ def _directions_apart(result: PpkResult) -> list[dict[str, Any]]:
     return places
 
 
-def _median(values: NDArray[np.float64]) -> float | None:
+def _median(values: Floats) -> float | None:
     return float(np.median(values)) if len(values) else None
 
 
-def _rms(values: NDArray[np.float64]) -> list[float] | None:
+def _rms(values: Floats) -> list[float] | None:
     return [float(v) for v in np.sqrt(np.mean(values**2, axis=0))] if len(values) else None
 
 

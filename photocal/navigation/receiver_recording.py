@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.log.reader import link_of
+from drivers.arrays import Floats, Integers
 from drivers.errors import ConfigurationError, IllPosedError
 from drivers.frames import Batch, Wire
 from drivers.gnsstime import week_to_ns
@@ -20,7 +21,6 @@ from drivers.ubx import decode as ubx
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.geoid_separation import told_by_receiver
 
-Integers = NDArray[np.int64]
 # A survey-in is announced with rounded coordinates.
 _SAME_MARK_M = 0.01
 _MSM_FIRST, _MSM_LAST = 1071, 1137
@@ -67,8 +67,8 @@ class ReceiverRecording:
     untimed_epochs: int = 0
     ephemeris_frames: int = 0
     observation_frames: int = 0
-    announced_m: list[NDArray[np.float64]] = field(default_factory=list)
-    surveyed_m: NDArray[np.float64] | None = None
+    announced_m: list[Floats] = field(default_factory=list)
+    surveyed_m: Floats | None = None
     surveyed_sigma_m: float | None = None
     first_log_ns: int = 0
     time_marks: list[NDArray[Any]] = field(default_factory=list)
@@ -135,7 +135,7 @@ class ReceiverRecording:
         """Return the epoch before each TIM-TM2 message in the stream (GPS ns); -1 before the first."""
         return np.concatenate(self.mark_epoch_ns) if self.mark_epoch_ns else np.empty(0, np.int64)
 
-    def position_m(self) -> tuple[NDArray[np.float64], str] | None:
+    def position_m(self) -> tuple[Floats, str] | None:
         """Return the station's position (earth-centred) and where it stands; None when nowhere.
 
         Raises
@@ -155,7 +155,7 @@ class ReceiverRecording:
             return all_m[0], "RTCM 1005/1006"
         return None if self.surveyed_m is None else (self.surveyed_m, "survey-in")
 
-    def position_sigma_m(self) -> NDArray[np.float64] | None:
+    def position_sigma_m(self) -> Floats | None:
         """Return the standard deviations of a position that a survey-in found; None of any other."""
         found = self.position_m()
         if found is None or self.surveyed_m is None or self.surveyed_sigma_m is None:

@@ -6,14 +6,12 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.adjustment.mounting import NADIR
 from photocal.block.mounting import BODY_AXES
 from photocal.block.setup import MountingKeys
-
-Floats = NDArray[np.float64]
 
 
 def _none() -> Floats:

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from drivers.arrays import Floats
 from photocal.findings.finding import Finding, untested
 from photocal.navigation.exposures import Exposures
 from photocal.navigation.trajectory import enu_offsets
 
-Floats = NDArray[np.float64]
 CODE = "image-rotations"
 # Attitudes of small vehicles are good to a few degrees.
 ROUGH_DEG = 5.0

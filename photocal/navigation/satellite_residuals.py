@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from photocal.navigation.time import WEEK_NS, GpsTime
 
-Floats = NDArray[np.float64]
 _FIELDS = 12
 _MOST_EPOCHS = 200
 _LONGEST_LAG_S = 300.0
@@ -39,7 +39,7 @@ class Sights:
 
     time: GpsTime
     satellite: NDArray[np.str_]
-    frequency: NDArray[np.int64]
+    frequency: Integers
     azimuth: Floats
     elevation: Floats
     residual_m: Floats
@@ -133,7 +133,7 @@ def correlation_time_s(sights: Sights) -> float:
     return max(total, 0.5) * step
 
 
-def _centred(sights: Sights, at: NDArray[np.int64], epochs: int) -> Floats:
+def _centred(sights: Sights, at: Integers, epochs: int) -> Floats:
     """Return residuals by epoch and signal, less the mean of each system and frequency; NaN where none."""
     signal = np.array([f"{s}{f}" for s, f in zip(sights.satellite, sights.frequency, strict=True)])
     names, column = np.unique(signal, return_inverse=True)

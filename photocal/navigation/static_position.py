@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import IllPosedError
 from photocal.navigation.engine import Engine, ProcessingOptions
 from photocal.navigation.engine_output import EngineSolution
@@ -73,8 +73,8 @@ def in_order(solution: EngineSolution) -> EngineSolution:
 def trajectory_of(
     solution: EngineSolution,
     velocity_sigma: float,
-    base_m: NDArray[np.float64],
-    velocity: NDArray[np.float64] | None = None,
+    base_m: Floats,
+    velocity: Floats | None = None,
 ) -> Trajectory:
     """Return the engine's positions as a trajectory."""
     place = geocentric(solution.lat_deg, solution.lon_deg, solution.height_m)

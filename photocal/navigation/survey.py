@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.navigation.baseline_network import Baseline, Mark, NetworkSolution, adjust_baselines
 from photocal.navigation.engine import Engine
@@ -22,7 +22,6 @@ from photocal.navigation.survey_setup import KnownMark, MeasuredBaseline, Precis
 from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric
 from photocal.navigation.troposphere import measured_weather
 
-Floats = NDArray[np.float64]
 _LOG = ".mcap"
 
 

@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.adjustment.ellipses import ellipses
 from photocal.navigation.baseline_network import NetworkSolution
 from photocal.navigation.exposure_files import projected
 from photocal.navigation.trajectory import enu_axes, enu_offsets, geodetic
 
-Floats = NDArray[np.float64]
 COLUMNS = ("point", "X", "Y", "Z", "sX", "sY", "sZ", "sXY", "sXZ", "sYZ", "role")
 _PROBABILITY = 0.95
 

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from drivers import gnsstime
+from drivers.arrays import Flags, Floats, Integers
 from drivers.errors import InputMalformedError
 from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS, WEEK_S
 
@@ -32,7 +33,7 @@ class Instants:
         Nanoseconds since the scale's own origin.
     """
 
-    ns: NDArray[np.int64]
+    ns: Integers
 
     def __post_init__(self) -> None:
         given = np.asarray(self.ns)
@@ -46,7 +47,7 @@ class Instants:
     def __getitem__(self, rows: Any) -> Self:
         return type(self)(self.ns[rows])
 
-    def __sub__(self, other: Self) -> NDArray[np.int64]:
+    def __sub__(self, other: Self) -> Integers:
         """Return how long after `other` these instants are, nanoseconds."""
         self._same_scale(other)
         return self.ns - other.ns
@@ -58,7 +59,7 @@ class Instants:
             raise TypeError(f"a shift takes whole nanoseconds, not {duration.dtype}")
         return type(self)(self.ns + duration.astype(np.int64))
 
-    def before(self, other: Self) -> NDArray[np.bool_]:
+    def before(self, other: Self) -> Flags:
         """Tell which instants come before `other`."""
         self._same_scale(other)
         return self.ns < other.ns
@@ -100,7 +101,7 @@ class GpsTime(Instants):
             )
         return cls(gnsstime.week_to_ns(weeks, tow))
 
-    def week_and_seconds(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def week_and_seconds(self) -> tuple[Integers, Floats]:
         """Return GPS week and seconds of the week (float64: 0.1 ns at the end of a week)."""
         return self.ns // WEEK_NS, (self.ns % WEEK_NS) / 1e9
 
@@ -136,12 +137,12 @@ class UtcTime(Instants):
         return [_calendar(ns) for ns in self.ns.tolist()]
 
 
-def leap_seconds(time: GpsTime) -> NDArray[np.int64]:
+def leap_seconds(time: GpsTime) -> Integers:
     """Return GPS time minus UTC in seconds by the table."""
     return (time.ns + GPS_EPOCH_NS - time.to_utc().ns) // SECOND_NS
 
 
-def _offset_ns(gps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+def _offset_ns(gps_ns: Integers) -> Integers:
     return gps_ns + GPS_EPOCH_NS - gnsstime.gps_to_utc_ns(gps_ns)
 
 

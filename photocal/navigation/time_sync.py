@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from drivers.errors import IllPosedError
 from photocal.navigation.clock_model import ClockModel, fit_clock
 from photocal.navigation.device_clocks import AutopilotClock, ComparedClocks
 from photocal.navigation.time import GpsTime
 
-Integers = NDArray[np.int64]
-Floats = NDArray[np.float64]
 # Answers that took longer than this multiple of the shortest waited in a queue on one way.
 _SLOW_ANSWER = 3.0
 _LEAST_TRIP_NS = 1_000_000

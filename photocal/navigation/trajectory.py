@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Integers
 from photocal.navigation.time import GpsTime
 
-Floats = NDArray[np.float64]
 COLUMNS = (
     "time_gps_ns", "lat_deg", "lon_deg", "height_m", "status", "se", "sn", "su", "sen", "seu", "snu",
 )  # fmt: skip
@@ -49,7 +49,7 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.time)
 
-    def rows(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Trajectory:
+    def rows(self, chosen: Flags | Integers) -> Trajectory:
         """Return some of the epochs."""
         return Trajectory(
             self.time[chosen],

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 
 
-def parse_triple(text: str, option: str) -> NDArray[np.float64]:
+def parse_triple(text: str, option: str) -> Floats:
     """Return three numbers.
 
     Raises

@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
 from photocal.project_tables import AirAtBase
-
-Floats = NDArray[np.float64]
 
 # Means and seasonal amplitudes at 15, 30, 45, 60 and 75 degrees: pressure (hPa), temperature (K), vapour
 # pressure (hPa), lapse rate (K/m), exponent of the vapour (RTCA DO-229D, table A-2; Collins and Langley

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Integers
 from drivers.frames import Wire
 from drivers.identify import batch_of_payloads
 from drivers.mavlink.decode import decode
@@ -21,8 +22,6 @@ from photocal.navigation.time_sync import TimeSync
 from photocal.navigation.vehicle_clocks import VehicleClocks, vehicle_clocks
 from photocal.navigation.vehicle_topics import decoded_attitude, decoded_positions
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 _STRAY_NS = 5_000_000_000
 _MILLISECOND_NS = 1_000_000
 # Logs from an autopilot's card take UTC from when positions of its receiver were noted: late by up to 0.1 s.
@@ -216,7 +215,7 @@ def _geoid(received: _Received) -> float | None:
     return float(np.median(fields["alt_ellipsoid"][told].astype(float) - fields["alt"][told])) * 1e-3
 
 
-def _strays(device: Integers) -> NDArray[np.bool_]:
+def _strays(device: Integers) -> Flags:
     """Tell which single times stand out of the order of arrival: damage that a checksum of 16 bits passed.
 
     In a sequence that grows the middle of five is its own median.

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Integers
 from photocal.navigation.device_clocks import (
     AutopilotClock,
     ComparedClocks,
@@ -16,7 +17,6 @@ from photocal.navigation.device_clocks import (
 )
 from photocal.navigation.time_sync import TimeSync, clock_through_host, time_sync
 
-Integers = NDArray[np.int64]
 Received = tuple[Integers, Integers, NDArray[Any]]
 _MILLISECOND_NS = 1_000_000
 _LONGEST_TRIP_NS = 10_000_000_000

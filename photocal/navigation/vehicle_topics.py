@@ -7,15 +7,12 @@ stand in the log's own topics, by the device's UTC.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from drivers.gnsstime import SECOND_NS
 from photocal.navigation.attitude import AttitudeTrack, rotations_of_quaternions
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.time import UtcTime
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 def decoded_positions(log: FlightLog, link: str) -> tuple[Integers, Integers, Floats]:

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats
 from drivers.errors import InputMalformedError
-
-FloatArray = NDArray[np.float64]
 
 # Beyond this the plane of one flight is no plane any more, and the polygon rather a mistake.
 _LARGEST_EXTENT_M = 100_000.0
@@ -27,8 +25,8 @@ class Area:
         Corners in order, degrees, the first not repeated at the end.
     """
 
-    latitude_deg: FloatArray
-    longitude_deg: FloatArray
+    latitude_deg: Floats
+    longitude_deg: Floats
 
     @property
     def centre_deg(self) -> tuple[float, float]:
@@ -52,11 +50,11 @@ class LocalPlane:
     latitude_deg: float
     longitude_deg: float
 
-    def to_plane(self, latitude_deg: FloatArray, longitude_deg: FloatArray) -> FloatArray:
+    def to_plane(self, latitude_deg: Floats, longitude_deg: Floats) -> Floats:
         """Lay positions into the plane."""
         return np.column_stack(self._projection()(longitude_deg, latitude_deg))
 
-    def to_degrees(self, plane_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def to_degrees(self, plane_m: Floats) -> tuple[Floats, Floats]:
         """Take positions back from the plane."""
         longitude, latitude = self._projection()(plane_m[:, 0], plane_m[:, 1], inverse=True)
         return np.asarray(latitude), np.asarray(longitude)
@@ -102,13 +100,13 @@ def area_from_corners(corners_deg: list[tuple[float, float]], where: str) -> Are
     return area
 
 
-def polygon_area(corners_m: FloatArray) -> float:
+def polygon_area(corners_m: Floats) -> float:
     """Give the area of a polygon."""
     x, y = (corners_m - corners_m[0]).T
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
-def inside(points_m: FloatArray, corners_m: FloatArray) -> NDArray[np.bool_]:
+def inside(points_m: Floats, corners_m: Floats) -> Flags:
     """Say which points lie in a polygon."""
     result = np.zeros(len(points_m), dtype=np.bool_)
     x, y = points_m.T
@@ -120,7 +118,7 @@ def inside(points_m: FloatArray, corners_m: FloatArray) -> NDArray[np.bool_]:
     return result
 
 
-def _crosses_itself(corners: FloatArray) -> bool:
+def _crosses_itself(corners: Floats) -> bool:
     count = len(corners)
     ends = np.roll(corners, -1, axis=0)
     return any(
@@ -131,8 +129,8 @@ def _crosses_itself(corners: FloatArray) -> bool:
     )
 
 
-def _cross(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> bool:
-    def side(p: FloatArray, q: FloatArray, r: FloatArray) -> float:
+def _cross(a: Floats, b: Floats, c: Floats, d: Floats) -> bool:
+    def side(p: Floats, q: Floats, r: Floats) -> float:
         return float((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]))
 
     return side(a, b, c) * side(a, b, d) < 0.0 and side(c, d, a) * side(c, d, b) < 0.0

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
-from photocal.planning.area import FloatArray, inside, polygon_area
+from photocal.planning.area import inside, polygon_area
 from photocal.planning.strips import best_azimuth
 
 # Side of the grid of candidate places as a share of the root of the area.
@@ -25,11 +26,11 @@ class ControlLayout:
         Control points and check points.
     """
 
-    control_m: FloatArray
-    check_m: FloatArray
+    control_m: Floats
+    check_m: Floats
 
 
-def suggest_layout(corners_m: FloatArray, control: int, check: int, margin_m: float) -> ControlLayout:
+def suggest_layout(corners_m: Floats, control: int, check: int, margin_m: float) -> ControlLayout:
     """Spread control and check points over an area.
 
     Control goes to the corners first, because a block bends most where it ends, then always to the
@@ -67,7 +68,7 @@ def suggest_layout(corners_m: FloatArray, control: int, check: int, margin_m: fl
     return ControlLayout(candidates[chosen[:control]], candidates[chosen[control:]])
 
 
-def _candidates(corners: FloatArray, margin: float) -> FloatArray:
+def _candidates(corners: Floats, margin: float) -> Floats:
     step = max(1.0, _GRID_SHARE * math.sqrt(abs(polygon_area(corners))))
     low, high = corners.min(axis=0), corners.max(axis=0)
     axes = [np.arange(low[k] + step / 2.0, high[k], step) for k in range(2)]
@@ -76,7 +77,7 @@ def _candidates(corners: FloatArray, margin: float) -> FloatArray:
     return grid[_distance_to_border(grid, corners) >= margin]
 
 
-def _corner_candidates(candidates: FloatArray, corners: FloatArray) -> list[int]:
+def _corner_candidates(candidates: Floats, corners: Floats) -> list[int]:
     """Find the candidates farthest out in the four directions between the axes of the area."""
     azimuth = best_azimuth(corners)
     along = np.array([math.sin(azimuth), math.cos(azimuth)])
@@ -87,7 +88,7 @@ def _corner_candidates(candidates: FloatArray, corners: FloatArray) -> list[int]
     return list(dict.fromkeys(np.argmax(frame @ directions.T, axis=0).tolist()))
 
 
-def _distance_to_border(points: FloatArray, corners: FloatArray) -> FloatArray:
+def _distance_to_border(points: Floats, corners: Floats) -> Floats:
     nearest = np.full(len(points), np.inf)
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         side = end - start
@@ -98,7 +99,7 @@ def _distance_to_border(points: FloatArray, corners: FloatArray) -> FloatArray:
     return nearest
 
 
-def _farthest(candidates: FloatArray, chosen: list[int], count: int) -> list[int]:
+def _farthest(candidates: Floats, chosen: list[int], count: int) -> list[int]:
     """Add the candidate farthest from all chosen ones until there are enough (Gonzalez 1985)."""
     result = list(chosen)
     nearest = np.full(len(candidates), np.inf)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
-from photocal.planning.area import Area, FloatArray, LocalPlane, polygon_area
+from photocal.planning.area import Area, LocalPlane, polygon_area
 from photocal.planning.expected_precision import (
     ExpectedPrecision,
     corner_precision,
@@ -101,7 +102,7 @@ class Flight:
 
     area: Area
     plane: LocalPlane
-    corners_m: FloatArray
+    corners_m: Floats
     wish: Wish
     azimuth_rad: float
     levels: tuple[LevelGeometry, ...]
@@ -176,7 +177,7 @@ def plan_flight(area: Area, wish: Wish) -> Flight:
     return Flight(area, plane, corners, wish, azimuth, tuple(levels), strips)
 
 
-def _strips(corners: FloatArray, azimuth: float, level: LevelGeometry, along: Side) -> tuple[Strip, ...]:
+def _strips(corners: Floats, azimuth: float, level: LevelGeometry, along: Side) -> tuple[Strip, ...]:
     ground_along = level.footprint_m[0 if along == "columns" else 1]
     return plan_strips(
         corners, azimuth, level.strip_spacing_m, level.base_m, ground_along / 2.0, level.height_m

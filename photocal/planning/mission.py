@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.planning.flight import Flight
-from photocal.planning.strips import FloatArray
 
 
 class Command(IntEnum):
@@ -162,7 +162,7 @@ def waypoint_file(items: tuple[Item, ...], home: Home) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _places(flight: Flight, points_m: FloatArray) -> list[tuple[float, float]]:
+def _places(flight: Flight, points_m: Floats) -> list[tuple[float, float]]:
     latitude, longitude = flight.plane.to_degrees(points_m)
     return [
         (float(np.round(lat, 8)), float(np.round(lon, 8)))

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from acquire.outputs import output_folder
+from drivers.arrays import Floats
 from photocal.planning.control_layout import ControlLayout
 from photocal.planning.flight import Flight
 from photocal.planning.mission import Home, mission_items, qgroundcontrol_plan, waypoint_file
-from photocal.planning.strips import FloatArray
 
 
 def write_plan(
@@ -67,7 +67,7 @@ def _exposures(flight: Flight) -> str:
 def _map(flight: Flight, layout: ControlLayout) -> dict[str, Any]:
     """GeoJSON (RFC 7946) of area, strips and suggested points."""
 
-    def positions(points_m: FloatArray) -> list[list[float]]:
+    def positions(points_m: Floats) -> list[list[float]]:
         latitude, longitude = flight.plane.to_degrees(points_m)
         return [
             [round(float(lon), 8), round(float(lat), 8)] for lat, lon in zip(latitude, longitude, strict=True)

@@ -10,20 +10,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
 from photocal.adjustment.solution import Solution
 from photocal.geometry.camera import PARAMETERS, Camera, camera
 from photocal.geometry.rotation import matrix_from_angles
-from photocal.planning.area import FloatArray
 from photocal.planning.control_layout import ControlLayout
 from photocal.planning.flight import Flight
 from photocal.planning.frame import Frame
-
-Integers = NDArray[np.int64]
 
 # Tie points per side of a footprint: 25 in each photo.
 _TIES_PER_SIDE = 5
@@ -160,7 +157,7 @@ def planned_network(flight: Flight, layout: ControlLayout, survey: Survey) -> tu
     return network, np.flatnonzero(~control & (used < last))
 
 
-def _poses(flight: Flight) -> FloatArray:
+def _poses(flight: Flight) -> Floats:
     """Angles and places of the planned exposures, looking straight down, shape (n, 6)."""
     rows = []
     for strip in flight.strips:
@@ -171,7 +168,7 @@ def _poses(flight: Flight) -> FloatArray:
     return np.array(rows)
 
 
-def _ties(flight: Flight) -> FloatArray:
+def _ties(flight: Flight) -> Floats:
     """A net of tie points over all ground that the photos may show; those in one photo drop out later."""
     sides = [min(level.footprint_m) for level in flight.levels]
     reach = max(max(level.footprint_m) for level in flight.levels) / 2.0
@@ -194,7 +191,7 @@ def _camera(frame: Frame, *, calibrated: bool) -> Camera:
     )
 
 
-def _rays(poses: FloatArray, xyz: FloatArray, frame: Frame) -> tuple[Integers, Integers, FloatArray]:
+def _rays(poses: Floats, xyz: Floats, frame: Frame) -> tuple[Integers, Integers, Floats]:
     """Which photo sees which point, and where in mm from its middle."""
     half = np.array([frame.columns, frame.rows]) / 2.0 * frame.pixel_m * 1e3
     images, points, seen = [], [], []

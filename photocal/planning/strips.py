@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
-
-FloatArray = NDArray[np.float64]
 
 # More than any aircraft can fly in one mission: a mistaken unit, not a plan.
 _MOST_EXPOSURES = 50_000
@@ -28,7 +26,7 @@ class Strip:
         Height above the ground of the area, m.
     """
 
-    exposures_m: FloatArray
+    exposures_m: Floats
     height_m: float
 
     @property
@@ -37,7 +35,7 @@ class Strip:
         return math.dist(self.exposures_m[0], self.exposures_m[-1])
 
 
-def best_azimuth(corners_m: FloatArray) -> float:
+def best_azimuth(corners_m: Floats) -> float:
     """Give the flying direction that needs the fewest strips."""
     from scipy.spatial import ConvexHull
 
@@ -49,7 +47,7 @@ def best_azimuth(corners_m: FloatArray) -> float:
 
 
 def plan_strips(
-    corners_m: FloatArray,
+    corners_m: Floats,
     azimuth_rad: float,
     spacing_m: float,
     base_m: float,
@@ -80,29 +78,29 @@ def plan_strips(
         first, last = _extent_in_band(rotated, float(line - half), float(line + half))
         exposures = math.ceil((last - first + 2.0 * run_out_m) / base_m - 1e-9) + 1
         middle = (first + last) / 2.0
-        steps: FloatArray = middle + (np.arange(exposures, dtype=np.float64) - (exposures - 1) / 2.0) * base_m
+        steps: Floats = middle + (np.arange(exposures, dtype=np.float64) - (exposures - 1) / 2.0) * base_m
         if number % 2:
             steps = steps[::-1]
         strips.append(Strip(_to_plane(steps, float(line), azimuth_rad), height_m))
     return tuple(strips)
 
 
-def _along(points: FloatArray, azimuth: float) -> FloatArray:
-    result: FloatArray = points @ np.array([math.sin(azimuth), math.cos(azimuth)])
+def _along(points: Floats, azimuth: float) -> Floats:
+    result: Floats = points @ np.array([math.sin(azimuth), math.cos(azimuth)])
     return result
 
 
-def _across(points: FloatArray, azimuth: float) -> FloatArray:
-    result: FloatArray = points @ np.array([math.cos(azimuth), -math.sin(azimuth)])
+def _across(points: Floats, azimuth: float) -> Floats:
+    result: Floats = points @ np.array([math.cos(azimuth), -math.sin(azimuth)])
     return result
 
 
-def _to_plane(along: FloatArray, across: float, azimuth: float) -> FloatArray:
+def _to_plane(along: Floats, across: float, azimuth: float) -> Floats:
     sine, cosine = math.sin(azimuth), math.cos(azimuth)
     return np.column_stack((along * sine + across * cosine, along * cosine - across * sine))
 
 
-def _extent_in_band(rotated: FloatArray, low: float, high: float) -> tuple[float, float]:
+def _extent_in_band(rotated: Floats, low: float, high: float) -> tuple[float, float]:
     """Extent along the strip of that part of the polygon which lies nearest to it."""
     ends = np.roll(rotated, -1, axis=0)
     found = [rotated[(rotated[:, 1] >= low) & (rotated[:, 1] <= high), 0]]

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from photocal.geometry.camera import pixel_to_plane
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.frames import Frame
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.lens_tables import image_border
 from photocal.products.terrain import Bounds
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 def border_directions(shots: OrientedImages) -> Floats:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.outputs import output_file
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.geometry.camera import pixel_to_plane, plane_to_pixel
 from photocal.geometry.distortion import projected, undistorted
@@ -17,9 +17,6 @@ from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.kernels import look_up
 from photocal.products.lens_tables import lens_tables
 from photocal.products.terrain import Terrain
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 _PASSES = 100
 _CLOSE_M = 1e-5

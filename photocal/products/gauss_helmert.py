@@ -6,11 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import IllPosedError, InputMalformedError, NotConvergedError
-
-Floats = NDArray[np.float64]
 
 # Value of each point's condition (n,), its derivatives to the parameters (n, u) and to the point (n, d).
 Condition = Callable[[Floats, Floats], tuple[Floats, Floats, Floats]]

@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from photocal.compiled import allocating, inlined
 from photocal.geometry.lens import Scratch, ray_residual, scratch
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 NEAREST, BILINEAR, CUBIC = 0, 1, 2
 _STEPS = 30

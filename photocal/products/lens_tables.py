@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.geometry.camera import Camera, pixel_to_plane
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.lens import optics
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Integers
 from drivers.errors import ConfigurationError
 from photocal.geometry.frames import Frame
 from photocal.geometry.oriented_images import OrientedImages
@@ -20,9 +21,6 @@ from photocal.products.grid import Grid, ground_points
 from photocal.products.kernels import look_up, resample
 from photocal.products.lens_tables import lens_tables
 from photocal.products.terrain import TerrainSource
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 TILE = 512
 # What a pixel needs of memory while its tile is worked on is some 200 bytes; images are the larger part.

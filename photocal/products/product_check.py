@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.accuracy.discrepancies import Discrepancies
 from photocal.block.table import read_table
 from photocal.products.raster import RasterFile, describe, opened, terrain_source
-
-Floats = NDArray[np.float64]
 
 # Share of the pattern of a round target that must be found again, 0 to 1.
 _LIKENESS = 0.6

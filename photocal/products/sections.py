@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError, PhotocalError
 from photocal.block.table import Table, read_table, refuse
 from photocal.products.surfaces import Circle, Cylinder, fit_circle, fit_cylinder
 from photocal.products.volume import Volume, volume_between_sections
 
-Floats = NDArray[np.float64]
 Vertical = Literal["X", "Y", "Z"]
 
 # The two horizontal axes, such that they and the vertical one are right-handed.

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import IllPosedError
 from photocal.products.gauss_helmert import Adjusted, fit
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from drivers.errors import ConfigurationError, IllPosedError
 from photocal.block.table import read_table
 from photocal.products.terrain import Terrain
-
-Floats = NDArray[np.float64]
 
 # Larger grids would not fit into memory beside the triangles.
 _MOST_CELLS = 100_000_000
@@ -32,7 +30,7 @@ class TerrainPoints:
     """
 
     xyz: Floats
-    line: NDArray[np.int64]
+    line: Integers
 
 
 @dataclass(frozen=True)
@@ -135,7 +133,7 @@ def grid_of_points(points: TerrainPoints, cell: float, crs: str, height_kind: st
     return Gridded(terrain, len(network.simplices), int(flat.sum()))
 
 
-def _denser(points: TerrainPoints, spacing: float) -> tuple[Floats, NDArray[np.int64]]:
+def _denser(points: TerrainPoints, spacing: float) -> tuple[Floats, Integers]:
     """Put further vertices on the contours wherever two are farther apart than `spacing`."""
     xyz, line = points.xyz, points.line
     if len(xyz) < 2 or not (line >= 0).any():
@@ -150,7 +148,7 @@ def _denser(points: TerrainPoints, spacing: float) -> tuple[Floats, NDArray[np.i
     return np.vstack([between, xyz[-1:]]), np.append(line[start], line[-1])
 
 
-def _unique(xyz: Floats, line: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:
+def _unique(xyz: Floats, line: Integers) -> tuple[Floats, Integers]:
     """Take the mean height of points at one place."""
     places, first, group = np.unique(xyz[:, :2], axis=0, return_index=True, return_inverse=True)
     group = group.reshape(-1)

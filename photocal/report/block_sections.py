@@ -6,8 +6,8 @@ import math
 from collections import Counter
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.block.model import InputFile
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import decimals_of, fixed, probability, symbol
@@ -16,8 +16,6 @@ from photocal.report.distortion import RADIAL
 from photocal.report.document import Column, Figure, KeyValues, Paragraph, Piece, Section, Table
 from photocal.report.stored_analysis import Run
 from photocal.results.result import CheckPoint
-
-Floats = NDArray[np.float64]
 
 ROWS = 60
 ARCSECONDS = 3600.0

@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import fixed
 from photocal.report.figures import INK, SHADE, WIDTH, drawing, localised
-
-Floats = NDArray[np.float64]
 
 # Longest vector as a share of the larger side of the map.
 LONGEST = 0.12

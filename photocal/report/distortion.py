@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.geometry.camera import Camera
-
-Floats = NDArray[np.float64]
 
 RADIAL = ("K1", "K2", "K3", "K4")
 

@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import MINUS, fixed, significant, symbol
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Floats = NDArray[np.float64]
 
 # Width of the text of an A4 page, inches: figures are drawn at the size at which they are printed.
 WIDTH = 6.69

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.report.stored_analysis import Run
 
 # Pairs of axes are compared for this many images at most; beyond, every k-th is taken.
@@ -48,5 +48,5 @@ def network_shape(run: Run, camera_id: str) -> NetworkShape | None:
     return NetworkShape(_largest_angle(own), float((high - low) / middle))
 
 
-def _largest_angle(axes: NDArray[np.float64]) -> float:
+def _largest_angle(axes: Floats) -> float:
     return float(np.degrees(np.arccos(np.clip((axes @ axes.T).min(), -1.0, 1.0))))

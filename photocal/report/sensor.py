@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Integers
 from photocal.geometry.camera import Camera
 from photocal.report.stored_analysis import Run
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class Vectors:
 
     place: Floats
     residual_px: Floats
-    rays: NDArray[np.int64]
+    rays: Integers
 
 
 def sensor_residuals(run: Run, camera_id: str) -> SensorResiduals:
@@ -86,8 +84,6 @@ def thinned(residuals: SensorResiduals, camera: Camera, at_most: int) -> Vectors
     return Vectors(np.column_stack(mean[:2]), np.column_stack(mean[2:]), rays[full].astype(np.int64))
 
 
-def _cell_mean(
-    cell: NDArray[np.int64], values: Floats, rays: NDArray[np.int64], full: NDArray[np.bool_]
-) -> Floats:
+def _cell_mean(cell: Integers, values: Floats, rays: Integers, full: Flags) -> Floats:
     total = np.bincount(cell, weights=values, minlength=len(rays))
     return np.asarray(total[full] / rays[full], dtype=np.float64)

@@ -8,8 +8,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.adjustment.mounting import BORESIGHT, COMMON, STRIPS
 from photocal.adjustment.snooping import Test, subset
 from photocal.adjustment.solution import Solution, global_test
@@ -32,8 +32,6 @@ from photocal.results.result import (
     Result,
     Software,
 )
-
-Floats = NDArray[np.float64]
 
 
 def result_of(

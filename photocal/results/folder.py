@@ -15,8 +15,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.block.folder import IMAGE_SIGMAS
 from photocal.block.model import InputFile
@@ -34,9 +34,6 @@ from photocal.geometry.camera import (
 )
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.results.result import ANGLES, PLACE, SHOWN, AdjustedPoints, Figures, Residuals, Result
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 SCHEMA = "photocal.adjustment/1"
 RESULT = "result.json"

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.adjustment.ellipses import ellipses, ellipsoids, mean_precision
 from photocal.adjustment.factored import factored
@@ -20,8 +20,6 @@ from photocal.adjustment.solution import Solution
 from photocal.block.model import Block
 from photocal.block.network import NetworkOfBlock, plane_per_unit
 from photocal.geometry.camera import OWN
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

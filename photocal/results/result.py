@@ -7,16 +7,13 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from photocal.adjustment.readout import Readout
 from photocal.adjustment.solution import GlobalTest, Group
 from photocal.block.model import InputFile
 from photocal.geometry.camera import Camera
 from photocal.geometry.oriented_images import OrientedImages
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 ANGLES, PLACE = ("omega", "phi", "kappa"), ("X", "Y", "Z")
 # Radians and metres to what the tables have.

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import f
 
 from drivers.errors import IllPosedError, NotConvergedError
@@ -46,8 +45,6 @@ from photocal.run.adoption_figures import (
 from photocal.run.block import mounting_text
 from photocal.run.folder_survey import ASSUMED_M
 from photocal.run.stage import Progress
-
-Floats = NDArray[np.float64]
 
 SCHEMA = "photocal.adoption/1"
 FIGURES = "adoption.json"

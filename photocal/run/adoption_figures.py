@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats
 from photocal.exchange.foreign_project import ForeignProject
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.results.result import Result
-
-Floats = NDArray[np.float64]
 
 # A common shift of the positions is told as one of the datum from here on, in its standard deviations.
 SHIFTED = 3.0
@@ -73,7 +71,7 @@ def sigma_figures(foreign: ForeignProject, result: Result) -> list[dict[str, Any
     return rows
 
 
-def ties_of(result: Result) -> NDArray[np.bool_]:
+def ties_of(result: Result) -> Flags:
     """Which observations are of tie points, shape (n,)."""
     seen = result.residuals
     roles = dict(zip(result.points.names, result.points.role, strict=True))

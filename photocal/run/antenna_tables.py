@@ -7,13 +7,11 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from photocal.block.mounting import ATTITUDE_COLUMNS, POSITION_COLUMNS, POSITION_EXTRAS, RATE_COLUMNS
 from photocal.navigation.exposure_files import projected, with_images
 from photocal.navigation.exposures import Exposures
-
-Floats = NDArray[np.float64]
 
 # A strip ends with a turn of the track, or a pause.
 _TURN_DEG = 30.0
@@ -54,7 +52,7 @@ def write_attitudes(path: Path, antenna: Exposures) -> None:
     _write(path, (*ATTITUDE_COLUMNS, *RATE_COLUMNS), lines)
 
 
-def strips(seconds: Floats, velocity: Floats) -> tuple[NDArray[np.int64], Floats]:
+def strips(seconds: Floats, velocity: Floats) -> tuple[Integers, Floats]:
     """Tell strips by the turns and pauses between exposures.
 
     Parameters

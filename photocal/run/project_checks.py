@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, PhotocalError
 from photocal.block.folder import read_block
 from photocal.block.model import Block, ObjectPoints
@@ -27,8 +27,6 @@ from photocal.measurement.project_block import control_points
 from photocal.measurement.tracks import Tracks
 from photocal.measurement.views import intersected, views_of
 from photocal.project import Project
-
-Floats = NDArray[np.float64]
 
 # How far control may lie from a base station, and from what pictures say of their place.
 FAR_FROM_BASE_M, FAR_FROM_PICTURES_M = 50_000.0, 5_000.0

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Path = Callable[[NDArray[np.int64]], Floats]
+from drivers.arrays import Floats, Integers
+
+Path = Callable[[Integers], Floats]
 
 
 @dataclass(frozen=True)

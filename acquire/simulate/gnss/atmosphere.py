@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.gnss.settings import SkySettings
 from acquire.simulate.gnss.signals import L1CA, LIGHT_M_S
+from drivers.arrays import Floats, Integers
 from drivers.gnsstime import DAY_NS
 
-Floats = NDArray[np.float64]
 _LAYER_M, _EARTH_M = 350e3, 6371e3
 _SCALES = 2.0 ** np.array([-30, -27, -24, -24, 11, 14, 16, 16])
 
@@ -37,7 +36,7 @@ class Sight:
     height_m: Floats
     azimuth: Floats
     elevation: Floats
-    gps_ns: NDArray[np.int64]
+    gps_ns: Integers
 
 
 @dataclass(frozen=True)

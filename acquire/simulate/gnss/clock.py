@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.gnss.settings import ReceiverModel
+from drivers.arrays import Flags, Floats, Integers
 from drivers.gnsstime import SECOND_NS
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -29,16 +27,16 @@ class Clock:
         Whether the clock was set since the last epoch.
     """
 
-    tag_gps_ns: NDArray[np.int64]
+    tag_gps_ns: Integers
     bias_s: Floats
     rate: Floats
-    step: NDArray[np.bool_]
+    step: Flags
 
     def __len__(self) -> int:
         return len(self.tag_gps_ns)
 
     @property
-    def true_gps_ns(self) -> NDArray[np.int64]:
+    def true_gps_ns(self) -> Integers:
         """GPS time of the measurements to the nanosecond."""
         return np.asarray(self.tag_gps_ns - np.rint(self.bias_s * SECOND_NS).astype(np.int64))
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.gnss.ephemeris import Ephemeris, quantised, renewed
 from acquire.simulate.gnss.orbit import Orbit, evaluate
 from acquire.simulate.gnss.signals import GALILEO, GPS
+from drivers.arrays import Floats
 from drivers.gnsstime import SECOND_NS
-
-Floats = NDArray[np.float64]
 
 # GPS: sets of two hours, valid around their end. Galileo: a set every ten minutes, of a time just past.
 _GPS_SET_S, _GALILEO_SET_S = 7200, 600

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.gnss.constellation import Satellite
 from acquire.simulate.gnss.signals import EARTH_RATE_RAD_S, LIGHT_M_S
-
-Floats = NDArray[np.float64]
+from drivers.arrays import Floats, Integers
 
 
 @dataclass(frozen=True)
@@ -31,7 +29,7 @@ class Place:
     lon: Floats
     height_m: Floats
 
-    def rows(self, chosen: NDArray[np.int64]) -> Place:
+    def rows(self, chosen: Integers) -> Place:
         """Return some of the epochs."""
         return Place(
             self.position_m[chosen],

@@ -11,14 +11,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.gnss.geometry import axes
 from acquire.simulate.gnss.noise import correlated
 from acquire.simulate.gnss.observations import Observations
+from drivers.arrays import Floats, Integers
 from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS, WEEK_S
 
-Floats = NDArray[np.float64]
 KIND, SURVEY_KIND = 0x0107, 0x013B
 _LATENCY_NS = 80_000_000
 _EVERYTHING_VALID, _CONFIRMED, _FIX_OK = 0x07, 0xE0, 0x01
@@ -142,7 +141,7 @@ def survey_messages(observations: Observations, announced_m: Floats) -> Iterator
         )
 
 
-def dilution(observations: Observations) -> tuple[NDArray[np.int64], Floats]:
+def dilution(observations: Observations) -> tuple[Integers, Floats]:
     """Return the number of satellites and the PDOP of each epoch (99 where it is not defined)."""
     rows = observations.rows[observations.rows["signal"] == 0]
     count = len(observations.clock)

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.gnss.settings import ReceiverModel
 from acquire.simulate.gnss.signals import Signal
-
-Floats = NDArray[np.float64]
+from drivers.arrays import Floats
 
 # A code loop of 0.5 Hz with correlators 0.2 chips apart, a phase loop of 10 Hz over 20 ms.
 _CODE_LOOP_HZ, _SPACING, _PHASE_LOOP_HZ, _INTEGRATION_S = 0.5, 0.2, 10.0, 0.02

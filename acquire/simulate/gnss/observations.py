@@ -16,9 +16,9 @@ from acquire.simulate.gnss.noise import Noise, correlated, thermal
 from acquire.simulate.gnss.settings import Outage, ReceiverModel
 from acquire.simulate.gnss.signals import GPS, LIGHT_M_S, SIGNALS, Signal
 from acquire.simulate.gnss.tracking import Tracking, track
+from drivers.arrays import Flags, Floats, Integers
 from drivers.gnsstime import SECOND_NS
 
-Floats = NDArray[np.float64]
 _SIGNAL_ORDER = 2
 # Below this a receiver of this kind holds nothing.
 _WEAKEST_DBHZ = 22.0
@@ -107,13 +107,13 @@ def observe(
 class _Epochs:
     seconds: Floats
     origin_ns: int
-    true_ns: NDArray[np.int64]
+    true_ns: Integers
     clock: Clock
     place: Place
-    blocked: NDArray[np.bool_]
+    blocked: Flags
 
 
-def _within(seconds: Floats, spans: tuple[tuple[float, float], ...]) -> NDArray[np.bool_]:
+def _within(seconds: Floats, spans: tuple[tuple[float, float], ...]) -> Flags:
     inside = np.zeros(len(seconds), bool)
     for begin, end in spans:
         inside |= (seconds >= begin) & (seconds < end)

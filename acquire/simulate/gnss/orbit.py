@@ -8,13 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.gnss.ephemeris import Ephemeris, gravity
 from acquire.simulate.gnss.signals import EARTH_RATE_RAD_S, LIGHT_M_S
+from drivers.arrays import Floats
 from drivers.gnsstime import SECOND_NS
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

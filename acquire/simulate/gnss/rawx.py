@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from acquire.simulate.gnss.observations import Observations
 from acquire.simulate.gnss.signals import SIGNALS, UBX_SYSTEM
+from drivers.arrays import Floats
 from drivers.gnsstime import SECOND_NS, WEEK_S
 
 KIND = 0x0215
@@ -67,5 +68,5 @@ def _records(observations: Observations) -> NDArray[np.void]:
     return out
 
 
-def _power_of_two(sigma: NDArray[np.float64], unit: float) -> NDArray[np.float64]:
+def _power_of_two(sigma: Floats, unit: float) -> Floats:
     return np.clip(np.ceil(np.log2(np.maximum(sigma, unit) / unit)), 0, 15)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from re import compile as pattern
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.gnss.antenna import Antenna
 from acquire.simulate.gnss.atmosphere import Atmosphere
@@ -15,10 +14,10 @@ from acquire.simulate.gnss.constellation import Satellite, constellation
 from acquire.simulate.gnss.geometry import axes
 from acquire.simulate.gnss.observations import Observations, observe
 from acquire.simulate.gnss.settings import BASE, ROVER, Faults, ReceiverModel, SkySettings
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from drivers.gnsstime import SECOND_NS
 
-Floats = NDArray[np.float64]
 _SATELLITE = pattern(r"[GE][0-3]\d")
 
 

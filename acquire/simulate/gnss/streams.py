@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.gnss import navigation_solution, rawx, rtcm_station, subframes, time_marks
 from acquire.simulate.gnss.msm import observation_messages
@@ -14,6 +13,7 @@ from acquire.simulate.gnss.navigation_solution import OwnPosition
 from acquire.simulate.gnss.session import Session
 from acquire.simulate.gnss.time_marks import Events
 from drivers import rtcm3
+from drivers.arrays import Integers
 from drivers.ubx import wire as ubx
 
 Timed = tuple[int, bytes]
@@ -31,7 +31,7 @@ class Stream:
         The frames.
     """
 
-    time_gps_ns: NDArray[np.int64]
+    time_gps_ns: Integers
     frames: list[bytes]
 
     @property

@@ -10,12 +10,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.gnss import inav, lnav
 from acquire.simulate.gnss.observations import Observations
 from acquire.simulate.gnss.settings import SkySettings
 from acquire.simulate.gnss.signals import GALILEO, GPS, UBX_SYSTEM
+from drivers.arrays import Floats, Integers
 from drivers.gnsstime import SECOND_NS
 
 KIND = 0x0213
@@ -68,7 +68,7 @@ def messages(
                 yield received, head + struct.pack(f"<{len(words)}I", *words)
 
 
-def _tracked(observations: Observations, satellite: int, signal: int) -> NDArray[np.int64]:
+def _tracked(observations: Observations, satellite: int, signal: int) -> Integers:
     """Return at how many epochs before each one a signal was there; int64 (n + 1,)."""
     rows = observations.rows
     there = np.zeros(len(observations.clock) + 1, np.int64)
@@ -83,7 +83,7 @@ def _beginnings(source: _Source, span_gps_ns: tuple[int, int]) -> range:
     return range(first, stop - source.length_s + 1, source.length_s)
 
 
-def _whole(count: NDArray[np.int64], seconds: NDArray[np.float64], begin: float, length: float) -> bool:
+def _whole(count: Integers, seconds: Floats, begin: float, length: float) -> bool:
     """Tell whether the signal was tracked at all epochs of a stretch, of which there must be one."""
     first, after = np.searchsorted(seconds, [begin, begin + length])
     return bool(after > first and count[after] - count[first] == after - first)

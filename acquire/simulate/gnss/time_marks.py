@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.gnss.clock import Clock
+from drivers.arrays import Integers
 from drivers.gnsstime import SECOND_NS, WEEK_S
 
 KIND = 0x0D03
@@ -43,8 +43,8 @@ class Events:
         Counter of rising edges before the first one.
     """
 
-    rising_gps_ns: NDArray[np.int64]
-    falling_gps_ns: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    rising_gps_ns: Integers
+    falling_gps_ns: Integers = field(default_factory=lambda: np.empty(0, np.int64))
     time_base: TimeBase = "gnss"
     stamped_in: TimeBase = "gnss"
     accuracy_s: float = 20e-9
@@ -99,7 +99,7 @@ class _Mark:
     edges: tuple[int | None, int | None]
 
 
-def _marks(events: Events, true_ns: NDArray[np.int64]) -> Iterator[_Mark]:
+def _marks(events: Events, true_ns: Integers) -> Iterator[_Mark]:
     rising = np.searchsorted(true_ns, events.rising_gps_ns).tolist()
     falling = np.searchsorted(true_ns, events.falling_gps_ns).tolist()
     for place, epoch in enumerate(rising):

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from drivers.arrays import Flags, Floats, Integers
 
 # A channel that was locked before the session began; one that sees its satellite rise; one that slipped.
 _LOCKED_BEFORE_S, _ACQUIRING_S, _RELOCKING_S = (60.0, 900.0), (0.5, 4.0), (0.05, 0.6)
@@ -46,7 +44,7 @@ class Tracking:
     ambiguity: Floats
     half_valid: Flags
     half_subtracted: Flags
-    arc: NDArray[np.int64]
+    arc: Integers
 
 
 def track(

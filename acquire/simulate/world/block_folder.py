@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.world.configuration import LEAP_S, Configuration
 from acquire.simulate.world.exposures import antenna_at, antenna_velocity
@@ -15,9 +14,8 @@ from acquire.simulate.world.observations import Observations, kept_images
 from acquire.simulate.world.survey import take_notes
 from acquire.simulate.world.tables import toml_text, write_table
 from acquire.simulate.world.world import World
+from drivers.arrays import Flags, Floats, Integers
 from drivers.errors import ConfigurationError
-
-Floats = NDArray[np.float64]
 
 
 def write_block(world: World, observed: Observations, folder: Path) -> None:
@@ -74,7 +72,7 @@ def write_observations(world: World, observed: Observations, path: Path) -> None
 
 
 def _navigation(
-    world: World, kept: NDArray[np.int64]
+    world: World, kept: Integers
 ) -> tuple[dict[str, tuple[str, Floats]], dict[str, tuple[str, Floats]]]:
     """Give positions of the antenna and attitudes at the events, with noise."""
     rig, random = world.configuration.rig, world.random("sky")
@@ -101,7 +99,7 @@ def _navigation(
     return positions, attitudes
 
 
-def _heard(world: World, kept: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _heard(world: World, kept: Integers) -> Flags:
     """Tell at which events telemetry was received."""
     event = world.exposures.event_s[kept]
     begin, end = telemetry_gap(world)

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.world import configuration
-
-Floats = NDArray[np.float64]
+from drivers.arrays import Flags, Floats
 
 
 @dataclass(frozen=True)
@@ -97,7 +95,7 @@ class Camera:
                 break
         return np.concatenate([plane, np.ones((*plane.shape[:-1], 1))], axis=-1)
 
-    def sees(self, pixels: Floats, margin_px: float = 0.0) -> NDArray[np.bool_]:
+    def sees(self, pixels: Floats, margin_px: float = 0.0) -> Flags:
         """Tell which columns and rows lie in the image, `margin_px` from its border."""
         column, row = pixels[..., 0], pixels[..., 1]
         inside = (column >= margin_px) & (column <= self.width - 1 - margin_px)

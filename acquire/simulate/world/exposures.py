@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from acquire.simulate.world import configuration
 from acquire.simulate.world.camera import Camera
 from acquire.simulate.world.motion import Motion
 from acquire.simulate.world.plan import Strip
-
-Floats = NDArray[np.float64]
+from drivers.arrays import Floats, Integers
 
 # Camera axes (x right, y up in the image, z backwards) in body axes (forward, right, down), the upper edge of
 # the image forward.
@@ -132,8 +130,8 @@ class Exposures:
     """
 
     names: tuple[str, ...]
-    covers: NDArray[np.int64]
-    strip: NDArray[np.int64]
+    covers: Integers
+    strip: Integers
     event_s: Floats
     middle_s: Floats
     pose: Pose

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
 from acquire.simulate.world import configuration
 from acquire.simulate.world.plan import Leg
-
-Floats = NDArray[np.float64]
+from drivers.arrays import Floats
 
 GRAVITY_M_S2 = 9.80665
 # Control points of the way: a spline of degree 5 turns a corner within six of these intervals, its curvature

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.world.faults import Fault
 from acquire.simulate.world.observe import sight
 from acquire.simulate.world.world import World
+from drivers.arrays import Flags, Floats, Integers
 
-Floats = NDArray[np.float64]
 MARGIN_PX = 8.0
 
 
@@ -33,13 +32,13 @@ class Observations:
 
     names: tuple[str, ...]
     points_m: Floats
-    image: NDArray[np.int64]
-    point: NDArray[np.int64]
+    image: Integers
+    point: Integers
     pixels: Floats
     sigma_px: Floats
 
 
-def kept_images(world: World) -> NDArray[np.bool_]:
+def kept_images(world: World) -> Flags:
     """Tell which pictures reach the office: some are lost from within a strip when that fault is on."""
     kept = np.ones(len(world.exposures), bool)
     if world.has(Fault.MISSING_IMAGES):

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.world.camera import Camera
 from acquire.simulate.world.exposures import TO_OPENCV, Exposures, Pose, Rig, pose_at
 from acquire.simulate.world.motion import Motion
-
-Floats = NDArray[np.float64]
+from drivers.arrays import Floats, Integers
 
 
 def seen(points_m: Floats, pose: Pose, camera: Camera) -> Floats:
@@ -30,8 +28,8 @@ def seen(points_m: Floats, pose: Pose, camera: Camera) -> Floats:
 class Sight:
     """True image places: point `point` at `pixels` of picture `image`."""
 
-    image: NDArray[np.int64]
-    point: NDArray[np.int64]
+    image: Integers
+    point: Integers
     pixels: Floats
 
 

@@ -9,15 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.world import camera_clock
 from acquire.simulate.world.observations import kept_images
 from acquire.simulate.world.render import make_scene, render
 from acquire.simulate.world.telemetry import LABEL, make_filter
 from acquire.simulate.world.world import World
-
-Floats = NDArray[np.float64]
+from drivers.arrays import Bytes, Floats
 
 MAKER = "simulated"
 # Most of the time is spent outside the interpreter: threads share the painted ground.
@@ -57,7 +55,7 @@ def write_pictures(world: World, folder: Path, advance: Callable[[float], None])
 
 def write_picture(
     path: Path,
-    picture: NDArray[np.uint8],
+    picture: Bytes,
     world: World,
     stamp: dt.datetime,
     place: Floats,

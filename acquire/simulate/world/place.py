@@ -7,15 +7,14 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.world import configuration
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from pyproj import Transformer
 
-Floats = NDArray[np.float64]
 
 SEMI_MAJOR_M = 6_378_137.0
 FLATTENING = 1 / 298.257222101

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.world import configuration
-
-Floats = NDArray[np.float64]
+from drivers.arrays import Floats
 
 _CLIMB_M_S = 4.0
 

@@ -6,12 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
-
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 # Samples along the side of a pixel.
 SAMPLES = 5

@@ -19,9 +19,7 @@ from acquire.simulate.world.observe import row_time, seen_rolling
 from acquire.simulate.world.plates import SAMPLES, Plate, make_plate
 from acquire.simulate.world.texture import Ground, paint
 from acquire.simulate.world.world import STREAMS, World
-
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
+from drivers.arrays import Bytes, Floats
 
 GRID_PX = 8
 

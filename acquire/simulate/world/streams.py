@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.gnss.antenna import Antenna
 from acquire.simulate.gnss.navigation_solution import OwnPosition
@@ -19,8 +18,7 @@ from acquire.simulate.world.exposures import antenna_at, antenna_velocity
 from acquire.simulate.world.faults import Fault
 from acquire.simulate.world.wires import Wire, carry
 from acquire.simulate.world.world import World
-
-Floats = NDArray[np.float64]
+from drivers.arrays import Floats, Integers
 
 PULSE_S = 0.02
 
@@ -87,11 +85,11 @@ def _session(world: World) -> tuple[Session, np.random.Generator]:
 
 
 def _rover(world: World) -> Antenna:
-    def position(time_gps_ns: NDArray[np.int64]) -> Floats:
+    def position(time_gps_ns: Integers) -> Floats:
         local = antenna_at(world.motion, world.rig, world.seconds(time_gps_ns))
         return world.place.to_geocentric(local)
 
-    def velocity(time_gps_ns: NDArray[np.int64]) -> Floats:
+    def velocity(time_gps_ns: Integers) -> Floats:
         local = antenna_velocity(world.motion, world.rig, world.seconds(time_gps_ns))
         return np.asarray(local @ world.place.axes)
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.world.faults import Fault
 from acquire.simulate.world.world import World
-
-Floats = NDArray[np.float64]
+from drivers.arrays import Floats
 
 _LEAST_SLIP_M = 0.5
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.world import configuration
 from acquire.simulate.world.terrain import Terrain
-
-Floats = NDArray[np.float64]
+from drivers.arrays import Flags, Floats, Integers
 
 # The plate lies on the highest ground beneath it, on stones of this height.
 ABOVE_GROUND_M = 0.03
@@ -37,7 +35,7 @@ class Targets:
 
     names: tuple[str, ...]
     roles: tuple[str, ...]
-    codes: NDArray[np.int64]
+    codes: Integers
     centre_m: Floats
     turn: Floats
     surveyed_m: Floats
@@ -84,7 +82,7 @@ def spread_points(area_m: Floats, count: int, random: np.random.Generator) -> Fl
     return chosen
 
 
-def inside(area_m: Floats, points: Floats) -> NDArray[np.bool_]:
+def inside(area_m: Floats, points: Floats) -> Flags:
     """Tell which points lie in a polygon: a ray to the east crosses its border an odd number of times."""
     after = np.roll(area_m, -1, axis=0)
     odd = np.zeros(len(points), bool)

@@ -7,16 +7,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from acquire.simulate.world.exposures import antenna_at, antenna_velocity
 from acquire.simulate.world.world import World
+from drivers.arrays import Floats, Integers
 from drivers.mavlink.dialect import ardupilotmega
 from drivers.mavlink.encode import encode
 
-Floats = NDArray[np.float64]
 Fields = Mapping[str, Any]
 
 AUTOPILOT, RADIO = (1, 1), (51, 68)
@@ -146,11 +145,11 @@ def _rows(name: str, time_s: Floats, columns: Mapping[str, Any]) -> Iterator[Sen
         yield Sent(moment, AUTOPILOT, name, dict(zip(columns, row, strict=True)))
 
 
-def _whole(values: Any) -> NDArray[np.int64]:
+def _whole(values: Any) -> Integers:
     return np.asarray(np.rint(values), dtype=np.int64)
 
 
-def _boot_ms(clock: Clock, time_s: Floats) -> NDArray[np.int64]:
+def _boot_ms(clock: Clock, time_s: Floats) -> Integers:
     return _whole(clock.since_boot(time_s) * 1e3)
 
 

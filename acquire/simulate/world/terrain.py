@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
 from acquire.simulate.world import configuration
-
-Floats = NDArray[np.float64]
+from drivers.arrays import Floats
 
 STEP_M = 2.0
 # A ray meets the ground when it misses it by less.

@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.simulate.world.terrain import Terrain
-
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
+from drivers.arrays import Bytes
 
 COLOUR_M = 0.25
 # Blue, green, red at the mean grey of the detail.

@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.world.camera import Camera
 from acquire.simulate.world.exposures import antenna_at, omega_phi_kappa
@@ -15,8 +14,7 @@ from acquire.simulate.world.place import Place
 from acquire.simulate.world.survey import take_notes
 from acquire.simulate.world.tables import Columns, toml_text, write_table
 from acquire.simulate.world.world import World
-
-Floats = NDArray[np.float64]
+from drivers.arrays import Floats
 
 
 def write_truth(world: World, folder: Path, observed: Observations | None, projected: bool) -> None:

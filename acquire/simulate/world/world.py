@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.simulate.world.camera import Camera
 from acquire.simulate.world.configuration import LEAP_S, Configuration
@@ -16,9 +15,8 @@ from acquire.simulate.world.place import Place
 from acquire.simulate.world.plan import legs, strips
 from acquire.simulate.world.targets import Targets, make_targets
 from acquire.simulate.world.terrain import Terrain, make_terrain
+from drivers.arrays import Floats, Integers
 from drivers.errors import ConfigurationError
-
-Floats = NDArray[np.float64]
 
 GPS_EPOCH_UNIX_S = 315_964_800
 LEAST_ABOVE_GROUND_M = 5.0
@@ -82,15 +80,15 @@ class World:
         """By which the height of the base's antenna is noted too low."""
         return self.configuration.fault_sizes.antenna_height_m if self.has(Fault.ANTENNA_HEIGHT) else 0.0
 
-    def gps_ns(self, time_s: Floats) -> NDArray[np.int64]:
+    def gps_ns(self, time_s: Floats) -> Integers:
         """Give GPS nanoseconds of seconds since the start."""
         return np.asarray(self.start_gps_ns + np.rint(np.asarray(time_s) * 1e9).astype(np.int64))
 
-    def utc_ns(self, time_s: Floats) -> NDArray[np.int64]:
+    def utc_ns(self, time_s: Floats) -> Integers:
         """Give UTC nanoseconds since 1970 of seconds since the start."""
         return np.asarray(self.gps_ns(time_s) + (GPS_EPOCH_UNIX_S - LEAP_S) * 1_000_000_000)
 
-    def seconds(self, gps_ns: NDArray[np.int64]) -> Floats:
+    def seconds(self, gps_ns: Integers) -> Floats:
         """Give seconds since the start of GPS nanoseconds."""
         return np.asarray((gps_ns - self.start_gps_ns) / 1e9)
 

@@ -4,15 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from drivers.arrays import Floats, Integers
 from photocal.compiled import inlined
 from photocal.geometry.camera import MOTION, OWN
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
 
 # Columns that an image may have: its exterior orientation, and room for parameters of its own. Kernels
 # are compiled for each of them, for loops of a known length are much faster.

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats
 from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns
 from photocal.adjustment.kernels.ray import inverse3, ray_rows
 from photocal.compiled import compiled, compiled_parallel, inlined
 from photocal.geometry.lens import Scratch, scratch
-
-Floats = NDArray[np.float64]
 
 
 @inlined
@@ -198,7 +196,7 @@ def accumulate_piece(
     matrix: Floats,
     gradient: Floats,
     kept: Eliminated,
-    singular: NDArray[np.bool_],
+    singular: Flags,
     room: Scratch,
     block: Floats,
     side: Floats,
@@ -243,7 +241,7 @@ def accumulate(
     gradients: Floats,
     totals: Floats,
     kept: Eliminated,
-    singular: NDArray[np.bool_],
+    singular: Flags,
 ) -> None:
     """Normal equations of the rays and of the weighted points, reduced to images and border.
 

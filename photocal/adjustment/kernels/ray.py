@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from drivers.arrays import Floats
 from photocal.adjustment.kernels.data import Design, Structure, Values, columns
 from photocal.compiled import inlined
 from photocal.geometry.lens import LINE, Scratch, image_residual
 from photocal.geometry.shutter import rolling_residual
-
-Floats = NDArray[np.float64]
 
 
 @inlined

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numba
-import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.adjustment.kernels.data import Design, Values, columns
 from photocal.adjustment.kernels.ray import ray_rows
 from photocal.compiled import compiled, compiled_parallel
 from photocal.geometry.lens import Scratch, scratch
-
-Floats = NDArray[np.float64]
 
 
 @compiled

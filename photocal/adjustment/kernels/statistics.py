@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns
 from photocal.adjustment.kernels.ray import ray_rows
 from photocal.compiled import compiled, compiled_parallel, inlined
 from photocal.geometry.lens import Scratch, scratch
-
-Floats = NDArray[np.float64]
 
 
 @compiled

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numba
-import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.adjustment.kernels.data import Design, Eliminated, Structure, columns
 from photocal.compiled import compiled, compiled_parallel
-
-Floats = NDArray[np.float64]
 
 
 @compiled

@@ -5,16 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.network import Rays
 from photocal.geometry.camera import Camera
 from photocal.geometry.distortion import undistorted
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.intersection import intersect
 from photocal.adjustment.network import Exposures, Network, Points, Rays
@@ -17,10 +17,6 @@ from photocal.adjustment.state import start_state
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.resection import ray_residuals, resection
 from photocal.geometry.rotation import angles_from_matrix
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 # Rays of a point have to meet at more than this angle (radians) to say how far it is.
 SHARP = np.radians(1.0)

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags
 from photocal.adjustment.start.bearings import Sights
 from photocal.adjustment.start.model import Model, empty_model, grown, misfit, support
 from photocal.geometry.camera import Camera
 from photocal.geometry.relative_orientation import FEWEST, RelativeOrientation, relative_orientations
-
-Flags = NDArray[np.bool_]
 
 # Pairs that are looked at, and images that a trial model has.
 PAIRS, TRIALS, TRIAL_IMAGES = 24, 6, 4

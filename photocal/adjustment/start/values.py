@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from photocal.adjustment.network import NO_RELATIONS, RELATIONS, Rays, Relations
 from photocal.adjustment.start.bearings import Sights, sights
 from photocal.adjustment.start.model import Model, adjusted, empty_model, grown, intersected
@@ -14,10 +14,6 @@ from photocal.adjustment.start.pairs import first_model
 from photocal.geometry.camera import Camera
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.geometry.similarity import Similarity, robust_similarity
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 DISTANCE = RELATIONS.index("distance")
 

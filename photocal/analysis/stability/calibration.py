@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, IllPosedError
-from photocal.analysis.estimates import Array, Estimates
+from photocal.analysis.estimates import Estimates
 from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
 from photocal.geometry.distortion import undistorted
 
@@ -46,11 +46,11 @@ class View:
         Principal distance, px.
     """
 
-    ideal: Array
+    ideal: Floats
     c: float
 
 
-def sensor_grid(size_px: tuple[int, int], step_px: float | None = None) -> Array:
+def sensor_grid(size_px: tuple[int, int], step_px: float | None = None) -> Floats:
     """Spread a regular grid of pixels over the format.
 
     Parameters
@@ -74,7 +74,7 @@ def sensor_grid(size_px: tuple[int, int], step_px: float | None = None) -> Array
     return np.column_stack([m.ravel() for m in np.meshgrid(columns, rows)])
 
 
-def view(camera: Camera, pixels: Array) -> View:
+def view(camera: Camera, pixels: Floats) -> View:
     """Correct pixels by a calibration.
 
     Parameters
@@ -104,7 +104,7 @@ def view(camera: Camera, pixels: Array) -> View:
     return View(ideal, camera.value("c") / camera.pitch[0])
 
 
-def sensitivity(calibration: Calibration, pixels: Array) -> tuple[NDArray[np.float64], Array]:
+def sensitivity(calibration: Calibration, pixels: Floats) -> tuple[Floats, Floats]:
     """Change of a view with each estimated parameter, times the square root of their covariance."""
     known = calibration.uncertainty
     if known is None:

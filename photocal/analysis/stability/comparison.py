@@ -8,8 +8,8 @@ from itertools import combinations
 
 import numpy as np
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
-from photocal.analysis.estimates import Array
 from photocal.analysis.stability.calibration import Calibration, View, sensitivity, view
 from photocal.analysis.stability.methods import Method, Misfit, figure, fitted_pose, redundancy
 
@@ -67,7 +67,7 @@ class Pair:
 
 def compare(
     calibrations: tuple[Calibration, ...],
-    pixels: Array,
+    pixels: Floats,
     chosen: tuple[Method, ...],
     generator: np.random.Generator,
     draws: int = 1000,
@@ -104,7 +104,7 @@ def compare(
 Wobble = tuple[View, ...]
 
 
-def _wobble(calibration: Calibration, pixels: Array) -> Wobble | None:
+def _wobble(calibration: Calibration, pixels: Floats) -> Wobble | None:
     """Give the change of the view for each independent unit normal variable of the calibration."""
     if calibration.uncertainty is None:
         return None
@@ -147,7 +147,7 @@ def _figure(
     )
 
 
-def _drawn(method: Method, field: Array, change: Array, z: Array) -> Array:
+def _drawn(method: Method, field: Floats, change: Floats, z: Floats) -> Floats:
     """Give the figure of field + z change for every row of z."""
     if method.mean_distance:
         parts = np.array_split(z, max(1, len(z) // 250))
@@ -160,8 +160,8 @@ def _drawn(method: Method, field: Array, change: Array, z: Array) -> Array:
 
 
 def _changes(
-    misfit: Misfit, first: View, second: View, first_wobble: Wobble, second_wobble: Wobble, pose: Array
-) -> Array:
+    misfit: Misfit, first: View, second: View, first_wobble: Wobble, second_wobble: Wobble, pose: Floats
+) -> Floats:
     """Give the change of the misfit, (p, n, 2) px, for each unit normal variable, at a fixed pose."""
 
     def moved(one: View, by: View, sign: float) -> View:
@@ -178,7 +178,7 @@ def _changes(
     return np.array(of_first + of_second)
 
 
-def _after_fit(changes: Array, design: Array) -> Array:
+def _after_fit(changes: Floats, design: Floats) -> Floats:
     """Take away what the pose follows: only the rest remains in the misfit."""
     if design.shape[1] == 0:
         return changes

@@ -11,12 +11,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from drivers.arrays import Floats
 from drivers.errors import NotConvergedError
-from photocal.analysis.estimates import Array
 from photocal.analysis.stability.calibration import View
 from photocal.geometry.rotation import matrix_from_angles
 
-Misfit = Callable[[View, View, Array], Array]
+Misfit = Callable[[View, View, Floats], Floats]
 
 
 @dataclass(frozen=True)
@@ -63,30 +63,30 @@ class Terrain:
     relief_m: float
 
 
-def misclosure_misfit(first: View, second: View, _pose: Array) -> Array:
+def misclosure_misfit(first: View, second: View, _pose: Floats) -> Floats:
     """Same centre, same principal distance, no rotation (equation 14 of the Canon ELPH study)."""
     return second.ideal - first.ideal
 
 
-def zero_rotation_misfit(first: View, second: View, _pose: Array) -> Array:
+def zero_rotation_misfit(first: View, second: View, _pose: Floats) -> Floats:
     """Same centre, no rotation: set II scaled onto the plane of set I (equation 16)."""
     return second.ideal * (first.c / second.c) - first.ideal
 
 
-def rotation_misfit(first: View, second: View, pose: Array) -> Array:
+def rotation_misfit(first: View, second: View, pose: Floats) -> Floats:
     """Same centre, free rotation, each with its principal distance (equations 17 to 19)."""
     return _imaged(second.ideal, second.c, pose, first.c) - first.ideal
 
 
-def common_rotation_misfit(first: View, second: View, pose: Array) -> Array:
+def common_rotation_misfit(first: View, second: View, pose: Floats) -> Floats:
     """Same centre, free rotation, the principal distance of set I for both: so the tables were made."""
     return _imaged(second.ideal, first.c, pose, first.c) - first.ideal
 
 
-def resection_misfit(heights: Array) -> Misfit:
+def resection_misfit(heights: Floats) -> Misfit:
     """Make the misfit of the single photo resection over given ground."""
 
-    def misfit(first: View, second: View, pose: Array) -> Array:
+    def misfit(first: View, second: View, pose: Floats) -> Floats:
         ground = np.column_stack([first.ideal / first.c, -np.ones(len(heights))]) * heights[:, None]
         rays = (ground - pose[3:]) @ matrix_from_angles(pose[:3]).T
         return np.asarray(-second.c * rays[:, :2] / rays[:, 2:] - second.ideal)
@@ -119,7 +119,7 @@ def methods(points: int, terrains: tuple[Terrain, ...], repeats: int, seed: int)
     return fixed + resections
 
 
-def fitted_pose(method: Method, misfit: Misfit, first: View, second: View) -> tuple[Array, Array]:
+def fitted_pose(method: Method, misfit: Misfit, first: View, second: View) -> tuple[Floats, Floats]:
     """Find the pose of least misfit."""
     pose = np.zeros(method.pose_size)
     for _ in range(30):
@@ -138,7 +138,7 @@ def fitted_pose(method: Method, misfit: Misfit, first: View, second: View) -> tu
     )
 
 
-def figure(method: Method, misfit_px: Array) -> Array:
+def figure(method: Method, misfit_px: Floats) -> Floats:
     """Condense misfits into the figure of a method.
 
     Notes
@@ -162,12 +162,12 @@ def _over(terrain: Terrain, points: int, repeats: int, generator: np.random.Gene
     return tuple(resection_misfit(1.0 - ratio * generator.random(points)) for _ in range(repeats))
 
 
-def _imaged(ideal: Array, c: float, pose: Array, c_of_plane: float) -> Array:
+def _imaged(ideal: Floats, c: float, pose: Floats, c_of_plane: float) -> Floats:
     rays = np.column_stack([ideal, np.full(len(ideal), -c)]) @ matrix_from_angles(pose).T
     return np.asarray(-c_of_plane * rays[:, :2] / rays[:, 2:])
 
 
-def _design(misfit: Misfit, first: View, second: View, pose: Array) -> Array:
+def _design(misfit: Misfit, first: View, second: View, pose: Floats) -> Floats:
     step = 1e-5
     columns = [
         (misfit(first, second, pose + move) - misfit(first, second, pose - move)).ravel() / (2.0 * step)

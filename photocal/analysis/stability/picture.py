@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from photocal.analysis.estimates import Array
+from drivers.arrays import Floats
 from photocal.analysis.stability.comparison import Pair
 
 
-def matrix_of(pairs: tuple[Pair, ...], names: tuple[str, ...], which: int) -> Array:
+def matrix_of(pairs: tuple[Pair, ...], names: tuple[str, ...], which: int) -> Floats:
     """Arrange one figure of every pair as a matrix."""
     place = {name: i for i, name in enumerate(names)}
     matrix = np.full((len(names), len(names)), np.nan)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.arrays import Floats
 from photocal.adjustment.network import Network
 from photocal.adjustment.state import State
-from photocal.analysis.estimates import Array
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.distortion import undistorted
 
@@ -38,7 +38,7 @@ class Candidate:
     kind: str
     parameter: str
     camera: int
-    displacement: Array
+    displacement: Floats
 
     @property
     def name(self) -> str:
@@ -46,7 +46,7 @@ class Candidate:
         return f"{self.kind} {self.parameter}".strip()
 
 
-def candidates(network: Network, state: State, computed: Array) -> tuple[Candidate, ...]:
+def candidates(network: Network, state: State, computed: Floats) -> tuple[Candidate, ...]:
     """List what the model of each camera does not already estimate, at the computed image coordinates."""
     camera_of_ray = network.exposures.camera[network.rays.image]
     found = []
@@ -64,7 +64,7 @@ def candidates(network: Network, state: State, computed: Array) -> tuple[Candida
     return tuple(found)
 
 
-def _of_camera(camera: Camera, plane: Array) -> list[tuple[str, str, Array]]:
+def _of_camera(camera: Camera, plane: Floats) -> list[tuple[str, str, Floats]]:
     zero = np.zeros(len(plane))
     ideal = camera.model == "brown-ideal"
     x, y = (undistorted(camera, plane) if ideal else plane - camera.values[1:3]).T
@@ -86,7 +86,7 @@ def _of_camera(camera: Camera, plane: Array) -> list[tuple[str, str, Array]]:
     return found
 
 
-def _rolling_shutter(network: Network, state: State, computed: Array, camera: int) -> Array | None:
+def _rolling_shutter(network: Network, state: State, computed: Floats, camera: int) -> Floats | None:
     """Give minus the image motion while the rows are read, for a readout as long as the exposure interval.
 
     Only for exposures that follow one another at regular distances, in the order of the images: then
@@ -111,7 +111,7 @@ def _rolling_shutter(network: Network, state: State, computed: Array, camera: in
     return np.asarray(-dp * late[:, None])
 
 
-def _per_interval(centres: Array) -> Array | None:
+def _per_interval(centres: Floats) -> Floats | None:
     """Give the way flown per exposure interval, (n, 3); zero where a line has only one exposure.
 
     A step that is much longer or shorter than the usual one is a turn between lines, not flight.

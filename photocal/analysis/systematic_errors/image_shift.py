@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.arrays import Floats
 from photocal.adjustment.score import score
 from photocal.adjustment.state import State
-from photocal.analysis.estimates import Array
 from photocal.analysis.systematic_errors.refit import Fit
 from photocal.geometry.rotation import turned
 
@@ -42,10 +42,10 @@ class ImageShift:
 
     image: str
     scale: float
-    shift_px: Array
+    shift_px: Floats
     effect_px: float
     p_value: float
-    sigma: Array | None = None
+    sigma: Floats | None = None
 
 
 def image_shifts(
@@ -109,7 +109,7 @@ def joint_shift(fit: Fit, image: str) -> ImageShift | None:
     )
 
 
-def _own_geometry(plane: Array) -> Array:
+def _own_geometry(plane: Floats) -> Floats:
     """Displacement of image plane coordinates by a scale and a shift of one image, (n, 2, 3)."""
     zero, one = np.zeros(len(plane)), np.ones(len(plane))
     x, y = plane.T
@@ -157,13 +157,13 @@ def screened_shifts(fit: Fit, variance_factor: float) -> tuple[ImageShift, ...]:
     return tuple(found)
 
 
-def pose_derivatives(fit: Fit, state: State) -> Array:
+def pose_derivatives(fit: Fit, state: State) -> Floats:
     """Change of the ideal image coordinates with the exterior orientation of their image."""
     image = fit.network.rays.image
     c = state.cameras[fit.network.exposures.camera[image], :1]
     points = state.points[fit.network.rays.point]
 
-    def ideal(rotation: Array, centre: Array) -> Array:
+    def ideal(rotation: Floats, centre: Floats) -> Floats:
         q = np.einsum("nij,nj->ni", rotation[image], points - centre[image])
         return np.asarray(-c * q[:, :2] / q[:, 2:])
 

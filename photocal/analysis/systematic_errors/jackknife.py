@@ -6,12 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.near import Removals
 from photocal.adjustment.state import State
-from photocal.analysis.estimates import Array
 from photocal.analysis.systematic_errors.refit import Fit, lowest, without_images
 
 # Beyond this many images, neighbours are left out together, in so many groups.
@@ -37,8 +36,8 @@ class Jackknife:
     """
 
     left_out: tuple[tuple[str, ...], ...]
-    cameras: Array
-    standard_error: Array
+    cameras: Floats
+    standard_error: Floats
     not_possible: tuple[str, ...]
 
 
@@ -71,6 +70,6 @@ def jackknife(fit: Fit, done: Callable[[], None] = lambda: None) -> Jackknife:
     return Jackknife(tuple(left_out), values, error, tuple(not_possible))
 
 
-def _anew(fit: Fit, out: NDArray[np.bool_]) -> State:
+def _anew(fit: Fit, out: Flags) -> State:
     network, state = without_images(fit.network, fit.state, out)
     return lowest(network, state, NEAR).state

@@ -6,11 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Integers
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.near import Near, with_held
-from photocal.analysis.estimates import Array
 from photocal.analysis.systematic_errors.refit import Fit, Lowest, lowest
 from photocal.geometry.camera import PARAMETERS
 
@@ -30,10 +29,10 @@ class Checks:
         Their coordinates in the frame of the network, m.
     """
 
-    point: NDArray[np.int64]
-    surveyed: Array
+    point: Integers
+    surveyed: Floats
 
-    def rmse(self, points: Array) -> Array | None:
+    def rmse(self, points: Floats) -> Floats | None:
         """Root mean square of adjusted minus surveyed, (3,) m; None without check points."""
         if not len(self.point):
             return None
@@ -61,7 +60,7 @@ class LeftOut:
     change_of_c: float
     chi_squared: float
     sigma0_squared: float
-    check_rmse_m: Array | None
+    check_rmse_m: Floats | None
 
 
 def without_parameter(fit: Fit, camera: int, parameter: int) -> Lowest | Near:

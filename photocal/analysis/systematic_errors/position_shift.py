@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drivers.arrays import Floats
 from photocal.adjustment.datum import full_solution
 from photocal.adjustment.groups import FEWEST, tested
 from photocal.adjustment.mounting import SHIFT, STRIPS
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import other_equations
-from photocal.analysis.estimates import Array
 from photocal.analysis.systematic_errors.refit import Fit
 
 # Of a shift, what no other unknown takes up, squared: less is not determined.
@@ -34,8 +34,8 @@ class PositionShift:
         Probability of that without a shift, judged by the scatter of the positions themselves.
     """
 
-    shift: Array
-    sigma: Array
+    shift: Floats
+    sigma: Floats
     fall: float
     p_value: float
 

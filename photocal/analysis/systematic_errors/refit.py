@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.factored import Factored, factored
@@ -18,7 +19,6 @@ from photocal.adjustment.normal import prepare
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import CONVERGED, minimise
 from photocal.adjustment.state import State, start_state
-from photocal.analysis.estimates import Array
 
 Observed = TypeVar("Observed", Positions, Attitudes)
 
@@ -42,7 +42,7 @@ class Fit:
     solution: Solution
 
     @property
-    def computed(self) -> Array:
+    def computed(self) -> Floats:
         """Image coordinates as the unknowns give them."""
         return self.network.rays.plane + self.solution.residuals
 
@@ -93,7 +93,7 @@ def lowest(network: Network, state: State, near: float = CONVERGED) -> Lowest:
     return Lowest(minimum.state, minimum.iterations[-1].chi_squared)
 
 
-def with_measurements(network: Network, plane: Array) -> Network:
+def with_measurements(network: Network, plane: Floats) -> Network:
     """Give the network other measured image coordinates."""
     return replace(network, rays=replace(network.rays, plane=plane))
 
@@ -103,7 +103,7 @@ def with_sigmas(network: Network, factor: float) -> Network:
     return replace(network, rays=replace(network.rays, sigma=network.rays.sigma * factor))
 
 
-def without_images(network: Network, state: State, left_out: NDArray[np.bool_]) -> tuple[Network, State]:
+def without_images(network: Network, state: State, left_out: Flags) -> tuple[Network, State]:
     """Take images out of a network, and the points that are then not determined."""
     image_place = np.cumsum(~left_out) - 1
     kept = ~left_out[network.rays.image]
@@ -165,7 +165,7 @@ def _columns(table: object) -> dict[str, NDArray[Any]]:
     return {name: column for name, column in vars(table).items() if column is not None}
 
 
-def _of_images(observed: Observed, place: NDArray[np.int64], kept: NDArray[np.bool_]) -> Observed:
+def _of_images(observed: Observed, place: Integers, kept: Flags) -> Observed:
     """Return the positions or attitudes of the images that are kept, at the places that these have now."""
     mine = kept[observed.image]
     columns = {name: column[mine] for name, column in _columns(observed).items()}

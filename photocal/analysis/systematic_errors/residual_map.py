@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from photocal.analysis.estimates import Array
+from drivers.arrays import Flags, Floats, Integers
 
 RAYS_PER_CELL = 20
 
@@ -34,12 +33,12 @@ class ResidualMap:
         Number of cells that were tested.
     """
 
-    columns_px: Array
-    rows_px: Array
-    count: NDArray[np.int64]
-    mean_px: Array
-    p_value: Array
-    significant: NDArray[np.bool_]
+    columns_px: Floats
+    rows_px: Floats
+    count: Integers
+    mean_px: Floats
+    p_value: Floats
+    significant: Flags
     global_statistic: float
     global_p_value: float
     cells: int
@@ -47,9 +46,9 @@ class ResidualMap:
 
 def residual_map(
     size_px: tuple[int, int],
-    pixel: Array,
-    residual_px: Array,
-    standardised: Array,
+    pixel: Floats,
+    residual_px: Floats,
+    standardised: Floats,
     variance_factor: float,
     level: float = 0.01,
 ) -> ResidualMap:

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drivers.arrays import Floats
 from photocal.adjustment.groups import GroupTest, group_tests
-from photocal.analysis.estimates import Array, Estimates
+from photocal.analysis.estimates import Estimates
 from photocal.analysis.systematic_errors.candidates import Candidate, candidates
 from photocal.analysis.systematic_errors.extra_parameter import ExtraParameter, estimated_amount, judged
 from photocal.analysis.systematic_errors.image_shift import ImageShift, image_shifts
@@ -214,7 +215,7 @@ def _map(last: Fit, camera: int, factor: float) -> ResidualMap | None:
         return None
     own = last.network.cameras[camera]
     down = np.array([1.0, -1.0])
-    pixel: Array = plane_to_pixel(own.size_px, own.pitch, last.network.rays.plane[mine])
+    pixel: Floats = plane_to_pixel(own.size_px, own.pitch, last.network.rays.plane[mine])
     residual = last.solution.residuals[mine] / np.array(own.pitch) * down
     w = last.solution.standardised(last.network.rays.sigma)[mine] * down
     return residual_map(own.size_px, pixel, residual, w, factor, LEVEL / 2)

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from photocal.analysis.estimates import Array
+from drivers.arrays import Floats, Integers
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,7 @@ class VarianceComponent:
 
 
 def variance_components(
-    names: tuple[str, ...], group: NDArray[np.int64], squares: Array, redundancy: Array
+    names: tuple[str, ...], group: Integers, squares: Floats, redundancy: Floats
 ) -> tuple[VarianceComponent, ...]:
     """Estimate the variance of groups of observations from their residuals and redundancy numbers.
 
@@ -100,7 +99,7 @@ class AssumedSigma:
 
 
 def assumed_sigma(
-    sigma: Array, residual: Array, redundancy: Array, probability: float = 0.95
+    sigma: Floats, residual: Floats, redundancy: Floats, probability: float = 0.95
 ) -> AssumedSigma:
     """Compare the assumed standard deviation of image coordinates with that of the residuals."""
     from scipy import stats

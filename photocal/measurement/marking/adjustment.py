@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats
 from drivers.errors import IllPosedError
 from photocal.block.model import Block, Images, ObjectPoints
 from photocal.exchange.parts import Mark
@@ -19,9 +19,6 @@ from photocal.geometry.camera import PARAMETERS
 from photocal.measurement.marks import with_marks
 from photocal.measurement.orientation import Orientation
 from photocal.measurement.start_block import NO_OBSERVATIONS
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 # So many points orient an image of which nothing is known, or which has start values.
 FEWEST_UNKNOWN, FEWEST_STARTED = 4, 3

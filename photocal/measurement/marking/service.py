@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, FiniteFloat, ValidationError
 
 from acquire.checked_toml import Table
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.block.model import ROLES
 from photocal.exchange.parts import Mark
@@ -29,8 +29,6 @@ from photocal.measurement.marks import BY_HAND_PX
 from photocal.measurement.orientation import Orientation
 from photocal.measurement.patterns import FLAT
 from photocal.measurement.prediction import ellipse, predict
-
-Floats = NDArray[np.float64]
 
 FARTHEST_REACH_PX = 60.0
 # Decimals in marks.csv: what is shown is what is written.

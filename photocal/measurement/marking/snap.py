@@ -8,16 +8,14 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from photocal.measurement.centre import Centre
 from photocal.measurement.image_file import Grey
 from photocal.measurement.line_targets import cross_centre, saddle_centre
 from photocal.measurement.markers import find_markers
 from photocal.measurement.patterns import FLAT
 from photocal.measurement.round_targets import disc_centre, ring_centre
-
-Floats = NDArray[np.float64]
 
 Kind = Literal["cross", "hourglass", "circle", "ring", "code"]
 KINDS: tuple[Kind, ...] = get_args(Kind)

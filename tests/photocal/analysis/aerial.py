@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drivers.arrays import Integers
 from photocal.adjustment.mounting import NO_MOUNTING, STRIPS, Mounting, Positions
-from photocal.adjustment.network import Exposures, Integers, Network, Points, Rays, point_weights
+from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
 from photocal.analysis.estimates import Array
 from photocal.geometry.camera import Camera, Model, camera
 from photocal.geometry.distortion import projected
