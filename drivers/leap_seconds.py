@@ -17,14 +17,9 @@ GPS_BEGAN = dt.date(1980, 1, 6)
 class LeapSeconds:
     """The table.
 
-    Attributes
-    ----------
-    dates : tuple of date
-        From the beginning of which, UTC, an offset holds; the first is that of GPS time itself.
-    offsets_s : tuple of int
-        GPS time minus UTC from then on.
-    expires : date
-        Until when the table is known to be complete.
+    dates: from the beginning of which, UTC, an offset holds; the first is that of GPS time itself.
+    offsets_s: GPS time minus UTC from then on.
+    expires: until when the table is known to be complete.
     """
 
     dates: tuple[dt.date, ...]

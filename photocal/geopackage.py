@@ -64,13 +64,8 @@ _UNDEFINED_GEOGRAPHIC = ReferenceSystem(0, "Undefined geographic SRS", "NONE", "
 class Layer:
     """A table of features.
 
-    Attributes
-    ----------
-    kind : {"POINT", "LINESTRING", "POLYGON"}
-    has_heights : bool
-        Whether corners have three coordinates.
-    columns : dict of str to str
-        Names and types (TEXT, DOUBLE, INTEGER) of the columns beside the geometry.
+    has_heights: whether corners have three coordinates.
+    columns: names and types (TEXT, DOUBLE, INTEGER) of the columns beside the geometry.
     """
 
     name: str

@@ -19,14 +19,9 @@ Part = TypeVar("Part")
 class Project:
     """A project file that was read and checked.
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    contents : Contents
-        Its tables; paths are taken from the folder of the file.
-    cameras : tuple of Camera
-        Of `[[camera]]`.
+    path: the file.
+    contents: its tables; paths are taken from the folder of the file.
+    cameras: of `[[camera]]`.
     """
 
     path: Path

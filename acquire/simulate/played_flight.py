@@ -32,16 +32,10 @@ class Line:
 class PlayedFlight:
     """A flight to be played.
 
-    Attributes
-    ----------
-    lines : dict of str to Line
-        By the names of the links: vehicle, rover, base.
-    base_protocol : str
-        ``ubx`` or ``rtcm3``.
-    interval_s : dict of str to float
-        Between the measurements of rover and base.
-    rates_hz : dict of str to float
-        At which the autopilot sends the messages that matter most.
+    lines: by the names of the links: vehicle, rover, base.
+    base_protocol: ``ubx`` or ``rtcm3``.
+    interval_s: between the measurements of rover and base.
+    rates_hz: at which the autopilot sends the messages that matter most.
     """
 
     lines: dict[str, Line]

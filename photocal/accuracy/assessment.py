@@ -34,18 +34,12 @@ PROBABLE_ERROR = 0.90
 class Question:
     """What the product is to be judged for.
 
-    Attributes
-    ----------
-    scale_denominator : float or None
-        Map scale 1:N of the product.
-    interval_m : float or None
-        Contour interval, m; when None, the one that a standard lists for the scale.
-    confidence : float
-        Level of all tests, 0 to 1: two-sided for the bias, one-sided for the precision.
-    survey_horizontal_m, survey_vertical_m : float or None
-        RMSE of the survey of the check points, m; the horizontal one radial.
-    target_horizontal_m, target_vertical_m : float or None
-        RMSE that the project asks for, m.
+    scale_denominator: map scale 1:N of the product.
+    interval_m: contour interval, m; when None, the one that a standard lists for the scale.
+    confidence: level of all tests, 0 to 1: two-sided for the bias, one-sided for the precision.
+    survey_horizontal_m, survey_vertical_m: RMSE of the survey of the check points, m; the horizontal one
+        radial.
+    target_horizontal_m, target_vertical_m: RMSE that the project asks for, m.
     """
 
     scale_denominator: float | None = None
@@ -75,14 +69,9 @@ class ComponentResult:
 class VectorResult:
     """Plane or space vectors, or absolute height differences, summed up.
 
-    Attributes
-    ----------
-    statistics : LengthStatistics
-        Mean, root mean square and maximum of the lengths.
-    probable_m : float or None
-        CE90 (plane) or LE90 (height) from the second moments, m; None in space.
-    counted_m : float
-        Length that 90 % of the points do not exceed, m.
+    statistics: mean, root mean square and maximum of the lengths.
+    probable_m: CE90 (plane) or LE90 (height) from the second moments, m; None in space.
+    counted_m: length that 90 % of the points do not exceed, m.
     """
 
     statistics: LengthStatistics
@@ -94,18 +83,11 @@ class VectorResult:
 class TableResult:
     """One table of a standard applied to the product.
 
-    Attributes
-    ----------
-    standard_id, standard_title : str
-        The standard.
-    table : LimitTable
-        The table.
-    size : float or None
-        Scale denominator or interval in m that was asked for; None when none was.
-    decisions : tuple of ClassDecision
-        For each class at that size; empty without a size.
-    admitted : tuple of AdmittedSize
-        For each class the exact smallest size.
+    standard_id, standard_title: the standard.
+    table: the table.
+    size: scale denominator or interval in m that was asked for; None when none was.
+    decisions: for each class at that size; empty without a size.
+    admitted: for each class the exact smallest size.
     """
 
     standard_id: str

@@ -23,12 +23,8 @@ from photocal.accuracy.statistics import Moments, combined_rmse, lengths, moment
 class Sample:
     """What is known of the check points of one product.
 
-    Attributes
-    ----------
-    components : tuple of Moments
-        E and N for planimetry, h for heights.
-    lengths_m : ndarray, shape (n,), or None
-        Plane distances or absolute height differences, m; None when only moments were published.
+    components: E and N for planimetry, h for heights.
+    lengths_m (n,): plane distances or absolute height differences, m; None when only moments were published.
     """
 
     components: tuple[Moments, ...]
@@ -44,18 +40,11 @@ class Sample:
 class ClassDecision:
     """Whether a product reaches one class at one scale or interval.
 
-    Attributes
-    ----------
-    limit : ClassLimit
-        What the class allows.
-    precision : tuple of PrecisionTest
-        One for each component; empty with a single point.
-    rmse_within : bool
-        Whether the RMSE is within the standard error.
-    share_within : float or None
-        Share of the points within PEC; None when only moments are known.
-    share_passes : bool or None
-        Whether that share is enough.
+    limit: what the class allows.
+    precision: one for each component; empty with a single point.
+    rmse_within: whether the RMSE is within the standard error.
+    share_within: share of the points within PEC; None when only moments are known.
+    share_passes: whether that share is enough.
     """
 
     limit: ClassLimit
@@ -79,16 +68,10 @@ class ClassDecision:
 class AdmittedSize:
     """Smallest scale denominator, or contour interval in m, at which a class is reached.
 
-    Attributes
-    ----------
-    name : str
-        The class.
-    precision : float or None
-        By the chi-square test of the spread; None with a single point.
-    rmse : float
-        By RMSE within the standard error.
-    share : float or None
-        By the 90 % rule; None when only moments are known.
+    name: the class.
+    precision: by the chi-square test of the spread; None with a single point.
+    rmse: by RMSE within the standard error.
+    share: by the 90 % rule; None when only moments are known.
     """
 
     name: str

@@ -33,14 +33,9 @@ _EXPECTED = "point, dE, dN, dh (metres, or with a unit: dE_cm, dN [mm], dh (ft))
 class Discrepancies:
     """Reference minus product at check points.
 
-    Attributes
-    ----------
-    points : tuple of str
-        Names, all different.
-    d_m : ndarray, shape (n, 3)
-        dE, dN, dh in m; NaN where a component was not measured.
-    positions_m : ndarray, shape (n, 3), or None
-        E, N, h of the points, m, for maps; NaN where not given.
+    points: names, all different.
+    d_m (n, 3): dE, dN, dh in m; NaN where a component was not measured.
+    positions_m (n, 3): E, N, h of the points, m, for maps; NaN where not given.
     """
 
     points: tuple[str, ...]

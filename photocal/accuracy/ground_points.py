@@ -31,12 +31,8 @@ _SAME_POINT_M = 0.005
 class GroundPoints:
     """Ground points of one role, in one coordinate system.
 
-    Attributes
-    ----------
-    names : tuple of str
-        Names.
-    xyz_m : ndarray, shape (n, 3)
-        Coordinates, m; NaN where not given.
+    names: names.
+    xyz_m (n, 3): coordinates, m; NaN where not given.
     """
 
     names: tuple[str, ...]

@@ -21,16 +21,10 @@ _NO_RANGE_M = 1e-9
 class BiasTest:
     """Two-sided Student test of a mean against zero.
 
-    Attributes
-    ----------
-    t : float
-        Mean over its standard deviation, with the sign of the mean; infinite when the spread is zero.
-    critical : float
-        Value that |t| must stay below.
-    confidence : float
-        Two-sided level of confidence, 0 to 1.
-    p_value : float
-        Probability of a larger |t| without bias.
+    t: mean over its standard deviation, with the sign of the mean; infinite when the spread is zero.
+    critical: value that |t| must stay below.
+    confidence: two-sided level of confidence, 0 to 1.
+    p_value: probability of a larger |t| without bias.
     """
 
     t: float
@@ -48,14 +42,9 @@ class BiasTest:
 class PrecisionTest:
     """One-sided chi-square test of a standard deviation against a required one.
 
-    Attributes
-    ----------
-    chi_squared : float
-        Degrees of freedom times the ratio of the variances.
-    critical : float
-        Value that it must stay below.
-    confidence : float
-        One-sided level of confidence, 0 to 1.
+    chi_squared: degrees of freedom times the ratio of the variances.
+    critical: value that it must stay below.
+    confidence: one-sided level of confidence, 0 to 1.
     """
 
     chi_squared: float
@@ -72,14 +61,9 @@ class PrecisionTest:
 class NormalityTest:
     """Shapiro-Wilk test of normality.
 
-    Attributes
-    ----------
-    w : float
-        Statistic of Shapiro and Wilk, 1 for normal data.
-    p_value : float
-        Probability of a smaller value for normal data.
-    confidence : float
-        Level of confidence of the decision, 0 to 1.
+    w: statistic of Shapiro and Wilk, 1 for normal data.
+    p_value: probability of a smaller value for normal data.
+    confidence: level of confidence of the decision, 0 to 1.
     """
 
     w: float

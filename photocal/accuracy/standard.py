@@ -13,14 +13,9 @@ Basis = Literal["scale", "interval"]
 class ClassLimit:
     """What one class allows.
 
-    Attributes
-    ----------
-    name : str
-        Name of the class, the best first in every table.
-    pec_m : float
-        Error that 90 % of the points may not exceed, m.
-    ep_m : float
-        Standard error that the RMSE may not exceed, m.
+    name: name of the class, the best first in every table.
+    pec_m: error that 90 % of the points may not exceed, m.
+    ep_m: standard error that the RMSE may not exceed, m.
     """
 
     name: str
@@ -41,22 +36,13 @@ class PublishedLimit:
 class LimitTable:
     """The classes of one product of a standard.
 
-    Attributes
-    ----------
-    product : str
-        What is judged.
-    component : {"planimetry", "height"}
-        Which discrepancies judge it.
-    basis : {"scale", "interval"}
-        Whether the limits grow with the scale denominator or with the contour interval.
-    unit_limits : tuple of ClassLimit
-        Limits in m at a denominator of 1, or at an interval of 1 m.
-    published : tuple of PublishedLimit
-        Printed figures, with their rounding.
-    source, source_note : str
-        Where the figures come from and what to know about that.
-    second_hand : bool
-        Whether the figures were taken from another place than the standard itself.
+    product: what is judged.
+    component: which discrepancies judge it.
+    basis: whether the limits grow with the scale denominator or with the contour interval.
+    unit_limits: limits in m at a denominator of 1, or at an interval of 1 m.
+    published: printed figures, with their rounding.
+    source, source_note: where the figures come from and what to know about that.
+    second_hand: whether the figures were taken from another place than the standard itself.
     """
 
     product: str
@@ -143,16 +129,12 @@ class Figure:
 class ValueStandard:
     """A standard whose class is the value reached.
 
-    Attributes
-    ----------
-    minimum_points, maximum_points : Figure
-        Number of check points for a tested product; more than the maximum is never asked.
-    mean_share_of_target : Figure
-        Share of the target RMSE of the project above which a mean is to be investigated.
-    survey_share_of_target : Figure
-        Share of it that the survey of the check points may have.
-    blunder_over_target : Figure
-        Multiple of it, in a component, above which an error is to be investigated as a blunder.
+    minimum_points, maximum_points: number of check points for a tested product; more than the maximum is
+        never asked.
+    mean_share_of_target: share of the target RMSE of the project above which a mean is to be investigated.
+    survey_share_of_target: share of it that the survey of the check points may have.
+    blunder_over_target: multiple of it, in a component, above which an error is to be investigated as a
+        blunder.
     """
 
     id: str

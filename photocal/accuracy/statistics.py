@@ -24,14 +24,9 @@ class Moments:
 
     Published studies often print nothing else, therefore tests and classes are computed from these.
 
-    Attributes
-    ----------
-    n : int
-        Number of points.
-    mean_m : float
-        Mean discrepancy, m.
-    std_m : float
-        Standard deviation about the mean with n - 1, m; NaN for a single point.
+    n: number of points.
+    mean_m: mean discrepancy, m.
+    std_m: standard deviation about the mean with n - 1, m; NaN for a single point.
     """
 
     n: int
@@ -54,12 +49,8 @@ class Moments:
 class Spread:
     """Figures of one component beyond its moments, all in m.
 
-    Attributes
-    ----------
-    minimum_m, maximum_m, median_m : float
-        Extremes and median.
-    nmad_m : float
-        Normalised median absolute deviation: the standard deviation that a few outliers cannot spoil.
+    minimum_m, maximum_m, median_m: extremes and median.
+    nmad_m: normalised median absolute deviation: the standard deviation that a few outliers cannot spoil.
     """
 
     minimum_m: float
@@ -72,16 +63,10 @@ class Spread:
 class LengthStatistics:
     """Lengths of residual vectors (2D or 3D) summed up in the two ways that the literature mixes.
 
-    Attributes
-    ----------
-    n : int
-        Number of vectors.
-    mean_m : float
-        Arithmetic mean of the lengths, m. Smaller than, or equal to, the root mean square.
-    rms_m : float
-        Root mean square of the lengths, m: the 2D or 3D RMSE.
-    maximum_m : float
-        Longest vector, m.
+    n: number of vectors.
+    mean_m: arithmetic mean of the lengths, m. Smaller than, or equal to, the root mean square.
+    rms_m: root mean square of the lengths, m: the 2D or 3D RMSE.
+    maximum_m: longest vector, m.
     """
 
     n: int

@@ -17,16 +17,10 @@ from photocal.accuracy.statistics import Moments
 class SimilarityTrend:
     """Scale, rotation and shift that explain planimetric discrepancies best.
 
-    Attributes
-    ----------
-    shift_m : tuple of float
-        East and north part at the centre of the points, m.
-    scale : float
-        Growth that the product needs: 0.01 is 1 %.
-    rotation_rad : float
-        Counter-clockwise rotation that the product needs, rad.
-    rmse_left_m : float
-        Planimetric root mean square (over n) of what it does not explain, m.
+    shift_m: east and north part at the centre of the points, m.
+    scale: growth that the product needs: 0.01 is 1 %.
+    rotation_rad: counter-clockwise rotation that the product needs, rad.
+    rmse_left_m: planimetric root mean square (over n) of what it does not explain, m.
     """
 
     shift_m: tuple[float, float]

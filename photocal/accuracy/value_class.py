@@ -15,25 +15,18 @@ from photocal.accuracy.standard import ValueStandard
 class ValueClass:
     """RMSE of a product with the survey accuracy of its check points.
 
-    Attributes
-    ----------
-    standard : ValueStandard
-        The standard, with the sources of its figures.
-    horizontal_m, vertical_m, spatial_m : float or None
-        RMSE with the survey accuracy, m; None where the component was not checked.
-    survey_included_horizontal, survey_included_vertical : bool
-        Whether a survey accuracy was given; without one the class is too good.
-    points_horizontal, points_vertical : int
-        Number of check points.
-    target_horizontal_m, target_vertical_m : float or None
-        Classes that the project asks for: what the limits below go by. None where nobody said.
-    systematic : tuple of str
-        Components whose mean exceeds the standard's share of the target.
-    survey_too_coarse : tuple of str
-        Components whose survey is worse than the standard's share of the target.
-    blunders : tuple of (str, str)
-        Points and components whose error exceeds the standard's multiple of the target; of an axis, that of
-        the horizontal class over the root of 2.
+    standard: the standard, with the sources of its figures.
+    horizontal_m, vertical_m, spatial_m: RMSE with the survey accuracy, m; None where the component was not
+        checked.
+    survey_included_horizontal, survey_included_vertical: whether a survey accuracy was given; without one the
+        class is too good.
+    points_horizontal, points_vertical: number of check points.
+    target_horizontal_m, target_vertical_m: classes that the project asks for: what the limits below go by.
+        None where nobody said.
+    systematic: components whose mean exceeds the standard's share of the target.
+    survey_too_coarse: components whose survey is worse than the standard's share of the target.
+    blunders: points and components whose error exceeds the standard's multiple of the target; of an axis,
+        that of the horizontal class over the root of 2.
     """
 
     standard: ValueStandard
@@ -66,12 +59,9 @@ def class_cm(rmse_m: float) -> float:
 class Stated:
     """What was asked and stated for the horizontal and the vertical component, m.
 
-    Attributes
-    ----------
-    survey_horizontal_m, survey_vertical_m : float or None
-        RMSE of the survey of the check points; the horizontal one radial, root of 2 times that of an axis.
-    target_horizontal_m, target_vertical_m : float or None
-        Classes that the project asks for.
+    survey_horizontal_m, survey_vertical_m: RMSE of the survey of the check points; the horizontal one radial,
+        root of 2 times that of an axis.
+    target_horizontal_m, target_vertical_m: classes that the project asks for.
     """
 
     survey_horizontal_m: float | None = None

@@ -29,16 +29,11 @@ OPEN = 1e-9
 class Correction:
     """What turns the covariance of a minimally constrained solution into that of inner constraints.
 
-    Attributes
-    ----------
-    moves, spread : ndarray, shape (layout.size, d)
-        For the reduced system: null vectors A, and Q G, G their part at the datum points.
-    point_moves, point_spread : ndarray, shape (points, 3, d)
-        The same for the points.
-    inverse : ndarray, shape (d, d)
-        (G'A)^-1.
-    own : ndarray, shape (d, d)
-        G'QG.
+    moves, spread (layout.size, d): for the reduced system: null vectors A, and Q G, G their part at the datum
+        points.
+    point_moves, point_spread (points, 3, d): the same for the points.
+    inverse (d, d): (G'A)^-1.
+    own (d, d): G'QG.
     """
 
     moves: Floats

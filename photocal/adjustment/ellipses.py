@@ -14,14 +14,9 @@ from drivers.arrays import Floats
 class Ellipses:
     """Error ellipses in the X, Y plane.
 
-    Attributes
-    ----------
-    probability : float
-        That the true position lies inside.
-    semi_axes : ndarray, shape (n, 2)
-        The larger one first, m.
-    azimuth : ndarray, shape (n,)
-        Of the larger axis, from the Y axis towards X, in [0, pi) radians; 0 for a circle.
+    probability: that the true position lies inside.
+    semi_axes (n, 2): the larger one first, m.
+    azimuth (n,): of the larger axis, from the Y axis towards X, in [0, pi) radians; 0 for a circle.
     """
 
     probability: float
@@ -33,16 +28,11 @@ class Ellipses:
 class Ellipsoids:
     """Error ellipsoids.
 
-    Attributes
-    ----------
-    probability : float
-        That the true position lies inside.
-    semi_axes : ndarray, shape (n, 3)
-        From the largest to the smallest, m.
-    directions : ndarray, shape (n, 3, 3)
-        Unit vectors of the axes, one in each row; their Z is not negative.
-    azimuth, elevation : ndarray, shape (n, 3)
-        Of each axis: from the Y axis towards X, in [0, 2 pi), and above the X, Y plane, radians.
+    probability: that the true position lies inside.
+    semi_axes (n, 3): from the largest to the smallest, m.
+    directions (n, 3, 3): unit vectors of the axes, one in each row; their Z is not negative.
+    azimuth, elevation (n, 3): of each axis: from the Y axis towards X, in [0, 2 pi), and above the X, Y
+        plane, radians.
     """
 
     probability: float
@@ -58,14 +48,10 @@ class MeanPrecision:
 
     The two means are not the same: the root mean square is never the smaller one.
 
-    Attributes
-    ----------
-    arithmetic_by_axis, root_mean_square_by_axis : ndarray, shape (3,)
-        Of the standard deviations in X, Y and Z, m.
-    arithmetic, root_mean_square : float
-        Of the standard deviations of all coordinates together, m; the latter is sqrt(tr C / 3 n).
-    spread_by_axis : ndarray, shape (3,)
-        Largest less smallest standard deviation: how unlike the points are, m.
+    arithmetic_by_axis, root_mean_square_by_axis (3,): of the standard deviations in X, Y and Z, m.
+    arithmetic, root_mean_square: of the standard deviations of all coordinates together, m; the latter is
+        sqrt(tr C / 3 n).
+    spread_by_axis (3,): largest less smallest standard deviation: how unlike the points are, m.
     """
 
     arithmetic_by_axis: Floats

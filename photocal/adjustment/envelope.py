@@ -24,18 +24,11 @@ PANEL = 144
 class Envelope:
     """Structure of a matrix.
 
-    Attributes
-    ----------
-    panel : int
-        Columns in a panel (the last one may have fewer).
-    last : ndarray of int, shape (panels,)
-        One past the last row of the band part of each panel.
-    width : ndarray of int, shape (panels + 1,)
-        Columns of each panel; the border is the last.
-    offset : ndarray of int, shape (panels + 2,)
-        Where each panel begins in the array of values; the border is the last but one.
-    band, border : int
-        Columns of the band and of the border.
+    panel: columns in a panel (the last one may have fewer).
+    last (panels,): one past the last row of the band part of each panel.
+    width (panels + 1,): columns of each panel; the border is the last.
+    offset (panels + 2,): where each panel begins in the array of values; the border is the last but one.
+    band, border: columns of the band and of the border.
     """
 
     panel: int

@@ -15,12 +15,8 @@ from photocal.compiled import compiled
 class Equations(NamedTuple):
     """Linearised observations in compressed rows.
 
-    Attributes
-    ----------
-    start : ndarray of int, shape (n + 1,)
-        Where the coefficients of each observation begin.
-    residual, weight : ndarray, shape (n,)
-        Computed minus observed, and 1 / sigma^2.
+    start (n + 1,): where the coefficients of each observation begin.
+    residual, weight (n,): computed minus observed, and 1 / sigma^2.
     """
 
     start: Integers

@@ -19,12 +19,8 @@ from photocal.adjustment.state import State
 class Factored:
     """Normal equations at the adjusted state.
 
-    Attributes
-    ----------
-    normal : Normal
-        Its matrix is the Cholesky factor.
-    datum : Correction or None
-        Of a free network: what leads to inner constraints.
+    normal: its matrix is the Cholesky factor.
+    datum: of a free network: what leads to inner constraints.
     """
 
     problem: Problem

@@ -21,19 +21,14 @@ RAYS = ("image-tie", "image-control")
 class GroupTest:
     """One group of observations.
 
-    Attributes
-    ----------
-    name : str
-        One of `RAYS`, one of `CONTROL`, or as `Solution.groups`.
-    factor, lower, upper : float
-        By which the stated standard deviations agree with the residuals, and its 95 % interval.
-    p_value : float
-        Two-sided, of v'Pv being chi-squared with the redundancy; cautious, since redundancy numbers between 0
-        and 1 scatter it less.
-    gain : float
-        Twice the logarithm of the likelihood that the factor gains (Wilks 1938): what a cause competes with.
-    of : str
-        The camera of a group of rays.
+    name: one of `RAYS`, one of `CONTROL`, or as `Solution.groups`.
+    factor, lower, upper: by which the stated standard deviations agree with the residuals, and its 95 %
+        interval.
+    p_value: two-sided, of v'Pv being chi-squared with the redundancy; cautious, since redundancy numbers
+        between 0 and 1 scatter it less.
+    gain: twice the logarithm of the likelihood that the factor gains (Wilks 1938): what a cause competes
+        with.
+    of: the camera of a group of rays.
     """
 
     name: str

@@ -19,10 +19,7 @@ from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
 class JointCovariance:
     """Covariance matrix of chosen unknowns.
 
-    Attributes
-    ----------
-    covariance : ndarray, shape (n, n)
-        In the units of the adjustment (rad, m, unit of the camera); a priori unit variance 1.
+    covariance (n, n): in the units of the adjustment (rad, m, unit of the camera); a priori unit variance 1.
     """
 
     unknowns: tuple[Unknown, ...]

@@ -23,26 +23,16 @@ from photocal.compiled import compiled
 class Layout:
     """Columns of the reduced system.
 
-    Attributes
-    ----------
-    image_columns : ndarray of int, shape (images, 6)
-        Columns of the three rotation unknowns and of X, Y, Z of each image.
-    own_columns : ndarray of int, shape (images, n)
-        Columns of each image's own parameters, see `own_parameters`; -1 for those that it does not have.
-    camera_columns : tuple of (ndarray, ndarray)
-        For each camera the positions of its estimated parameters and their columns.
-    common_columns : ndarray of int, shape (k,)
-        Column of each common value of the mounting; -1 for those that are no unknowns.
-    kept_points : ndarray of int, shape (m,)
-        Points that are not eliminated because observations relate them to others.
-    point_columns : ndarray of int, shape (m, 3)
-        Their columns.
-    envelope : Envelope
-        Structure of the matrix.
-    size : int
-        Number of columns.
-    width : int
-        Columns of each image, one of `WIDTHS`.
+    image_columns (images, 6): columns of the three rotation unknowns and of X, Y, Z of each image.
+    own_columns (images, n): columns of each image's own parameters, see `own_parameters`; -1 for those that
+        it does not have.
+    camera_columns: for each camera the positions of its estimated parameters and their columns.
+    common_columns (k,): column of each common value of the mounting; -1 for those that are no unknowns.
+    kept_points (m,): points that are not eliminated because observations relate them to others.
+    point_columns (m, 3): their columns.
+    envelope: structure of the matrix.
+    size: number of columns.
+    width: columns of each image, one of `WIDTHS`.
     """
 
     image_columns: Integers

@@ -48,14 +48,10 @@ COMMON = (
 class Mounting:
     """The common unknowns of positions and attitudes.
 
-    Attributes
-    ----------
-    rotation : ndarray, shape (3, 3)
-        Nominal rotation from body to camera axes.
-    values, sigma : ndarray, shape (11 + 6 strips,)
-        Lever arm, boresight (a rotation vector in camera axes), time offset, shift and height scale of the
-        flight, shift and drift of each strip. A sigma of 0 holds a value, a positive one weights it,
-        infinity leaves it free.
+    rotation (3, 3): nominal rotation from body to camera axes.
+    values, sigma (11 + 6 strips,): lever arm, boresight (a rotation vector in camera axes), time offset,
+        shift and height scale of the flight, shift and drift of each strip. A sigma of 0 holds a value, a
+        positive one weights it, infinity leaves it free.
     """
 
     rotation: Floats
@@ -67,19 +63,13 @@ class Mounting:
 class Positions:
     """Observed antenna positions.
 
-    Attributes
-    ----------
-    image : ndarray of int, shape (n,)
-    values : ndarray, shape (n, 3)
-        m, in the object frame.
-    covariance : ndarray, shape (n, 3, 3)
-    velocity : ndarray, shape (n, 3)
-        m/s; zero where unknown.
-    strip : ndarray of int, shape (n,)
-    time : ndarray, shape (n,)
-        Seconds since the middle of the strip, for the drift.
-    above : ndarray, shape (n,)
-        Height above the base station, m, for the height scale.
+    image (n,).
+    values (n, 3): m, in the object frame.
+    covariance (n, 3, 3).
+    velocity (n, 3): m/s; zero where unknown.
+    strip (n,).
+    time (n,): seconds since the middle of the strip, for the drift.
+    above (n,): height above the base station, m, for the height scale.
     """
 
     image: Integers
@@ -95,15 +85,10 @@ class Positions:
 class Attitudes:
     """Observed attitudes of the body.
 
-    Attributes
-    ----------
-    image : ndarray of int, shape (n,)
-    rotation : ndarray, shape (n, 3, 3)
-        Object to body axes.
-    covariance : ndarray, shape (n, 3, 3)
-        Of small turns about the body axes, rad^2.
-    rate, rate_sigma : ndarray, shape (n, 3), or None
-        Angular velocity about the body axes, rad/s; NaN where it is not known.
+    image (n,).
+    rotation (n, 3, 3): object to body axes.
+    covariance (n, 3, 3): of small turns about the body axes, rad^2.
+    rate, rate_sigma (n, 3): angular velocity about the body axes, rad/s; NaN where it is not known.
     """
 
     image: Integers

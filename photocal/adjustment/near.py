@@ -37,10 +37,7 @@ STEPS = 12
 class Near:
     """A minimum near a known one.
 
-    Attributes
-    ----------
-    left : float
-        Bound of the squared distance to it that is left, in units of the standard deviations.
+    left: bound of the squared distance to it that is left, in units of the standard deviations.
     """
 
     state: State

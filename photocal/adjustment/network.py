@@ -22,19 +22,13 @@ from photocal.geometry.camera import OWN, PARAMETERS, Camera
 class Exposures:
     """Exterior orientation of the images: start values, and observations where a sigma stands.
 
-    Attributes
-    ----------
-    camera : ndarray of int, shape (n,)
-        Index of the camera of each image.
-    values : ndarray, shape (n, 6)
-        omega, phi, kappa in radians, X, Y, Z of the projection centre in m.
-    sigma : ndarray, shape (n, 6)
-        0 holds the value, a positive sigma makes it an observation, infinity leaves it free.
-    motion, motion_sigma : ndarray, shape (n, 6), or None
-        For a rolling shutter: velocity in m/s in the object frame, rate in rad/s about the camera's axes (the
-        turn that takes old camera axes to new ones), and by how much the image departs from them; None at
-        rest. Their product with the readout moves the image; a departure is an unknown of the image whose
-        sigma is that of the motion times the camera's given readout.
+    camera (n,): index of the camera of each image.
+    values (n, 6): omega, phi, kappa in radians, X, Y, Z of the projection centre in m.
+    sigma (n, 6): 0 holds the value, a positive sigma makes it an observation, infinity leaves it free.
+    motion, motion_sigma (n, 6): for a rolling shutter: velocity in m/s in the object frame, rate in rad/s
+        about the camera's axes (the turn that takes old camera axes to new ones), and by how much the image
+        departs from them; None at rest. Their product with the readout moves the image; a departure is an
+        unknown of the image whose sigma is that of the motion times the camera's given readout.
     """
 
     camera: Integers
@@ -48,14 +42,9 @@ class Exposures:
 class Points:
     """Object points: start values, and observations where a covariance stands.
 
-    Attributes
-    ----------
-    values : ndarray, shape (n, 3)
-        X, Y, Z in m: start values and, where weighted, observed values.
-    held : ndarray of bool, shape (n, 3)
-        Coordinates that keep their value.
-    weight : ndarray, shape (n, 3, 3)
-        Inverse of the covariance of the observed coordinates; zero rows and columns where free.
+    values (n, 3): X, Y, Z in m: start values and, where weighted, observed values.
+    held (n, 3): coordinates that keep their value.
+    weight (n, 3, 3): inverse of the covariance of the observed coordinates; zero rows and columns where free.
     """
 
     values: Floats
@@ -67,14 +56,9 @@ class Points:
 class Rays:
     """Image observations, sorted by point.
 
-    Attributes
-    ----------
-    image, point : ndarray of int, shape (n,)
-        What was seen where.
-    plane : ndarray, shape (n, 2)
-        Measured coordinates in the image plane (x right, y up), in the unit of the camera.
-    sigma : ndarray, shape (n, 2)
-        Standard deviations in the same unit.
+    image, point (n,): what was seen where.
+    plane (n, 2): measured coordinates in the image plane (x right, y up), in the unit of the camera.
+    sigma (n, 2): standard deviations in the same unit.
     """
 
     image: Integers
@@ -90,14 +74,10 @@ RELATIONS = ("distance", "height_difference", "azimuth")
 class Relations:
     """Observations between two object points.
 
-    Attributes
-    ----------
-    kind : ndarray of int, shape (n,)
-        Index into `RELATIONS`: slope distance in m, Z of `second` less Z of `first` in m, azimuth from
+    kind (n,): index into `RELATIONS`: slope distance in m, Z of `second` less Z of `first` in m, azimuth from
         the Y axis towards X in radians.
-    first, second : ndarray of int, shape (n,)
-        Points.
-    values, sigma : ndarray, shape (n,)
+    first, second (n,): points.
+    values, sigma (n,).
     """
 
     kind: Integers
@@ -115,17 +95,12 @@ NO_RELATIONS = Relations(_NONE, _NONE, _NONE, np.zeros(0), np.zeros(0))
 class Network:
     """Everything that enters one adjustment.
 
-    Attributes
-    ----------
-    image_names, point_names : tuple of str
-        What to call images and points in messages.
-    relations : Relations
-        Observations between points.
-    datum_points : ndarray of int or None
-        Points over which a free network is least moved (inner constraints); None when the observations
-        carry the datum.
-    positions, attitudes, mounting
-        Observations of a GNSS antenna and an inertial unit, and how they are mounted.
+    image_names, point_names: what to call images and points in messages.
+    relations: observations between points.
+    datum_points: points over which a free network is least moved (inner constraints); None when the
+        observations carry the datum.
+    positions, attitudes, mounting: observations of a GNSS antenna and an inertial unit, and how they are
+        mounted.
     """
 
     cameras: tuple[Camera, ...]

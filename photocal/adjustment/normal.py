@@ -31,12 +31,8 @@ RAYS_PER_THREAD = 4000
 class Problem:
     """A network made ready for the kernels.
 
-    Attributes
-    ----------
-    held : ndarray of bool, shape (layout.size,)
-        Columns of the reduced system that are no unknowns.
-    stiffened : ndarray of int
-        Columns that carry the datum of a free network, see `datum.with_datum`.
+    held (layout.size,): columns of the reduced system that are no unknowns.
+    stiffened: columns that carry the datum of a free network, see `datum.with_datum`.
     """
 
     network: Network
@@ -51,18 +47,11 @@ class Problem:
 class Normal:
     """Reduced normal equations at one state.
 
-    Attributes
-    ----------
-    matrix : ndarray
-        Values within the structure of the layout.
-    gradient : ndarray, shape (layout.size,)
-        A'Pv of the reduced system.
-    chi_squared : float
-        Sum of v'Pv.
-    singular : ndarray of int
-        Points that their rays do not determine.
-    kept : Eliminated
-        What the points' steps need.
+    matrix: values within the structure of the layout.
+    gradient (layout.size,): A'Pv of the reduced system.
+    chi_squared: sum of v'Pv.
+    singular: points that their rays do not determine.
+    kept: what the points' steps need.
     """
 
     matrix: Floats

@@ -20,12 +20,8 @@ from photocal.adjustment.unknowns import Unknown, unknowns
 class Limits(NamedTuple):
     """Below which shares of their own scale quantities count as undetermined.
 
-    Attributes
-    ----------
-    parallel : float
-        Scaled determinant of a point's own block, about the square of the angle between its rays.
-    null : float
-        Scaled eigenvalue of the reduced matrix.
+    parallel: scaled determinant of a point's own block, about the square of the angle between its rays.
+    null: scaled eigenvalue of the reduced matrix.
     """
 
     parallel: float

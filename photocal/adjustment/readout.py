@@ -31,19 +31,11 @@ SIGNIFICANCE = 0.001
 class Readout:
     """What the rays say of a camera's readout.
 
-    Attributes
-    ----------
-    camera : str
-    value, sigma : float
-        Seconds.
-    p_value : float
-        Of a global shutter, two-sided, with sigma larger where the residuals are larger than stated.
-    estimated : bool
-        Whether it is an unknown of the adjustment: given as one, or found significant.
-    effect : float
-        Root mean square of what it moves the rays by, in the unit of the camera.
-    way : float
-        How far the camera usually flies during it, m.
+    value, sigma: seconds.
+    p_value: of a global shutter, two-sided, with sigma larger where the residuals are larger than stated.
+    estimated: whether it is an unknown of the adjustment: given as one, or found significant.
+    effect: root mean square of what it moves the rays by, in the unit of the camera.
+    way: how far the camera usually flies during it, m.
     """
 
     camera: str

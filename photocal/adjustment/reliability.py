@@ -31,23 +31,15 @@ UNCHECKED = 1e-9
 class Reliability:
     """Reliability of an adjusted network.
 
-    Attributes
-    ----------
-    noncentrality : float
-        delta0: the shift of a standardised residual that is found with the stated power.
-    ray_bias : ndarray, shape (rays, 2)
-        Minimal detectable bias of each image coordinate, in the unit of the image plane; infinite where
-        nothing checks it.
-    ray_external : ndarray, shape (rays, 2)
-        delta_bar: no function of the unknowns moves by more than this many of its standard deviations
-        when a bias of that size stays.
-    ray_on_c : ndarray, shape (rays, 2)
-        Change of the principal distance of the ray's camera by such a bias, in its unit.
-    ray_on_point : ndarray, shape (rays, 2)
-        Length of the displacement of the ray's own point by such a bias, m.
-    control_bias, control_external, control_on_c : ndarray, shape (points, 3)
-        The same for the observed coordinates of points, m; NaN where there is none. `control_on_c` is the
-        largest change of any camera's principal distance.
+    noncentrality: delta0: the shift of a standardised residual that is found with the stated power.
+    ray_bias (rays, 2): minimal detectable bias of each image coordinate, in the unit of the image plane;
+        infinite where nothing checks it.
+    ray_external (rays, 2): delta_bar: no function of the unknowns moves by more than this many of its
+        standard deviations when a bias of that size stays.
+    ray_on_c (rays, 2): change of the principal distance of the ray's camera by such a bias, in its unit.
+    ray_on_point (rays, 2): length of the displacement of the ray's own point by such a bias, m.
+    control_bias, control_external, control_on_c (points, 3): the same for the observed coordinates of points,
+        m; NaN where there is none. `control_on_c` is the largest change of any camera's principal distance.
     """
 
     noncentrality: float

@@ -21,16 +21,10 @@ from photocal.adjustment.sensitivity import across, along
 class Score:
     """Normal equations of t further unknowns, all others eliminated: information x = -slope.
 
-    Attributes
-    ----------
-    slope : ndarray, shape (t,)
-        Half the derivative of v'Pv.
-    information : ndarray, shape (t, t)
-        Inverse of the covariance that they would have.
-    share : ndarray, shape (t,)
-        Of each field's length, weighted, what the other unknowns do not take up; squared.
-    visible : ndarray, shape (t, rays, 2)
-        Change of the residuals by a unit of each, when all others follow.
+    slope (t,): half the derivative of v'Pv.
+    information (t, t): inverse of the covariance that they would have.
+    share (t,): of each field's length, weighted, what the other unknowns do not take up; squared.
+    visible (t, rays, 2): change of the residuals by a unit of each, when all others follow.
     """
 
     slope: Floats

@@ -43,14 +43,9 @@ SETTLED = 1e-5
 class Snooping:
     """An adjustment without its gross errors.
 
-    Attributes
-    ----------
-    network : Network
-        What was adjusted: the accepted rays and the points that they determine.
-    accepted : ndarray of bool, shape (rays,)
-        Rays of the original network that take part.
-    points : ndarray of int
-        Points of the original network that take part.
+    network: what was adjusted: the accepted rays and the points that they determine.
+    accepted (rays,): rays of the original network that take part.
+    points: points of the original network that take part.
     """
 
     network: Network

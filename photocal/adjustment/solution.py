@@ -16,12 +16,8 @@ from photocal.adjustment.state import State
 class Group:
     """One kind of observation.
 
-    Attributes
-    ----------
-    chi_squared : float
-        Its part of v'Pv.
-    redundancy : float
-        Sum of its redundancy numbers.
+    chi_squared: its part of v'Pv.
+    redundancy: sum of its redundancy numbers.
     """
 
     name: str
@@ -34,14 +30,9 @@ class Group:
 class GlobalTest:
     """Two-sided chi-square test of the a posteriori against the a priori unit variance.
 
-    Attributes
-    ----------
-    probability : float
-        Confidence of the interval.
-    lower, upper : float
-        Interval of v'Pv when the model and the weights are right.
-    p_value : float
-        Two-sided.
+    probability: confidence of the interval.
+    lower, upper: interval of v'Pv when the model and the weights are right.
+    p_value: two-sided.
     """
 
     probability: float
@@ -55,14 +46,10 @@ class GlobalTest:
 class PhotoVariant:
     """Parameters whose values vary from image to image, one row for each.
 
-    Attributes
-    ----------
-    image, parameter : ndarray of int, shape (n,)
-        Image, and position in `OWN`: a parameter of the camera, or movement during the readout.
-    values, sigma : ndarray, shape (n,)
-        Of the image's own lens; for a movement the sigma of its deviation.
-    deviations, deviation_sigma : ndarray, shape (n,)
-        From the value of the camera, or from the given motion.
+    image, parameter (n,): image, and position in `OWN`: a parameter of the camera, or movement during the
+        readout.
+    values, sigma (n,): of the image's own lens; for a movement the sigma of its deviation.
+    deviations, deviation_sigma (n,): from the value of the camera, or from the given motion.
     """
 
     image: Integers
@@ -77,28 +64,18 @@ class PhotoVariant:
 class Solution:
     """Result of an adjustment; covariances are scaled by the a priori unit variance 1.
 
-    Attributes
-    ----------
-    chi_squared : float
-        v'Pv at the minimum.
-    datum_defect : int
-        Elements of the datum that inner constraints fixed.
-    cameras : ndarray, shape (cameras, 14)
-    camera_covariance : ndarray, shape (cameras, 14, 14)
-        Zero for parameters that are held.
-    exposures : ndarray, shape (images, 6)
-        omega, phi, kappa in radians, X, Y, Z in m.
-    exposure_covariance : ndarray, shape (images, 6, 6)
-    points : ndarray, shape (points, 3)
-    point_covariance : ndarray, shape (points, 3, 3)
-    residuals, redundancy : ndarray, shape (rays, 2)
-        Computed minus measured, in the image plane; redundancy numbers.
-    common_covariance : ndarray, shape (k, k)
-        Of the common values of the mounting; zero for those that are held.
-    state : State
-        The values as the adjustment holds them.
-    timing_s : dict
-        Seconds by stage.
+    chi_squared: v'Pv at the minimum.
+    datum_defect: elements of the datum that inner constraints fixed.
+    cameras (cameras, 14).
+    camera_covariance (cameras, 14, 14): zero for parameters that are held.
+    exposures (images, 6): omega, phi, kappa in radians, X, Y, Z in m.
+    exposure_covariance (images, 6, 6).
+    points (points, 3).
+    point_covariance (points, 3, 3).
+    residuals, redundancy (rays, 2): computed minus measured, in the image plane; redundancy numbers.
+    common_covariance (k, k): of the common values of the mounting; zero for those that are held.
+    state: the values as the adjustment holds them.
+    timing_s: seconds by stage.
     """
 
     iterations: tuple[Iteration, ...]

@@ -40,14 +40,9 @@ SINGULAR_PIVOT = 1e-13
 class Iteration:
     """One line of the iteration's record.
 
-    Attributes
-    ----------
-    chi_squared : float
-        Sum of v'Pv after the step.
-    decrement : float
-        Squared length of the step in units of the standard deviations.
-    damping : float
-        0 for a pure Gauss-Newton step.
+    chi_squared: sum of v'Pv after the step.
+    decrement: squared length of the step in units of the standard deviations.
+    damping: 0 for a pure Gauss-Newton step.
     """
 
     number: int
@@ -60,10 +55,7 @@ class Iteration:
 class Minimum:
     """Where the iteration ended.
 
-    Attributes
-    ----------
-    normal : Normal
-        Normal equations there, without damping.
+    normal: normal equations there, without damping.
     """
 
     state: State

@@ -18,17 +18,13 @@ from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles, t
 class State:
     """Values of all unknowns.
 
-    Attributes
-    ----------
-    cameras : ndarray, shape (cameras, 14)
-    rotation : ndarray, shape (images, 3, 3)
-        Object to camera axes.
-    centre : ndarray, shape (images, 3)
-    points : ndarray, shape (points, 3)
-    common : ndarray, shape (k,)
-        Common values of the mounting.
-    deviations : ndarray, shape (images, n)
-        How far each image's own parameters are from those of its camera and from its given movement.
+    cameras (cameras, 14).
+    rotation (images, 3, 3): object to camera axes.
+    centre (images, 3).
+    points (points, 3).
+    common (k,): common values of the mounting.
+    deviations (images, n): how far each image's own parameters are from those of its camera and from its
+        given movement.
     """
 
     cameras: Floats

@@ -19,15 +19,9 @@ XYZ = ("X", "Y", "Z")
 class Unknown:
     """One unknown.
 
-    Attributes
-    ----------
-    kind : {"image", "camera", "mounting", "point"}
-    of : str
-        Name of the image, camera or point; empty for the mounting.
-    unit : str
-        In which it is printed; empty for coefficients of distortion.
-    scale : float
-        That unit per unit of the adjustment.
+    of: name of the image, camera or point; empty for the mounting.
+    unit: in which it is printed; empty for coefficients of distortion.
+    scale: that unit per unit of the adjustment.
     """
 
     kind: str

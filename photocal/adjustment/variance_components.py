@@ -32,9 +32,7 @@ VANISHED = 1e-6
 class RayGroups:
     """Division of the rays into groups of one standard deviation each.
 
-    Attributes
-    ----------
-    group : ndarray of int, shape (rays,)
+    group (rays,).
     """
 
     names: tuple[str, ...]
@@ -45,12 +43,8 @@ class RayGroups:
 class Component:
     """What was found for one group of observations.
 
-    Attributes
-    ----------
-    factor : float
-        By which the given standard deviations are to be multiplied.
-    sigma : float
-        Standard deviation of `factor`; infinite where the group was left as it was given.
+    factor: by which the given standard deviations are to be multiplied.
+    sigma: standard deviation of `factor`; infinite where the group was left as it was given.
     """
 
     name: str
@@ -69,12 +63,8 @@ class Component:
 class VarianceComponents:
     """Estimated variance components and the adjustment with them.
 
-    Attributes
-    ----------
-    network : Network
-        With the standard deviations that were found.
-    solution : Solution
-        Its adjustment.
+    network: with the standard deviations that were found.
+    solution: its adjustment.
     """
 
     components: tuple[Component, ...]

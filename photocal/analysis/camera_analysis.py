@@ -22,24 +22,14 @@ from photocal.analysis.systematic_errors.search import camera_estimates
 class CameraAnalysis:
     """The parameters of one camera, judged.
 
-    Attributes
-    ----------
-    estimates : Estimates
-        Values with their a priori covariance.
-    variance_factor : float
-        By which the covariance was scaled for the tests.
-    tests : tuple of FTest
-        Single, group and cumulative tests.
-    effects : tuple of Effect
-        Over the format, px.
-    correlations : tuple of StrongCorrelation
-        Over the threshold.
-    exterior : tuple of ExteriorCorrelation
-        With elements of the exterior orientation, over the threshold.
-    proposal : Proposal
-        Of the principal component analysis.
-    left_out : tuple of LeftOut
-        Adjusted anew without each parameter.
+    estimates: values with their a priori covariance.
+    variance_factor: by which the covariance was scaled for the tests.
+    tests: single, group and cumulative tests.
+    effects: over the format, px.
+    correlations: over the threshold.
+    exterior: with elements of the exterior orientation, over the threshold.
+    proposal: of the principal component analysis.
+    left_out: adjusted anew without each parameter.
     """
 
     estimates: Estimates

@@ -24,18 +24,11 @@ ORDER_OF_LEAVING = ("K4", "K3", "P4", "P3", "K2", "B2", "B1", "P2", "P1", "K1")
 class Components:
     """Principal components of correlated parameters.
 
-    Attributes
-    ----------
-    names : tuple of str
-        The p parameters.
-    eigenvalues : (p,) array
-        Of the correlation matrix, largest first; their sum is p.
-    percent, cumulative_percent : (p,) array
-        Share of each component in the sum.
-    vectors : (p, p) array
-        Eigenvectors, one a column.
-    loadings : (p, p) array
-        MCCP: correlation of each parameter (row) with each component (column).
+    names: the p parameters.
+    eigenvalues (p,): of the correlation matrix, largest first; their sum is p.
+    percent, cumulative_percent (p,): share of each component in the sum.
+    vectors (p, p): eigenvectors, one a column.
+    loadings (p, p): MCCP: correlation of each parameter (row) with each component (column).
     """
 
     names: tuple[str, ...]
@@ -70,18 +63,12 @@ def principal_components(estimates: Estimates) -> Components:
 class RemovalStep:
     """One round of the removal rule.
 
-    Attributes
-    ----------
-    components : Components
-        What the rule looked at.
-    negligible : int
-        Number of last components that hold less than the negligible share together.
-    crowd : tuple of str
-        Parameters that cannot be told apart in this round.
-    removed : tuple of str
-        Those of the crowd that leave.
-    statistic : float
-        x' S^-1 x / p of the removed ones: large when they are needed although correlated; nan without values.
+    components: what the rule looked at.
+    negligible: number of last components that hold less than the negligible share together.
+    crowd: parameters that cannot be told apart in this round.
+    removed: those of the crowd that leave.
+    statistic: x' S^-1 x / p of the removed ones: large when they are needed although correlated; nan without
+        values.
     """
 
     components: Components
@@ -95,18 +82,11 @@ class RemovalStep:
 class Proposal:
     """What the removal rule ends with.
 
-    Attributes
-    ----------
-    steps : tuple of RemovalStep
-        The rounds in which something was removed.
-    removed, kept : tuple of str
-        Parameters that the rule leaves out and keeps.
-    recommended : tuple of str
-        Those of the removed that are worth leaving out: not needed, or of unknown significance.
-    final : Components
-        Components of the kept parameters.
-    findings : tuple of Finding
-        The proposal, one for each round and those of the end.
+    steps: the rounds in which something was removed.
+    removed, kept: parameters that the rule leaves out and keeps.
+    recommended: those of the removed that are worth leaving out: not needed, or of unknown significance.
+    final: components of the kept parameters.
+    findings: the proposal, one for each round and those of the end.
     """
 
     steps: tuple[RemovalStep, ...]

@@ -29,14 +29,9 @@ UNKNOWN = "unknown"
 class StrongCorrelation:
     """Two parameters that the network separates badly.
 
-    Attributes
-    ----------
-    first, second : str
-        The parameters.
-    value : float
-        Their correlation.
-    cause : str
-        Code of why, with what would separate them.
+    first, second: the parameters.
+    value: their correlation.
+    cause: code of why, with what would separate them.
     """
 
     first: str

@@ -22,15 +22,10 @@ _ROTATION = Method("ROT", "two principal distances", "equations", 3, False, (rot
 class Effect:
     """Effect of one or more parameters over the format.
 
-    Attributes
-    ----------
-    parameters : tuple of str
-        Parameters that are set to zero.
-    largest_px, rms_px : float
-        Displacement over the format when the others keep their values.
-    remaining_largest_px, remaining_rms_px : float
-        The same when the others follow, as in an adjustment without these parameters, and the bundle is
-        rotated back: what no other parameter can do.
+    parameters: parameters that are set to zero.
+    largest_px, rms_px: displacement over the format when the others keep their values.
+    remaining_largest_px, remaining_rms_px: the same when the others follow, as in an adjustment without these
+        parameters, and the bundle is rotated back: what no other parameter can do.
     """
 
     parameters: tuple[str, ...]

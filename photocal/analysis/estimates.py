@@ -15,14 +15,9 @@ from drivers.errors import ConfigurationError, IllPosedError
 class Estimates:
     """Parameters of an adjustment with their covariance.
 
-    Attributes
-    ----------
-    names : tuple of str
-        Names of the p parameters, in the order of the arrays.
-    values : (p,) array
-        Estimated values, each in its own unit.
-    covariance : (p, p) array
-        Their covariance, in products of those units.
+    names: names of the p parameters, in the order of the arrays.
+    values (p,): estimated values, each in its own unit.
+    covariance (p, p): their covariance, in products of those units.
     """
 
     names: tuple[str, ...]

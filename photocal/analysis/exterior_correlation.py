@@ -22,18 +22,11 @@ ELEMENTS = ("omega", "phi", "kappa", "X0", "Y0", "Z0")
 class ExteriorCorrelation:
     """A camera parameter and an element of the exterior orientation that the network separates badly.
 
-    Attributes
-    ----------
-    parameter, element : str
-        The two.
-    image : str
-        Where the correlation is largest.
-    value : float
-        The correlation there.
-    images : int
-        Number of images in which it is over the threshold.
-    cause : str
-        Code of why, with what would separate them.
+    parameter, element: the two.
+    image: where the correlation is largest.
+    value: the correlation there.
+    images: number of images in which it is over the threshold.
+    cause: code of why, with what would separate them.
     """
 
     parameter: str

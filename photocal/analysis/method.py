@@ -31,27 +31,17 @@ METHODS = ("convergent", "mixed-ranges", "self-calibration", "on-the-job")
 class Shape:
     """What counts about the geometry of a network.
 
-    Attributes
-    ----------
-    images : int
-        Number of photographs.
-    convergence_deg : float
-        Largest angle between two optical axes.
-    roll_deg : float
-        The roll between two photographs that comes nearest to 90 degrees (or 270), as its distance from it.
-    range_spread : float
-        Camera-object distances along the axes: 95th less 5th percentile over the median.
-    height_ratio : float
-        Largest over smallest median distance of a photograph.
-    constraints : int
-        Observed or held coordinates of points and exposures, observations between points, and the inner
-        constraints of a free network: what carries the datum.
-    control_points : int
-        Points with surveyed coordinates.
-    quadrants : int
-        Quarters of the object, seen from its middle, that have control.
-    control_share : float
-        Area of the control's hull over that of all points.
+    images: number of photographs.
+    convergence_deg: largest angle between two optical axes.
+    roll_deg: the roll between two photographs that comes nearest to 90 degrees (or 270), as its distance from
+        it.
+    range_spread: camera-object distances along the axes: 95th less 5th percentile over the median.
+    height_ratio: largest over smallest median distance of a photograph.
+    constraints: observed or held coordinates of points and exposures, observations between points, and the
+        inner constraints of a free network: what carries the datum.
+    control_points: points with surveyed coordinates.
+    quadrants: quarters of the object, seen from its middle, that have control.
+    control_share: area of the control's hull over that of all points.
     """
 
     images: int
@@ -69,14 +59,9 @@ class Shape:
 class Requirement:
     """One thing that a method asks for.
 
-    Attributes
-    ----------
-    code : str
-        What it is: key of its name, of what was found and is needed, and of the advice for the next flight.
-    met : bool
-        Whether it is there.
-    figures : mapping
-        Found and needed, with unit.
+    code: what it is: key of its name, of what was found and is needed, and of the advice for the next flight.
+    met: whether it is there.
+    figures: found and needed, with unit.
     """
 
     code: str
@@ -88,14 +73,9 @@ class Requirement:
 class MethodCheck:
     """A method and its requirements.
 
-    Attributes
-    ----------
-    method : str
-        One of `METHODS`.
-    requirements : tuple of Requirement
-        Everything that it asks for.
-    met : bool
-        Whether the network satisfies the method.
+    method: one of `METHODS`.
+    requirements: everything that it asks for.
+    met: whether the network satisfies the method.
     """
 
     method: str

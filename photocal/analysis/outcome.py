@@ -19,20 +19,12 @@ from photocal.findings.finding import Finding
 class Outcome:
     """What the analysis of a network gives.
 
-    Attributes
-    ----------
-    findings : tuple of Finding
-        Hidden errors, worst first.
-    search : Search
-        The figures behind them.
-    cameras : tuple of CameraAnalysis or None
-        One for each camera; None for those without estimated parameters.
-    shape : Shape
-        Geometry of the network.
-    methods : tuple of MethodCheck
-        Each method with its requirements.
-    alpha, threshold : float
-        Level of the F tests, and correlation from which pairs are named.
+    findings: hidden errors, worst first.
+    search: the figures behind them.
+    cameras: one for each camera; None for those without estimated parameters.
+    shape: geometry of the network.
+    methods: each method with its requirements.
+    alpha, threshold: level of the F tests, and correlation from which pairs are named.
     """
 
     findings: tuple[Finding, ...]

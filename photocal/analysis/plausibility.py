@@ -31,12 +31,8 @@ RADIAL = ("K1", "K2", "K3", "K4")
 class Offsets:
     """Three components of a lever arm or boresight with standard deviations, in one unit.
 
-    Attributes
-    ----------
-    values, sigmas : tuple of float
-        X, Y, Z (or omega, phi, kappa).
-    prior_sigma : float or None
-        Standard deviation of the value it was held to beforehand.
+    values, sigmas: X, Y, Z (or omega, phi, kappa).
+    prior_sigma: standard deviation of the value it was held to beforehand.
     """
 
     values: Triple
@@ -48,40 +44,27 @@ class Offsets:
 class CalibrationRecord:
     """A calibration as it is printed; what is None is not stated.
 
-    Attributes
-    ----------
-    unit : {"mm", "px"}
-        The unit that c, x0, y0 are said to be in.
-    values, sigmas : mapping
-        Parameters and standard deviations by name (c, x0, y0, K1 ...).
-    coefficients : {"plane", "normalised"}
-        Whether the distortion is a polynomial of coordinates in `unit`, or of coordinates divided by c.
-    direction : {"observed", "ideal"}
-        Whether it is evaluated at the measured coordinates (and taken off) or at the ideal ones (and added).
-    names, correlation : tuple of str, ndarray
-        Correlation matrix, shape (n, n), of the named parameters.
-    correlation_rounding : float
-        Half a unit of the last printed decimal of the correlations; 0 for computed ones.
-    reference_radius : float
-        R0 of a balanced polynomial, in the unit of its coordinates.
-    size_px : tuple of int
-        Width and height.
-    observed_radius : float
-        Largest distance of an observation from the principal point, in `unit`; the corner if not stated.
-    pitch_mm : float
-        Size of a pixel, the mean of its sides.
-    pitch_ratio : float
-        Its width over its height.
-    sensor_mm : tuple of float
-        Width and height of the sensor, or one dimension (a side or the diagonal).
-    nominal_focal_mm, height_m, gsd_cm, base_m, forward_overlap : float
-        Focal length by the maker, height over ground, ground sampling distance, air base, share of overlap.
-    convergence_deg, depth_spread : float
-        Largest angle between two optical axes; spread of the camera-object distances over their median.
-    prior_sigmas : mapping
-        Standard deviations of values that were observations too, by parameter.
-    lever_arm_cm, boresight_deg : Offsets
-        Offsets of the positioning system.
+    unit: the unit that c, x0, y0 are said to be in.
+    values, sigmas: parameters and standard deviations by name (c, x0, y0, K1 ...).
+    coefficients: whether the distortion is a polynomial of coordinates in `unit`, or of coordinates divided
+        by c.
+    direction: whether it is evaluated at the measured coordinates (and taken off) or at the ideal ones (and
+        added).
+    names, correlation: correlation matrix, shape (n, n), of the named parameters.
+    correlation_rounding: half a unit of the last printed decimal of the correlations; 0 for computed ones.
+    reference_radius: R0 of a balanced polynomial, in the unit of its coordinates.
+    size_px: width and height.
+    observed_radius: largest distance of an observation from the principal point, in `unit`; the corner if not
+        stated.
+    pitch_mm: size of a pixel, the mean of its sides.
+    pitch_ratio: its width over its height.
+    sensor_mm: width and height of the sensor, or one dimension (a side or the diagonal).
+    nominal_focal_mm, height_m, gsd_cm, base_m, forward_overlap: focal length by the maker, height over
+        ground, ground sampling distance, air base, share of overlap.
+    convergence_deg, depth_spread: largest angle between two optical axes; spread of the camera-object
+        distances over their median.
+    prior_sigmas: standard deviations of values that were observations too, by parameter.
+    lever_arm_cm, boresight_deg: offsets of the positioning system.
     """
 
     unit: Literal["mm", "px"]

@@ -25,12 +25,8 @@ _OPTIONAL = ("set", "unit", "degrees_of_freedom", *_SIGMAS)
 class PublishedSet:
     """What follows from one printed set of parameters.
 
-    Attributes
-    ----------
-    tests : tuple of FTest
-        None where no values are known; of groups only where their correlations are.
-    components : Components or None
-        None without a matrix.
+    tests: none where no values are known; of groups only where their correlations are.
+    components: none without a matrix.
     """
 
     name: str

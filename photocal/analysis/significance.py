@@ -17,18 +17,11 @@ CUMULATIVE = (("K1",), ("K1", "K2"), ("K1", "K2", "K3"), ("K1", "K2", "K3", "K4"
 class FTest:
     """Outcome of one test of "these parameters are zero".
 
-    Attributes
-    ----------
-    kind : str
-        "single", "group" or "cumulative".
-    parameters : tuple of str
-        The p parameters tested together.
-    statistic, critical : float
-        F and its critical value, dimensionless.
-    p_value : float
-        Probability of an F at least as large if the parameters were zero.
-    significant : bool
-        Whether the statistic reaches the critical value.
+    kind: "single", "group" or "cumulative".
+    parameters: the p parameters tested together.
+    statistic, critical: F and its critical value, dimensionless.
+    p_value: probability of an F at least as large if the parameters were zero.
+    significant: whether the statistic reaches the critical value.
     """
 
     kind: str

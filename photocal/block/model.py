@@ -28,12 +28,8 @@ ROLES: tuple[Role, ...] = ("control", "check", "tie")
 class InputFile:
     """A file that was read, so that it can be recognised again.
 
-    Attributes
-    ----------
-    path : str
-        Relative to the block folder.
-    bytes : int
-        Its size.
+    path: relative to the block folder.
+    bytes: its size.
     """
 
     path: str
@@ -131,12 +127,8 @@ class Observations:
 class FiducialFit:
     """How the fiducial marks of an image fit when readings are turned into image coordinates.
 
-    Attributes
-    ----------
-    residuals : ndarray, shape (n, 2)
-        Computed minus known, in the unit of the camera.
-    sigma0 : float
-        Standard deviation of a coordinate of a mark; NaN without redundancy.
+    residuals (n, 2): computed minus known, in the unit of the camera.
+    sigma0: standard deviation of a coordinate of a mark; NaN without redundancy.
     """
 
     image: str

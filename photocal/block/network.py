@@ -31,16 +31,10 @@ from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 class NetworkOfBlock:
     """A network and how its arrays correspond to those of its block.
 
-    Attributes
-    ----------
-    points : ndarray of int, shape (m,)
-        The block's points that are in the network: those with rays.
-    rays : ndarray of int, shape (n,)
-        The block's observation of each ray.
-    frame : Frame
-        From the block's coordinates to those of the network.
-    readouts : tuple of Readout
-        Of shutters that roll, or were tested.
+    points (m,): the block's points that are in the network: those with rays.
+    rays (n,): the block's observation of each ray.
+    frame: from the block's coordinates to those of the network.
+    readouts: of shutters that roll, or were tested.
     """
 
     network: Network

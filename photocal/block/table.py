@@ -27,12 +27,8 @@ MARKS = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", 
 class Table:
     """A table whose cells are still text (CSV) or typed (Parquet).
 
-    Attributes
-    ----------
-    lines : bool
-        Whether rows can be named by their line.
-    separator : str
-        Of the cells; where it is no comma, numbers may have a decimal comma.
+    lines: whether rows can be named by their line.
+    separator: of the cells; where it is no comma, numbers may have a decimal comma.
     """
 
     path: Path

@@ -22,12 +22,8 @@ _WITHIN = 3.0
 class Row:
     """One quantity.
 
-    Attributes
-    ----------
-    true, found, sigma : float
-        Truth, estimate and its standard deviation.
-    limit : float
-        Largest deviation in standard deviations at which they agree.
+    true, found, sigma: truth, estimate and its standard deviation.
+    limit: largest deviation in standard deviations at which they agree.
     """
 
     name: str

@@ -12,10 +12,7 @@ Angle = Literal["deg", "gon"]
 class Origin:
     """Where a local frame touches the ellipsoid.
 
-    Attributes
-    ----------
-    height_m : float
-        Ellipsoidal.
+    height_m: ellipsoidal.
     """
 
     latitude_deg: float
@@ -27,14 +24,9 @@ class Origin:
 class Choices:
     """What some formats must be told.
 
-    Attributes
-    ----------
-    angle_unit : {"deg", "gon"} or None
-        For tables of angles.
-    origin : Origin or None
-        Of a local frame, for geographic formats.
-    changed_utc : str
-        Time that a file may note as that of its making.
+    angle_unit: for tables of angles.
+    origin: of a local frame, for geographic formats.
+    changed_utc: time that a file may note as that of its making.
     """
 
     angle_unit: Angle | None = None

@@ -36,15 +36,10 @@ class Lens:
 class Shot:
     """One image.
 
-    Attributes
-    ----------
-    quaternion, translation : tuple of float
-        From object to camera axes.
-    lens : int
-        Key of its camera.
-    marks : ndarray, shape (n, 2)
-    points : ndarray of int, shape (n,)
-        Keys of the points, or `NO_POINT`.
+    quaternion, translation: from object to camera axes.
+    lens: key of its camera.
+    marks (n, 2).
+    points (n,): keys of the points, or `NO_POINT`.
     """
 
     key: int
@@ -60,15 +55,10 @@ class Shot:
 class Content:
     """A whole model.
 
-    Attributes
-    ----------
-    keys : ndarray of int, shape (n,)
-        Of the points.
-    xyz : ndarray, shape (n, 3)
-    errors : ndarray, shape (n,)
-        Mean reprojection error of each point, px.
-    tracks : tuple of ndarray of int, shape (rays, 2)
-        Image key and position of the mark in that image, for each point.
+    keys (n,): of the points.
+    xyz (n, 3).
+    errors (n,): mean reprojection error of each point, px.
+    tracks (rays, 2): image key and position of the mark in that image, for each point.
     """
 
     lenses: tuple[Lens, ...]

@@ -23,11 +23,8 @@ GRID = 31
 class Conversion:
     """A camera in another model.
 
-    Attributes
-    ----------
-    rms_px, largest_px : float
-        Distance between the image points of the same ray in both models, over the whole image; 0 when the
-        models are the same.
+    rms_px, largest_px: distance between the image points of the same ray in both models, over the whole
+        image; 0 when the models are the same.
     """
 
     camera: Camera

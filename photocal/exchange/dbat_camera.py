@@ -40,16 +40,10 @@ _OURS = ("c", "x0", "y0", "B1", "B2", "K1", "K2", "K3", "K4", "P1", "P2")
 class DbatCamera:
     """A camera as DBAT describes it.
 
-    Attributes
-    ----------
-    lens_model : int
-        -1 or 1 to 5.
-    pixel_mm : float
-        Height of a pixel; its width is (1 + as) times this.
-    values : dict
-        By `NAMES`, in mm.
-    estimate : tuple of str
-        Of `NAMES`.
+    lens_model: -1 or 1 to 5.
+    pixel_mm: height of a pixel; its width is (1 + as) times this.
+    values: by `NAMES`, in mm.
+    estimate: of `NAMES`.
     """
 
     name: str

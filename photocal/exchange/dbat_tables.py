@@ -20,10 +20,7 @@ _SPREAD = {"sxy": ("sx", "sy"), "sxyz": ("sx", "sy", "sz")}
 class Row:
     """One row of a table.
 
-    Attributes
-    ----------
-    cells : dict
-        Text by field, blanks removed.
+    cells: text by field, blanks removed.
     """
 
     line: Line

@@ -21,27 +21,15 @@ _NOTHING = 1e-9
 class ForeignProject:
     """What was read.
 
-    Attributes
-    ----------
-    program : str
-    block : Block
-        Observations in px; cameras and orientations are the program's results, control is as surveyed.
-    position : ndarray, shape (images, 3)
-        Observed by GNSS, in the block's frame; NaN without.
-    position_sigma : ndarray, shape (images, 3)
-        As typed or stated; NaN without.
-    pose_sigma : ndarray, shape (images, 6)
-        That the program promises (rad, m); NaN without.
-    adjusted : dict of str to ndarray, shape (3,)
-        Coordinates of control and check points as the program adjusted them.
-    cameras : tuple of Camera
-        As the program adjusted them, where the block has its start values; else empty.
-    camera_sigma : dict of str to dict of str to float
-        That the program promises, by camera and parameter.
-    remarks : tuple of str
-        What was assumed or left out.
-    weighted : bool
-        Whether the program states sigmas of image coordinates.
+    block: observations in px; cameras and orientations are the program's results, control is as surveyed.
+    position (images, 3): observed by GNSS, in the block's frame; NaN without.
+    position_sigma (images, 3): as typed or stated; NaN without.
+    pose_sigma (images, 6): that the program promises (rad, m); NaN without.
+    adjusted: coordinates of control and check points as the program adjusted them.
+    cameras: as the program adjusted them, where the block has its start values; else empty.
+    camera_sigma: that the program promises, by camera and parameter.
+    remarks: what was assumed or left out.
+    weighted: whether the program states sigmas of image coordinates.
     """
 
     program: str

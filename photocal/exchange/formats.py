@@ -37,31 +37,18 @@ CENTRE, CORNER = "centre of the first pixel", "corner of the first pixel"
 class Format:
     """One format; functions are named as `module:function` within this room, or by a dotted module.
 
-    Attributes
-    ----------
-    name : str
-        For `photocal export --format`.
-    title : str
-        Program and form.
-    holds : tuple of {"cameras", "orientations", "points", "marks"}
-        What comes back when it is read; the points of some formats are the surveyed ones only.
-    space : {"cartesian", "own", "wgs84", "none"}
-        Object coordinates.
-    origin : str
-        What has the pixel coordinates (0, 0).
-    axes : str
-        Of the camera.
-    distortion : {"brown-ideal", "brown-observed", "none"}
-        Its direction: added to the projection, or correcting the measurement.
-    writes : str
-        Takes a folder, a `Reconstruction` and `Choices`; gives a `Conversion` for each camera. Empty: it is
-        not exported.
-    reads : str
-        Takes the folder that was written; gives a `Reconstruction`.
-    blocks : str
-        Takes a file of which the name fits one of `opens`; gives the block that `photocal adjust` takes.
-    recognises : str
-        Whether such a file is of this format, where its name does not say it.
+    name: for `photocal export --format`.
+    title: program and form.
+    holds: what comes back when it is read; the points of some formats are the surveyed ones only.
+    space: object coordinates.
+    origin: what has the pixel coordinates (0, 0).
+    axes: of the camera.
+    distortion: its direction: added to the projection, or correcting the measurement.
+    writes: takes a folder, a `Reconstruction` and `Choices`; gives a `Conversion` for each camera. Empty: it
+        is not exported.
+    reads: takes the folder that was written; gives a `Reconstruction`.
+    blocks: takes a file of which the name fits one of `opens`; gives the block that `photocal adjust` takes.
+    recognises: whether such a file is of this format, where its name does not say it.
     """
 
     name: str

@@ -37,14 +37,9 @@ _NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 class GroundMark:
     """A ground point seen in an image.
 
-    Attributes
-    ----------
-    xyz : tuple of float
-        In the file's coordinate system; geographic ones as longitude, latitude (deg), height (m).
-    column, row : float
-        px.
-    place : str
-        File and line.
+    xyz: in the file's coordinate system; geographic ones as longitude, latitude (deg), height (m).
+    column, row: px.
+    place: file and line.
     """
 
     point: str
@@ -59,14 +54,9 @@ class GroundMark:
 class ImagePosition:
     """Where an image was taken, as far as geo.txt knows.
 
-    Attributes
-    ----------
-    xyz : tuple of float
-        In the file's coordinate system; height NaN when not given.
-    yaw_pitch_roll_deg : tuple of float
-        NaN when not given.
-    accuracy_m : tuple of float
-        Horizontal and vertical; NaN when not given.
+    xyz: in the file's coordinate system; height NaN when not given.
+    yaw_pitch_roll_deg: naN when not given.
+    accuracy_m: horizontal and vertical; NaN when not given.
     """
 
     image: str

@@ -43,10 +43,7 @@ _A_PRIORI = re.compile(rb"S0 apriori:\s*([0-9.eE+-]+)")
 class ScaleBar:
     """A measured distance between two points.
 
-    Attributes
-    ----------
-    length, sigma : float
-        m.
+    length, sigma: m.
     """
 
     one: str

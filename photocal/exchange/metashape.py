@@ -33,12 +33,8 @@ _KEYS = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", 
 class Marker:
     """A marker with its surveyed coordinates.
 
-    Attributes
-    ----------
-    xyz, sigma : tuple of float
-        In the chunk's coordinate system; NaN when not given.
-    enabled : bool
-        Whether it is control; else it is a check point.
+    xyz, sigma: in the chunk's coordinate system; NaN when not given.
+    enabled: whether it is control; else it is a check point.
     """
 
     name: str
@@ -58,14 +54,9 @@ class Marker:
 class Chunk:
     """What a camera XML holds.
 
-    Attributes
-    ----------
-    reconstruction : Reconstruction
-        Cameras that are used, aligned images, markers as points and their projections as rays.
-    markers : tuple of Marker
-        In the order of the points.
-    crs : str
-        The chunk's coordinate system; empty when local.
+    reconstruction: cameras that are used, aligned images, markers as points and their projections as rays.
+    markers: in the order of the points.
+    crs: the chunk's coordinate system; empty when local.
     """
 
     reconstruction: Reconstruction

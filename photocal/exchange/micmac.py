@@ -34,10 +34,7 @@ PLACEHOLDER = 1.0
 class GroundPoint:
     """A ground point.
 
-    Attributes
-    ----------
-    xyz, sigma : tuple of float
-        Unit of the project, taken as m.
+    xyz, sigma: unit of the project, taken as m.
     """
 
     name: str
@@ -49,14 +46,9 @@ class GroundPoint:
 class Orientation:
     """Exterior orientation of one image.
 
-    Attributes
-    ----------
-    pose : ndarray, shape (6,)
-        omega, phi, kappa in radians, X, Y, Z.
-    calibration : str
-        File of its interior orientation, without folders.
-    image_points, ground_points : ndarray, shapes (n, 2) and (n, 3)
-        Points that MicMac gives for checking: column, row and X, Y, Z.
+    pose (6,): omega, phi, kappa in radians, X, Y, Z.
+    calibration: file of its interior orientation, without folders.
+    image_points, ground_points (n, 2): points that MicMac gives for checking: column, row and X, Y, Z.
     """
 
     pose: Floats

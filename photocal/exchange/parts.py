@@ -22,13 +22,8 @@ UNKNOWN = (np.nan, np.nan, np.nan)
 class PointEntry:
     """One object point.
 
-    Attributes
-    ----------
-    role : {"control", "check", "tie"}
-    xyz : array_like, shape (3,)
-        m; NaN when unknown.
-    sigma : array_like, shape (3,)
-        m; 0 holds, infinity leaves free.
+    xyz (3,): m; NaN when unknown.
+    sigma (3,): m; 0 holds, infinity leaves free.
     """
 
     name: str
@@ -41,12 +36,8 @@ class PointEntry:
 class Mark:
     """One image observation.
 
-    Attributes
-    ----------
-    sigma : tuple of float
-        In x and y.
-    place : object
-        File and line, for messages.
+    sigma: in x and y.
+    place: file and line, for messages.
     """
 
     image: str

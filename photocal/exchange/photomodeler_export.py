@@ -25,16 +25,10 @@ DEFAULT_SIGMA_PX = 1.0
 class Photo:
     """One photo of an export.
 
-    Attributes
-    ----------
-    number : int
-        From 0.
-    name : str
-        File name without folders.
-    pose : ndarray, shape (6,)
-        omega, phi, kappa in radians, X, Y, Z.
-    interior : tuple of float
-        Principal distance, principal point, format (mm), K1, K2, K3, P1, P2.
+    number: from 0.
+    name: file name without folders.
+    pose (6,): omega, phi, kappa in radians, X, Y, Z.
+    interior: principal distance, principal point, format (mm), K1, K2, K3, P1, P2.
     """
 
     number: int
@@ -47,16 +41,10 @@ class Photo:
 class Export:
     """What a text export holds.
 
-    Attributes
-    ----------
-    interior : tuple of float
-        Default camera of the head, with one digit more than the photos have.
-    control : dict
-        Coordinates of the control points by their name.
-    points : dict
-        Coordinates of all object points by their name, SmartPoints renumbered behind the others.
-    marks : tuple of Mark
-        Column and row.
+    interior: default camera of the head, with one digit more than the photos have.
+    control: coordinates of the control points by their name.
+    points: coordinates of all object points by their name, SmartPoints renumbered behind the others.
+    marks: column and row.
     """
 
     title: str

@@ -31,12 +31,8 @@ _TERMS = ("K1", "K2", "K3", "P1", "P2", "B1")
 class Pinhole:
     """Intrinsics as OpenCV has them.
 
-    Attributes
-    ----------
-    fx, fy, cx, cy : float
-        px; the centre of the upper-left pixel is (0, 0).
-    k1, k2, k3, p1, p2 : float
-        Of normalised coordinates.
+    fx, fy, cx, cy: px; the centre of the upper-left pixel is (0, 0).
+    k1, k2, k3, p1, p2: of normalised coordinates.
     """
 
     size_px: tuple[int, int]

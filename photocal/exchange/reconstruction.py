@@ -23,23 +23,16 @@ UNIT_SIGMA_PX = 1.0
 class Reconstruction:
     """Oriented images and the points that they see.
 
-    Attributes
-    ----------
-    image_camera : ndarray of int, shape (images,)
-        Index into the cameras; -1 when a file does not say.
-    poses : ndarray, shape (images, 6)
-        omega, phi, kappa in radians, X, Y, Z in m.
-    xyz : ndarray, shape (points, 3)
-        m.
-    image, point : ndarray of int, shape (rays,)
-    pixels : ndarray, shape (rays, 2)
-        Column and row as measured; the centre of the upper-left pixel is (0, 0).
-    roles : tuple of str
-        control, check or tie for each point; empty when not known.
-    pose_sigma, xyz_sigma, residuals_px
-        Like `poses` (radians, m), `xyz` and `pixels`; residuals computed minus measured. Empty when unknown.
-    frame, height : str
-        "local", or a coordinate reference system with the kind of its heights, as in a block folder.
+    image_camera (images,): index into the cameras; -1 when a file does not say.
+    poses (images, 6): omega, phi, kappa in radians, X, Y, Z in m.
+    xyz (points, 3): m.
+    image, point (rays,).
+    pixels (rays, 2): column and row as measured; the centre of the upper-left pixel is (0, 0).
+    roles: control, check or tie for each point; empty when not known.
+    pose_sigma, xyz_sigma, residuals_px: like `poses` (radians, m), `xyz` and `pixels`; residuals computed
+        minus measured. Empty when unknown.
+    frame, height: "local", or a coordinate reference system with the kind of its heights, as in a block
+        folder.
     """
 
     cameras: tuple[Camera, ...]

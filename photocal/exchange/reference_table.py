@@ -32,10 +32,7 @@ _COORDINATES = (("x", "easting", "longitude"), ("y", "northing", "latitude"), ("
 class Reference:
     """One row of a reference table.
 
-    Attributes
-    ----------
-    accuracy : tuple of float
-        Of X, Y, Z, m; NaN when the table has none.
+    accuracy: of X, Y, Z, m; NaN when the table has none.
     """
 
     label: str

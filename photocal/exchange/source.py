@@ -23,12 +23,8 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 class Line:
     """A line of a text file that can name its place.
 
-    Attributes
-    ----------
-    number : int
-        From 1.
-    text : str
-        Without its line end.
+    number: from 1.
+    text: without its line end.
     """
 
     path: Path

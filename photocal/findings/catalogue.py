@@ -19,14 +19,9 @@ CATALOGUES = ("findings", "report", "analysis")
 class Catalogue:
     """All texts of one language.
 
-    Attributes
-    ----------
-    language : str
-        Its code.
-    mark : str
-        Its decimal mark.
-    messages : mapping
-        Texts by their dotted keys; places for values in braces.
+    language: its code.
+    mark: its decimal mark.
+    messages: texts by their dotted keys; places for values in braces.
     """
 
     language: str

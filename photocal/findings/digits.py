@@ -19,12 +19,8 @@ SMALL, LARGE = 1e-3, 1e7
 class Measured:
     """A value and its standard deviation as text, with the power of ten that belongs to both.
 
-    Attributes
-    ----------
-    value, sigma : str
-        Both with the same number of decimals.
-    exponent : int
-        They stand for value x 10^exponent.
+    value, sigma: both with the same number of decimals.
+    exponent: they stand for value x 10^exponent.
     """
 
     value: str
@@ -113,12 +109,8 @@ def relation(p: float, mark: str) -> str:
 class Number:
     """A number that a text formats itself, with the decimal mark of its language.
 
-    Attributes
-    ----------
-    value : float
-        The number.
-    mark : str
-        The decimal mark.
+    value: the number.
+    mark: the decimal mark.
     """
 
     value: float

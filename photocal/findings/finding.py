@@ -17,20 +17,12 @@ Figure = float | str | tuple[str, ...] | None
 class Size:
     """How large an error is and what it does.
 
-    Attributes
-    ----------
-    figure : float
-        Its figure.
-    unit : str
-        Unit of the figure.
-    sigma : float or None
-        Standard deviation of the figure (a priori).
-    c : float or None
-        By how much c was wrong because of it, in the unit of the camera.
-    ground_m : float or None
-        What that c makes of heights at the distance of this block, m.
-    px : float or None
-        Largest displacement in the image, px.
+    figure: its figure.
+    unit: unit of the figure.
+    sigma: standard deviation of the figure (a priori).
+    c: by how much c was wrong because of it, in the unit of the camera.
+    ground_m: what that c makes of heights at the distance of this block, m.
+    px: largest displacement in the image, px.
     """
 
     figure: float
@@ -45,25 +37,15 @@ class Size:
 class Finding:
     """One thing that a check found; `texts` says it, `hypotheses` knows what it means.
 
-    Attributes
-    ----------
-    code : str
-        What it is; the key of its text, and of its remedy where there is one.
-    severity : str
-        See above.
-    subject : str
-        Parameter, pair, camera, image or point that is concerned.
-    figures : mapping
-        The figures behind it (a `Figure` where a text says it), SI where the name has no unit; names of
+    code: what it is; the key of its text, and of its remedy where there is one.
+    severity: see above.
+    subject: parameter, pair, camera, image or point that is concerned.
+    figures: the figures behind it (a `Figure` where a text says it), SI where the name has no unit; names of
         points and images as tuples, terms by their codes; None is no number.
-    clauses : tuple of str
-        Codes of what else is to be said, in order.
-    size : Size or None
-        Of an error that was found.
-    cause, remedy : str
-        Codes of why, and of what to do where it is not the remedy of the code itself.
-    stage : str
-        Stage of the processing that found it.
+    clauses: codes of what else is to be said, in order.
+    size: of an error that was found.
+    cause, remedy: codes of why, and of what to do where it is not the remedy of the code itself.
+    stage: stage of the processing that found it.
     """
 
     code: str

@@ -26,28 +26,18 @@ SYMPTOMS = (
 class Fault:
     """One thing that may be wrong.
 
-    Attributes
-    ----------
-    code : str
-        Key of its texts.
-    where : tuple of str
-        What it falsifies.
-    frees : tuple of str
-        What the search frees in the integrated adjustment: names of the mounting's common values
+    code: key of its texts.
+    where: what it falsifies.
+    frees: what the search frees in the integrated adjustment: names of the mounting's common values
         (`adjustment.mounting.COMMON`) or of camera parameters; nothing for what is found in another way.
-    each : {"block", "strip", "part"}
-        For what those are freed: once, for each strip, for the images before and after a change of camera.
-    prior : float
-        What a freed value may be at most, as a weak observation that keeps the network regular: m, rad, s;
+    each: for what those are freed: once, for each strip, for the images before and after a change of camera.
+    prior: what a freed value may be at most, as a weak observation that keeps the network regular: m, rad, s;
         for camera parameters a share of c.
-    imitates : tuple of str
-        What it looks like: "*" for whatever else there is, so that it is tried when nothing else is left.
-    contains : tuple of str
-        Faults that it contains: beside it they are not tested, and it is no other name for them.
-    kind_of : str
-        The fault that it is a special case of: found as that one, then named.
-    symptoms : tuple of str
-        Findings that follow from it.
+    imitates: what it looks like: "*" for whatever else there is, so that it is tried when nothing else is
+        left.
+    contains: faults that it contains: beside it they are not tested, and it is no other name for them.
+    kind_of: the fault that it is a special case of: found as that one, then named.
+    symptoms: findings that follow from it.
     """
 
     code: str

@@ -33,10 +33,7 @@ class Frame(Protocol):
 class ShiftedFrame:
     """A frame that is Cartesian already; large coordinates are shifted to keep their digits.
 
-    Attributes
-    ----------
-    origin : ndarray, shape (3,)
-        Given coordinates of the local origin, m.
+    origin (3,): given coordinates of the local origin, m.
     """
 
     origin: Floats
@@ -58,12 +55,8 @@ class ShiftedFrame:
 class ReferenceFrame:
     """A coordinate reference system, adjusted in topocentric coordinates (east, north, up).
 
-    Attributes
-    ----------
-    crs : str
-        Name, for example `EPSG:31982`, or a compound `EPSG:25832+7837` for orthometric heights.
-    origin : ndarray, shape (3,)
-        Given coordinates of the local origin.
+    crs: name, for example `EPSG:31982`, or a compound `EPSG:25832+7837` for orthometric heights.
+    origin (3,): given coordinates of the local origin.
     """
 
     crs: str

@@ -26,20 +26,12 @@ ITERATIONS = 30
 class InteriorOrientation:
     """Transformation of one image's readings.
 
-    Attributes
-    ----------
-    kind : {"conformal", "affine", "projective"}
-    matrix : ndarray, shape (3, 3)
-        Takes homogeneous readings to homogeneous image coordinates; its last element is 1 where it is not
-        projective.
-    residuals : ndarray, shape (marks, 2)
-        Computed minus known coordinates of the marks, in the unit of the image coordinates.
-    redundancy : int
-        Coordinates of the marks less parameters.
-    sigma0 : float
-        Standard deviation of one coordinate of a mark, from the residuals; NaN without redundancy.
-    mirrored : bool
-        Whether the readings are left-handed, as those with rows that count downwards.
+    matrix (3, 3): takes homogeneous readings to homogeneous image coordinates; its last element is 1 where it
+        is not projective.
+    residuals (marks, 2): computed minus known coordinates of the marks, in the unit of the image coordinates.
+    redundancy: coordinates of the marks less parameters.
+    sigma0: standard deviation of one coordinate of a mark, from the residuals; NaN without redundancy.
+    mirrored: whether the readings are left-handed, as those with rows that count downwards.
     """
 
     kind: Transformation

@@ -50,19 +50,13 @@ def optics(camera: Camera) -> Floats:
 class Scratch(NamedTuple):
     """Where the derivatives of one ray are put; made once for many rays.
 
-    Attributes
-    ----------
-    by_image, by_point, by_camera : ndarray, shape (2, n), (2, 3), (2, 20)
-        Derivatives of the residual with respect to the image's own unknowns (exterior orientation,
-        photo-variant parameters, movement during the readout), object point, and camera with movement.
-    by_q : ndarray, shape (2, 3)
-        With respect to the object point in camera axes.
-    depth : ndarray, shape (1,)
-        How far the point lies in front of the camera.
-    slope : ndarray, shape (4,)
-        d dx/dx, d dx/dy, d dy/dx, d dy/dy of the distortion.
-    terms : ndarray, shape (2, 8)
-        Derivatives of the distortion with respect to K1..K4, P1..P4.
+    by_image, by_point, by_camera (2, n): derivatives of the residual with respect to the image's own unknowns
+        (exterior orientation, photo-variant parameters, movement during the readout), object point, and
+        camera with movement.
+    by_q (2, 3): with respect to the object point in camera axes.
+    depth (1,): how far the point lies in front of the camera.
+    slope (4,): d dx/dx, d dx/dy, d dy/dx, d dy/dy of the distortion.
+    terms (2, 8): derivatives of the distortion with respect to K1..K4, P1..P4.
     """
 
     by_image: Floats

@@ -20,16 +20,10 @@ FLIP = np.diag([1.0, -1.0, -1.0])
 class RelativeOrientation:
     """Pose of the second image in the camera axes of the first; the base has length 1.
 
-    Attributes
-    ----------
-    rotation : ndarray, shape (3, 3)
-        From the first image's camera axes to the second's.
-    base : ndarray, shape (3,)
-        Projection centre of the second image.
-    points : ndarray, shape (n, 3)
-        Intersections of the rays, in the first image's camera axes.
-    angle : float
-        Median angle between the two rays of a point, radians.
+    rotation (3, 3): from the first image's camera axes to the second's.
+    base (3,): projection centre of the second image.
+    points (n, 3): intersections of the rays, in the first image's camera axes.
+    angle: median angle between the two rays of a point, radians.
     """
 
     rotation: Floats

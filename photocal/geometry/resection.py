@@ -25,14 +25,10 @@ FLIP = np.diag([1.0, -1.0, -1.0])
 class Resection:
     """Pose of an image.
 
-    Attributes
-    ----------
-    rotation : ndarray, shape (3, 3)
-        Object to camera axes.
-    centre : ndarray, shape (3,)
-        Projection centre, m.
-    residual : ndarray, shape (n,)
-        Length of each point's residual, in units of the principal distance; infinite behind the camera.
+    rotation (3, 3): object to camera axes.
+    centre (3,): projection centre, m.
+    residual (n,): length of each point's residual, in units of the principal distance; infinite behind the
+        camera.
     """
 
     rotation: Floats

@@ -19,10 +19,8 @@ SAMPLES, STRAY = 300, 4.0
 class Similarity:
     """X' = s R X + t.
 
-    Attributes
-    ----------
-    rotation : ndarray, shape (3, 3)
-    shift : ndarray, shape (3,)
+    rotation (3, 3).
+    shift (3,).
     """
 
     scale: float

@@ -27,14 +27,10 @@ from photocal.geometry.camera import PARAMETERS
 class Calibration:
     """Camera and mounting as one adjustment has found them.
 
-    Attributes
-    ----------
-    cameras : ndarray, shape (n, parameters)
-        In the order of the block's cameras.
-    mounting : ndarray, shape (11,)
-        Lever arm (m), boresight (rad), time offset (s); shift (m) and height scale of its flight.
-    covariance : ndarray, shape (11 + n parameters, 11 + n parameters)
-        Of the mounting, then of the cameras; zero for what was held.
+    cameras (n, parameters): in the order of the block's cameras.
+    mounting (11,): lever arm (m), boresight (rad), time offset (s); shift (m) and height scale of its flight.
+    covariance (11 + n parameters, 11 + n parameters): of the mounting, then of the cameras; zero for what was
+        held.
     """
 
     cameras: Floats

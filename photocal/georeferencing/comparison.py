@@ -39,10 +39,7 @@ from photocal.georeferencing.systematic import SystematicErrors, systematic_erro
 class Judged:
     """One method and what the ground points say about it.
 
-    Attributes
-    ----------
-    assessment : Assessment or None
-        Of the check points, by statistics and standards; None without check points.
+    assessment: of the check points, by statistics and standards; None without check points.
     """
 
     found: Georeferenced
@@ -55,10 +52,7 @@ class Judged:
 class ExposureDifference:
     """Observed exterior orientation less that of the indirect method, over the images that have both.
 
-    Attributes
-    ----------
-    mean, rmse : ndarray, shape (6,)
-        omega, phi, kappa (rad), X, Y, Z (m).
+    mean, rmse (6,): omega, phi, kappa (rad), X, Y, Z (m).
     """
 
     images: int
@@ -70,20 +64,12 @@ class ExposureDifference:
 class BlockCheck:
     """Everything that is said about a block.
 
-    Attributes
-    ----------
-    judged : tuple of Judged
-        Those methods that the block allows, in the order of `METHODS`.
-    refused : tuple of (Method, str)
-        The others, with the reason.
-    exposures : ExposureDifference or None
-        None unless both the direct and the indirect method are there.
-    systematic : SystematicErrors or None
-        None without positions, or where they cannot be tested.
-    plausibility : tuple of Finding
-        Mistakes in the ground points.
-    mistyped : tuple of Mistyped
-        Control points that contradict the others; systematic errors were looked for without them.
+    judged: those methods that the block allows, in the order of `METHODS`.
+    refused: the others, with the reason.
+    exposures: none unless both the direct and the indirect method are there.
+    systematic: none without positions, or where they cannot be tested.
+    plausibility: mistakes in the ground points.
+    mistyped: control points that contradict the others; systematic errors were looked for without them.
     """
 
     block: Block

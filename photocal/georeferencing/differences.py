@@ -25,15 +25,10 @@ CRITICAL_POINT = float(stats.chi2(3).ppf(1.0 - 0.001))
 class JointTest:
     """All check points together: their adjusted coordinates have most of their errors in common.
 
-    Attributes
-    ----------
-    chi_squared, p_value : float
-        d' C^-1 d with the covariance C of all adjusted points together and of the survey, and its two-sided
-        probability with `degrees_of_freedom`.
-    mean, mean_sigma : ndarray, shape (3,)
-        Mean difference and its standard deviation from C, m.
-    mean_p_value : float
-        Probability of so large a mean without a bias.
+    chi_squared, p_value: d' C^-1 d with the covariance C of all adjusted points together and of the survey,
+        and its two-sided probability with `degrees_of_freedom`.
+    mean, mean_sigma (3,): mean difference and its standard deviation from C, m.
+    mean_p_value: probability of so large a mean without a bias.
     """
 
     degrees_of_freedom: int
@@ -61,25 +56,15 @@ def joint_test(d: Floats, covariance: Floats) -> JointTest:
 class Differences:
     """Surveyed minus computed coordinates of the ground points of one role.
 
-    Attributes
-    ----------
-    role : {"control", "check"}
-    d : ndarray, shape (n, 3)
-        m.
-    xyz : ndarray, shape (n, 3)
-        Surveyed, m.
-    product_sigma : ndarray, shape (n, 3)
-        Predicted standard deviation of the computed coordinates, m.
-    covariance : ndarray, shape (n, 3, 3)
-        Predicted for d: of product and survey together; of a fitted point, of its residual.
-    w : ndarray, shape (n, 3)
-        d over its predicted standard deviation; NaN where that is zero.
-    distance : ndarray, shape (n,)
-        d' C^-1 d, chi-squared with 3 degrees of freedom when the prediction holds; NaN where C is singular.
-    ellipses : Ellipses
-        Of the computed position, in the X, Y plane.
-    joint : JointTest or None
-        All check points together; None where their covariance is not known.
+    d (n, 3): m.
+    xyz (n, 3): surveyed, m.
+    product_sigma (n, 3): predicted standard deviation of the computed coordinates, m.
+    covariance (n, 3, 3): predicted for d: of product and survey together; of a fitted point, of its residual.
+    w (n, 3): d over its predicted standard deviation; NaN where that is zero.
+    distance (n,): d' C^-1 d, chi-squared with 3 degrees of freedom when the prediction holds; NaN where C is
+        singular.
+    ellipses: of the computed position, in the X, Y plane.
+    joint: all check points together; None where their covariance is not known.
     """
 
     role: Role

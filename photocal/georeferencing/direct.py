@@ -16,22 +16,14 @@ from photocal.geometry.rotation import left_jacobian, matrix_from_angles, skew, 
 class DirectOrientation:
     """Exterior orientation that no image observation has touched.
 
-    Attributes
-    ----------
-    known : ndarray of bool, shape (n,)
-        Images that have one.
-    rotation : ndarray, shape (n, 3, 3)
-        Object to camera axes.
-    centre : ndarray, shape (n, 3)
-        m.
-    covariance : ndarray, shape (n, 6, 6)
-        Of a small turn in camera axes (rad) and of the centre (m), from each exposure's own errors.
-    by_common : ndarray, shape (n, 6, k)
-        Derivative with respect to the common values of the mounting.
-    common_covariance : ndarray, shape (k, k)
-        Of those, from the sigmas that the block states.
-    unstated : bool
-        Whether a common value is free in the block, so that its uncertainty is left out.
+    known (n,): images that have one.
+    rotation (n, 3, 3): object to camera axes.
+    centre (n, 3): m.
+    covariance (n, 6, 6): of a small turn in camera axes (rad) and of the centre (m), from each exposure's own
+        errors.
+    by_common (n, 6, k): derivative with respect to the common values of the mounting.
+    common_covariance (k, k): of those, from the sigmas that the block states.
+    unstated: whether a common value is free in the block, so that its uncertainty is left out.
     """
 
     known: Flags

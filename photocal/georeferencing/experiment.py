@@ -28,14 +28,9 @@ Use = Literal["weighted", "fixed", "as-given"]
 class InteriorSet:
     """One calibration of the block's camera.
 
-    Attributes
-    ----------
-    camera : Camera
-        Values.
-    sigma : ndarray, shape (13,)
-        Standard deviations; NaN where none is known.
-    correlation : ndarray, shape (14, 14), or None
-        Correlations of the parameters with a sigma; None where they are not known.
+    camera: values.
+    sigma (13,): standard deviations; NaN where none is known.
+    correlation (14, 14): correlations of the parameters with a sigma; None where they are not known.
     """
 
     name: str
@@ -56,20 +51,12 @@ class ControlPattern:
 class Experiment:
     """What is to be run.
 
-    Attributes
-    ----------
-    interiors : tuple of InteriorSet
-        Empty: the block's own camera.
-    patterns : tuple of ControlPattern
-        Empty: the block's own roles.
-    noise : Degradation or None
-        Direct orientations are the adjusted ones with this noise.
-    seed : int
-        Of that noise.
-    confidence : float
-        Of the tests for bias.
-    camera : int
-        Which camera of the block the interior orientations are of; the others stay as they are.
+    interiors: empty: the block's own camera.
+    patterns: empty: the block's own roles.
+    noise: direct orientations are the adjusted ones with this noise.
+    seed: of that noise.
+    confidence: of the tests for bias.
+    camera: which camera of the block the interior orientations are of; the others stay as they are.
     """
 
     block: Block
@@ -88,20 +75,12 @@ class Experiment:
 class Run:
     """One run.
 
-    Attributes
-    ----------
-    control : int
-        Number of control points.
-    check : Differences or None
-        At the check points; None when the run failed.
-    bias : tuple of BiasTest
-        In X, Y, Z; empty with fewer than two check points.
-    without_trend : tuple of float
-        RMSE after the mean of biased components is removed, m.
-    variance_factor : float
-        chi-squared over degrees of freedom; NaN when the run failed.
-    failure : str
-        Why it failed; empty otherwise.
+    control: number of control points.
+    check: at the check points; None when the run failed.
+    bias: in X, Y, Z; empty with fewer than two check points.
+    without_trend: RMSE after the mean of biased components is removed, m.
+    variance_factor: chi-squared over degrees of freedom; NaN when the run failed.
+    failure: why it failed; empty otherwise.
     """
 
     interior: str
@@ -138,10 +117,7 @@ class Run:
 class LeftOut:
     """A control point that was left out, so that the others judge it.
 
-    Attributes
-    ----------
-    d, sigma, w : ndarray, shape (3,)
-        Surveyed less computed, its predicted sigma, m; d over sigma.
+    d, sigma, w (3,): surveyed less computed, its predicted sigma, m; d over sigma.
     """
 
     method: Method

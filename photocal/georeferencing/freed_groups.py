@@ -29,20 +29,12 @@ _FEWEST_IMAGES = 4
 class Estimate:
     """One value of a freed group.
 
-    Attributes
-    ----------
-    unit : str
-        m, deg, s, mm or px.
-    correction : float
-        Estimated less given.
-    value : float
-        Estimated.
-    sigma : float
-        A priori.
-    t : float
-        correction / sigma.
-    significant : bool
-        At 0.1 %, two-sided.
+    unit: m, deg, s, mm or px.
+    correction: estimated less given.
+    value: estimated.
+    sigma: A priori.
+    t: correction / sigma.
+    significant: at 0.1 %, two-sided.
     """
 
     name: str
@@ -58,12 +50,8 @@ class Estimate:
 class Change:
     """Where a second camera begins.
 
-    Attributes
-    ----------
-    image : int
-        Its first image.
-    values : ndarray, shape (13,)
-        Its parameters: start values of those that are free.
+    image: its first image.
+    values (13,): its parameters: start values of those that are free.
     """
 
     image: int

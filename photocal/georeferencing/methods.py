@@ -33,12 +33,9 @@ METHODS: tuple[Method, ...] = ("direct", "integrated", "indirect")
 class ImageResiduals:
     """Residuals summed up by image, px.
 
-    Attributes
-    ----------
-    rays : ndarray of int, shape (n,)
-    rms : ndarray, shape (n, 2)
-    largest : ndarray, shape (n,)
-        Largest absolute standardised residual.
+    rays (n,).
+    rms (n, 2).
+    largest (n,): largest absolute standardised residual.
     """
 
     rays: Integers
@@ -50,24 +47,15 @@ class ImageResiduals:
 class Georeferenced:
     """Ground points as one method gives them.
 
-    Attributes
-    ----------
-    label : str
-        What it is, with everything that a reader must know.
-    points : ndarray of int, shape (n,)
-        Ground points of the block.
-    xyz : ndarray, shape (n, 3)
-        m.
-    covariance : ndarray, shape (n, 3, 3)
-    fitted : ndarray of bool, shape (n,)
-        Whether the point's surveyed coordinates took part.
-    exposures : ndarray, shape (images, 6)
-        omega, phi, kappa (rad), X, Y, Z (m); NaN where the method has none.
-    solution : Solution or None
-        The adjustment; None for direct georeferencing.
-    joint : ndarray or None
-        Covariance of the check points among them, shape (3 n, 3 n), in the order of `points`; None for direct
-        georeferencing, and for more of them than `_MOST_JOINT`.
+    label: what it is, with everything that a reader must know.
+    points (n,): ground points of the block.
+    xyz (n, 3): m.
+    covariance (n, 3, 3).
+    fitted (n,): whether the point's surveyed coordinates took part.
+    exposures (images, 6): omega, phi, kappa (rad), X, Y, Z (m); NaN where the method has none.
+    solution: the adjustment; None for direct georeferencing.
+    joint: covariance of the check points among them, shape (3 n, 3 n), in the order of `points`; None for
+        direct georeferencing, and for more of them than `_MOST_JOINT`.
     """
 
     method: Method

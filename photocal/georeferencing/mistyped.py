@@ -44,12 +44,8 @@ _LOOSE_C, _LOOSE = 0.02, np.array([1.0] * 3 + [0.1] * 3 + [1.0])
 class Mistyped:
     """A control point whose coordinates do not fit the others.
 
-    Attributes
-    ----------
-    d, sigma : ndarray, shape (3,)
-        Given less computed from the other points, and its standard deviation, m.
-    slips : tuple of str
-        The likely slips, "code axis given wanted"; empty when none explains it.
+    d, sigma (3,): given less computed from the other points, and its standard deviation, m.
+    slips: the likely slips, "code axis given wanted"; empty when none explains it.
     """
 
     point: str

@@ -30,14 +30,10 @@ _TAKES_PART = 0.1
 class Separation:
     """How well the flight determines the values that could be freed together.
 
-    Attributes
-    ----------
-    sigma : ndarray, shape (k,)
-        Standard deviation when all are free, in m, rad, s and the camera's unit; the prior of 1 m,
-        1 degree, 0.1 s, 1 % of c is included.
-    correlation : ndarray, shape (k, k)
-    groups : tuple of tuple of str
-        Names that are not separated from each other; a single name is not determined at all.
+    sigma (k,): standard deviation when all are free, in m, rad, s and the camera's unit; the prior of 1 m, 1
+        degree, 0.1 s, 1 % of c is included.
+    correlation (k, k).
+    groups: names that are not separated from each other; a single name is not determined at all.
     """
 
     names: tuple[str, ...]

@@ -18,10 +18,7 @@ from photocal.georeferencing.methods import local_origin, without_weak_images
 class Degradation:
     """Noise that is added to an adjusted exterior orientation.
 
-    Attributes
-    ----------
-    position_m, attitude_rad : float
-        Standard deviations of X, Y, Z and of omega, phi, kappa.
+    position_m, attitude_rad: standard deviations of X, Y, Z and of omega, phi, kappa.
     """
 
     position_m: float

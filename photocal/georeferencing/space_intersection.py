@@ -24,18 +24,13 @@ _ENOUGH_M = 1e-7
 class Intersected:
     """Points intersected from given exterior orientations.
 
-    Attributes
-    ----------
-    points : ndarray of int, shape (n,)
-        Of the block.
-    xyz : ndarray, shape (n, 3)
-        m.
-    covariance : ndarray, shape (n, 3, 3)
-        From the image observations, the orientations, the mounting and the interior orientation.
-    rays : ndarray of int, shape (r,)
-        Rows of the block's observations that took part.
-    residuals, standardised : ndarray, shape (r, 2)
-        Computed minus measured, in the image plane without distortion, px; over its standard deviation.
+    points (n,): of the block.
+    xyz (n, 3): m.
+    covariance (n, 3, 3): from the image observations, the orientations, the mounting and the interior
+        orientation.
+    rays (r,): rows of the block's observations that took part.
+    residuals, standardised (r, 2): computed minus measured, in the image plane without distortion, px; over
+        its standard deviation.
     """
 
     points: Integers

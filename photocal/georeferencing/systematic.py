@@ -48,18 +48,11 @@ _NOTEWORTHY = 1e-3
 class Hypothesis:
     """One fault of the table, its values freed.
 
-    Attributes
-    ----------
-    name : str
-        Code of the fault.
-    gain : float
-        By which v'Pv falls.
-    factor : float
-        Variance factor that is left.
-    unknowns : int
-        Freed values.
-    f, critical : float
-        gain / unknowns over the variance factor that is left, and its limit.
+    name: code of the fault.
+    gain: by which v'Pv falls.
+    factor: variance factor that is left.
+    unknowns: freed values.
+    f, critical: gain / unknowns over the variance factor that is left, and its limit.
     """
 
     name: str
@@ -76,10 +69,7 @@ class Hypothesis:
 class Fit:
     """What the tests need of an adjustment; its covariances would fill the memory.
 
-    Attributes
-    ----------
-    estimates : dict of str to tuple of Estimate
-        Of each fault that was freed.
+    estimates: of each fault that was freed.
     """
 
     chi_squared: float
@@ -146,12 +136,8 @@ def as_good(best: Hypothesis, tries: tuple[Hypothesis, ...]) -> tuple[Hypothesis
 class SystematicError:
     """An error that was found, and what else might have caused it.
 
-    Attributes
-    ----------
-    found : Hypothesis
-        Tested beside those before it.
-    alternatives : tuple of Hypothesis
-        Groups that explain it as well.
+    found: tested beside those before it.
+    alternatives: groups that explain it as well.
     """
 
     found: Hypothesis
@@ -167,21 +153,13 @@ class SystematicError:
 class SystematicErrors:
     """The outcome of all tests.
 
-    Attributes
-    ----------
-    tested : tuple of Hypothesis
-        Each group alone, in the first round.
-    errors : tuple of SystematicError
-        Those that are needed, the gravest first; what imitates others comes after them.
-    estimates : tuple of Estimate
-        Of everything found, estimated together.
-    untested : tuple of str
-        Groups that could not be freed, with the reason.
-    own : tuple of Estimate
-        Values that the block itself leaves free, from its integrated adjustment.
-    sigmas : tuple of GroupTest
-        Groups whose stated standard deviations are wrong by a factor, which explains the block better than
-        any error does; the errors were looked for with the standard deviations that agree.
+    tested: each group alone, in the first round.
+    errors: those that are needed, the gravest first; what imitates others comes after them.
+    estimates: of everything found, estimated together.
+    untested: groups that could not be freed, with the reason.
+    own: values that the block itself leaves free, from its integrated adjustment.
+    sigmas: groups whose stated standard deviations are wrong by a factor, which explains the block better
+        than any error does; the errors were looked for with the standard deviations that agree.
     """
 
     tested: tuple[Hypothesis, ...]

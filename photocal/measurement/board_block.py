@@ -30,10 +30,7 @@ FEWEST_VIEWS = 3
 class BoardMeasurement:
     """A measured board in a set of images.
 
-    Attributes
-    ----------
-    record : dict
-        How it was measured, for `measurement.json`.
+    record: how it was measured, for `measurement.json`.
     """
 
     block: Block

@@ -24,17 +24,10 @@ _SMALLEST_WINDOW_PX, _LARGEST_WINDOW_PX = 2.5, 11.0
 class Board:
     """A flat board of squares.
 
-    Attributes
-    ----------
-    columns, rows : int
-        Number of squares.
-    square_m : float
-        Side of a square, m.
-    kind : {"chessboard", "charuco"}
-    marker : float
-        Side of a ChArUco marker over that of a square.
-    dictionary : str
-        Of the ChArUco markers.
+    columns, rows: number of squares.
+    square_m: side of a square, m.
+    marker: side of a ChArUco marker over that of a square.
+    dictionary: of the ChArUco markers.
     """
 
     columns: int
@@ -83,10 +76,7 @@ def parse_board(text: str, square_m: float, dictionary_name: str = "") -> Board:
 class BoardView:
     """A board in an image.
 
-    Attributes
-    ----------
-    corners : ndarray of int, shape (n,)
-        Which of the board's inner corners.
+    corners (n,): which of the board's inner corners.
     """
 
     corners: Integers

@@ -20,16 +20,10 @@ FINEST_PX = 0.003
 class Centre:
     """A measured centre.
 
-    Attributes
-    ----------
-    column, row : float
-        px; the centre of the upper-left pixel is (0, 0).
-    covariance : ndarray, shape (2, 2)
-        px squared.
-    contrast, noise : float
-        Grey values.
-    shape : ndarray, shape (k,)
-        Further parameters of the target, as in `patterns`; the blur stands last.
+    column, row: px; the centre of the upper-left pixel is (0, 0).
+    covariance (2, 2): px squared.
+    contrast, noise: grey values.
+    shape (k,): further parameters of the target, as in `patterns`; the blur stands last.
     """
 
     column: float

@@ -27,14 +27,9 @@ Sigma = tuple[float, float]
 class ControlMarks:
     """Control points and where images show them.
 
-    Attributes
-    ----------
-    crs : str
-        Of the coordinates; "local" without one. Geographic ones are longitude, latitude (deg), height.
-    marks : tuple of Mark
-        px of the stored pixel grid.
-    without_coordinates : tuple of str
-        Points that have marks but no coordinates: they are left out.
+    crs: of the coordinates; "local" without one. Geographic ones are longitude, latitude (deg), height.
+    marks: px of the stored pixel grid.
+    without_coordinates: points that have marks but no coordinates: they are left out.
     """
 
     crs: str

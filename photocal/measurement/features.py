@@ -20,13 +20,9 @@ CELLS = 24
 class Features:
     """Features of one image.
 
-    Attributes
-    ----------
-    pixels : ndarray of float32, shape (n, 2)
-        Columns and rows; the centre of the upper-left pixel is (0, 0).
-    scale : ndarray of float32, shape (n,)
-        Diameter, px.
-    descriptors : ndarray of uint8, shape (n, 128)
+    pixels (n, 2): columns and rows; the centre of the upper-left pixel is (0, 0).
+    scale (n,): diameter, px.
+    descriptors (n, 128).
     """
 
     pixels: Floats32
@@ -42,15 +38,10 @@ class Features:
 class FeatureSettings:
     """How features are detected.
 
-    Attributes
-    ----------
-    most : int
-        Features to keep in an image.
-    contrast : float
-        Least contrast (SIFT's threshold, shared among its layers).
-    longest_px : int
-        Larger images are reduced to this length of their longer side; the places are given in the stored
-        grid. Memory and time depend on it alone.
+    most: features to keep in an image.
+    contrast: least contrast (SIFT's threshold, shared among its layers).
+    longest_px: larger images are reduced to this length of their longer side; the places are given in the
+        stored grid. Memory and time depend on it alone.
     """
 
     most: int = 10_000

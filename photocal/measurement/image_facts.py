@@ -40,40 +40,24 @@ _XMP = re.compile(r"(?<=[\s<])([A-Za-z][\w.-]*):(\w+)(?:=\"([^\"<>]{0,200})\"|>(
 class ImageFacts:
     """What an image file says of itself.
 
-    Attributes
-    ----------
-    name : str
-        File name.
-    size_px : tuple of int
-        Width and height of the stored pixel grid.
-    orientation : int
-        EXIF orientation, 1 when not given: how a viewer turns the picture. The stored grid is used as is.
-    make, model, serial : str
-        Of the camera; empty when not given.
-    focal_mm, focal_35mm : float
-        Focal length, and its equivalent for a frame of 36 mm by 24 mm; NaN when not given.
-    taken : str
-        Time of the camera's own clock, without zone ("2016-06-23T16:31:59"); empty when not given.
-    gps_utc : str
-        UTC of the position, ISO 8601; empty when not given.
-    latitude_deg, longitude_deg : float
-        WGS 84; NaN when not given.
-    altitude_m : float
-        As written; EXIF calls it "above sea level", drones write anything. NaN when not given.
-    relative_altitude_m : float
-        Above the take-off point (XMP); NaN when not given.
-    gimbal_deg, vehicle_deg : tuple of float
-        Roll, pitch, yaw of the camera and of the vehicle (XMP); pitch -90 looks down. NaN when not given.
-    position_sigma_m : tuple of float
-        East, north, up, where the receiver wrote them (DJI RTK); NaN when not given.
-    pitch_mm : float
-        Of the stored pixels, from the FocalPlane tags; NaN when not given.
-    altitude_kind : str
-        What the maker calls the altitude ("RtkAlt"); empty when not given.
-    maker_camera : mapping of str to str
-        XMP tags about the camera, for `maker_camera.stated_camera`.
-    c_px : float
-        Principal distance that a person gives in place of all these; NaN when not given.
+    name: file name.
+    size_px: width and height of the stored pixel grid.
+    orientation: EXIF orientation, 1 when not given: how a viewer turns the picture. The stored grid is used
+        as is.
+    make, model, serial: of the camera; empty when not given.
+    focal_mm, focal_35mm: focal length, and its equivalent for a frame of 36 mm by 24 mm; NaN when not given.
+    taken: time of the camera's own clock, without zone ("2016-06-23T16:31:59"); empty when not given.
+    gps_utc: UTC of the position, ISO 8601; empty when not given.
+    latitude_deg, longitude_deg: WGS 84; NaN when not given.
+    altitude_m: as written; EXIF calls it "above sea level", drones write anything. NaN when not given.
+    relative_altitude_m: above the take-off point (XMP); NaN when not given.
+    gimbal_deg, vehicle_deg: roll, pitch, yaw of the camera and of the vehicle (XMP); pitch -90 looks down.
+        NaN when not given.
+    position_sigma_m: east, north, up, where the receiver wrote them (DJI RTK); NaN when not given.
+    pitch_mm: of the stored pixels, from the FocalPlane tags; NaN when not given.
+    altitude_kind: what the maker calls the altitude ("RtkAlt"); empty when not given.
+    maker_camera: XMP tags about the camera, for `maker_camera.stated_camera`.
+    c_px: principal distance that a person gives in place of all these; NaN when not given.
     """
 
     name: str

@@ -29,14 +29,9 @@ _RADIAL = {"K1": 3, "K2": 5, "K3": 7}
 class StatedCamera:
     """A camera to start from.
 
-    Attributes
-    ----------
-    camera : Camera
-        In px; without what is estimated.
-    source : str
-        Where it comes from, for people.
-    share : float
-        Prior sigma: the shift in the corner that a wrong parameter may make, over c.
+    camera: in px; without what is estimated.
+    source: where it comes from, for people.
+    share: prior sigma: the shift in the corner that a wrong parameter may make, over c.
     """
 
     camera: Camera

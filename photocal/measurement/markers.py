@@ -33,10 +33,7 @@ _SMALLEST_CELL_PX = 1.25
 class Marker:
     """A coded marker in an image.
 
-    Attributes
-    ----------
-    corners : ndarray, shape (4, 2)
-        Columns and rows, px, clockwise from the marker's own first corner.
+    corners (4, 2): columns and rows, px, clockwise from the marker's own first corner.
     """
 
     identity: int

@@ -25,18 +25,12 @@ Window = tuple[Integers, Integers] | tuple[slice, slice]
 class MatchSettings:
     """How features are matched.
 
-    Attributes
-    ----------
-    ratio : float
-        A match is taken when it is nearer than this part of the distance to the second best.
-    epipolar_px : float
-        Largest distance from the epipolar line.
-    fewest : int
-        Verified matches that a pair needs; by chance a few always agree.
-    sketch, sketch_fewest : int
-        First only so many features of each image are matched, the coarsest: a pair that has fewer verified
-        matches among them is given up, for a small part of the cost. By chance about ten agree. The others
-        are sought only where these say that they should be.
+    ratio: A match is taken when it is nearer than this part of the distance to the second best.
+    epipolar_px: largest distance from the epipolar line.
+    fewest: verified matches that a pair needs; by chance a few always agree.
+    sketch, sketch_fewest: first only so many features of each image are matched, the coarsest: a pair that
+        has fewer verified matches among them is given up, for a small part of the cost. By chance about ten
+        agree. The others are sought only where these say that they should be.
     """
 
     ratio: float = 0.85

@@ -31,10 +31,7 @@ from photocal.measurement.tracks import Tracks, of_images
 class TieBlock:
     """A block of tie points.
 
-    Attributes
-    ----------
-    record : dict
-        Figures for `measurement.json`.
+    record: figures for `measurement.json`.
     """
 
     block: Block
@@ -45,15 +42,10 @@ class TieBlock:
 class Sighted:
     """What features alone say of a set of images.
 
-    Attributes
-    ----------
-    facts : tuple of ImageFacts
-        Of the images that can be used.
-    pairs : ndarray of int, shape (k, 2)
-    rule : str
-        By which the pairs were chosen.
-    left_out : tuple of dict
-        Images that cannot be used, with the reason.
+    facts: of the images that can be used.
+    pairs (k, 2).
+    rule: by which the pairs were chosen.
+    left_out: images that cannot be used, with the reason.
     """
 
     facts: tuple[ImageFacts, ...]

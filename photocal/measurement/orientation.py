@@ -19,12 +19,8 @@ from photocal.results.folder import RESULT, image_covariances, read_result
 class Orientation:
     """Images in the coordinates of the points, oriented as well as is known.
 
-    Attributes
-    ----------
-    frame, height : str
-        System of the coordinates, "local" among them, and kind of the heights.
-    source : str
-        Where this comes from, for people.
+    frame, height: system of the coordinates, "local" among them, and kind of the heights.
+    source: where this comes from, for people.
     """
 
     images: OrientedImages

@@ -50,14 +50,9 @@ ESTIMATED = Finding("sigmas-from-residuals", "note")
 class Oriented:
     """A block oriented by tie points.
 
-    Attributes
-    ----------
-    verified : Tracks
-        All tracks that fit the final orientation, before they were thinned.
-    left_out : tuple of dict
-        Images that could not be oriented, with the reason.
-    findings : tuple of Finding
-        What was found wrong, and what was done about it.
+    verified: all tracks that fit the final orientation, before they were thinned.
+    left_out: images that could not be oriented, with the reason.
+    findings: what was found wrong, and what was done about it.
     """
 
     adjusted: Adjusted
@@ -79,12 +74,8 @@ class UnorientedError(IllPosedError):
 class First:
     """Images oriented by tracks of features.
 
-    Attributes
-    ----------
-    kept : ndarray of int
-        Which of the images these are.
-    left_out, findings
-        As in `Oriented`.
+    kept: which of the images these are.
+    left_out, findings: as in `Oriented`.
     """
 
     adjusted: Adjusted

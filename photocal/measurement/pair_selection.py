@@ -24,12 +24,8 @@ USEFUL = 0.8
 class Footprints:
     """Where images look, as far as it is known before they are oriented.
 
-    Attributes
-    ----------
-    centre : ndarray, shape (n, 2)
-        Middle of the footprint, m; NaN when unknown.
-    radius : ndarray, shape (n,)
-        Of a circle with the area of the footprint, m; NaN when the height above ground is unknown.
+    centre (n, 2): middle of the footprint, m; NaN when unknown.
+    radius (n,): of a circle with the area of the footprint, m; NaN when the height above ground is unknown.
     """
 
     centre: Floats

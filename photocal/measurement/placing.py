@@ -51,16 +51,10 @@ FEWEST_JOINED, JOINED_TURN = 4, 0.05
 class Placed:
     """A block with oriented images.
 
-    Attributes
-    ----------
-    block : Block
-        Its cameras as good as they are known now, its datum and the sigmas of its positions as they are
+    block: its cameras as good as they are known now, its datum and the sigmas of its positions as they are
         borne out.
-    poses : ndarray, shape (images, 6)
-        In the block's frame; NaN for images that are not oriented.
-    reasons : tuple of str
-        Why not, for each image; empty for those that are.
-    findings : tuple of Finding
+    poses (images, 6): in the block's frame; NaN for images that are not oriented.
+    reasons: why not, for each image; empty for those that are.
     """
 
     block: Block

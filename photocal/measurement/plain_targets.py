@@ -38,11 +38,8 @@ UNKNOWN_CAMERA = 0.01
 class Sight:
     """Where an image should show the target of a point.
 
-    Attributes
-    ----------
-    place : ndarray, shape (2,)
-        Column and row, px.
-    covariance : ndarray, shape (2, 2)
+    place (2,): column and row, px.
+    covariance (2, 2).
     """
 
     point: str
@@ -55,16 +52,10 @@ class Sight:
 class PlainMarks:
     """Uncoded targets that were found.
 
-    Attributes
-    ----------
-    marks : tuple of Mark
-        With the standard deviation that the grey values give, and a common part.
-    ambiguous : tuple of str
-        Points that were given up, because two targets fit them, or their target fits two points.
-    sought : int
-        How many were predicted.
-    too_small : tuple of str
-        Points that no image shows large enough to be told from a speck, and how large they are seen.
+    marks: with the standard deviation that the grey values give, and a common part.
+    ambiguous: points that were given up, because two targets fit them, or their target fits two points.
+    sought: how many were predicted.
+    too_small: points that no image shows large enough to be told from a speck, and how large they are seen.
     """
 
     marks: tuple[Mark, ...]

@@ -25,17 +25,11 @@ _STEPS = np.array([1e-5, 1e-5, 1e-5, 1e-2, 1e-2, 1e-2])
 class Prediction:
     """A point in the images.
 
-    Attributes
-    ----------
-    pixels : ndarray, shape (m, 2)
-        Columns and rows; NaN where the image is not oriented or cannot see that way.
-    covariance : ndarray, shape (m, 2, 2)
-        px squared; NaN where nothing is said of how well the image is oriented.
-    probability : ndarray, shape (m,)
-        That the point lies within the image; NaN where it is not oriented. Nothing is known of what may
-        stand before the point.
-    slope : ndarray, shape (m, 2, 3)
-        How columns and rows change with the point, px/m; local axes, the third one up.
+    pixels (m, 2): columns and rows; NaN where the image is not oriented or cannot see that way.
+    covariance (m, 2, 2): px squared; NaN where nothing is said of how well the image is oriented.
+    probability (m,): that the point lies within the image; NaN where it is not oriented. Nothing is known of
+        what may stand before the point.
+    slope (m, 2, 3): how columns and rows change with the point, px/m; local axes, the third one up.
     """
 
     pixels: Floats

@@ -23,12 +23,8 @@ from photocal.tasks.workers import Workers
 class Targets:
     """Targets that were found in the images of a project.
 
-    Attributes
-    ----------
-    strangers : tuple of str
-        Codes without a name.
-    record : dict
-        How many were sought and found, and what was refused.
+    strangers: codes without a name.
+    record: how many were sought and found, and what was refused.
     """
 
     marks: tuple[Mark, ...]

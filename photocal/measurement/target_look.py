@@ -29,14 +29,9 @@ _TURNS = {"disc": 1, "ring": 1, "cross": 6, "hourglass": 12}
 class Look:
     """A target as an image should show it.
 
-    Attributes
-    ----------
-    affine : ndarray, shape (2, 2)
-        From the target's plane, in half sides, to px.
-    part : float
-        As in `PARTS`.
-    bend : ndarray, shape (2, 2, 2)
-        Of the ground: see `eccentricity.ground_bend`.
+    affine (2, 2): from the target's plane, in half sides, to px.
+    part: as in `PARTS`.
+    bend (2, 2, 2): of the ground: see `eccentricity.ground_bend`.
     """
 
     kind: Kind

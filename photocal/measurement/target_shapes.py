@@ -45,16 +45,10 @@ Shape = Disc | Outline
 class Sheet:
     """A target on a page.
 
-    Attributes
-    ----------
-    title : str
-        What it is, for the reader.
-    shapes : tuple of Shape
-        One drawn over the other.
-    size_mm : tuple of float
-        Width and height of the target without its white margin.
-    margin_mm : float
-        White space that it needs around it.
+    title: what it is, for the reader.
+    shapes: one drawn over the other.
+    size_mm: width and height of the target without its white margin.
+    margin_mm: white space that it needs around it.
     """
 
     title: str

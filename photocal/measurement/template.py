@@ -33,13 +33,9 @@ _FEWEST_FREE = 5
 class Window:
     """Grey values around a place.
 
-    Attributes
-    ----------
-    middle : tuple of int
-        Column and row of the pixel to which coordinates are relative.
-    x, y : ndarray, shape (n,)
-        Column and row relative to `middle`, px.
-    grey : ndarray, shape (n,)
+    middle: column and row of the pixel to which coordinates are relative.
+    x, y (n,): column and row relative to `middle`, px.
+    grey (n,).
     """
 
     middle: tuple[int, int]
@@ -56,18 +52,11 @@ class Window:
 class Fit:
     """A fitted template.
 
-    Attributes
-    ----------
-    parameters : ndarray, shape (k,)
-        Place relative to the middle of the window.
-    cofactor : ndarray, shape (k, k)
-        Their covariance for grey values of variance 1.
-    noise : float
-        Standard deviation of a grey value about the template.
-    residual : ndarray, shape (n,)
-        Grey values less the template.
-    basis : ndarray, shape (n, m)
-        Orthonormal columns that span what the parameters can explain.
+    parameters (k,): place relative to the middle of the window.
+    cofactor (k, k): their covariance for grey values of variance 1.
+    noise: standard deviation of a grey value about the template.
+    residual (n,): grey values less the template.
+    basis (n, m): orthonormal columns that span what the parameters can explain.
     """
 
     parameters: Floats

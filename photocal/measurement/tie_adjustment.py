@@ -34,20 +34,12 @@ FEWEST_RAYS = 6
 class Adjusted:
     """An adjusted block of tie points.
 
-    Attributes
-    ----------
-    block : Block
-        With its tie points; start values are the adjusted ones, observed values stay as observed.
-    start : Block
-        The same without tie points: cameras as adjusted, the images that kept their hold.
-    tracks : Tracks
-        The tie points that are left, in the order of the block.
-    values : ndarray, shape (images, 6)
-        Adjusted exterior orientations in the block's frame, of the observed ones too.
-    rejected : int
-        Rays that were taken out.
-    left_out : tuple of dict
-        Images that lost their hold, with the reason.
+    block: with its tie points; start values are the adjusted ones, observed values stay as observed.
+    start: the same without tie points: cameras as adjusted, the images that kept their hold.
+    tracks: the tie points that are left, in the order of the block.
+    values (images, 6): adjusted exterior orientations in the block's frame, of the observed ones too.
+    rejected: rays that were taken out.
+    left_out: images that lost their hold, with the reason.
     """
 
     block: Block

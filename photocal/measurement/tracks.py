@@ -20,14 +20,10 @@ _SAME_PX = 0.25
 class Tracks:
     """Rays of tie points, sorted by track, then by image.
 
-    Attributes
-    ----------
-    track, image : ndarray of int, shape (n,)
-    pixels : ndarray, shape (n, 2)
-    scale : ndarray, shape (n,)
-        What its precision depends on: diameter of the feature, or sigma of the match, px.
-    conflicts : int
-        Tracks that were taken out because they had two places in one image.
+    track, image (n,).
+    pixels (n, 2).
+    scale (n,): what its precision depends on: diameter of the feature, or sigma of the match, px.
+    conflicts: tracks that were taken out because they had two places in one image.
     """
 
     track: Integers

@@ -19,10 +19,7 @@ _LARGEST_EXTENT_M = 100_000.0
 class Area:
     """A simple polygon on WGS 84.
 
-    Attributes
-    ----------
-    latitude_deg, longitude_deg : ndarray, shape (n,)
-        Corners in order, degrees, the first not repeated at the end.
+    latitude_deg, longitude_deg (n,): corners in order, degrees, the first not repeated at the end.
     """
 
     latitude_deg: Floats
@@ -41,10 +38,7 @@ class Area:
 class LocalPlane:
     """Azimuthal equidistant plane about a point: true to a millimetre over some kilometres.
 
-    Attributes
-    ----------
-    latitude_deg, longitude_deg : float
-        Origin on WGS 84, degrees.
+    latitude_deg, longitude_deg: origin on WGS 84, degrees.
     """
 
     latitude_deg: float

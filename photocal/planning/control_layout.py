@@ -20,10 +20,7 @@ _GRID_SHARE = 1.0 / 60.0
 class ControlLayout:
     """Suggested places, east and north in the plane of the flight, m.
 
-    Attributes
-    ----------
-    control_m, check_m : ndarray, shape (k, 2)
-        Control points and check points.
+    control_m, check_m (k, 2): control points and check points.
     """
 
     control_m: Floats

@@ -16,12 +16,8 @@ EARLIER_SHARE = 1.0 / 3.0
 class Stage:
     """What one stage may contribute.
 
-    Attributes
-    ----------
-    name : str
-        The stage, the last one first.
-    allowed_m : float
-        Standard error that it may have, m.
+    name: the stage, the last one first.
+    allowed_m: standard error that it may have, m.
     """
 
     name: str

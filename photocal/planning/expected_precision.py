@@ -12,10 +12,7 @@ from photocal.planning.frame import Frame
 class ExpectedPrecision:
     """Standard deviations of an intersected ground point, m.
 
-    Attributes
-    ----------
-    x_m, y_m, z_m : float
-        Along the x and y axes of the photo, and in height.
+    x_m, y_m, z_m: along the x and y axes of the photo, and in height.
     """
 
     x_m: float

@@ -32,24 +32,15 @@ IMAGE_SIGMA_PX = 0.5
 class Wish:
     """What is asked of a flight.
 
-    Attributes
-    ----------
-    frame : Frame
-        The camera.
-    height_m : float
-        Height above the ground of the area, m.
-    forward_overlap, side_overlap : float
-        Shares of the footprint, 0 to below 1.
-    along : {"rows", "columns"}
-        Side of the image that lies along the flight line: "rows" flies with the image width across.
-    speed_m_s : float
-        Speed over ground, m/s.
-    azimuth_rad : float or None
-        Flying direction, clockwise from north, rad; None takes the one with the fewest strips.
-    cross_strips : bool
-        Whether strips at right angles are added.
-    second_height_m : float or None
-        Height above ground of the cross strips, m; it separates principal distance and flying height.
+    frame: the camera.
+    height_m: height above the ground of the area, m.
+    forward_overlap, side_overlap: shares of the footprint, 0 to below 1.
+    along: side of the image that lies along the flight line: "rows" flies with the image width across.
+    speed_m_s: speed over ground, m/s.
+    azimuth_rad: flying direction, clockwise from north, rad; None takes the one with the fewest strips.
+    cross_strips: whether strips at right angles are added.
+    second_height_m: height above ground of the cross strips, m; it separates principal distance and flying
+        height.
     """
 
     frame: Frame
@@ -82,22 +73,13 @@ class LevelGeometry:
 class Flight:
     """A planned flight.
 
-    Attributes
-    ----------
-    area : Area
-        The polygon.
-    plane : LocalPlane
-        The plane that the strips are laid out in.
-    corners_m : ndarray, shape (n, 2)
-        The polygon in that plane, m.
-    wish : Wish
-        What was asked.
-    azimuth_rad : float
-        Flying direction of the main strips, rad.
-    levels : tuple of LevelGeometry
-        The main height, and the second one where there is one.
-    strips : tuple of Strip
-        In flying order; cross strips last.
+    area: the polygon.
+    plane: the plane that the strips are laid out in.
+    corners_m (n, 2): the polygon in that plane, m.
+    wish: what was asked.
+    azimuth_rad: flying direction of the main strips, rad.
+    levels: the main height, and the second one where there is one.
+    strips: in flying order; cross strips last.
     """
 
     area: Area

@@ -14,14 +14,9 @@ Side = Literal["columns", "rows"]
 class Frame:
     """Camera frame for planning.
 
-    Attributes
-    ----------
-    focal_m : float
-        Principal distance, m.
-    pixel_m : float
-        Pixel pitch, m, the same in both directions.
-    columns, rows : int
-        Image size, px.
+    focal_m: principal distance, m.
+    pixel_m: pixel pitch, m, the same in both directions.
+    columns, rows: image size, px.
     """
 
     focal_m: float

@@ -48,12 +48,8 @@ _GROUND_SPEED = 1.0
 class Home:
     """The take-off place.
 
-    Attributes
-    ----------
-    latitude_deg, longitude_deg : float
-        On WGS 84, degrees.
-    height_m : float
-        Above mean sea level, m.
+    latitude_deg, longitude_deg: on WGS 84, degrees.
+    height_m: above mean sea level, m.
     """
 
     latitude_deg: float
@@ -65,15 +61,10 @@ class Home:
 class Item:
     """One mission item.
 
-    Attributes
-    ----------
-    command : Command
-        What to do.
-    frame : FrameOfHeight
-        What the height refers to.
-    parameters : tuple of float or None
-        The seven parameters; the last three are latitude, longitude (degrees) and height (m) where the
-        command has a place; None leaves one to the autopilot.
+    command: what to do.
+    frame: what the height refers to.
+    parameters: the seven parameters; the last three are latitude, longitude (degrees) and height (m) where
+        the command has a place; None leaves one to the autopilot.
     """
 
     command: Command

@@ -31,18 +31,11 @@ SELF_CALIBRATION = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
 class Survey:
     """Precision of what will be observed.
 
-    Attributes
-    ----------
-    image_px : float
-        Standard deviation of an image coordinate, px.
-    control_m : tuple of float
-        Of control points in plane and height, m.
-    gnss_m : tuple of float or None
-        Of the exposures' positions in plane and height, m; None: no positions.
-    self_calibration : bool
-        Whether c, x0, y0, K1, K2, P1, P2 are estimated from the flight itself.
-    relief_m : float
-        Height of the terrain above and below its mean, m.
+    image_px: standard deviation of an image coordinate, px.
+    control_m: of control points in plane and height, m.
+    gnss_m: of the exposures' positions in plane and height, m; None: no positions.
+    self_calibration: whether c, x0, y0, K1, K2, P1, P2 are estimated from the flight itself.
+    relief_m: height of the terrain above and below its mean, m.
     """
 
     image_px: float = 0.5
@@ -56,19 +49,12 @@ class Survey:
 class SimulatedPrecision:
     """What the simulated adjustment says.
 
-    Attributes
-    ----------
-    method : str
-        "indirect" or "integrated".
-    check : int
-        Check points that two photos or more see.
-    mean_m, worst_m : tuple of float
-        Root mean square and largest standard deviation of X, Y, Z at the check points, m; empty when
-        the flight does not determine them.
-    camera_px : dict
-        Standard deviations of c, x0, y0, px; empty without self-calibration.
-    reason : str
-        Why there is no result; empty otherwise.
+    method: "indirect" or "integrated".
+    check: check points that two photos or more see.
+    mean_m, worst_m: root mean square and largest standard deviation of X, Y, Z at the check points, m; empty
+        when the flight does not determine them.
+    camera_px: standard deviations of c, x0, y0, px; empty without self-calibration.
+    reason: why there is no result; empty otherwise.
     """
 
     method: str

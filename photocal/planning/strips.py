@@ -18,12 +18,8 @@ _MOST_EXPOSURES = 50_000
 class Strip:
     """One straight line with exposures at equal distances.
 
-    Attributes
-    ----------
-    exposures_m : ndarray, shape (k, 2)
-        East and north of the exposures in flying order, m.
-    height_m : float
-        Height above the ground of the area, m.
+    exposures_m (k, 2): east and north of the exposures in flying order, m.
+    height_m: height above the ground of the area, m.
     """
 
     exposures_m: Floats

@@ -22,14 +22,9 @@ SCHEMA = "photocal.plan/1"
 class Target:
     """A class that the product shall reach.
 
-    Attributes
-    ----------
-    name : str
-        What and which class.
-    component : {"planimetry", "height"}
-        Which precision decides.
-    ep_m : float
-        Its standard error, m.
+    name: what and which class.
+    component: which precision decides.
+    ep_m: its standard error, m.
     """
 
     name: str

@@ -58,12 +58,8 @@ def terrain_points(
 class Displacement:
     """How far apart two orthophotos of the same images put the same thing.
 
-    Attributes
-    ----------
-    position : ndarray, shape (n, 3)
-        Where the first one has it, m.
-    shift : ndarray, shape (n, 2)
-        Second minus first, east and north, m.
+    position (n, 3): where the first one has it, m.
+    shift (n, 2): second minus first, east and north, m.
     """
 
     position: Floats

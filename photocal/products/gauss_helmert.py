@@ -22,20 +22,12 @@ NEGLIGIBLE = 1e-7
 class Adjusted:
     """What the adjustment found.
 
-    Attributes
-    ----------
-    state : ndarray
-        Parameters of the surface, in its own order.
-    covariance : ndarray, shape (u, u)
-        Of the steps of the parameters, with the a priori variance factor 1.
-    residuals : ndarray, shape (n, d)
-        Adjusted minus measured, m.
-    influence : ndarray, shape (u, n, d)
-        Derivative of the parameters to each coordinate of each point.
-    chi_squared : float
-        Weighted sum of the squared residuals.
-    degrees_of_freedom : int
-        Conditions less parameters.
+    state: parameters of the surface, in its own order.
+    covariance (u, u): of the steps of the parameters, with the a priori variance factor 1.
+    residuals (n, d): adjusted minus measured, m.
+    influence (u, n, d): derivative of the parameters to each coordinate of each point.
+    chi_squared: weighted sum of the squared residuals.
+    degrees_of_freedom: conditions less parameters.
     """
 
     state: Floats

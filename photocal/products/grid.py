@@ -15,12 +15,8 @@ from photocal.products.terrain import Terrain, Transform
 class Grid:
     """Cells of an orthophoto, rows from north to south.
 
-    Attributes
-    ----------
-    west, north : float
-        Corner of the first cell, m.
-    cell : float
-        Size of a cell, m.
+    west, north: corner of the first cell, m.
+    cell: size of a cell, m.
     """
 
     west: float

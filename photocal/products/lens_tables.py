@@ -16,13 +16,11 @@ from photocal.geometry.lens import optics
 class LensTables:
     """Cameras as the kernels take them.
 
-    Attributes
-    ----------
-    values : ndarray, shape (cameras, 14)
-    optics : ndarray, shape (cameras, 11)
-    pitch, size : ndarray, shape (cameras, 2)
-    limit : ndarray, shape (cameras,)
-        Largest distance of an ideal image point from the principal point that the camera can record.
+    values (cameras, 14).
+    optics (cameras, 11).
+    pitch, size (cameras, 2).
+    limit (cameras,): largest distance of an ideal image point from the principal point that the camera can
+        record.
     """
 
     values: Floats

@@ -32,12 +32,8 @@ _SAMPLE = 512
 class Made:
     """What an orthophoto has become.
 
-    Attributes
-    ----------
-    share : float
-        Part of the cells that an image shows.
-    cells : dict
-        Number of cells by image.
+    share: part of the cells that an image shows.
+    cells: number of cells by image.
     """
 
     grid: Grid

@@ -31,13 +31,9 @@ IMAGE_MEMORY = 800_000_000
 class Tile:
     """A finished piece.
 
-    Attributes
-    ----------
-    column, row : int
-        Its first cell.
-    pixels : ndarray, shape (bands, rows, columns)
-    chosen : ndarray of int, shape (rows, columns)
-        Image of each cell; -1 for none.
+    column, row: its first cell.
+    pixels (bands, rows, columns).
+    chosen (rows, columns): image of each cell; -1 for none.
     """
 
     column: int
@@ -82,14 +78,9 @@ class ImageStore:
 class Recipe:
     """What an orthophoto is made of.
 
-    Attributes
-    ----------
-    frame : Frame
-        From the coordinates of the terrain to those of the shots.
-    method : int
-        `NEAREST`, `BILINEAR` or `CUBIC` of the kernels.
-    nodata : float
-        Value of cells that no image shows.
+    frame: from the coordinates of the terrain to those of the shots.
+    method: `NEAREST`, `BILINEAR` or `CUBIC` of the kernels.
+    nodata: value of cells that no image shows.
     """
 
     shots: OrientedImages

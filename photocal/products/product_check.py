@@ -23,10 +23,7 @@ _LIKENESS = 0.6
 class CheckPoints:
     """Surveyed points.
 
-    Attributes
-    ----------
-    enh : ndarray, shape (n, 3)
-        E, N, h in m; h may be NaN.
+    enh (n, 3): E, N, h in m; h may be NaN.
     """
 
     names: tuple[str, ...]
@@ -37,16 +34,11 @@ class CheckPoints:
 class ProductCheck:
     """What products say at check points.
 
-    Attributes
-    ----------
-    discrepancies : Discrepancies
-        Reference minus product, for `photocal.accuracy.assessment.assess`; NaN where a product says nothing.
-    product : ndarray, shape (n, 3)
-        E and N of the target in the orthomosaic, h of the terrain model at the surveyed place, m.
-    likeness : ndarray, shape (n,)
-        How well the target was recognised, 0 to 1; NaN without orthomosaic.
-    remarks : tuple of str
-        One for each point that a product does not show.
+    discrepancies: reference minus product, for `photocal.accuracy.assessment.assess`; NaN where a product
+        says nothing.
+    product (n, 3): E and N of the target in the orthomosaic, h of the terrain model at the surveyed place, m.
+    likeness (n,): how well the target was recognised, 0 to 1; NaN without orthomosaic.
+    remarks: one for each point that a product does not show.
     """
 
     discrepancies: Discrepancies

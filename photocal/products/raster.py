@@ -29,12 +29,8 @@ _STRIP = 512
 class RasterFile:
     """What is known of a raster without reading it.
 
-    Attributes
-    ----------
-    crs : str
-        WKT; empty when the file names none.
-    height_kind : str
-        Of a terrain model, from its tag or its vertical system; empty when it does not say.
+    crs: WKT; empty when the file names none.
+    height_kind: of a terrain model, from its tag or its vertical system; empty when it does not say.
     """
 
     path: Path

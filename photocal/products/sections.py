@@ -26,16 +26,10 @@ CORRELATIONS = ("rXY", "rXZ", "rYZ")
 class RingPoints:
     """Points on the shell of a tank.
 
-    Attributes
-    ----------
-    section, point : tuple of str
-        Names; points of the same section form a ring.
-    values : ndarray, shape (n, 3)
-        Two horizontal coordinates and the height, m.
-    covariance : ndarray, shape (n, 3, 3)
-        m2, in the same order.
-    axes : tuple of str
-        Names of the three coordinates.
+    section, point: names; points of the same section form a ring.
+    values (n, 3): two horizontal coordinates and the height, m.
+    covariance (n, 3, 3): m2, in the same order.
+    axes: names of the three coordinates.
     """
 
     section: tuple[str, ...]
@@ -49,12 +43,8 @@ class RingPoints:
 class Section:
     """One ring.
 
-    Attributes
-    ----------
-    height : float
-        Mean height of its points, m.
-    covariance : ndarray, shape (2, 2)
-        Of radius and height, m2.
+    height: mean height of its points, m.
+    covariance (2, 2): of radius and height, m2.
     """
 
     name: str
@@ -68,18 +58,11 @@ class Section:
 class Tank:
     """A tank as measured.
 
-    Attributes
-    ----------
-    sections : tuple of Section
-        From below.
-    cylinder : Cylinder or None
-        Through all points: its axis shows the tilt; None where the points fix none.
-    tilt, tilt_sigma : float
-        Of that axis against the vertical, radians; NaN without cylinder.
-    radius, radius_sigma : float
-        Mean of the sections, m.
-    between : Volume or None
-        From the lowest to the highest section; None for a single one.
+    sections: from below.
+    cylinder: through all points: its axis shows the tilt; None where the points fix none.
+    tilt, tilt_sigma: of that axis against the vertical, radians; NaN without cylinder.
+    radius, radius_sigma: mean of the sections, m.
+    between: from the lowest to the highest section; None for a single one.
     """
 
     sections: tuple[Section, ...]

@@ -15,18 +15,11 @@ from photocal.products.gauss_helmert import Adjusted, fit
 class Circle:
     """A circle in a plane.
 
-    Attributes
-    ----------
-    center : ndarray, shape (2,)
-        m.
-    radius : float
-        m.
-    covariance : ndarray, shape (3, 3)
-        Of centre and radius, m2, a priori.
-    radial : ndarray, shape (n,)
-        Distance of each measured point from the circle, outwards positive, m.
-    direction : ndarray, shape (n,)
-        Of each measured point from the centre, from the first axis towards the second, radians.
+    center (2,): m.
+    radius: m.
+    covariance (3, 3): of centre and radius, m2, a priori.
+    radial (n,): distance of each measured point from the circle, outwards positive, m.
+    direction (n,): of each measured point from the centre, from the first axis towards the second, radians.
     """
 
     center: Floats
@@ -41,18 +34,11 @@ class Circle:
 class Plane:
     """A plane: normal . X = distance.
 
-    Attributes
-    ----------
-    normal : ndarray, shape (3,)
-        Unit vector; the largest of its components is positive.
-    distance : float
-        From the origin, m.
-    normal_covariance : ndarray, shape (3, 3)
-        Of the normal, a priori; singular along it.
-    position_sigma : float
-        Standard deviation of the plane along its normal at the centroid of the points, m.
-    offsets : ndarray, shape (n,)
-        Distance of each measured point from the plane, along the normal, m.
+    normal (3,): unit vector; the largest of its components is positive.
+    distance: from the origin, m.
+    normal_covariance (3, 3): of the normal, a priori; singular along it.
+    position_sigma: standard deviation of the plane along its normal at the centroid of the points, m.
+    offsets (n,): distance of each measured point from the plane, along the normal, m.
     """
 
     normal: Floats
@@ -67,20 +53,12 @@ class Plane:
 class Cylinder:
     """A circular cylinder without ends.
 
-    Attributes
-    ----------
-    point : ndarray, shape (3,)
-        Point of the axis beside the centroid of the measured points, m.
-    axis : ndarray, shape (3,)
-        Unit vector; the largest of its components is positive.
-    radius : float
-        m.
-    point_covariance, axis_covariance : ndarray, shape (3, 3)
-        A priori; singular along the axis.
-    radius_sigma : float
-        m, a priori.
-    radial : ndarray, shape (n,)
-        Distance of each measured point from the cylinder, outwards positive, m.
+    point (3,): point of the axis beside the centroid of the measured points, m.
+    axis (3,): unit vector; the largest of its components is positive.
+    radius: m.
+    point_covariance, axis_covariance (3, 3): A priori; singular along the axis.
+    radius_sigma: m, a priori.
+    radial (n,): distance of each measured point from the cylinder, outwards positive, m.
     """
 
     point: Floats

@@ -24,16 +24,10 @@ HEIGHT_KINDS = ("ellipsoidal", "orthometric", "local")
 class Terrain:
     """Heights of a piece of terrain.
 
-    Attributes
-    ----------
-    heights : ndarray, shape (rows, columns)
-        At the centres of the cells, m; NaN where there are none.
-    transform : tuple of float
-        From column and row to X and Y.
-    crs : str
-        Reference system as WKT; empty for a local frame.
-    height_kind : str
-        "ellipsoidal", "orthometric", "local", or empty when it is not known.
+    heights (rows, columns): at the centres of the cells, m; NaN where there are none.
+    transform: from column and row to X and Y.
+    crs: reference system as WKT; empty for a local frame.
+    height_kind: "ellipsoidal", "orthometric", "local", or empty when it is not known.
     """
 
     heights: Heights

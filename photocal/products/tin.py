@@ -21,12 +21,8 @@ _STRIP = 64
 class TerrainPoints:
     """Points on the terrain.
 
-    Attributes
-    ----------
-    xyz : ndarray, shape (n, 3)
-        m.
-    line : ndarray of int, shape (n,)
-        Contour of each point, in the order along it; -1 for a point of its own.
+    xyz (n, 3): m.
+    line (n,): contour of each point, in the order along it; -1 for a point of its own.
     """
 
     xyz: Floats
@@ -37,10 +33,7 @@ class TerrainPoints:
 class Gridded:
     """A grid made from points.
 
-    Attributes
-    ----------
-    flat : int
-        Triangles whose corners lie on one contour: there the ground is cut off level.
+    flat: triangles whose corners lie on one contour: there the ground is cut off level.
     """
 
     terrain: Terrain

@@ -14,15 +14,10 @@ from drivers.errors import ConfigurationError
 class Volume:
     """A volume and what its uncertainty is made of.
 
-    Attributes
-    ----------
-    value : float
-        m3.
-    radius_variance, height_variance : float
-        Shares of the variance that come from the radii and from the heights, m6; they add up to the
-        variance where radii and heights are uncorrelated.
-    variance : float
-        m6.
+    value: m3.
+    radius_variance, height_variance: shares of the variance that come from the radii and from the heights,
+        m6; they add up to the variance where radii and heights are uncorrelated.
+    variance: m6.
     """
 
     value: float

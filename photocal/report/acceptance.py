@@ -13,14 +13,9 @@ Verdict = Literal["acceptable", "new_calibration", "not_determined"]
 class Limit:
     """One figure and what it may not exceed; None where it is not determined.
 
-    Attributes
-    ----------
-    key : str
-        "image_x", "image_y", "planimetric" or "altimetric".
-    unit : str
-        Unit of both.
-    value, limit : float or None
-        The root mean square error and its limit.
+    key: "image_x", "image_y", "planimetric" or "altimetric".
+    unit: unit of both.
+    value, limit: the root mean square error and its limit.
     """
 
     key: str

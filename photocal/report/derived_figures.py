@@ -25,22 +25,13 @@ NADIR_DEG = 30.0
 class Facts:
     """What is known of one camera and its flight; None is not determined.
 
-    Attributes
-    ----------
-    camera_id : str
-        The camera.
-    pixel_mm, focal_mm : float or None
-        Pixel size and calibrated principal distance, mm.
-    height_m, gsd_cm, base_m : float or None
-        Flying height over the object points, ground sampling distance, air base.
-    computed : frozenset of str
-        Which of those three were computed rather than given.
-    dz_cm : float or None
-        Expected altimetric accuracy.
-    limits : tuple of Limit
-        The ministry's limits.
-    findings : tuple of Finding
-        Contradictions.
+    camera_id: the camera.
+    pixel_mm, focal_mm: pixel size and calibrated principal distance, mm.
+    height_m, gsd_cm, base_m: flying height over the object points, ground sampling distance, air base.
+    computed: which of those three were computed rather than given.
+    dz_cm: expected altimetric accuracy.
+    limits: the ministry's limits.
+    findings: contradictions.
     """
 
     camera_id: str

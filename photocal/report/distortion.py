@@ -16,16 +16,10 @@ RADIAL = ("K1", "K2", "K3", "K4")
 class RadialProfile:
     """Radial displacement over the radius, all in the unit of the camera, shape (n,).
 
-    Attributes
-    ----------
-    radius : ndarray
-        Distance from the principal point.
-    displacement : ndarray
-        Measured less ideal radius: positive outwards.
-    sigma : ndarray
-        Its standard deviation from the covariance of the radial coefficients.
-    decentering : ndarray
-        Largest displacement by P1 to P4 at that radius.
+    radius: distance from the principal point.
+    displacement: measured less ideal radius: positive outwards.
+    sigma: its standard deviation from the covariance of the radial coefficients.
+    decentering: largest displacement by P1 to P4 at that radius.
     """
 
     radius: Floats

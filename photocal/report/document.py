@@ -46,20 +46,13 @@ class Column:
 class Table:
     """A table with its caption above and its note beneath.
 
-    Attributes
-    ----------
-    caption : str
-        What it shows.
-    columns : tuple of Column
-        The columns.
-    rows : tuple of tuple of str
-        One text for each column.
-    note : str
-        Explanation beneath, may be empty.
-    dense : bool
-        Whether it has so many columns that small type is needed.
-    widths : tuple of float
-        Shares of the width for each column of text that wraps; empty for columns as wide as their content.
+    caption: what it shows.
+    columns: the columns.
+    rows: one text for each column.
+    note: explanation beneath, may be empty.
+    dense: whether it has so many columns that small type is needed.
+    widths: shares of the width for each column of text that wraps; empty for columns as wide as their
+        content.
     """
 
     caption: str
@@ -74,18 +67,11 @@ class Table:
 class Figure:
     """A picture.
 
-    Attributes
-    ----------
-    name : str
-        Short name, unique within the document.
-    caption : str
-        What it shows, printed beneath.
-    alternative : str
-        What it shows, in words, for those who cannot see it.
-    svg : str
-        The picture.
-    width : float
-        Share of the text width, 0 to 1.
+    name: short name, unique within the document.
+    caption: what it shows, printed beneath.
+    alternative: what it shows, in words, for those who cannot see it.
+    svg: the picture.
+    width: share of the text width, 0 to 1.
     """
 
     name: str
@@ -126,24 +112,14 @@ class Highlight:
 class Document:
     """A whole report.
 
-    Attributes
-    ----------
-    language : str
-        Code of its language, as HTML wants it.
-    title, subtitle : str
-        What it is, and of what.
-    number : str
-        Its own number.
-    facts : KeyValues
-        Date, client and such, beneath the title.
-    highlights : tuple of Highlight
-        The main figures.
-    verdicts : tuple of Statement
-        What follows from them.
-    sections : tuple of Section
-        The parts.
-    words : dict
-        The few words that the renderers need themselves (page, table, figure ...).
+    language: code of its language, as HTML wants it.
+    title, subtitle: what it is, and of what.
+    number: its own number.
+    facts: date, client and such, beneath the title.
+    highlights: the main figures.
+    verdicts: what follows from them.
+    sections: the parts.
+    words: the few words that the renderers need themselves (page, table, figure ...).
     """
 
     language: str

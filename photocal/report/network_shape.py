@@ -17,12 +17,8 @@ IMAGES = 1000
 class NetworkShape:
     """Two figures of a network.
 
-    Attributes
-    ----------
-    convergence_deg : float
-        Largest angle between two optical axes.
-    depth_spread : float
-        Distances of the points along the axes: 95th less 5th percentile over the median.
+    convergence_deg: largest angle between two optical axes.
+    depth_spread: distances of the points along the axes: 95th less 5th percentile over the median.
     """
 
     convergence_deg: float

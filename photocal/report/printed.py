@@ -71,14 +71,9 @@ class PrintedKeys(Table):
 class PrintedCheck:
     """What the check of a printed calibration gave.
 
-    Attributes
-    ----------
-    name : str
-        What the calibration is of.
-    findings : tuple of Finding
-        Worst first.
-    limits : tuple of Limit
-        The ministry's limits, with the figures taken as they are printed.
+    name: what the calibration is of.
+    findings: worst first.
+    limits: the ministry's limits, with the figures taken as they are printed.
     """
 
     name: str

@@ -15,12 +15,8 @@ from photocal.report.stored_analysis import Run
 class SensorResiduals:
     """Rays of one camera in its image plane: x right, y up from the image centre.
 
-    Attributes
-    ----------
-    place : ndarray, shape (n, 2)
-        Measured coordinates, in the unit of the camera.
-    residual_px : ndarray, shape (n, 2)
-        Residuals (computed minus measured) in pixels.
+    place (n, 2): measured coordinates, in the unit of the camera.
+    residual_px (n, 2): residuals (computed minus measured) in pixels.
     """
 
     place: Floats

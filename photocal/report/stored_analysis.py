@@ -101,14 +101,9 @@ class JackknifeRecord:
 class ExteriorDifference:
     """Original less adjusted exterior orientation over the images that have both.
 
-    Attributes
-    ----------
-    images : int
-        Number of images.
-    mean_m, rmse_m : tuple of float
-        X, Y, Z in the local frame of the block (east, north, up where it has a reference system).
-    mean_arcsec, rmse_arcsec : tuple of float
-        omega, phi, kappa.
+    images: number of images.
+    mean_m, rmse_m: X, Y, Z in the local frame of the block (east, north, up where it has a reference system).
+    mean_arcsec, rmse_arcsec: omega, phi, kappa.
     """
 
     images: int
@@ -122,26 +117,15 @@ class ExteriorDifference:
 class StoredAnalysis:
     """The content of `analysis.json` as far as a certificate needs it.
 
-    Attributes
-    ----------
-    schema : str
-        What it is.
-    result_sha256 : str
-        Digest of the result.json that it belongs to.
-    alpha, correlation_threshold : float
-        Level of the F tests, and correlation from which pairs are named.
-    findings : tuple of Finding
-        Hidden errors, worst first.
-    cameras : dict
-        By name; None for one without estimated parameters.
-    observation_sigma : AssumedSigma
-        Of the image coordinates, assumed and found, in the unit of the image plane.
-    jackknife : dict
-        By camera.
-    methods : tuple of MethodCheck
-        Each method with its requirements.
-    exterior_difference : ExteriorDifference or None
-        Orientations of the positioning system less the adjusted ones.
+    schema: what it is.
+    result_sha256: digest of the result.json that it belongs to.
+    alpha, correlation_threshold: level of the F tests, and correlation from which pairs are named.
+    findings: hidden errors, worst first.
+    cameras: by name; None for one without estimated parameters.
+    observation_sigma: of the image coordinates, assumed and found, in the unit of the image plane.
+    jackknife: by camera.
+    methods: each method with its requirements.
+    exterior_difference: orientations of the positioning system less the adjusted ones.
     """
 
     schema: str
@@ -160,12 +144,8 @@ class StoredAnalysis:
 class Run:
     """Everything that a certificate says about an adjustment.
 
-    Attributes
-    ----------
-    files : tuple of InputFile
-        The files of the folder themselves, with their SHA-256.
-    analysis : StoredAnalysis or None
-        What `photocal analyse` found; None when it was not asked.
+    files: the files of the folder themselves, with their SHA-256.
+    analysis: what `photocal analyse` found; None when it was not asked.
     """
 
     result: Result

@@ -26,16 +26,10 @@ from photocal.geometry.camera import OWN
 class Wanted:
     """What is asked for beside the tables that every run has.
 
-    Attributes
-    ----------
-    ellipses : float or None
-        Probability of error ellipses and ellipsoids of the points.
-    reliability : bool
-        Smallest errors that the tests find, and what smaller ones would do.
-    components : bool
-        Estimate the variances of the groups of observations and adjust with them.
-    joint : tuple of (kind, name)
-        Unknowns whose joint covariance is written.
+    ellipses: probability of error ellipses and ellipsoids of the points.
+    reliability: smallest errors that the tests find, and what smaller ones would do.
+    components: estimate the variances of the groups of observations and adjust with them.
+    joint: unknowns whose joint covariance is written.
     """
 
     ellipses: float | None = None

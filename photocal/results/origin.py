@@ -22,12 +22,8 @@ DEPTH = 3
 class Source:
     """What was adjusted.
 
-    Attributes
-    ----------
-    folder : Path
-        The folder that holds all its files.
-    setup : str
-        The set-up file of another program within it; empty for a block folder.
+    folder: the folder that holds all its files.
+    setup: the set-up file of another program within it; empty for a block folder.
     """
 
     folder: Path

@@ -32,12 +32,8 @@ class Software:
 class BlockFacts:
     """What the adjusted block said of itself.
 
-    Attributes
-    ----------
-    source : str
-        The folder with its files, seen from the run folder.
-    setup : str
-        The set-up file of another program within it; empty for a block folder.
+    source: the folder with its files, seen from the run folder.
+    setup: the set-up file of another program within it; empty for a block folder.
     """
 
     name: str
@@ -105,15 +101,10 @@ class RejectedRay:
 class AdjustedPoints:
     """Object points of the network.
 
-    Attributes
-    ----------
-    role : tuple of str
-        control, check or tie.
-    values : ndarray, shape (n, 3)
-        X, Y, Z in the block's coordinates, m.
-    covariance : ndarray, shape (n, 3, 3)
-    rays : ndarray of int, shape (n,)
-        How many observations each has.
+    role: control, check or tie.
+    values (n, 3): X, Y, Z in the block's coordinates, m.
+    covariance (n, 3, 3).
+    rays (n,): how many observations each has.
     """
 
     names: tuple[str, ...]
@@ -132,15 +123,11 @@ class AdjustedPoints:
 class Residuals:
     """Image observations and their residuals (computed minus measured), in unit and axes of the observations.
 
-    Attributes
-    ----------
-    image_names, point_names : tuple of str
-        What `image` and `point` are indices into.
-    image, point : ndarray of int, shape (n,)
-    measured, residual : ndarray, shape (n, 2)
-        NaN residuals where an observation took no part.
-    redundancy, standardised : ndarray, shape (n, 2)
-        Redundancy numbers (0 to 1) and standardised residuals; NaN where nothing else checks one.
+    image_names, point_names: what `image` and `point` are indices into.
+    image, point (n,).
+    measured, residual (n, 2): naN residuals where an observation took no part.
+    redundancy, standardised (n, 2): redundancy numbers (0 to 1) and standardised residuals; NaN where nothing
+        else checks one.
     """
 
     image_names: tuple[str, ...]
@@ -177,24 +164,16 @@ class Residuals:
 class Figures:
     """Figures of the whole adjustment; without redundancy there is no variance factor and no test.
 
-    Attributes
-    ----------
-    inputs : tuple of InputFile
-        The files that were adjusted.
-    snooping : {"w", "tau"} or None
-        Test by which gross errors were searched.
-    readouts : tuple of Readout
-        Of shutters that roll, or were tested.
-    rejected : tuple of RejectedRay
-        What it found.
-    unobserved : tuple of str
-        Points of the block without an observation.
-    mounting : dict or None
-        Lever arm (camera to antenna, body axes, m), boresight (deg), time offset (s), shifts and drifts.
-    variance_components : tuple of ComponentFactor
-        Where they were estimated.
-    mean_precision_m, fiducials, ellipses, reliability
-        What was asked for beside the rest, as in `result.json`.
+    inputs: the files that were adjusted.
+    snooping: test by which gross errors were searched.
+    readouts: of shutters that roll, or were tested.
+    rejected: what it found.
+    unobserved: points of the block without an observation.
+    mounting: lever arm (camera to antenna, body axes, m), boresight (deg), time offset (s), shifts and
+        drifts.
+    variance_components: where they were estimated.
+    mean_precision_m, fiducials, ellipses, reliability: what was asked for beside the rest, as in
+        `result.json`.
     """
 
     software: Software

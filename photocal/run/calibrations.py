@@ -25,12 +25,8 @@ _STAGE, _BLOCK = "calibration", "block"
 class Calibrated:
     """A flight whose camera was calibrated.
 
-    Attributes
-    ----------
-    run : Path
-        Folder with its `result.json`.
-    block : Path
-        Folder of its block.
+    run: folder with its `result.json`.
+    block: folder of its block.
     """
 
     name: str
@@ -43,16 +39,10 @@ class Calibrated:
 class Use:
     """Camera and mounting of one flight used for direct georeferencing of another.
 
-    Attributes
-    ----------
-    of, used_in : str
-        Names of the flights; the same for the calibration on the job.
-    points : int
-        Check points.
-    rmse_m, predicted_m : tuple of float
-        X, Y, Z; the prediction contains the survey's own sigma.
-    ratio : float
-        Errors over prediction: 1 when they are as large as predicted.
+    of, used_in: names of the flights; the same for the calibration on the job.
+    points: check points.
+    rmse_m, predicted_m: X, Y, Z; the prediction contains the survey's own sigma.
+    ratio: errors over prediction: 1 when they are as large as predicted.
     """
 
     of: str

@@ -26,12 +26,8 @@ Task = tuple[Path, dt.date, str | None, str | None, bool]
 class Outcome:
     """How the run of one project ended.
 
-    Attributes
-    ----------
-    figures : dict
-        Empty when it failed.
-    told : tuple of str
-        What it said on the way, where nobody could listen.
+    figures: empty when it failed.
+    told: what it said on the way, where nobody could listen.
     """
 
     figures: dict[str, Any]

@@ -41,16 +41,10 @@ _DEPTH = 3
 class Found:
     """Control points and marks of one file.
 
-    Attributes
-    ----------
-    crs : str
-        "local" without one; empty when the file does not say.
-    points : ObjectPoints or None
-        None of a file with marks only.
-    assumed : bool
-        Whether their sigmas are `ASSUMED_M`.
-    cameras : tuple of Camera
-        Where another program's set-up has them.
+    crs: "local" without one; empty when the file does not say.
+    points: none of a file with marks only.
+    assumed: whether their sigmas are `ASSUMED_M`.
+    cameras: where another program's set-up has them.
     """
 
     file: Path
@@ -65,12 +59,8 @@ class Found:
 class Survey:
     """What a folder has, in the order of its names.
 
-    Attributes
-    ----------
-    pictures : dict of Path to tuple of ImageFacts
-        Of each folder with pictures that can be read.
-    unread : list of str
-        Pictures and tables that cannot be used, with the reason.
+    pictures: of each folder with pictures that can be read.
+    unread: pictures and tables that cannot be used, with the reason.
     """
 
     folder: Path

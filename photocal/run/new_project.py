@@ -35,10 +35,7 @@ _ESTIMATE = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
 class NewProject:
     """A project that was written.
 
-    Attributes
-    ----------
-    found, missing, asked : tuple of str
-        What the folder has, what would help, and what must be said before it can be run.
+    found, missing, asked: what the folder has, what would help, and what must be said before it can be run.
     """
 
     path: Path

@@ -23,20 +23,12 @@ Progress = Callable[[str, float | None], AbstractContextManager[Callable[[float]
 class Stage:
     """What a stage depends on and how it is made.
 
-    Attributes
-    ----------
-    name : str
-        Also that of its folder.
-    title : str
-        What it does, for people.
-    make : callable
-        Gets the folder to write into and what shows progress.
-    inputs : mapping of str to Path
-        Files and folders by a name that does not change when the project is moved.
-    settings : mapping
-        Whatever else decides over the result, ready for JSON.
-    after : tuple of Path
-        Folders of earlier stages whose files are read.
+    name: also that of its folder.
+    title: what it does, for people.
+    make: gets the folder to write into and what shows progress.
+    inputs: files and folders by a name that does not change when the project is moved.
+    settings: whatever else decides over the result, ready for JSON.
+    after: folders of earlier stages whose files are read.
     """
 
     name: str
@@ -51,14 +43,9 @@ class Stage:
 class StageResult:
     """A stage that is done.
 
-    Attributes
-    ----------
-    kept : bool
-        Whether it was there already.
-    seconds : float
-        That it took when it was made.
-    foreign : tuple of str
-        What lies in its folder and is not of it, one phrase each.
+    kept: whether it was there already.
+    seconds: that it took when it was made.
+    foreign: what lies in its folder and is not of it, one phrase each.
     """
 
     name: str

@@ -25,10 +25,7 @@ _AHEAD = 2
 class Cluster:
     """A Dask scheduler.
 
-    Attributes
-    ----------
-    address : str
-        Such as ``tcp://10.0.0.5:8786``.
+    address: such as ``tcp://10.0.0.5:8786``.
     """
 
     address: str

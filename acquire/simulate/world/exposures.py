@@ -26,14 +26,9 @@ CAMERA_FROM_IMU_M = np.array([0.04, 0.0, 0.06])
 class Rig:
     """The true mounting.
 
-    Attributes
-    ----------
-    camera_to_antenna_m : ndarray, shape (3,)
-        From the projection centre to the antenna's phase centre, body axes.
-    boresight : ndarray, shape (3,)
-        Rotation vector in camera axes, rad: body to camera is exp([b]x) NADIR.
-    time_offset_s : float
-        From the event to the middle of the exposure.
+    camera_to_antenna_m (3,): from the projection centre to the antenna's phase centre, body axes.
+    boresight (3,): rotation vector in camera axes, rad: body to camera is exp([b]x) NADIR.
+    time_offset_s: from the event to the middle of the exposure.
     """
 
     camera_to_antenna_m: Floats
@@ -63,12 +58,8 @@ def make_rig(given: configuration.Rig, random: np.random.Generator) -> Rig:
 class Pose:
     """Projection centres and rotations of many moments.
 
-    Attributes
-    ----------
-    centre_m : ndarray, shape (n, 3)
-        In the local frame.
-    rotation : ndarray, shape (n, 3, 3)
-        M, from the local frame to camera axes.
+    centre_m (n, 3): in the local frame.
+    rotation (n, 3, 3): M, from the local frame to camera axes.
     """
 
     centre_m: Floats
@@ -113,20 +104,12 @@ def omega_phi_kappa(rotation: Floats) -> Floats:
 class Exposures:
     """All pictures of a flight in the order of time.
 
-    Attributes
-    ----------
-    names : tuple of str (n,)
-        Of the files.
-    covers, strip : ndarray of int, shape (n,)
-        Number of the pass and of the strip.
-    event_s : ndarray, shape (n,)
-        When the camera told the receiver, seconds since the start of the flight.
-    middle_s : ndarray, shape (n,)
-        Middle of the exposure of the middle row.
-    pose : Pose
-        At that moment.
-    cameras : tuple of Camera (n,)
-        The true camera of each picture; it changes when somebody zooms.
+    names (n,): of the files.
+    covers, strip (n,): number of the pass and of the strip.
+    event_s (n,): when the camera told the receiver, seconds since the start of the flight.
+    middle_s (n,): middle of the exposure of the middle row.
+    pose: at that moment.
+    cameras (n,): the true camera of each picture; it changes when somebody zooms.
     """
 
     names: tuple[str, ...]

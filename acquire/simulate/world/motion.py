@@ -28,10 +28,8 @@ TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 class Waves:
     """A smooth random motion: a sum of sines, one triple of amplitudes for each frequency.
 
-    Attributes
-    ----------
-    frequency_hz : ndarray, shape (k,)
-    amplitude, phase : ndarray, shape (k, 3)
+    frequency_hz (k,).
+    amplitude, phase (k, 3).
     """
 
     frequency_hz: Floats
@@ -58,20 +56,12 @@ def make_waves(spread: Floats, low_hz: float, high_hz: float, random: np.random.
 class Motion:
     """The true motion of the vehicle's reference point (its inertial unit).
 
-    Attributes
-    ----------
-    way : BSpline
-        Position in the local frame over time.
-    ground_m : float
-        Height of the take-off place: on it nothing moves.
-    sway, shake, vibration : Waves
-        Of position (m), attitude (rad) slowly and attitude fast.
-    wind_m_s : ndarray, shape (2,)
-        Velocity of the air, east and north.
-    course : BSpline
-        Direction of the nose over time, radians from north towards east, continuous.
-    strip : tuple of (int, float, float)
-        Strips by number: when they begin and end, s.
+    way: position in the local frame over time.
+    ground_m: height of the take-off place: on it nothing moves.
+    sway, shake, vibration: of position (m), attitude (rad) slowly and attitude fast.
+    wind_m_s (2,): velocity of the air, east and north.
+    course: direction of the nose over time, radians from north towards east, continuous.
+    strip: strips by number: when they begin and end, s.
     """
 
     way: BSpline[np.float64]

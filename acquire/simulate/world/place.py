@@ -25,14 +25,9 @@ _ECCENTRICITY2 = FLATTENING * (2 - FLATTENING)
 class Place:
     """A topocentric frame: X east, Y north, Z up, metres.
 
-    Attributes
-    ----------
-    latitude, longitude : float
-        Of its origin, radians.
-    height_m : float
-        Of its origin above the ellipsoid.
-    crs : str
-        The projected system of control and results; ellipsoidal heights.
+    latitude, longitude: of its origin, radians.
+    height_m: of its origin above the ellipsoid.
+    crs: the projected system of control and results; ellipsoidal heights.
     """
 
     latitude: float

@@ -16,12 +16,8 @@ _CLIMB_M_S = 4.0
 class Strip:
     """A straight line of exposures.
 
-    Attributes
-    ----------
-    covers : int
-        Number of its pass.
-    begin_m, end_m : ndarray, shape (3,)
-        Where its first and its last exposure are wanted.
+    covers: number of its pass.
+    begin_m, end_m (3,): where its first and its last exposure are wanted.
     """
 
     covers: int
@@ -35,11 +31,8 @@ class Strip:
 class Leg:
     """A straight piece of the way at one speed; of no length: a wait.
 
-    Attributes
-    ----------
-    to_m : ndarray, shape (3,)
-    strip : int
-        Index of the strip, -1 where nothing is taken.
+    to_m (3,).
+    strip: index of the strip, -1 where nothing is taken.
     """
 
     to_m: Floats

@@ -20,15 +20,10 @@ BLACK, WHITE = 25.0, 225.0
 class Plate:
     """A horizontal square plate.
 
-    Attributes
-    ----------
-    centre_m : ndarray, shape (3,)
-    turn : float
-        Direction of its upper edge, from east towards north, rad.
-    cell_m : float
-        Size of a cell.
-    cells : ndarray, shape (k, k)
-        Grey values, the first row at the upper edge, with the light margin.
+    centre_m (3,).
+    turn: direction of its upper edge, from east towards north, rad.
+    cell_m: size of a cell.
+    cells (k, k): grey values, the first row at the upper edge, with the light margin.
     """
 
     centre_m: Floats

@@ -28,10 +28,7 @@ GRID_PX = 8
 class Scene:
     """What is to be pictured, painted once.
 
-    Attributes
-    ----------
-    grounds : tuple of Ground
-        For each pass, as soft as its pixels are large.
+    grounds: for each pass, as soft as its pixels are large.
     """
 
     world: World

@@ -17,15 +17,10 @@ _LEAST_SLIP_M = 0.5
 class FieldBook:
     """What is written into the files of the site.
 
-    Attributes
-    ----------
-    control : tuple of (str, str, str)
-        Coordinates of each target as texts, in the system of the site.
-    base_m : ndarray, shape (3,)
-        Announced place of the base's mark in the local frame.
-    camera_to_antenna_m : ndarray, shape (3,)
-    mistyped : str
-        Name of the target with swapped digits, empty for none.
+    control: coordinates of each target as texts, in the system of the site.
+    base_m (3,): announced place of the base's mark in the local frame.
+    camera_to_antenna_m (3,).
+    mistyped: name of the target with swapped digits, empty for none.
     """
 
     control: tuple[tuple[str, str, str], ...]

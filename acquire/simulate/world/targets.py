@@ -19,18 +19,11 @@ _CANDIDATES = 60
 class Targets:
     """The plates.
 
-    Attributes
-    ----------
-    roles : tuple of str (n,)
-        ``control`` or ``check``.
-    codes : ndarray of int, shape (n,)
-        Identity in the dictionary.
-    centre_m : ndarray, shape (n, 3)
-        In the local frame.
-    turn : ndarray, shape (n,)
-        Direction of the plate's upper edge, from east towards north, rad.
-    surveyed_m : ndarray, shape (n, 3)
-        What the survey says, in the local frame.
+    roles (n,): ``control`` or ``check``.
+    codes (n,): identity in the dictionary.
+    centre_m (n, 3): in the local frame.
+    turn (n,): direction of the plate's upper edge, from east towards north, rad.
+    surveyed_m (n, 3): what the survey says, in the local frame.
     """
 
     names: tuple[str, ...]

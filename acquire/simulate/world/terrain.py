@@ -20,12 +20,8 @@ _MEETS_M, _MOST_STEPS = 1e-7, 60
 class Terrain:
     """A height field over a square around the origin.
 
-    Attributes
-    ----------
-    coefficients : ndarray, shape (n, n)
-        Of the cubic spline through heights at steps of `STEP_M`; rows north, columns east.
-    half_m : float
-        Half the side of the square.
+    coefficients (n, n): of the cubic spline through heights at steps of `STEP_M`; rows north, columns east.
+    half_m: half the side of the square.
     """
 
     coefficients: Floats

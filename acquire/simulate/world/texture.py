@@ -25,16 +25,10 @@ MEAN_GREY = 128
 class Ground:
     """A painted square around the origin, rows from north to south.
 
-    Attributes
-    ----------
-    detail : ndarray of uint8, shape (n, n)
-        Brightness, 128 where it is that of the colour.
-    texel_m : float
-        Size of an element of the detail.
-    colour : ndarray of uint8, shape (m, m, 3)
-        Blue, green, red at steps of `COLOUR_M`.
-    half_m : float
-        Half the side of the square.
+    detail (n, n): brightness, 128 where it is that of the colour.
+    texel_m: size of an element of the detail.
+    colour (m, m, 3): blue, green, red at steps of `COLOUR_M`.
+    half_m: half the side of the square.
     """
 
     detail: Bytes

@@ -13,14 +13,9 @@ from drivers.arrays import Floats
 class Wire:
     """What arrived over one link.
 
-    Attributes
-    ----------
-    arrival_s : ndarray, shape (n,)
-        When each frame had arrived, s since the start; never decreasing.
-    frames : tuple of bytes (n,)
-        As they arrived.
-    sent, lost, damaged : int
-        Frames that were sent, that did not arrive, that arrived with a wrong bit.
+    arrival_s (n,): when each frame had arrived, s since the start; never decreasing.
+    frames (n,): as they arrived.
+    sent, lost, damaged: frames that were sent, that did not arrive, that arrived with a wrong bit.
     """
 
     arrival_s: Floats

@@ -32,16 +32,10 @@ LASTING = ("terrain", "targets", "rig", "texture")
 class World:
     """The truth.
 
-    Attributes
-    ----------
-    place : Place
-        The local frame: all coordinates below are in it, m.
-    camera : Camera
-        During the first pass.
-    base_m : ndarray, shape (3,)
-        The base's mark.
-    start_gps_ns : int
-        GPS time of the flight's second 0, since 1980-01-06.
+    place: the local frame: all coordinates below are in it, m.
+    camera: during the first pass.
+    base_m (3,): the base's mark.
+    start_gps_ns: GPS time of the flight's second 0, since 1980-01-06.
     """
 
     configuration: Configuration

@@ -17,36 +17,24 @@ WIDTHS = (POSE, POSE + len(MOTION), POSE + len(OWN))
 class Design(NamedTuple):
     """What stays the same while the unknowns change; arrays that kernels read.
 
-    Attributes
-    ----------
-    pieces : ndarray of int, shape (threads + 1,)
-        First point of each thread's piece.
-    ray_start : ndarray of int, shape (points + 1,)
-        First ray of each point.
-    ray_image : ndarray of int, shape (rays,)
-    plane, weight : ndarray, shape (rays, 2)
-        Measured coordinates and their weights 1 / sigma^2.
-    width : ndarray
-        Its number of axes, which the compiler knows, tells the columns of an image: see `columns`.
-    image_lens, image_column : ndarray of int, shape (images,)
-        Lens and first column of each image. Images share the lens of their camera; with parameters of their
-        own, or a rolling shutter, each image has its own.
-    pose_free : ndarray, shape (images, 6)
-        1 where a pose unknown is free, else 0.
-    own, own_count : ndarray of int, shape (lenses, n) and (lenses,)
-        Positions of the parameters of an image's own, the first `own_count` of each row.
-    optics : ndarray, shape (lenses, 20)
-        From `lens.optics`, and velocity and rate of the image.
-    active : ndarray of int, shape (lenses, 14)
-        Positions of the estimated parameters, the first `active_count` of each row.
-    active_count, active_column : ndarray of int, shape (lenses,)
-        Number of estimated parameters and the first of their columns within the border.
-    point_column : ndarray of int, shape (points,)
-        First column, within the border, of a point that is not eliminated; -1 for all others.
-    point_free : ndarray, shape (points, 3)
-        1 where a coordinate is free, else 0.
-    prior_points, prior_weight : ndarray, shape (points, 3) and (points, 3, 3)
-        Observed coordinates and their weights.
+    pieces (threads + 1,): first point of each thread's piece.
+    ray_start (points + 1,): first ray of each point.
+    ray_image (rays,).
+    plane, weight (rays, 2): measured coordinates and their weights 1 / sigma^2.
+    width: its number of axes, which the compiler knows, tells the columns of an image: see `columns`.
+    image_lens, image_column (images,): lens and first column of each image. Images share the lens of their
+        camera; with parameters of their own, or a rolling shutter, each image has its own.
+    pose_free (images, 6): 1 where a pose unknown is free, else 0.
+    own, own_count (lenses, n): positions of the parameters of an image's own, the first `own_count` of each
+        row.
+    optics (lenses, 20): from `lens.optics`, and velocity and rate of the image.
+    active (lenses, 14): positions of the estimated parameters, the first `active_count` of each row.
+    active_count, active_column (lenses,): number of estimated parameters and the first of their columns
+        within the border.
+    point_column (points,): first column, within the border, of a point that is not eliminated; -1 for all
+        others.
+    point_free (points, 3): 1 where a coordinate is free, else 0.
+    prior_points, prior_weight (points, 3): observed coordinates and their weights.
     """
 
     pieces: Integers
@@ -73,14 +61,10 @@ class Design(NamedTuple):
 class Values(NamedTuple):
     """What the unknowns are now.
 
-    Attributes
-    ----------
-    lenses : ndarray, shape (lenses, 20)
-        Parameters of the camera, and movement of the image during the readout.
-    rotation, basis : ndarray, shape (images, 3, 3)
-        Object to camera axes; the turn that each rotation unknown makes.
-    centre : ndarray, shape (images, 3)
-    points : ndarray, shape (points, 3)
+    lenses (lenses, 20): parameters of the camera, and movement of the image during the readout.
+    rotation, basis (images, 3, 3): object to camera axes; the turn that each rotation unknown makes.
+    centre (images, 3).
+    points (points, 3).
     """
 
     lenses: Floats
@@ -108,15 +92,10 @@ class Structure(NamedTuple):
 class Eliminated(NamedTuple):
     """What elimination of the points leaves behind, so that their steps can be found afterwards.
 
-    Attributes
-    ----------
-    mixed : ndarray, shape (rays, 3, columns of an image)
-        Normal matrix between the point and the image of each ray.
-    mixed_border : ndarray, shape (points, 3, lens)
-        Between each point and the cameras.
-    inverse : ndarray, shape (points, 3, 3)
-        Inverse of each point's own block; zero where its rays do not determine it.
-    gradient : ndarray, shape (points, 3)
+    mixed (rays, 3, columns of an image): normal matrix between the point and the image of each ray.
+    mixed_border (points, 3, lens): between each point and the cameras.
+    inverse (points, 3, 3): inverse of each point's own block; zero where its rays do not determine it.
+    gradient (points, 3).
     """
 
     mixed: Floats

@@ -17,17 +17,12 @@ from photocal.geometry.distortion import undistorted
 class Sights:
     """Rays of a block.
 
-    Attributes
-    ----------
-    given, cameras : tuple of Camera
-        As they were given, what is known of them beforehand; and with values as good as they are known.
-    camera_of : ndarray of int, shape (images,)
-    points : int
-        Number of object points.
-    rays : Rays
-        Sorted by point.
-    slopes : ndarray, shape (rays, 2)
-        Undistorted image coordinates over the principal distance.
+    given, cameras: as they were given, what is known of them beforehand; and with values as good as they are
+        known.
+    camera_of (images,).
+    points: number of object points.
+    rays: sorted by point.
+    slopes (rays, 2): undistorted image coordinates over the principal distance.
     """
 
     given: tuple[Camera, ...]

@@ -45,15 +45,11 @@ C_SHARE, DISTORTION_SHARE = 0.2, 0.1
 class Model:
     """Poses and points in one system; NaN where unknown.
 
-    Attributes
-    ----------
-    sights : Sights
-        The rays, by the cameras as the model has found them.
-    rotation : ndarray, shape (images, 3, 3)
-    centre : ndarray, shape (images, 3)
-    points : ndarray, shape (points, 3)
-    fixed : ndarray of bool, shape (points,)
-        Points that were given and keep their coordinates.
+    sights: the rays, by the cameras as the model has found them.
+    rotation (images, 3, 3).
+    centre (images, 3).
+    points (points, 3).
+    fixed (points,): points that were given and keep their coordinates.
     """
 
     sights: Sights

@@ -22,14 +22,9 @@ DISTANCE = RELATIONS.index("distance")
 class StartValues:
     """Start values.
 
-    Attributes
-    ----------
-    exposures : ndarray, shape (images, 6)
-        omega, phi, kappa in radians, X, Y, Z in m; NaN for images that were not reached.
-    points : ndarray, shape (points, 3)
-        m; NaN for points whose rays do not meet well enough.
-    lost : ndarray of int
-        Images that were not reached.
+    exposures (images, 6): omega, phi, kappa in radians, X, Y, Z in m; NaN for images that were not reached.
+    points (points, 3): m; NaN for points whose rays do not meet well enough.
+    lost: images that were not reached.
     """
 
     exposures: Floats

@@ -17,12 +17,8 @@ from photocal.geometry.distortion import undistorted
 class Calibration:
     """One calibration of a camera.
 
-    Attributes
-    ----------
-    camera : Camera
-        Its model and parameter values.
-    uncertainty : Estimates or None
-        The estimated parameters with their covariance, in the unit of the camera; None when unknown.
+    camera: its model and parameter values.
+    uncertainty: the estimated parameters with their covariance, in the unit of the camera; None when unknown.
     """
 
     camera: Camera
@@ -38,12 +34,8 @@ class Calibration:
 class View:
     """Where a calibration places pixels: the ideal image of its rays.
 
-    Attributes
-    ----------
-    ideal : (n, 2) array
-        Image coordinates free of distortion, from the principal point, x right, y up, px.
-    c : float
-        Principal distance, px.
+    ideal (n, 2): image coordinates free of distortion, from the principal point, x right, y up, px.
+    c: principal distance, px.
     """
 
     ideal: Floats

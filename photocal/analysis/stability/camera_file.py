@@ -78,22 +78,13 @@ class _File(Table):
 class CameraFile:
     """What a comparison was asked for.
 
-    Attributes
-    ----------
-    calibrations : tuple of Calibration
-        The calibrations in the order of the file.
-    grid_step_px : float or None
-        Distance of the grid points, px.
-    thresholds_px : tuple of float
-        Limits of likeness, px.
-    terrains : tuple of Terrain
-        Grounds for the single photo resection.
-    terrains_each : int
-        Random grounds of each kind.
-    seed : int
-        Of the random grounds and of the distributions.
-    printed : tuple of Printed
-        Figures printed elsewhere.
+    calibrations: the calibrations in the order of the file.
+    grid_step_px: distance of the grid points, px.
+    thresholds_px: limits of likeness, px.
+    terrains: grounds for the single photo resection.
+    terrains_each: random grounds of each kind.
+    seed: of the random grounds and of the distributions.
+    printed: figures printed elsewhere.
     """
 
     calibrations: tuple[Calibration, ...]

@@ -20,18 +20,11 @@ PROBABILITY = 0.95
 class Figure:
     """How much two calibrations differ, by one method.
 
-    Attributes
-    ----------
-    method, definition, source : str
-        As in `Method`.
-    value_px : float
-        The figure, px.
-    sigma_px : float or None
-        Its standard deviation from the covariances of both calibrations.
-    noise_px : float or None
-        What it stays below in 95 of 100 cases when both are the same camera.
-    p_value : float or None
-        Probability of so large a figure when both are the same camera.
+    method, definition, source: as in `Method`.
+    value_px: the figure, px.
+    sigma_px: its standard deviation from the covariances of both calibrations.
+    noise_px: what it stays below in 95 of 100 cases when both are the same camera.
+    p_value: probability of so large a figure when both are the same camera.
     """
 
     method: str
@@ -52,12 +45,8 @@ class Figure:
 class Pair:
     """All figures of one pair of calibrations.
 
-    Attributes
-    ----------
-    first, second : str
-        Names of the calibrations: set I and set II.
-    figures : tuple of Figure
-        One for each method and definition.
+    first, second: names of the calibrations: set I and set II.
+    figures: one for each method and definition.
     """
 
     first: str

@@ -23,20 +23,12 @@ Misfit = Callable[[View, View, Floats], Floats]
 class Method:
     """One definition of likeness.
 
-    Attributes
-    ----------
-    name : str
-        "MIS", "ZROT", "ROT" or "SPR".
-    definition : str
-        What distinguishes it from the other definitions of the same name.
-    source : str
-        "equations": as the study defines it; "tables": as its printed figures were computed; "both".
-    pose_size : int
-        Number of free elements of the pose.
-    mean_distance : bool
-        Whether the figure is the mean length of the misfit instead of its root mean square.
-    misfits : tuple of callable
-        The misfit, one for each terrain where there are terrains.
+    name: "MIS", "ZROT", "ROT" or "SPR".
+    definition: what distinguishes it from the other definitions of the same name.
+    source: "equations": as the study defines it; "tables": as its printed figures were computed; "both".
+    pose_size: number of free elements of the pose.
+    mean_distance: whether the figure is the mean length of the misfit instead of its root mean square.
+    misfits: the misfit, one for each terrain where there are terrains.
     """
 
     name: str
@@ -51,12 +43,8 @@ class Method:
 class Terrain:
     """Ground for the single photo resection.
 
-    Attributes
-    ----------
-    height_m : float
-        Height of the exposure over the lowest ground.
-    relief_m : float
-        Heights of the ground are spread evenly from 0 to this.
+    height_m: height of the exposure over the lowest ground.
+    relief_m: heights of the ground are spread evenly from 0 to this.
     """
 
     height_m: float

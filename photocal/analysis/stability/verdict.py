@@ -11,14 +11,9 @@ from photocal.analysis.stability.comparison import Figure, Pair
 class Printed:
     """A figure printed elsewhere for a pair of these calibrations.
 
-    Attributes
-    ----------
-    method, definition : str
-        How it was computed, as in `Method`.
-    first, second : str
-        The calibrations.
-    value_px, tolerance_px : float
-        The printed figure and how far the recomputed one may be from it.
+    method, definition: how it was computed, as in `Method`.
+    first, second: the calibrations.
+    value_px, tolerance_px: the printed figure and how far the recomputed one may be from it.
     """
 
     method: str
@@ -33,12 +28,8 @@ class Printed:
 class Followed:
     """Whether a printed figure follows from the parameters.
 
-    Attributes
-    ----------
-    printed : Printed
-        The printed figure.
-    computed_px : float
-        The figure from the parameters.
+    printed: the printed figure.
+    computed_px: the figure from the parameters.
     """
 
     printed: Printed

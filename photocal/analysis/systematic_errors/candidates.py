@@ -21,18 +21,13 @@ REGULAR_SPACING = 0.3
 class Candidate:
     """A systematic error with one unknown amount.
 
-    Attributes
-    ----------
-    kind : str
-        "y-scale", "shear", "radial", "decentring" or "rolling-shutter".
-    parameter : str
-        The term of the camera model that is missing; empty where there is none.
-    camera : int
-        The camera concerned.
-    displacement : (n, 2) array
-        What must be added to the measured image plane coordinates for an amount of 1; zero for rays of
-        other cameras. It is a function of the computed coordinates: of the measured ones, a field that
-        shrinks the image would shrink the errors of measurement, too, and explain something in every block.
+    kind: "y-scale", "shear", "radial", "decentring" or "rolling-shutter".
+    parameter: the term of the camera model that is missing; empty where there is none.
+    camera: the camera concerned.
+    displacement (n, 2): what must be added to the measured image plane coordinates for an amount of 1; zero
+        for rays of other cameras. It is a function of the computed coordinates: of the measured ones, a field
+        that shrinks the image would shrink the errors of measurement, too, and explain something in every
+        block.
     """
 
     kind: str

@@ -18,22 +18,13 @@ LEFT = 1e-6
 class ExtraParameter:
     """Outcome of the test of one candidate.
 
-    Attributes
-    ----------
-    candidate : Candidate
-        What was tested.
-    amount, sigma : float
-        Estimate and a priori standard deviation, in the unit of the candidate.
-    fall : float
-        By how much the sum of squares falls with it.
-    statistic, p_value : float
-        F = fall over the variance that remains, and its probability without the error.
-    effect_px : float
-        Largest displacement of a ray, px.
-    tested : int
-        Candidates that were looked at: the level is shared by them (Bonferroni).
-    alike : tuple of str
-        Other candidates that explain the residuals as well: the network does not separate them.
+    candidate: what was tested.
+    amount, sigma: estimate and a priori standard deviation, in the unit of the candidate.
+    fall: by how much the sum of squares falls with it.
+    statistic, p_value: F = fall over the variance that remains, and its probability without the error.
+    effect_px: largest displacement of a ray, px.
+    tested: candidates that were looked at: the level is shared by them (Bonferroni).
+    alike: other candidates that explain the residuals as well: the network does not separate them.
     """
 
     candidate: Candidate

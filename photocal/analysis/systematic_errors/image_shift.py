@@ -23,21 +23,14 @@ MOST_JOINT = 12
 class ImageShift:
     """Scale and principal point of one image against its camera.
 
-    Attributes
-    ----------
-    image : str
-        The image.
-    scale : float
-        Relative difference of scale, dimensionless.
-    shift_px : (2,) array
-        Shift of the principal point to the right and up, px.
-    effect_px : float
-        Largest displacement of a ray that the other unknowns do not take up, px.
-    p_value : float
-        Probability without such a difference, already multiplied by the number of images.
-    sigma : (3,) array or None
-        Of scale and shift (px), a priori, when they were estimated jointly with all other unknowns; NaN for
-        what these take up. None when only the exterior orientation of the image was taken into account.
+    image: the image.
+    scale: relative difference of scale, dimensionless.
+    shift_px (2,): shift of the principal point to the right and up, px.
+    effect_px: largest displacement of a ray that the other unknowns do not take up, px.
+    p_value: probability without such a difference, already multiplied by the number of images.
+    sigma (3,): of scale and shift (px), a priori, when they were estimated jointly with all other unknowns;
+        NaN for what these take up. None when only the exterior orientation of the image was taken into
+        account.
     """
 
     image: str

@@ -23,16 +23,11 @@ NEAR = 1e-8
 class Jackknife:
     """Camera parameters with images left out.
 
-    Attributes
-    ----------
-    left_out : tuple of tuple of str
-        Images that were left out together, one entry for each of m adjustments.
-    cameras : (m, cameras, 14) array
-        Parameters without them.
-    standard_error : (cameras, 14) array
-        Jackknife standard error, sqrt((m - 1) / m sum (t_i - mean)^2); NaN when m < 3.
-    not_possible : tuple of str
-        Images without which the rest is not determined.
+    left_out: images that were left out together, one entry for each of m adjustments.
+    cameras (m, cameras, 14): parameters without them.
+    standard_error (cameras, 14): jackknife standard error, sqrt((m - 1) / m sum (t_i - mean)^2); NaN when m <
+        3.
+    not_possible: images without which the rest is not determined.
     """
 
     left_out: tuple[tuple[str, ...], ...]

@@ -21,12 +21,8 @@ NEAR = 1e-10
 class Checks:
     """Surveyed coordinates that did not take part in the adjustment.
 
-    Attributes
-    ----------
-    point : (m,) array of int
-        Which points of the network they are.
-    surveyed : (m, 3) array
-        Their coordinates in the frame of the network, m.
+    point (m,): which points of the network they are.
+    surveyed (m, 3): their coordinates in the frame of the network, m.
     """
 
     point: Integers
@@ -43,16 +39,10 @@ class Checks:
 class LeftOut:
     """The adjustment without one parameter.
 
-    Attributes
-    ----------
-    parameter : str
-        The parameter, held at zero.
-    c, change_of_c : float
-        c without it, and minus c with it, in the unit of the camera.
-    chi_squared, sigma0_squared : float
-        Of the adjustment without it.
-    check_rmse_m : (3,) array or None
-        At the check points, X, Y, Z.
+    parameter: the parameter, held at zero.
+    c, change_of_c: c without it, and minus c with it, in the unit of the camera.
+    chi_squared, sigma0_squared: of the adjustment without it.
+    check_rmse_m (3,): at the check points, X, Y, Z.
     """
 
     parameter: str

@@ -24,14 +24,9 @@ SIGNIFICANCE = 0.001
 class PositionShift:
     """A common shift of the observed positions, as three more unknowns.
 
-    Attributes
-    ----------
-    shift, sigma : (3,) array
-        Observed less what the rest of the network says, and standard deviations a priori, m.
-    fall : float
-        By how much the sum of squares falls with it.
-    p_value : float
-        Probability of that without a shift, judged by the scatter of the positions themselves.
+    shift, sigma (3,): observed less what the rest of the network says, and standard deviations a priori, m.
+    fall: by how much the sum of squares falls with it.
+    p_value: probability of that without a shift, judged by the scatter of the positions themselves.
     """
 
     shift: Floats

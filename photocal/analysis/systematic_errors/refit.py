@@ -27,14 +27,9 @@ Observed = TypeVar("Observed", Positions, Attitudes)
 class Fit:
     """A network at its minimum.
 
-    Attributes
-    ----------
-    network : Network
-        What was adjusted.
-    state : State
-        Values of all unknowns there.
-    solution : Solution
-        With its statistics.
+    network: what was adjusted.
+    state: values of all unknowns there.
+    solution: with its statistics.
     """
 
     network: Network
@@ -56,12 +51,8 @@ class Fit:
 class Lowest:
     """The minimum of a network, without statistics.
 
-    Attributes
-    ----------
-    state : State
-        Values of all unknowns there.
-    chi_squared : float
-        Sum of v'Pv.
+    state: values of all unknowns there.
+    chi_squared: sum of v'Pv.
     """
 
     state: State

@@ -15,22 +15,15 @@ RAYS_PER_CELL = 20
 class ResidualMap:
     """Mean residuals on a grid of cells over the sensor.
 
-    Attributes
-    ----------
-    columns_px, rows_px : array
-        Borders of the cells, px.
-    count : (rows, columns) array of int
-        Rays in each cell.
-    mean_px : (rows, columns, 2) array
-        Mean residual (computed minus measured), column to the right and row down, px; NaN in empty cells.
-    p_value : (rows, columns) array
-        Probability of so large a mean of standardised residuals without a systematic part.
-    significant : (rows, columns) array of bool
-        Cells below the level, shared among all cells.
-    global_statistic, global_p_value : float
-        Chi-squared of all cells together, and its probability.
-    cells : int
-        Number of cells that were tested.
+    columns_px, rows_px: borders of the cells, px.
+    count (rows, columns): rays in each cell.
+    mean_px (rows, columns, 2): mean residual (computed minus measured), column to the right and row down, px;
+        NaN in empty cells.
+    p_value (rows, columns): probability of so large a mean of standardised residuals without a systematic
+        part.
+    significant (rows, columns): cells below the level, shared among all cells.
+    global_statistic, global_p_value: chi-squared of all cells together, and its probability.
+    cells: number of cells that were tested.
     """
 
     columns_px: Floats

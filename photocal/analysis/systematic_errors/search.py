@@ -40,12 +40,8 @@ ALIKE = 0.9
 class Round:
     """One error that was found and corrected.
 
-    Attributes
-    ----------
-    parameter : ExtraParameter
-        The error with its total amount.
-    before, after : Fit
-        The network without and with the correction.
+    parameter: the error with its total amount.
+    before, after: the network without and with the correction.
     """
 
     parameter: ExtraParameter
@@ -57,26 +53,15 @@ class Round:
 class Search:
     """Everything that the search found.
 
-    Attributes
-    ----------
-    rounds : tuple of Round
-        Errors in the order in which they were found, the worst first.
-    first, last : Fit
-        The network as it was adjusted, and with all corrections.
-    shift : PositionShift or None
-        Of all observed positions against the rest, where it is significant; it is then free in `last`.
-    sigma : AssumedSigma
-        Of the image coordinates, at the end.
-    groups : tuple of GroupTest
-        Each group of observations against its stated standard deviations, at the end.
-    images, axes, cameras : tuple of VarianceComponent
-        Scatter by image, by image axis and by camera, at the end.
-    shifts : tuple of ImageShift
-        Scale and principal point of each image, at the end.
-    maps : tuple of ResidualMap or None
-        For each camera, at the end; None for a camera without rays.
-    jackknife_first, jackknife_last : Jackknife
-        Before and after the corrections.
+    rounds: errors in the order in which they were found, the worst first.
+    first, last: the network as it was adjusted, and with all corrections.
+    shift: of all observed positions against the rest, where it is significant; it is then free in `last`.
+    sigma: of the image coordinates, at the end.
+    groups: each group of observations against its stated standard deviations, at the end.
+    images, axes, cameras: scatter by image, by image axis and by camera, at the end.
+    shifts: scale and principal point of each image, at the end.
+    maps: for each camera, at the end; None for a camera without rays.
+    jackknife_first, jackknife_last: before and after the corrections.
     """
 
     rounds: tuple[Round, ...]

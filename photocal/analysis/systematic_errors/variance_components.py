@@ -13,18 +13,11 @@ from drivers.arrays import Floats, Integers
 class VarianceComponent:
     """Scatter of one group of observations.
 
-    Attributes
-    ----------
-    name : str
-        Image, camera or axis.
-    observations : int
-        Number of observations.
-    redundancy : float
-        Sum of their redundancy numbers.
-    ratio : float
-        Standard deviation found over the one that was assumed.
-    p_value : float
-        Two-sided probability of so different a scatter from that of all others, already multiplied by
+    name: image, camera or axis.
+    observations: number of observations.
+    redundancy: sum of their redundancy numbers.
+    ratio: standard deviation found over the one that was assumed.
+    p_value: two-sided probability of so different a scatter from that of all others, already multiplied by
         the number of groups.
     """
 
@@ -75,18 +68,11 @@ def variance_components(
 class AssumedSigma:
     """Standard deviation of the image coordinates, assumed and found.
 
-    Attributes
-    ----------
-    assumed, found : float
-        In the unit of the image plane.
-    rms : float
-        Root mean square of the residuals, in the same unit.
-    lower, upper : float
-        Confidence interval of the one that was found.
-    redundancy : float
-        What it rests on.
-    p_value : float
-        Two-sided probability of the residuals if the assumption holds.
+    assumed, found: in the unit of the image plane.
+    rms: root mean square of the residuals, in the same unit.
+    lower, upper: confidence interval of the one that was found.
+    redundancy: what it rests on.
+    p_value: two-sided probability of the residuals if the assumption holds.
     """
 
     assumed: float

@@ -28,12 +28,8 @@ FEWEST_UNKNOWN, FEWEST_STARTED = 4, 3
 class Residual:
     """Of a mark: computed minus marked.
 
-    Attributes
-    ----------
-    vx, vy : float
-        px.
-    in_sigmas : float or None
-        The larger of the two standardised residuals; None where the mark is not checked by others.
+    vx, vy: px.
+    in_sigmas: the larger of the two standardised residuals; None where the mark is not checked by others.
     """
 
     image: str
@@ -47,14 +43,9 @@ class Residual:
 class Adjusted:
     """What an adjustment of marks found.
 
-    Attributes
-    ----------
-    orientation : Orientation
-        Improved where images took part.
-    sigma0 : float or None
-        A posteriori standard deviation of unit weight; None without redundancy.
-    left_out : tuple of str
-        Images whose marks do not suffice, with the reason.
+    orientation: improved where images took part.
+    sigma0: A posteriori standard deviation of unit weight; None without redundancy.
+    left_out: images whose marks do not suffice, with the reason.
     """
 
     residuals: tuple[Residual, ...]

@@ -24,14 +24,9 @@ _TURNS = {3: 180, 6: 90, 8: 270}
 class Picture:
     """An image file.
 
-    Attributes
-    ----------
-    size_px : (int, int)
-        Width and height of the stored pixel grid.
-    turn_deg : int
-        How far viewers turn it clockwise. Columns and rows are always those of the stored grid.
-    reason : str
-        Why it cannot be shown; empty for those that can.
+    size_px: width and height of the stored pixel grid.
+    turn_deg: how far viewers turn it clockwise. Columns and rows are always those of the stored grid.
+    reason: why it cannot be shown; empty for those that can.
     """
 
     path: Path
@@ -44,14 +39,9 @@ class Picture:
 class Scene:
     """Everything that the page shows, but the marks.
 
-    Attributes
-    ----------
-    pictures : mapping of str to Picture
-        By file name: no other file is ever opened for the page.
-    listed : bool
-        Whether only these points may be marked; else names are free.
-    dictionaries : tuple of str
-        Of coded targets.
+    pictures: by file name: no other file is ever opened for the page.
+    listed: whether only these points may be marked; else names are free.
+    dictionaries: of coded targets.
     """
 
     name: str

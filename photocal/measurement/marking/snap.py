@@ -50,14 +50,9 @@ COMMON_PX = 0.02
 class Snapped:
     """A centre that was found.
 
-    Attributes
-    ----------
-    x, y : float
-        Column and row, px; the centre of the upper-left pixel is (0, 0).
-    sigma : (float, float)
-        px.
-    kind : str
-        What the target is.
+    x, y: column and row, px; the centre of the upper-left pixel is (0, 0).
+    sigma: px.
+    kind: what the target is.
     """
 
     x: float
