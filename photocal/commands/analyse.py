@@ -22,6 +22,12 @@ def analyse(
     correlation: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Correlations from here on are named.")
     ] = 0.8,
+    bootstrap: Annotated[
+        int,
+        typer.Option(
+            min=0, max=10_000, help="Adjust so many blocks of images drawn with replacement; 100 tell enough."
+        ),
+    ] = 0,
     matrix: Annotated[
         Path | None, typer.Option(help="CSV of the correlations or the covariance of published parameters.")
     ] = None,
@@ -62,5 +68,5 @@ def analyse(
         answer(as_json, lambda: published_record(sets), lambda: published_text(sets, say))
         return
     with progress("adjusting again", None) as advance:
-        outcome = analyse_run(run, block, alpha, correlation, lambda: advance(1), say)
+        outcome = analyse_run(run, block, alpha, correlation, lambda: advance(1), say, bootstrap)
     answer(as_json, lambda: analysis_record(outcome, say), lambda: analysis_text(outcome, say))

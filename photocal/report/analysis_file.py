@@ -34,6 +34,7 @@ def analyse_run(
     threshold: float = THRESHOLD,
     done: Callable[[], None] = lambda: None,
     say: Catalogue | None = None,
+    draws: int = 0,
 ) -> Outcome:
     """Analyse a run and write `analysis.json` into its folder: it then goes into the certificate.
 
@@ -42,6 +43,8 @@ def analyse_run(
     block : Path or None
         Block folder or set-up file; looked for where the run says, beside it and below the current folder
         when not given.
+    draws : int
+        Of the bootstrap over images.
 
     Raises
     ------
@@ -52,7 +55,7 @@ def analyse_run(
     source = block_of_run(folder, result, block, Path.cwd())
     read = read_any_block(source.path)
     assembly = network_of(read, result)
-    outcome = analyse_network(assembly.network, _checks(read, assembly), alpha, threshold, done)
+    outcome = analyse_network(assembly.network, _checks(read, assembly), alpha, threshold, done, draws)
     difference = exterior_difference(read, result)
     content = {
         **analysis_record(outcome, say or catalogue("en")),

@@ -11,6 +11,7 @@ import numpy as np
 from photocal.analysis.camera_analysis import CameraAnalysis
 from photocal.analysis.method import MethodCheck
 from photocal.analysis.outcome import Outcome
+from photocal.analysis.robust import Robust
 from photocal.analysis.systematic_errors.search import Search
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.finding import Finding
@@ -45,7 +46,8 @@ def analysis_record(outcome: Outcome, say: Catalogue) -> dict[str, Any]:
             name: None if cells is None else as_plain(asdict(cells))
             for name, cells in zip(names, search.maps, strict=True)
         },
-        "jackknife": _jackknife(search, names),
+        "jackknife": _jackknife(search, outcome.robust, names),
+        "bootstrap_draws": outcome.robust.draws,
         "network": as_plain(asdict(outcome.shape)),
         "methods": [_method(one, say) for one in outcome.methods],
     }
@@ -106,7 +108,7 @@ def _method(one: MethodCheck, say: Catalogue) -> dict[str, Any]:
     }
 
 
-def _jackknife(search: Search, names: list[str]) -> dict[str, Any]:
+def _jackknife(search: Search, robust: Robust, names: list[str]) -> dict[str, Any]:
     before, after = search.jackknife_first, search.jackknife_last
 
     def by_parameter(values: Any, camera: int) -> dict[str, Any]:
@@ -116,6 +118,8 @@ def _jackknife(search: Search, names: list[str]) -> dict[str, Any]:
     return {
         name: {
             "standard_error": by_parameter(before.standard_error, k),
+            "sandwich": by_parameter(robust.sandwich, k),
+            "bootstrap": None if robust.bootstrap is None else by_parameter(robust.bootstrap, k),
             "standard_error_corrected": by_parameter(after.standard_error, k),
             "left_out": [
                 {"images": list(images), "parameters": by_parameter(values, k)}

@@ -168,6 +168,8 @@ def _jackknife(record: JackknifeRecord, camera: Camera, say: Catalogue) -> Table
         Column(say("analysis.formal")),
         Column(say("analysis.error")),
         Column(say("analysis.corrected")),
+        Column(say("analysis.sandwich")),
+        *([] if record.bootstrap is None else [Column(say("analysis.bootstrap"))]),
     )
 
     def small(value: float | None) -> str:
@@ -180,6 +182,8 @@ def _jackknife(record: JackknifeRecord, camera: Camera, say: Catalogue) -> Table
             small(camera.sigma_of(name)),
             small(error),
             small(record.standard_error_corrected.get(name)),
+            small(record.sandwich.get(name)),
+            *([] if record.bootstrap is None else [small(record.bootstrap.get(name))]),
         )
         for name, error in record.standard_error.items()
     )

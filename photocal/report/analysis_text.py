@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from photocal.analysis.camera_analysis import CameraAnalysis
 from photocal.analysis.method import MethodCheck
 from photocal.analysis.outcome import Outcome
@@ -88,16 +90,17 @@ def _left_out(k: int, one: CameraAnalysis, outcome: Outcome, say: Catalogue) -> 
 
 
 def _jackknife(k: int, outcome: Outcome, say: Catalogue) -> list[str]:
-    """Standard error of every parameter with images left out, beside its formal one."""
-    search = outcome.search
-    error = search.jackknife_first.standard_error[k]
-    covariance = search.first.solution.camera_covariance[k]
-    camera = search.first.network.cameras[k]
+    """Formal standard deviation of every parameter, and beside it what images tell of it."""
+    search, camera = outcome.search, outcome.search.first.network.cameras[k]
+    beside = [
+        np.sqrt(np.diag(search.first.solution.camera_covariance[k])),
+        search.jackknife_first.standard_error[k],
+        outcome.robust.sandwich[k],
+    ]
+    beside += [] if outcome.robust.bootstrap is None else [outcome.robust.bootstrap[k]]
     lines = [
-        f"  {PARAMETERS[i]:<3} {_number(float(error[i]), say):.3g} / "
-        f"{_number(float(covariance[i, i]) ** 0.5, say):.3g}"
-        for i in range(len(PARAMETERS))
-        if camera.estimated[i]
+        f"  {PARAMETERS[i]:<3} " + " / ".join(f"{_number(float(one[i]), say):.3g}" for one in beside)
+        for i in np.flatnonzero(camera.estimated)
     ]
     return [say("console.jackknife", camera=camera.id), *lines] if lines else []
 

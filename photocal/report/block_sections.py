@@ -115,6 +115,8 @@ def exterior_orientation(title: str, run: Run, say: Catalogue) -> Section:
     columns += [Column(name, unit) for name, unit in quantities]
     columns += [Column(f"σ {name}", "mm" if unit == "m" else "(″)") for name, unit in quantities]
     rows = _eop_rows(run, order, say)
+    if run.result.scale:
+        remark += say("eop.scaled", factor=fixed(run.result.scale, 3, say.mark))
     table = Table(caption, tuple(columns), rows, say("eop.note", all=remark).strip(), dense=True)
     return Section(title, (_eop_quality(run, say), table) if n else (table,))
 
@@ -153,33 +155,45 @@ def _eop_quality(run: Run, say: Catalogue) -> Table:
         Column(say("eop.quantity"), align="left"),
         *(Column(f"σ {name}", unit) for name, unit in zip("XYZωφκ", ["mm"] * 3 + ["(″)"] * 3, strict=True)),
     )
+    factor = run.result.scale
     rows = tuple(
-        (say(f"eop.{key}"), *(_sigma(float(v), say) for v in function(sigma, axis=0)))
+        (say(f"eop.{key}"), *(_both(float(v), factor, say) for v in function(sigma, axis=0)))
         for key, function in (("least", np.min), ("median", np.median), ("most", np.max))
     )
-    return Table(say("eop.quality", n=len(images)), columns, rows)
+    note = say("checks.scaled").strip() if factor else ""
+    return Table(say("eop.quality", n=len(images)), columns, rows, note)
 
 
 def check_points(title: str, run: Run, say: Catalogue) -> Section:
     """Make the table of check points, or say that there are none."""
-    checks = run.result.checks
+    checks, factor = run.result.checks, run.result.scale
     if checks.n == 0:
         return Section(title, (Paragraph(say("checks.none")),))
-    columns = [Column(say("checks.point"), align="left")]
-    columns += [Column(f"Δ{axis}", "mm") for axis in "XYZ"] + [Column(f"σ {axis}", "mm") for axis in "XYZ"]
+    heads = [(f"Δ{axis}", "mm") for axis in "XYZ"]
+    heads += [(say(f"checks.{key}", axis=axis), "mm") for key in ("adjusted", "surveyed") for axis in "XYZ"]
+    columns = (Column(say("checks.point"), align="left"), *(Column(*head) for head in heads))
     decimals = _check_decimals(checks.points)
     rows = [
         (
             p.point,
             *(fixed(1e3 * d, decimals, say.mark) for d in (p.dx, p.dy, p.dz)),
-            *(_sigma(1e3 * s, say) for s in (p.sx, p.sy, p.sz)),
+            *(_both(1e3 * s, factor, say) for s in (p.sx, p.sy, p.sz)),
+            *(_both(1e3 * u, None, say) if u else say("word.none") for u in (p.ux, p.uy, p.uz)),
         )
         for p in checks.points
     ]
     rmse = (fixed(1e3 * (checks.rmse_m[axis] or 0.0), decimals, say.mark) for axis in "xyz")
-    rows.append((say("checks.rmse"), *rmse, "", "", ""))
-    table = Table(say("checks.table"), tuple(columns), tuple(rows), say("checks.note", n=checks.n))
-    return Section(title, (table, *_check_figures(run, say)))
+    rows.append((say("checks.rmse"), *rmse, *[""] * 6))
+    note = say("checks.note", n=checks.n) + (say("checks.scaled") if factor else "")
+    return Section(
+        title, (Table(say("checks.table"), columns, tuple(rows), note, dense=True), *_check_figures(run, say))
+    )
+
+
+def _both(sigma: float, factor: float | None, say: Catalogue) -> str:
+    """A standard deviation, in brackets what it is where the global test rejects it."""
+    text = _sigma(sigma, say)
+    return text if factor is None or sigma == 0.0 else f"{text} ({_sigma(factor * sigma, say)})"
 
 
 def _check_figures(run: Run, say: Catalogue) -> list[Figure]:

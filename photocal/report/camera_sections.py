@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from photocal.adjustment.readout import Readout
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import fixed, measured, power_of_ten, significant, symbol, unit_power
@@ -19,7 +17,7 @@ from photocal.report.document import (
     Table,
 )
 from photocal.report.figures import correlation_picture, natural_width
-from photocal.results.result import Result
+from photocal.report.stored_analysis import Run
 
 CONFIDENCE = 0.95
 STRONG = 0.9
@@ -38,6 +36,8 @@ POWERS = {
     "P3": -2,
     "P4": -4,
 }
+# Second opinions on standard deviations, see `analysis.robust`.
+OPINIONS = ("sandwich", "bootstrap")
 # Zero is a special value for these; that c differs from zero is no finding.
 NOT_TESTED = ("c",)
 
@@ -100,31 +100,48 @@ def _affinity(camera: Camera, say: Catalogue) -> str:
     )
 
 
-def interior_orientation(title: str, camera: Camera, result: Result, say: Catalogue) -> Section:
+def interior_orientation(title: str, camera_id: str, run: Run, say: Catalogue) -> Section:
     """Make the table of interior orientation parameters with standard deviations and significance."""
-    dof, test = result.degrees_of_freedom, result.global_test
-    critical = critical_t(dof)
-    refuted = test is not None and not test.accepted and bool(result.sigma0_squared)
-    factor = math.sqrt(result.sigma0_squared) if refuted and result.sigma0_squared else None
-    scaled = () if factor is None else (Column(say("iop.scaled")),)
+    camera, factor = run.result.cameras[camera_id], run.result.scale
+    critical = critical_t(run.result.degrees_of_freedom)
+    opinions = _opinions(camera_id, run)
+    further = [] if factor is None else ["scaled"]
+    further += [key for k, key in enumerate(OPINIONS) if any(pair[k] for pair in opinions.values())]
     columns = (
         Column(say("iop.name"), align="left"),
         Column(say("iop.meaning"), align="left"),
         Column(say("iop.value")),
         Column(say("iop.sigma")),
-        *scaled,
+        *(Column(say(f"iop.{key}")) for key in further),
         Column(say("iop.unit"), align="left"),
         Column(say("iop.t")),
         Column(say("iop.significant"), align="center"),
     )
-    rows = tuple(_iop_row(name, camera, critical, factor, say) for name in camera.used)
+    rows = []
+    for name in camera.used:
+        sigma = camera.sigma_of(name)
+        beside = {"scaled": (factor or 1.0) * sigma}
+        beside |= dict(zip(OPINIONS, opinions.get(name, (None, None)), strict=True))
+        rows.append(_iop_row(name, camera, critical, factor, [beside[key] for key in further], say))
     note = say("iop.note", critical=fixed(critical, 2, say.mark))
-    pieces: list[Piece] = [Table(say("iop.table"), columns, rows, note)]
-    weak = [symbol(name) for name in insignificant(camera, dof)]
+    if len(further) > (factor is not None):
+        note += say("iop.robust_note")
+    pieces: list[Piece] = [Table(say("iop.table"), columns, tuple(rows), note)]
+    weak = [symbol(name) for name in insignificant(camera, run.result.degrees_of_freedom)]
     if weak:
         text = say("iop.insignificant", names=", ".join(weak))
         pieces.append(Statement("note", say("iop.insignificant_title"), text))
     return Section(title, tuple(pieces))
+
+
+def _opinions(camera_id: str, run: Run) -> dict[str, tuple[float | None, float | None]]:
+    """Sandwich and bootstrap of all parameters, where one differs from what the adjustment says."""
+    record = run.analysis.jackknife.get(camera_id) if run.analysis else None
+    if record is None:
+        return {}
+    camera, factor = run.result.cameras[camera_id], run.result.scale or 1.0
+    formal = {name: factor * camera.sigma_of(name) for name in camera.free}
+    return {name: record.others(name, sigma) for name, sigma in formal.items()}
 
 
 def critical_t(dof: int) -> float:
@@ -142,24 +159,24 @@ def insignificant(camera: Camera, dof: int) -> list[str]:
 
 
 def _iop_row(
-    name: str, camera: Camera, critical: float, factor: float | None, say: Catalogue
+    name: str,
+    camera: Camera,
+    critical: float,
+    factor: float | None,
+    beside: list[float | None],
+    say: Catalogue,
 ) -> tuple[str, ...]:
-    value, sigma = camera.value(name), camera.sigma_of(name)
-    printed = measured(value, sigma, say.mark)
+    value, sigma, none = camera.value(name), camera.sigma_of(name), say("word.none")
+    printed, free = measured(value, sigma, say.mark), name in camera.free
     own = "s" if name == "readout" else unit_power(camera.unit, POWERS.get(name, 0))
-    unit = power_of_ten(printed.exponent, own)
-    head, free = (symbol(name), say(f"parameter.{name}"), printed.value), name in camera.free
-    scaled: tuple[str, ...] = ()
-    if factor is not None:
-        text = significant(factor * sigma / 10.0**printed.exponent, 2, say.mark)
-        scaled = (text if free else say("word.none"),)
-    if not free:
-        return (*head, say("word.held"), *scaled, unit or "1", say("word.none"), say("word.none"))
-    if name in NOT_TESTED or sigma == 0.0:
-        return (*head, printed.sigma, *scaled, unit, say("word.none"), say("word.none"))
+    unit = power_of_ten(printed.exponent, own) or "1"
+    others = (significant(s / 10.0**printed.exponent, 2, say.mark) if free and s else none for s in beside)
+    head = (symbol(name), say(f"parameter.{name}"), printed.value)
+    row = (*head, printed.sigma if free else say("word.held"), *others, unit)
+    if not free or name in NOT_TESTED or sigma == 0.0:
+        return (*row, none, none)
     t = value / (sigma * (factor or 1.0))
-    verdict = say("word.yes") if abs(t) >= critical else say("word.no")
-    return (*head, printed.sigma, *scaled, unit or "1", fixed(t, 1, say.mark), verdict)
+    return (*row, fixed(t, 1, say.mark), say("word.yes" if abs(t) >= critical else "word.no"))
 
 
 def correlations(title: str, name: str, camera: Camera, say: Catalogue) -> Section:

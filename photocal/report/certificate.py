@@ -234,7 +234,7 @@ def _sections(
             return f"{say(key)}: {camera_id}" if several else say(key)
 
         sections += [
-            interior_orientation(title("iop.section"), camera, run.result, say),
+            interior_orientation(title("iop.section"), camera_id, run, say),
             *_correlations(title("correlation.section"), name, camera, say),
             radial_distortion(title("distortion.section"), name, run, camera_id, say),
             image_residuals(title("residuals.section"), name, run, camera_id, say),

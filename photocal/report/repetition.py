@@ -48,7 +48,8 @@ def repeated(
         analysis = certified.get("analysis")
         if analysis is not None:
             asked = analysis["alpha"], analysis["correlation_threshold"]
-            analyse_run(aside / "run", copied.path, *asked, done)
+            draws = analysis.get("bootstrap_draws", 0)
+            analyse_run(aside / "run", copied.path, *asked, done, draws=draws)
         return read_run(aside / "run")
 
 

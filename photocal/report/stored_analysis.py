@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from drivers.errors import InputMalformedError
 from photocal.analysis.correlation import StrongCorrelation
 from photocal.analysis.exterior_correlation import ExteriorCorrelation
 from photocal.analysis.method import MethodCheck
+from photocal.analysis.robust import apart
 from photocal.analysis.systematic_errors.variance_components import AssumedSigma
 from photocal.block.model import InputFile
 from photocal.findings.finding import Finding
@@ -90,11 +91,22 @@ class Removal:
 
 @dataclass(frozen=True)
 class JackknifeRecord:
-    """Standard errors with images left out, by parameter; none where too few adjustments were possible."""
+    """Second opinions on standard deviations, by parameter; none where there were too few images.
+
+    standard_error, standard_error_corrected: with images left out, and the same after the corrections.
+    sandwich, bootstrap: as `analysis.robust.Robust` has them.
+    """
 
     standard_error: dict[str, float | None]
     standard_error_corrected: dict[str, float | None]
     left_out: tuple[Removal, ...]
+    sandwich: dict[str, float | None] = field(default_factory=dict)
+    bootstrap: dict[str, float | None] | None = None
+
+    def others(self, parameter: str, formal: float) -> tuple[float | None, float | None]:
+        """Sandwich and bootstrap where one of them differs from the formal one by more than a third."""
+        pair = self.sandwich.get(parameter), (self.bootstrap or {}).get(parameter)
+        return pair if any(apart(formal, one) for one in pair) else (None, None)
 
 
 @dataclass(frozen=True)
@@ -126,6 +138,7 @@ class StoredAnalysis:
     jackknife: by camera.
     methods: each method with its requirements.
     exterior_difference: orientations of the positioning system less the adjusted ones.
+    bootstrap_draws: how often images were drawn.
     """
 
     schema: str
@@ -138,6 +151,7 @@ class StoredAnalysis:
     jackknife: dict[str, JackknifeRecord]
     methods: tuple[MethodCheck, ...]
     exterior_difference: ExteriorDifference | None = None
+    bootstrap_draws: int = 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -48,7 +49,11 @@ class BlockFacts:
 
 @dataclass(frozen=True)
 class CheckPoint:
-    """Adjusted minus surveyed coordinates of a check point; standard deviations of the adjusted ones, m."""
+    """Adjusted minus surveyed coordinates of a check point, m.
+
+    sx, sy, sz: standard deviations of the adjusted coordinates.
+    ux, uy, uz: of the surveyed ones; None where the block does not state them.
+    """
 
     point: str
     dx: float
@@ -57,6 +62,9 @@ class CheckPoint:
     sx: float
     sy: float
     sz: float
+    ux: float | None = None
+    uy: float | None = None
+    uz: float | None = None
 
 
 @dataclass(frozen=True)
@@ -201,6 +209,12 @@ class Figures:
     reliability: dict[str, float] | None = None
     timing_s: dict[str, float] = field(default_factory=dict)
 
+    @property
+    def scale(self) -> float | None:
+        """By what a rejected global test multiplies standard deviations; None where it does not."""
+        test = self.global_test
+        return math.sqrt(self.sigma0_squared) if test and not test.accepted and self.sigma0_squared else None
+
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Result(Figures):
@@ -241,7 +255,8 @@ class Result(Figures):
         for name, camera in self.cameras.items():
             lines.append(f"camera {name} ({camera.model}, {camera.unit})")
             lines += [
-                f"  {key:<3}{camera.value(key):>15.8g}  +- {camera.sigma_of(key):.3g}" for key in camera.free
+                f"  {key:<3}{camera.value(key):>15.8g}  +- {self._sigmas(camera.sigma_of(key))}"
+                for key in camera.free
             ]
         for one in self.readouts:
             unit = self.cameras[one.camera].unit
@@ -262,6 +277,10 @@ class Result(Figures):
             shown = ", ".join(f"{axis} {value * 1000:.1f}" for axis, value in rmse)
             lines.append(f"check points: {self.checks.n}, RMSE {shown} mm")
         return "\n".join(lines)
+
+    def _sigmas(self, sigma: float) -> str:
+        """A standard deviation a priori, and scaled where the global test rejects that."""
+        return f"{sigma:.3g}" if self.scale is None else f"{sigma:.3g} (scaled {self.scale * sigma:.3g})"
 
     def tables(self) -> dict[str, Any]:
         """Images, points and residuals as Arrow tables (degrees, m, unit of the rays)."""

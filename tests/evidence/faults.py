@@ -119,7 +119,8 @@ def processed(task: Task) -> Processed:
         folder = project.parent / "work" / "certificate"
         record = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
         page = html.unescape((folder / "certificate.html").read_text(encoding="utf-8"))
-        return Processed(summary_text(figures), *_codes(told), ("\n".join(record["warnings"]), page))
+        texts = "\n".join(f"{one['code']}: {one['text']}" for one in record["warnings"])
+        return Processed(summary_text(figures), *_codes(told), (texts, page))
 
 
 def _codes(told: list[tuple[str, str]]) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -187,3 +187,19 @@ def _seen(own: Camera, rotation: Array, centres: Array, xyz: Array) -> tuple[Int
     plane = np.vstack([row[2] for row in rows])
     order = np.lexsort((image, point))
     return image[order], point[order], plane[order]
+
+
+def correlated(network: Network, size_px: float, rng: np.random.Generator) -> Network:
+    """Add to each image a smooth field of errors of its own: its rays are then not independent."""
+    rays = network.rays
+    x, y = (rays.plane / (np.array(SIZE) / 2)).T
+    terms = np.stack([x**2, y**2, x * y, x, y, x * (x**2 + y**2)], axis=-1)
+    amounts = rng.normal(0.0, size_px, (len(network.image_names), 2, 6))[rays.image]
+    return replace(network, rays=replace(rays, plane=rays.plane + np.einsum("rak,rk->ra", amounts, terms)))
+
+
+def scattered(network: Network, size_px: float, rng: np.random.Generator) -> Network:
+    """Add noise that is larger in some images than in others."""
+    rays = network.rays
+    size = size_px * np.exp(rng.normal(0.0, 0.7, len(network.image_names)))[rays.image, None]
+    return replace(network, rays=replace(rays, plane=rays.plane + size * rng.normal(size=rays.plane.shape)))

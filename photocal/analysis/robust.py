@@ -1,0 +1,119 @@
+"""Second opinions on the precision of cameras: what the residuals themselves say, image by image."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers.errors import IllPosedError, NotConvergedError
+from photocal.adjustment.factored import covariance_column
+from photocal.adjustment.normal import other_equations, values_of
+from photocal.adjustment.sensitivity import along
+from photocal.analysis.estimates import Array
+from photocal.analysis.systematic_errors.refit import Fit, lowest, without_images
+
+# Of a residual that almost nothing checks: its share of the error is not known.
+LEAST_CHECKED = 0.05
+# With fewer images beyond the parameters their scatter tells too little of itself.
+FEWEST = 10
+# From here on two standard deviations tell something different.
+APART = 4.0 / 3.0
+
+
+@dataclass(frozen=True)
+class Robust:
+    """Standard deviations of camera parameters that hold whatever the noise of the images is.
+
+    sandwich: (cameras, 14), from the residuals, those of an image together; zero for what is held, NaN for too
+        few images.
+    bootstrap: (cameras, 14), spread over blocks of images drawn with replacement; None when not asked for.
+    draws: how many blocks were drawn.
+    """
+
+    sandwich: Array
+    bootstrap: Array | None = None
+    draws: int = 0
+
+
+def apart(formal: float, robust: float | None) -> bool:
+    """Whether two standard deviations differ by more than a third."""
+    if robust is None or not (formal > 0.0 and robust > 0.0):
+        return False
+    return max(formal / robust, robust / formal) > APART
+
+
+def sandwich(fit: Fit) -> Array:
+    """Give standard deviations of camera parameters from the residuals, image by image, (cameras, 14).
+
+    Notes
+    -----
+    Q (sum g g') Q with g the part of an image in A'Pv (White 1980, Liang and Zeger 1986), residuals divided
+    by the root of their redundancy numbers (HC2 of MacKinnon and White 1985), the whole times
+    m / (m - k) for m images and k parameters. Every other observation, and every control point, is a part of
+    its own.
+    """
+    layout, problem = fit.factored.problem.layout, fit.factored.problem
+    image, images = fit.network.rays.image, len(fit.network.image_names)
+    checked = np.maximum(fit.solution.redundancy, LEAST_CHECKED)
+    pull = fit.network.rays.sigma**-2.0 * fit.solution.residuals / np.sqrt(checked)
+    others = list(other_equations(problem, fit.state).values())
+    off = np.einsum("nab,nb->na", fit.network.points.weight, fit.state.points - fit.network.points.values)
+    values = values_of(problem, fit.state)
+    sigma = np.zeros_like(fit.state.cameras)
+    for camera, (parameters, columns) in enumerate(layout.camera_columns):
+        own_images = int(np.sum(fit.network.exposures.camera == camera))
+        rest = own_images - len(parameters)
+        few = np.sqrt(own_images / rest) if rest >= FEWEST else np.nan
+        for parameter, column in zip(parameters, columns, strict=True):
+            right = np.zeros(layout.size)
+            right[column] = 1.0
+            step, moved = covariance_column(fit.factored, right, np.zeros_like(fit.state.points))
+            step, moved = np.ascontiguousarray(step), np.ascontiguousarray(moved)
+            change = np.zeros_like(pull)
+            along(problem.design, values, problem.structure, step, moved, change)
+            parts = [np.bincount(image, np.einsum("rk,rk->r", change, pull), images)]
+            parts.append(np.einsum("na,na->n", moved, off))
+            for rows in others:
+                if len(rows.weight):
+                    own = np.add.reduceat(rows.coefficient * step[rows.column], rows.start[:-1])
+                    parts.append(own * rows.weight * rows.residual)
+            sigma[camera, parameter] = few * np.sqrt(sum(float(part @ part) for part in parts))
+    return sigma
+
+
+def bootstrap(
+    fit: Fit, draws: int, rng: np.random.Generator, done: Callable[[], None] = lambda: None
+) -> Array:
+    """Adjust blocks whose images were drawn with replacement: spread of all camera parameters, (cameras, 14).
+
+    An image that is drawn twice counts twice, with all of its observations. Draws that leave something
+    undetermined are left out.
+
+    Notes
+    -----
+    Efron, The jackknife, the bootstrap and other resampling plans, 1982.
+    """
+    network, images = fit.network, len(fit.network.image_names)
+    found = []
+    for _ in range(draws):
+        times = rng.multinomial(images, np.full(images, 1.0 / images))
+        rays = replace(
+            network.rays, sigma=network.rays.sigma / np.sqrt(np.maximum(times, 1))[network.rays.image, None]
+        )
+        positions = replace(
+            network.positions,
+            covariance=network.positions.covariance
+            / np.maximum(times, 1)[network.positions.image, None, None],
+        )
+        try:
+            drawn, state = without_images(
+                replace(network, rays=rays, positions=positions), fit.state, times == 0
+            )
+            found.append(lowest(drawn, state, 1e-8).state.cameras)
+        except (IllPosedError, NotConvergedError):
+            continue
+        finally:
+            done()
+    return np.std(found, axis=0, ddof=1) if len(found) > 1 else np.full_like(fit.state.cameras, np.nan)
