@@ -26,8 +26,8 @@ APART = 4.0 / 3.0
 class Robust:
     """Standard deviations of camera parameters that hold whatever the noise of the images is.
 
-    sandwich: (cameras, 14), from the residuals, those of an image together; zero for what is held, NaN for too
-        few images.
+    sandwich: (cameras, 14), from the residuals, those of an image together; zero for what is held, NaN for
+        too few images.
     bootstrap: (cameras, 14), spread over blocks of images drawn with replacement; None when not asked for.
     draws: how many blocks were drawn.
     """
