@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drivers.arrays import Floats
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.factored import covariance_column
 from photocal.adjustment.normal import other_equations, values_of
 from photocal.adjustment.sensitivity import along
-from photocal.analysis.estimates import Array
 from photocal.analysis.systematic_errors.refit import Fit, lowest, without_images
 
 # Of a residual that almost nothing checks: its share of the error is not known.
@@ -32,8 +32,8 @@ class Robust:
     draws: how many blocks were drawn.
     """
 
-    sandwich: Array
-    bootstrap: Array | None = None
+    sandwich: Floats
+    bootstrap: Floats | None = None
     draws: int = 0
 
 
@@ -44,7 +44,7 @@ def apart(formal: float, robust: float | None) -> bool:
     return max(formal / robust, robust / formal) > APART
 
 
-def sandwich(fit: Fit) -> Array:
+def sandwich(fit: Fit) -> Floats:
     """Give standard deviations of camera parameters from the residuals, image by image, (cameras, 14).
 
     Notes
@@ -73,7 +73,7 @@ def sandwich(fit: Fit) -> Array:
             step, moved = np.ascontiguousarray(step), np.ascontiguousarray(moved)
             change = np.zeros_like(pull)
             along(problem.design, values, problem.structure, step, moved, change)
-            parts = [np.bincount(image, np.einsum("rk,rk->r", change, pull), images)]
+            parts: list[Floats] = [np.bincount(image, np.einsum("rk,rk->r", change, pull), images)]
             parts.append(np.einsum("na,na->n", moved, off))
             for rows in others:
                 if len(rows.weight):
@@ -85,7 +85,7 @@ def sandwich(fit: Fit) -> Array:
 
 def bootstrap(
     fit: Fit, draws: int, rng: np.random.Generator, done: Callable[[], None] = lambda: None
-) -> Array:
+) -> Floats:
     """Adjust blocks whose images were drawn with replacement: spread of all camera parameters, (cameras, 14).
 
     An image that is drawn twice counts twice, with all of its observations. Draws that leave something

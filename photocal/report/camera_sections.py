@@ -120,7 +120,7 @@ def interior_orientation(title: str, camera_id: str, run: Run, say: Catalogue) -
     rows = []
     for name in camera.used:
         sigma = camera.sigma_of(name)
-        beside = {"scaled": (factor or 1.0) * sigma}
+        beside: dict[str, float | None] = {"scaled": (factor or 1.0) * sigma}
         beside |= dict(zip(OPINIONS, opinions.get(name, (None, None)), strict=True))
         rows.append(_iop_row(name, camera, critical, factor, [beside[key] for key in further], say))
     note = say("iop.note", critical=fixed(critical, 2, say.mark))

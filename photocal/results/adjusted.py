@@ -188,7 +188,7 @@ def _checks(block: Block, assembly: NetworkOfBlock, points: AdjustedPoints) -> C
     d = points.values[check] - block.points.values[assembly.points[check]]
     rmse = np.sqrt(np.mean(d**2, axis=0)).tolist() if len(d) else [None] * 3
     surveyed = block.points.sigma[assembly.points[check]]
-    stated = np.where(np.isfinite(surveyed) & (surveyed > 0.0), surveyed, None).tolist()
+    stated = [[u if np.isfinite(u) and u > 0.0 else None for u in row] for row in surveyed.tolist()]
     rows = zip(np.flatnonzero(check), d.tolist(), points.sigma[check].tolist(), stated, strict=True)
     found = tuple(CheckPoint(points.names[j], *dj, *sj, *uj) for j, dj, sj, uj in rows)
     return CheckSummary(len(d), dict(zip("xyz", rmse, strict=True)), found)
