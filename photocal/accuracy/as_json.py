@@ -1,4 +1,4 @@
-"""An assessment as a JSON value (schema `photocal.check/1`)."""
+"""An assessment as a JSON value (schema `photocal.check/2`)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from photocal.accuracy.value_class import ValueClass, class_cm
 from photocal.findings.catalogue import Catalogue, catalogue
 from photocal.findings.texts import finding_json
 
-SCHEMA = "photocal.check/1"
+SCHEMA = "photocal.check/2"
 
 
 def to_json(assessment: Assessment, say: Catalogue | None = None) -> dict[str, Any]:
@@ -62,6 +62,7 @@ def _component(component: ComponentResult) -> dict[str, Any]:
     return {
         "n": figures.n,
         "mean_m": figures.mean_m,
+        "correction_m": -figures.mean_m,
         "std_m": _finite(figures.std_m),
         "rmse_m": figures.rmse_m,
         "rmse_after_trend_removal_m": component.rmse_after_trend_removal_m,

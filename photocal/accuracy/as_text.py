@@ -42,7 +42,7 @@ def to_text(assessment: Assessment) -> str:
     similarity = assessment.similarity
     if similarity is not None:
         parts.append(
-            f"Similarity over the plane: scale {similarity.scale:+.3%}, rotation "
+            f"Similarity over the plane: the product is {similarity.scale:+.3%} too large and turned by "
             f"{similarity.rotation_rad * 1e3:+.3f} mrad; "
             f"planimetric RMSE left {similarity.rmse_left_m:.3f} m.\n"
         )

@@ -131,11 +131,6 @@ class Assessment:
 def assess(discrepancies: Discrepancies, standards: tuple[Standard, ...], question: Question) -> Assessment:
     """Judge a product at its check points.
 
-    Parameters
-    ----------
-    discrepancies : Discrepancies
-        Reference minus product.
-
     Raises
     ------
     ConfigurationError

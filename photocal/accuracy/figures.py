@@ -120,11 +120,6 @@ def _histogram(axes: Axes, name: str, values: Floats) -> None:
 def write_figures(discrepancies: Discrepancies, folder: Path) -> tuple[Path, ...]:
     """Write the figures of the report section.
 
-    Parameters
-    ----------
-    discrepancies : Discrepancies
-        Reference minus product.
-
     Raises
     ------
     OutputError

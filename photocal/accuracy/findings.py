@@ -13,7 +13,7 @@ from photocal.findings.finding import Figure, Finding
 SMALL_SAMPLE = 30
 _INTERVAL_CONFIDENCE = 0.95
 
-# The side on which a product lies, and what puts it there: the mean negative, and positive.
+# The side on which a product lies, and what puts it there: the mean positive, and negative.
 _SIDES = {
     "E": ("east", "west", "bias-in-plane"),
     "N": ("north", "south", "bias-in-plane"),
@@ -58,11 +58,12 @@ def _bias(component: ComponentResult) -> list[Finding]:
     east, west, cause = _SIDES[component.name]
     figures = {
         "mean_m": moments.mean_m,
+        "correction_m": -moments.mean_m,
         "sign": SIGN,
         "t": abs(test.t),
         "critical": test.critical,
         "confidence": test.confidence,
-        "side": west if moments.mean_m > 0.0 else east,
+        "side": east if moments.mean_m > 0.0 else west,
         "rmse_m": moments.rmse_m,
         "rmse_without_m": moments.rmse_without_mean_m,
     }

@@ -1,6 +1,6 @@
 """Moments of discrepancies: mean, standard deviation, root mean square error, lengths.
 
-A discrepancy is reference minus product, everywhere in this package.
+A discrepancy is product minus reference, everywhere; its opposite is called a correction.
 """
 
 from __future__ import annotations

@@ -18,8 +18,8 @@ class SimilarityTrend:
     """Scale, rotation and shift that explain planimetric discrepancies best.
 
     shift_m: east and north part at the centre of the points, m.
-    scale: growth that the product needs: 0.01 is 1 %.
-    rotation_rad: counter-clockwise rotation that the product needs, rad.
+    scale: by which the product is too large: 0.01 is 1 %.
+    rotation_rad: by which the product is turned counter-clockwise, rad.
     rmse_left_m: planimetric root mean square (over n) of what it does not explain, m.
     """
 

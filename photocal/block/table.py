@@ -108,7 +108,7 @@ class Table:
             pass
         for row, cell in enumerate(cells.to_pylist()):
             try:
-                float(cell or 0)
+                float((cell or "0").replace("_", "x"))
             except ValueError:
                 comma = re.fullmatch(_COMMA, cell) is not None
                 raise InputMalformedError(

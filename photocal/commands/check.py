@@ -32,8 +32,9 @@ def check(
     discrepancies: Annotated[
         Path | None,
         typer.Option(
-            help="Instead of a block: CSV with the columns point, dE, dN, dh = reference minus product, in "
-            "metres or with the unit in the header (dE_cm); optional E, N, h."
+            help="Instead of a block: CSV with the columns point, correction_E, correction_N, correction_h, "
+            "or dE, dN, dh as studies print them (both reference minus product), in metres or with the "
+            "unit in the header (dE_cm); optional E, N, h."
         ),
     ] = None,
     experiment: Annotated[

@@ -1,4 +1,4 @@
-"""A block's check as a JSON value (schema `photocal.block-check/1`)."""
+"""A block's check as a JSON value (schema `photocal.block-check/2`)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from photocal.georeferencing.freed_groups import Estimate
 from photocal.georeferencing.separation import Separation
 from photocal.georeferencing.systematic import Hypothesis, SystematicErrors
 
-SCHEMA = "photocal.block-check/1"
+SCHEMA = "photocal.block-check/2"
 _AXES = ("X", "Y", "Z")
 _POSE = ("omega_deg", "phi_deg", "kappa_deg", "X_m", "Y_m", "Z_m")
 

@@ -54,7 +54,7 @@ def joint_test(d: Floats, covariance: Floats) -> JointTest:
 
 @dataclass(frozen=True)
 class Differences:
-    """Surveyed minus computed coordinates of the ground points of one role.
+    """Computed minus surveyed coordinates of the ground points of one role.
 
     d (n, 3): m.
     xyz (n, 3): surveyed, m.
@@ -99,7 +99,7 @@ def differences(block: Block, found: Georeferenced, role: Role) -> Differences:
     mine = block.points.role[found.points] == ROLES.index(role)
     index, fitted = found.points[mine], found.fitted[mine]
     surveyed = block.points.values[index]
-    d = surveyed - found.xyz[mine]
+    d = found.xyz[mine] - surveyed
     product = found.covariance[mine]
     stated = np.where(np.isfinite(block.points.sigma[index]), block.points.sigma[index], 0.0)
     cross = np.zeros((len(index), 3)) if block.points.cross is None else block.points.cross[index]

@@ -117,7 +117,7 @@ class Run:
 class LeftOut:
     """A control point that was left out, so that the others judge it.
 
-    d, sigma, w (3,): surveyed less computed, its predicted sigma, m; d over sigma.
+    d, sigma, w (3,): computed minus surveyed, its predicted sigma, m; d over sigma.
     """
 
     method: Method

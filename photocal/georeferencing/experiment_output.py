@@ -16,7 +16,7 @@ from photocal.georeferencing.as_json import finite
 from photocal.georeferencing.experiment import LeftOut, Outcome, Run
 from photocal.georeferencing.experiment_plots import control_plot, rmse_plot
 
-SCHEMA = "photocal.experiment/1"
+SCHEMA = "photocal.experiment/2"
 _AXES = ("x", "y", "z")
 
 

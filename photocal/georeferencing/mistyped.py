@@ -44,7 +44,7 @@ _LOOSE_C, _LOOSE = 0.02, np.array([1.0] * 3 + [0.1] * 3 + [1.0])
 class Mistyped:
     """A control point whose coordinates do not fit the others.
 
-    d, sigma (3,): given less computed from the other points, and its standard deviation, m.
+    d, sigma (3,): computed from the other points minus given, and its standard deviation, m.
     slips: the likely slips, "code axis given wanted"; empty when none explains it.
     """
 
@@ -71,7 +71,7 @@ def mistyped_control(
         return block, ()
     if len(rows) < _FEWEST:
         return block, ()
-    d = block.points.values[rows] - computed
+    d = computed - block.points.values[rows]
     removed = contradicting(d, covariance, common)
     listed = []
     for k in removed:
@@ -81,7 +81,7 @@ def mistyped_control(
         sigma = np.sqrt(np.diag(spread))
         if not np.any((np.abs(error) > _WRONG * stated) & (np.abs(error) > _NEAR * sigma)):
             return block, ()
-        wanted = to_given((block.points.values[rows[k]] - error)[None, :])[0]
+        wanted = to_given((block.points.values[rows[k]] + error)[None, :])[0]
         slips = _slips(given[rows[k]], wanted, sigma, system)
         listed.append(Mistyped(block.points.names[rows[k]], error, sigma, slips))
     left = control[~np.isin(control, rows[list(removed)])]

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from acquire.outputs import output_folder
+from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.figures import histograms, residual_map
 from photocal.accuracy.geopackage import write_geopackage
 from photocal.findings.catalogue import catalogue
@@ -137,7 +138,7 @@ def _report(check: BlockCheck) -> str:
     lines = [
         f"# Georeferencing of {check.block.name}, judged at the ground points",
         "",
-        "Differences are reference minus product, in metres; predicted standard deviations are a priori.",
+        f"Differences are {SIGN}, in metres; predicted standard deviations are a priori.",
         "",
         "| method | points | n | RMSE X | Y | Z | sigma X | Y | Z | error/sigma |",
         "|---|---|---|---|---|---|---|---|---|---|",

@@ -34,8 +34,7 @@ class CheckPoints:
 class ProductCheck:
     """What products say at check points.
 
-    discrepancies: reference minus product, for `photocal.accuracy.assessment.assess`; NaN where a product
-        says nothing.
+    discrepancies: product minus reference; NaN where a product says nothing.
     product (n, 3): E and N of the target in the orthomosaic, h of the terrain model at the surveyed place, m.
     likeness (n,): how well the target was recognised, 0 to 1; NaN without orthomosaic.
     remarks: one for each point that a product does not show.
@@ -124,8 +123,7 @@ def check_products(
             for name, height in zip(points.names, heights, strict=True)
             if not np.isfinite(height)
         ]
-    positions = points.enh.copy()
-    discrepancies = Discrepancies(points.names, points.enh - product, positions)
+    discrepancies = Discrepancies(points.names, product - points.enh, points.enh.copy())
     return ProductCheck(discrepancies, product, likeness, tuple(remarks))
 
 

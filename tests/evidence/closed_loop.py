@@ -231,7 +231,7 @@ def part(loops: list[Loop], level: Level) -> list[str]:
         "",
         *coverage(loops),
         "",
-        "Check points, d surveyed less computed, C its predicted covariance:",
+        "Check points, d computed minus surveyed, C its predicted covariance:",
         "",
         *check_points(loops),
         "",

@@ -110,7 +110,7 @@ def main() -> None:
             "",
             f"{SEEDS} synthetic flights (two heights, crossing strips, 9 control and 20 check points; image",
             "0.4 px, positions 3 cm, attitudes 0.03 deg, control 15 mm, check points 10 mm), projected by",
-            "OpenCV. d is reference minus product at a check point, C its predicted covariance; a point is",
+            "OpenCV. d is product minus reference at a check point, C its predicted covariance; a point is",
             "rejected when its d' C^-1 d, summed over all flights, is too large or small for chi-squared.",
             "",
             *coverage(Path(folder)),

@@ -29,7 +29,7 @@ STANDARDS = tuple(load_standard(name) for name in SHIPPED)
 
 
 def synthetic_ixus(published: Published, product: str) -> Discrepancies:
-    """Thirty points with the four printed rows of Table 4 and the moments of Table 5: synthetic.
+    """Thirty points with the four printed corrections of Table 4 and the moments of Table 5: synthetic.
 
     The other 26 rows are random, shifted and scaled so that mean and standard deviation are those of
     the table. The largest and smallest values are not.
@@ -50,7 +50,7 @@ def synthetic_ixus(published: Published, product: str) -> Discrepancies:
         values = rest[:, column] - rest[:, column].mean()
         rest[:, column] = rest_mean + values * math.sqrt(squares / float(np.sum(values**2)))
     names = tuple(row["target"] for row in printed) + tuple(f"S{number}" for number in range(1, 27))
-    return Discrepancies(names, np.vstack((known, rest)))
+    return Discrepancies(names, -np.vstack((known, rest)))
 
 
 def of_table(result: Assessment, standard: str, component: str) -> TableResult:
@@ -78,7 +78,7 @@ def test_flight_without_control_is_precise_and_not_accurate(published: Published
     assert any("by precision class A, but by accuracy no class" in text for text in texts)
     biases = [english(finding) for finding in findings(result) if finding.code == "bias"]
     assert len(biases) == 3
-    # Reference minus product is positive in h: the model lies about 2.8 m low, as the study says.
+    # The printed correction is positive in h: the model lies about 2.8 m low, as the study says.
     assert "too low" in biases[2]
     assert "adding +2.830 m" in biases[2]
 
@@ -258,7 +258,7 @@ def test_every_table_has_text_and_valid_json(d: FloatArray) -> None:
     names = tuple(f"P{i}" for i in range(len(d)))
     result = assess(Discrepancies(names, d), STANDARDS, Question(2000.0))
     json.dumps(to_json(result), allow_nan=False)
-    assert to_text(result).startswith(f"{len(d)} check points; discrepancies are reference minus product")
+    assert to_text(result).startswith(f"{len(d)} check points; discrepancies are product minus reference")
 
 
 @settings(max_examples=20)

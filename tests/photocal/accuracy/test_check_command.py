@@ -32,9 +32,10 @@ def test_text_and_json_say_the_same(table: Path) -> None:
     figures = CliRunner().invoke(app, [*arguments, "--json"])
     assert text.exit_code == figures.exit_code == 0
     content = json.loads(figures.output)
-    assert content["schema"] == "photocal.check/1"
-    assert content["sign"] == "reference minus product"
-    assert content["components"]["h"]["mean_m"] == pytest.approx(0.215)
+    assert content["schema"] == "photocal.check/2"
+    assert content["sign"] == "product minus reference"
+    assert content["components"]["h"]["mean_m"] == pytest.approx(-0.215)
+    assert content["components"]["h"]["correction_m"] == pytest.approx(0.215)
     assert content["components"]["h"]["bias_test"]["biased"]
     assert "too low" in text.output
     assert "precision class A (bias removed), accuracy class A" in text.output
@@ -118,10 +119,10 @@ def test_products_are_judged_at_check_points(tmp_path: Path) -> None:
     answer = CliRunner().invoke(app, [*arguments, "--figures", str(tmp_path / "figures")])
     assert answer.exit_code == 0, answer.exception
     content = json.loads(answer.output)
-    # Reference minus product: the product lies to the east and is too high.
-    assert content["components"]["E"]["mean_m"] == pytest.approx(-0.20, abs=0.01)
+    # The product lies to the east and is too high.
+    assert content["components"]["E"]["mean_m"] == pytest.approx(0.20, abs=0.01)
     assert content["components"]["N"]["mean_m"] == pytest.approx(0.0, abs=0.01)
-    assert content["components"]["h"]["mean_m"] == pytest.approx(0.25 - 0.50, abs=1e-3)
+    assert content["components"]["h"]["mean_m"] == pytest.approx(0.50 - 0.25, abs=1e-3)
     assert len(content["likeness"]) == 6
     assert (tmp_path / "figures" / "residual_map.pdf").exists()
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +10,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.errors import InputMalformedError, InputNotFoundError, PhotocalError
-from photocal.accuracy.discrepancies import parse_discrepancies, read_discrepancies
+from photocal.accuracy.discrepancies import Discrepancies, read_discrepancies
 
 
-def test_metres_without_unit() -> None:
-    found = parse_discrepancies("point,dE,dN,dh\nA,0.1,-0.2,0.3\nB,0,0,\n", "x.csv")
+@pytest.fixture(scope="module")
+def read(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Discrepancies]:
+    path = tmp_path_factory.mktemp("tables") / "x.csv"
+
+    def written(text: str) -> Discrepancies:
+        path.write_text(text, encoding="utf-8", errors="surrogatepass", newline="")
+        return read_discrepancies(path)
+
+    return written
+
+
+def test_metres_without_unit(read: Callable[[str], Discrepancies]) -> None:
+    found = read("point,dE,dN,dh\nA,0.1,-0.2,0.3\nB,0,0,\n")
     assert found.points == ("A", "B")
-    assert found.d_m[0] == pytest.approx([0.1, -0.2, 0.3])
+    assert found.correction_m[0] == pytest.approx([0.1, -0.2, 0.3])
+    assert found.d_m[0] == pytest.approx([-0.1, 0.2, -0.3])
     assert np.isnan(found.d_m[1, 2])
     assert found.positions_m is None
     assert found.component("h")[0] == ("A",)
@@ -34,20 +47,20 @@ def test_metres_without_unit() -> None:
         ("dE_usft", 0.3048006096),
     ],
 )
-def test_units_in_the_header(header: str, factor: float) -> None:
-    found = parse_discrepancies(f"point,{header},dN_m\nA,2.5,1\n", "x.csv")
-    assert found.d_m[0, 0] == pytest.approx(2.5 * factor, rel=1e-9)
-    assert found.d_m[0, 1] == 1.0
+def test_units_in_the_header(read: Callable[[str], Discrepancies], header: str, factor: float) -> None:
+    found = read(f"point,{header},dN_m\nA,2.5,1\n")
+    assert found.correction_m[0, 0] == pytest.approx(2.5 * factor, rel=1e-9)
+    assert found.correction_m[0, 1] == 1.0
 
 
 def test_decimal_commas_with_semicolons_and_a_byte_order_mark(tmp_path: Path) -> None:
     path = tmp_path / "pontos.csv"
     path.write_text("\ufeffpoint;dE;dN;dh\nA;0,12;-1,5;2\n", encoding="utf-8")
-    assert read_discrepancies(path).d_m[0] == pytest.approx([0.12, -1.5, 2.0])
+    assert read_discrepancies(path).correction_m[0] == pytest.approx([0.12, -1.5, 2.0])
 
 
-def test_positions_for_the_map_in_any_order() -> None:
-    found = parse_discrepancies("N,E,dh,point\n20,10,0.5,A\n", "x.csv")
+def test_positions_for_the_map_in_any_order(read: Callable[[str], Discrepancies]) -> None:
+    found = read("N,E,dh,point\n20,10,0.5,A\n")
     assert found.positions_m is not None
     assert found.positions_m[0, :2] == pytest.approx([10.0, 20.0])
 
@@ -74,10 +87,12 @@ def test_positions_for_the_map_in_any_order() -> None:
         ("point,dE,dN\nA,\0,1\n", "not a text table"),
     ],
 )
-def test_a_wrong_table_is_refused_with_its_place(text: str, message: str) -> None:
+def test_a_wrong_table_is_refused_with_its_place(
+    read: Callable[[str], Discrepancies], text: str, message: str
+) -> None:
     with pytest.raises(InputMalformedError, match=re.escape(message)) as failure:
-        parse_discrepancies(text, "x.csv")
-    assert str(failure.value).startswith("x.csv")
+        read(text)
+    assert "x.csv" in str(failure.value)
     assert "\n" not in str(failure.value)
 
 
@@ -91,9 +106,9 @@ def test_a_missing_file_and_a_binary_file(tmp_path: Path) -> None:
 
 
 @given(st.text(max_size=300))
-def test_any_text_is_read_or_refused(text: str) -> None:
+def test_any_text_is_read_or_refused(read: Callable[[str], Discrepancies], text: str) -> None:
     try:
-        found = parse_discrepancies(text, "fuzz.csv")
+        found = read(text)
     except PhotocalError:
         return
     assert np.isfinite(found.d_m).any()
@@ -107,9 +122,11 @@ def test_any_text_is_read_or_refused(text: str) -> None:
         max_size=40,
     ).map("".join)
 )
-def test_any_text_that_looks_like_a_table_is_read_or_refused(text: str) -> None:
+def test_any_text_that_looks_like_a_table_is_read_or_refused(
+    read: Callable[[str], Discrepancies], text: str
+) -> None:
     try:
-        found = parse_discrepancies("point,dE,dN,dh\n" + text, "fuzz.csv")
+        found = read("point,dE,dN,dh\n" + text)
     except PhotocalError:
         return
     assert len(found.points) == len(found.d_m)

@@ -20,7 +20,7 @@ def test_map_is_labelled_with_units_and_scale() -> None:
     axes = figure.axes[0]
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("E (m)", "N (m)")
     assert axes.get_aspect() == 1.0
-    assert "reference minus product" in axes.get_title(loc="left")
+    assert "product minus reference" in axes.get_title(loc="left")
     assert "times enlarged" in axes.get_title(loc="left")
     assert axes.collections[0].get_offsets() == pytest.approx(POSITIONS[:, :2])
     keys = [artist for artist in axes.get_children() if isinstance(artist, QuiverKey)]

@@ -54,10 +54,11 @@ def test_similarity_of_the_orthophoto_tables(
 ) -> None:
     rows = published(f"dcs460/orthophoto_check_{case}.csv")
     base = np.array([[float(row["E_base_m"]), float(row["N_base_m"])] for row in rows])
-    d = np.array([[float(row["dE_m"]), float(row["dN_m"])] for row in rows])
-    trend = similarity_trend(base, d)
-    assert trend.scale == pytest.approx(scale, abs=5e-5)
-    assert trend.rotation_rad * 1e3 == pytest.approx(rotation_mrad, abs=5e-3)
+    corrections = np.array([[float(row["dE_m"]), float(row["dN_m"])] for row in rows])
+    trend = similarity_trend(base, -corrections)
+    # The study prints what the product needs: the corrections.
+    assert -trend.scale == pytest.approx(scale, abs=5e-5)
+    assert -trend.rotation_rad * 1e3 == pytest.approx(rotation_mrad, abs=5e-3)
     # The digest gives what is left for one coordinate.
     assert trend.rmse_left_m / np.sqrt(2.0) == pytest.approx(left, abs=5e-3)
 

@@ -44,7 +44,7 @@ ORTHOPHOTO = {
 def test_orthophoto_tables_to_three_decimals(published: Published, case: str) -> None:
     rows = published(f"dcs460/orthophoto_check_{case}.csv")
     d = np.array([[float(row["dE_m"]), float(row["dN_m"])] for row in rows])
-    # The printed differences are reference minus product: base minus orthophoto.
+    # The printed columns are corrections: base minus orthophoto.
     base_minus_ortho = np.array(
         [[float(row[f"{k}_base_m"]) - float(row[f"{k}_ortho_m"]) for k in "EN"] for row in rows]
     )

@@ -52,7 +52,7 @@ def test_three_methods_side_by_side_and_the_files(photocal: Photocal, folder: Pa
     said = photocal("check", folder, "-o", tmp_path / "out", "--scale", "1:1000", "--json")
     assert said.code == 0, said.err
     content = json.loads(said.out)
-    assert content["schema"] == "photocal.block-check/1"
+    assert content["schema"] == "photocal.block-check/2"
     assert list(content["methods"]) == ["direct", "integrated", "indirect"]
     for method, result in content["methods"].items():
         assert result["check"]["n"] == 20

@@ -105,7 +105,7 @@ def test_a_mistyped_control_point_is_named(
     cleaned, (found,) = mistyped_control(typed, values)
     assert found.point == block.points.names[point]
     assert found.slips[0].startswith(slip)
-    assert found.d[axis] == pytest.approx(values[point, axis] - block.points.values[point, axis], abs=0.15)
+    assert -found.d[axis] == pytest.approx(values[point, axis] - block.points.values[point, axis], abs=0.15)
     assert not cleaned.points.of_role("control")[point]
 
 
@@ -120,7 +120,7 @@ def test_one_wrong_point_of_four_far_from_the_others(flown: Flown) -> None:
     said = findings(typed)
     assert block.points.names[row] in said["control-mistyped"]
     (one,) = mistyped_control(typed, values)[1]
-    assert one.d == pytest.approx([18.0, 0.0, 0.0], abs=0.3)
+    assert one.d == pytest.approx([-18.0, 0.0, 0.0], abs=0.3)
 
 
 def test_coordinates_of_the_neighbouring_map_zone() -> None:
