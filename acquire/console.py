@@ -68,10 +68,7 @@ def answer(as_json: bool, figures: Callable[[], Any], text: Callable[[], str]) -
 def progress(title: str, total: float | None) -> Iterator[Callable[[float], None]]:
     """Show a progress bar on standard error while a longer piece of work runs.
 
-    Parameters
-    ----------
-    total : float or None
-        The amount of work, in any unit; None when it is not known.
+    total: the amount of work, in any unit; None when it is not known.
     """
     if not sys.stderr.isatty():
         # Nobody looks: the import of the bar would cost more than many a piece of work.

@@ -119,10 +119,7 @@ class Guard:
     this computer's address (DNS rebinding). So the Host header must be an address in numbers, ``localhost``
     or the name that was chosen; requests of other sites are refused, links to the page itself apart.
 
-    Parameters
-    ----------
-    token : str or None
-        What must be shown: once as ``?token=``, which leaves a cookie, or as bearer. None: nothing.
+    token: what must be shown: once as ``?token=``, which leaves a cookie, or as bearer. None: nothing.
     """
 
     def __init__(self, app: ASGIApp, address: Address, token: str | None) -> None:

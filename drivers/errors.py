@@ -8,16 +8,10 @@ LONGEST = 1200
 class PhotocalError(Exception):
     """A failure that a person can act on: what happened, where, and what to do.
 
-    Parameters
-    ----------
-    what : str
-        What happened, in the user's words, without a final full stop.
-    where : object, optional
-        File, line, image or point that is concerned.
-    remedy : str, optional
-        What to do about it.
-    details : tuple of str, optional
-        Figures for those who want to know more, a line each.
+    what: what happened, in the user's words, without a final full stop.
+    where: file, line, image or point that is concerned.
+    remedy: what to do about it.
+    details: figures for those who want to know more, a line each.
     """
 
     exit_code = 1

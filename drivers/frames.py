@@ -34,19 +34,13 @@ class Wire(IntEnum):
 class Frame:
     """One intact frame.
 
-    Parameters
-    ----------
-    wire : Wire
-        Its protocol.
-    kind : int
-        What it carries: the MAVLink message id; UBX class * 256 + id; the RTCM3 message number; the letters
+    wire: its protocol.
+    kind: what it carries: the MAVLink message id; UBX class * 256 + id; the RTCM3 message number; the letters
         of the NMEA sentence formatter as a big-endian number.
-    data : bytes
-        The complete frame, from its first start byte to its checksum (or signature).
-    offset : int
-        Where it began in the stream, bytes.
-    known : bool
-        False when its checksum could only be tested for consistency, since the message is not in the tables.
+    data: the complete frame, from its first start byte to its checksum (or signature).
+    offset: where it began in the stream, bytes.
+    known: false when its checksum could only be tested for consistency, since the message is not in the
+        tables.
     """
 
     wire: Wire
@@ -60,25 +54,15 @@ class Frame:
 class Batch:
     """Consecutive frames of a stream and the damage between them, as a structure of arrays.
 
-    Parameters
-    ----------
-    data : bytes
-        The bytes that the frames lie in.
-    base : int
-        Offset of ``data[0]`` in the stream, bytes.
-    start, length : int64 (n,)
-        Where each frame lies in `data`, bytes.
-    wire : uint8 (n,)
-        Protocol of each frame, see `Wire`.
-    kind : int64 (n,)
-        Kind of each frame, see `Frame`.
-    known : bool (n,)
-        Whether the message is in the tables.
-    damage : int64 (m, 2)
-        Offset in the stream and length of each run of bytes that belongs to no frame. A run may be continued
-        in the next batch.
-    host_ns : int64 (n,) or None
-        Time of receipt that the stream itself carries (UTC, nanoseconds since 1970), where it does.
+    data: the bytes that the frames lie in.
+    base: offset of ``data[0]`` in the stream, bytes.
+    start, length (n,): where each frame lies in `data`, bytes.
+    wire: protocol of each frame, see `Wire`.
+    kind (n,): kind of each frame, see `Frame`.
+    known: whether the message is in the tables.
+    damage (m, 2): offset in the stream and length of each run of bytes that belongs to no frame. A run may be
+        continued in the next batch.
+    host_ns (n,): time of receipt that the stream itself carries (UTC, nanoseconds since 1970), where it does.
     """
 
     data: bytes

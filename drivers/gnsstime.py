@@ -29,12 +29,9 @@ _OFFSET_S = np.array(_TABLE.offsets_s, np.int64)
 def gps_to_utc_ns(gps_ns: Integers, leap_s: Integers | None = None) -> Integers:
     """Convert GPS time to UTC.
 
-    Parameters
-    ----------
-    gps_ns : int64 (n,)
-        Nanoseconds of GPS time since its epoch, 1980-01-06.
-    leap_s : int64 (n,), optional
-        GPS minus UTC where the receiver has told it; where it is negative or missing the table decides.
+    gps_ns (n,): nanoseconds of GPS time since its epoch, 1980-01-06.
+    leap_s (n,): GPS minus UTC where the receiver has told it; where it is negative or missing the table
+        decides.
 
     Returns
     -------
@@ -53,10 +50,7 @@ def gps_to_utc_ns(gps_ns: Integers, leap_s: Integers | None = None) -> Integers:
 def expiry_warning(utc_ns: int) -> str:
     """Return what to say when a time lies beyond the table of leap seconds; empty while it is good.
 
-    Parameters
-    ----------
-    utc_ns : int
-        The latest time in question, UTC nanoseconds since 1970.
+    utc_ns: the latest time in question, UTC nanoseconds since 1970.
     """
     end = dt.datetime(EXPIRES.year, EXPIRES.month, EXPIRES.day, tzinfo=dt.UTC)
     if utc_ns < int(end.timestamp()) * SECOND_NS:

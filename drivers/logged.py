@@ -17,12 +17,8 @@ from drivers.frames import Batch, Wire
 class Records:
     """Records of one kind.
 
-    Parameters
-    ----------
-    index : int64 (n,)
-        Position of each in the batch.
-    columns : mapping of str to array (n,)
-        Their members in the units of the log.
+    index (n,): position of each in the batch.
+    columns: their members in the units of the log.
     """
 
     index: Integers

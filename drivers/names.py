@@ -11,10 +11,7 @@ from drivers.ubx.decode import kind_name as ubx_name
 def kind_name(wire: Wire, kind: int, known: bool, dialect: Dialect) -> str:
     """Return what the makers of the protocol call a message.
 
-    Parameters
-    ----------
-    known : bool
-        Whether the frame agreed with the tables; otherwise its number is given.
+    known: whether the frame agreed with the tables; otherwise its number is given.
     """
     if wire == Wire.MAVLINK:
         return dialect.name(kind) if known else f"unknown {kind}"

@@ -14,11 +14,8 @@ from drivers.gnsstime import SECOND_NS, utc_date_ns
 def kind_of(address: bytes) -> int:
     """Return the kind of a sentence: the letters of its formatter as a big-endian number.
 
-    Parameters
-    ----------
-    address : bytes
-        What follows the dollar sign. Of standard sentences the two letters of the talker are left out, of
-        private ones ("P...") everything up to the first comma counts.
+    address: what follows the dollar sign. Of standard sentences the two letters of the talker are left out,
+        of private ones ("P...") everything up to the first comma counts.
     """
     name = address.split(b",")[0].split(b"*")[0]
     return int.from_bytes(name if name.startswith(b"P") else name[2:], "big")
@@ -40,10 +37,7 @@ def gga(
 ) -> bytes:
     """Return the GGA sentence of a position; the undulation of the geoid is not told.
 
-    Parameters
-    ----------
-    time_utc_ns : int
-        UTC, nanoseconds since 1970.
+    time_utc_ns: UTC, nanoseconds since 1970.
     """
     second, hundredths = divmod(time_utc_ns // 10_000_000 % 8_640_000, 100)
     time = f"{second // 3600:02d}{second // 60 % 60:02d}{second % 60:02d}.{hundredths:02d}"
@@ -70,23 +64,14 @@ def encode(text: str) -> bytes:
 class Fixes:
     """Positions of GGA sentences.
 
-    Parameters
-    ----------
-    index : int64 (n,)
-        Position of each sentence in the batch.
-    time_of_day_ns : int64 (n,)
-        UTC since midnight; -1 where it is missing.
-    latitude_deg, longitude_deg : float64 (n,)
-        NaN where missing.
-    height_m : float64 (n,)
-        Ellipsoidal: the antenna height above the geoid plus the geoid separation. NaN where either is
-        missing.
-    quality : int64 (n,)
-        0 none, 1 autonomous, 2 differential, 4 RTK fixed, 5 RTK float, 6 dead reckoning.
-    satellites : int64 (n,)
-        Number used.
-    hdop, age_s : float64 (n,)
-        Horizontal dilution and age of the corrections; NaN where missing.
+    index (n,): position of each sentence in the batch.
+    time_of_day_ns (n,): UTC since midnight; -1 where it is missing.
+    latitude_deg, longitude_deg (n,): naN where missing.
+    height_m (n,): ellipsoidal: the antenna height above the geoid plus the geoid separation. NaN where either
+        is missing.
+    quality (n,): 0 none, 1 autonomous, 2 differential, 4 RTK fixed, 5 RTK float, 6 dead reckoning.
+    satellites (n,): number used.
+    hdop, age_s (n,): horizontal dilution and age of the corrections; NaN where missing.
     """
 
     index: Integers

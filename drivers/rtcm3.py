@@ -25,16 +25,10 @@ def encode(payload: bytes) -> bytes:
 class Stations:
     """Antenna reference points of base stations (messages 1005 and 1006).
 
-    Parameters
-    ----------
-    index : int64 (n,)
-        Position of each message in the batch.
-    station : int64 (n,)
-        Number of the station.
-    ecef_m : float64 (n, 3)
-        Earth-centred, earth-fixed coordinates of the antenna reference point.
-    antenna_height_m : float64 (n,)
-        Height of the antenna above the mark; NaN for 1005, which has none.
+    index (n,): position of each message in the batch.
+    station (n,): number of the station.
+    ecef_m (n, 3): Earth-centred, earth-fixed coordinates of the antenna reference point.
+    antenna_height_m (n,): height of the antenna above the mark; NaN for 1005, which has none.
     """
 
     index: Integers

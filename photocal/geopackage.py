@@ -85,10 +85,7 @@ def wgs84() -> ReferenceSystem:
 def geopackage(path: Path, system: ReferenceSystem) -> Iterator[sqlite3.Connection]:
     """Make a file and give its database to be filled; what was filled in is kept when nothing is raised.
 
-    Parameters
-    ----------
-    system : ReferenceSystem
-        Of the layers; the standard's own ones stand in each file.
+    system: of the layers; the standard's own ones stand in each file.
     """
     # An empty file that waits to be renamed is not yet a database.
     path.unlink(missing_ok=True)

@@ -72,30 +72,18 @@ class AirAtBase(Table):
 class Flight(Table):
     """`[flight]`: recordings and what is known of the receivers and the camera's events.
 
-    Parameters
-    ----------
-    logs : tuple of Path
-        Flight logs in the order of time.
-    vehicle, rover, base : str
-        Names of links in the logs.
-    rover_rinex, base_rinex : Path or None
-        RINEX observations, which go before the links.
-    navigation : tuple of Path
-        RINEX navigation files.
-    base_position : (float, float, float) or None
-        Latitude, longitude in degrees, ellipsoidal height in m; goes before what the log says.
-    base_antenna_height_m, rover_antenna_height_m : float or None
-        Antenna reference point above the mark; None: as the RINEX headers have it.
-    base_sigma_m : (float, float, float) or None
-        Standard deviations of the base's position, east, north, up.
-    weather : AirAtBase or None
-        Measured at the base during the flight.
-    edge : str
-        Of the time marks.
-    delay_s : float
-        From the event to the exposure.
-    clock_offset_s : float
-        Largest difference between the clocks of camera and log.
+    logs: flight logs in the order of time.
+    vehicle, rover, base: names of links in the logs.
+    rover_rinex, base_rinex: RINEX observations, which go before the links.
+    navigation: RINEX navigation files.
+    base_position: latitude, longitude in degrees, ellipsoidal height in m; goes before what the log says.
+    base_antenna_height_m, rover_antenna_height_m: antenna reference point above the mark; None: as the RINEX
+        headers have it.
+    base_sigma_m: standard deviations of the base's position, east, north, up.
+    weather: measured at the base during the flight.
+    edge: of the time marks.
+    delay_s: from the event to the exposure.
+    clock_offset_s: largest difference between the clocks of camera and log.
     """
 
     logs: tuple[Beside, ...] = Field(min_length=1)
@@ -139,20 +127,13 @@ class Images(Table):
 class Rig(Table):
     """`[rig]`: camera, antenna and inertial unit beside each other, in body axes forward, right, down.
 
-    Parameters
-    ----------
-    camera_to_antenna_m : (float, float, float)
-        Vector from the projection centre to the antenna.
-    camera_to_antenna_sigma_m : float, 3 of them, or "free"
-        One rule holds for all of these: 0 holds the value, a number makes it an observation.
-    boresight_deg, boresight_sigma_deg
-        Small turns about the body axes between body and camera.
-    attitude_sigma_deg : (float, float, float)
-        Of roll, pitch, yaw.
-    time_offset_s, time_offset_sigma_s
-        Of the exposure against its event, beyond `delay_s`.
-    camera_axes : (str, str, str)
-        Body directions of the camera's x (right), y (up in the image), z (backwards).
+    camera_to_antenna_m: vector from the projection centre to the antenna.
+    camera_to_antenna_sigma_m: float, 3 of them, or "free". One rule holds for all of these: 0 holds the
+        value, a number makes it an observation.
+    boresight_deg, boresight_sigma_deg: small turns about the body axes between body and camera.
+    attitude_sigma_deg: of roll, pitch, yaw.
+    time_offset_s, time_offset_sigma_s: of the exposure against its event, beyond `delay_s`.
+    camera_axes: body directions of the camera's x (right), y (up in the image), z (backwards).
     """
 
     camera_to_antenna_m: Triple
@@ -188,16 +169,10 @@ class CodedTargets(Table):
 class PlainTargets(Table):
     """`targets` of `[control]` without a code: found and named where the exposures predict them.
 
-    Parameters
-    ----------
-    kind : str
-        As `photocal targets` prints them.
-    side_m : float
-        Diameter, or side of the square around the target.
-    part : float or None
-        Width of a cross's bars, or diameter of a ring's hole, as a part of `side_m`; None: as printed.
-    points : tuple of str
-        Control and check points that have such a target; empty for all.
+    kind: as `photocal targets` prints them.
+    side_m: diameter, or side of the square around the target.
+    part: width of a cross's bars, or diameter of a ring's hole, as a part of `side_m`; None: as printed.
+    points: control and check points that have such a target; empty for all.
     """
 
     kind: Literal["disc", "ring", "cross", "hourglass"]
@@ -249,14 +224,9 @@ class Control(Table):
 class Measurements(Table):
     """`[measurements]`: what was measured elsewhere.
 
-    Parameters
-    ----------
-    observations : Path or None
-        Instead of measuring in pictures: `observations.csv` as in a block folder, in pixels.
-    sigma_px : float or None
-        Of observations without sigmas of their own.
-    block : Path or None
-        Instead of flight, images, rig, cameras and control: a block folder that has all of them.
+    observations: instead of measuring in pictures: `observations.csv` as in a block folder, in pixels.
+    sigma_px: of observations without sigmas of their own.
+    block: instead of flight, images, rig, cameras and control: a block folder that has all of them.
     """
 
     observations: Beside | None = None

@@ -19,12 +19,8 @@ _LIKELY_NS = 500_000_000
 class BootTime:
     """When an autopilot started.
 
-    Parameters
-    ----------
-    utc_ns : int
-        UTC of the start, nanoseconds since 1970.
-    pairs : int
-        Number of times of a receiver that it was found from.
+    utc_ns: UTC of the start, nanoseconds since 1970.
+    pairs: number of times of a receiver that it was found from.
     """
 
     utc_ns: int

@@ -20,12 +20,8 @@ from drivers.logged import Records
 class DataflashDecoder(LogDecoder[DataflashFormats]):
     """Decodes the records of a DataFlash log; a `Decoder`.
 
-    Parameters
-    ----------
-    link : str
-        Name of the link.
-    boot : BootTime
-        When the autopilot started.
+    link: name of the link.
+    boot: when the autopilot started.
     """
 
     def __init__(self, link: str, boot: BootTime) -> None:

@@ -21,16 +21,11 @@ SECOND_NS = 1_000_000_000
 class Decoded:
     """Messages of one channel.
 
-    Parameters
-    ----------
-    channel : Channel
-        Where they go.
-    payloads : list of bytes (n,)
-        The encoded messages.
-    index : int64 (n,)
-        The frame of the batch that each was made from.
-    publish_ns : int64 (n,)
-        Time of the device, UTC, nanoseconds since 1970; time of receipt where the device has none.
+    channel: where they go.
+    payloads (n,): the encoded messages.
+    index (n,): the frame of the batch that each was made from.
+    publish_ns (n,): time of the device, UTC, nanoseconds since 1970; time of receipt where the device has
+        none.
     """
 
     channel: Channel
@@ -60,16 +55,10 @@ def _merged(channel: Channel, parts: list[Decoded]) -> Decoded:
 class Made:
     """Messages of one channel made from messages of one source and kind.
 
-    Parameters
-    ----------
-    channel : Channel
-        Where they go.
-    payloads : list of bytes (n,)
-        The encoded messages.
-    rows : int64 (n,)
-        The rows that they were made from.
-    common : bool
-        Whether all sources share the topic, since each message names its own.
+    channel: where they go.
+    payloads (n,): the encoded messages.
+    rows (n,): the rows that they were made from.
+    common: whether all sources share the topic, since each message names its own.
     """
 
     channel: Channel

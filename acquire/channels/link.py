@@ -35,14 +35,9 @@ def arrived_channel(link: str, protocol: str) -> Channel:
 class Tally:
     """What has come over a link so far.
 
-    Parameters
-    ----------
-    frames, frame_bytes, stamp_bytes, damage_bytes : int
-        Number and size; stamps are those of the recording format.
-    damage : list of [int, int]
-        Offset in the stream and length of the first `LISTED_RUNS` runs of damage, adjacent ones merged.
-    damage_runs : int
-        Number of all runs of damage.
+    frames, frame_bytes, stamp_bytes, damage_bytes: number and size; stamps are those of the recording format.
+    damage: offset in the stream and length of the first `LISTED_RUNS` runs of damage, adjacent ones merged.
+    damage_runs: number of all runs of damage.
     """
 
     frames: int = 0
@@ -113,10 +108,7 @@ class LinkLog:
     def write(self, batch: Batch, log_ns: Integers) -> None:
         """Write a batch.
 
-        Parameters
-        ----------
-        log_ns : int64 (n,)
-            Time of receipt of each, UTC, nanoseconds since 1970.
+        log_ns (n,): time of receipt of each, UTC, nanoseconds since 1970.
         """
         self.tally.add(batch)
         own, damage = self._numbers(batch)

@@ -23,16 +23,11 @@ Formats = TypeVar("Formats", bound=Definitions)
 class Part(Generic[Formats]):
     """A batch of a log.
 
-    Parameters
-    ----------
-    link : str
-        Name of the link.
-    formats : Definitions
-        What the log has said of its records so far.
-    batch : Batch
-        The records.
-    utc_ns, boot_ns : int64 (n,)
-        UTC of each, nanoseconds since 1970, and time since the start of the autopilot; -1 where it has none.
+    link: name of the link.
+    formats: what the log has said of its records so far.
+    batch: the records.
+    utc_ns, boot_ns (n,): UTC of each, nanoseconds since 1970, and time since the start of the autopilot; -1
+        where it has none.
     """
 
     link: str
@@ -50,14 +45,9 @@ class Part(Generic[Formats]):
 class LogDecoder(ABC, Generic[Formats]):
     """Decodes the records of a log; a `Decoder`.
 
-    Parameters
-    ----------
-    link : str
-        Name of the link.
-    boot : BootTime
-        When the autopilot started.
-    formats : Definitions
-        Reads the definitions of the log, from its beginning.
+    link: name of the link.
+    boot: when the autopilot started.
+    formats: reads the definitions of the log, from its beginning.
     """
 
     def __init__(self, link: str, boot: BootTime, formats: Formats) -> None:

@@ -26,10 +26,7 @@ class ReceiverClock:
     The whole time comes from RXM-RAWX, NAV-TIMEGPS, NAV-PVT, NAV-TIMEUTC, RMC, ZDA and RTCM 1013. Messages
     that tell only the time of week or of day are completed with the week or day of the last whole one.
 
-    Parameters
-    ----------
-    near_ns : int, optional
-        UTC within half a day of the first message, nanoseconds since 1970, where it is known beforehand.
+    near_ns: UTC within half a day of the first message, nanoseconds since 1970, where it is known beforehand.
     """
 
     def __init__(self, near_ns: int = -1) -> None:

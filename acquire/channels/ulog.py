@@ -21,12 +21,8 @@ _RECEIVERS = {"vehicle_gps_position": "", "sensor_gps": "-sensor", "sensor_gps[1
 class UlogDecoder(LogDecoder[UlogFormats]):
     """Decodes the records of a PX4 log; a `Decoder`.
 
-    Parameters
-    ----------
-    link : str
-        Name of the link.
-    boot : BootTime
-        When the autopilot started.
+    link: name of the link.
+    boot: when the autopilot started.
     """
 
     def __init__(self, link: str, boot: BootTime) -> None:

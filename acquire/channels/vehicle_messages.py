@@ -23,16 +23,10 @@ FIX_NAMES = ("none", "none", "2d", "3d", "differential", "rtk_float", "rtk_fixed
 class Sent:
     """Messages of one kind from one source.
 
-    Parameters
-    ----------
-    link, name : str
-        The link and the name of the message.
-    source : (int, int)
-        System and component.
-    fields : structured array (n,)
-        The fields, see `drivers.mavlink.decode.Messages`.
-    log_ns, publish_ns : int64 (n,)
-        Time of receipt and of the device, UTC.
+    link, name: the link and the name of the message.
+    source: system and component.
+    fields (n,): the fields, see `drivers.mavlink.decode.Messages`.
+    log_ns, publish_ns (n,): time of receipt and of the device, UTC.
     """
 
     link: str

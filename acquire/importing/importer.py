@@ -25,26 +25,15 @@ CHUNK_BYTES = 1 << 20
 class Imported:
     """What was imported over one link.
 
-    Parameters
-    ----------
-    link : str
-        Its name.
-    path : Path
-        The recording.
-    sha256, size : str, int
-        Of the file as it lies on disk.
-    form : Format
-        What it is.
-    log_time : str
-        Where the times of receipt come from.
-    tally : Tally
-        Frames and damage.
-    cut : int
-        Bytes of a frame that the end of the recording cut off.
-    packing_cut : bool
-        Whether the file is packed and its end is missing.
-    warning : str
-        What to know about the times; empty when they are sure.
+    link: its name.
+    path: the recording.
+    sha256, size: of the file as it lies on disk.
+    form: what it is.
+    log_time: where the times of receipt come from.
+    tally: frames and damage.
+    cut: bytes of a frame that the end of the recording cut off.
+    packing_cut: whether the file is packed and its end is missing.
+    warning: what to know about the times; empty when they are sure.
     """
 
     link: str
@@ -97,10 +86,8 @@ def import_recordings(
 ) -> list[Imported]:
     """Import recordings into one flight log.
 
-    Parameters
-    ----------
-    near_ns : int, optional
-        UTC within half a day of the beginning of streams that do not tell their date, nanoseconds since 1970.
+    near_ns: UTC within half a day of the beginning of streams that do not tell their date, nanoseconds since
+        1970.
 
     Raises
     ------

@@ -29,14 +29,9 @@ _GZIP = b"\x1f\x8b"
 class Format:
     """A kind of recording.
 
-    Parameters
-    ----------
-    name : str
-        What people call it.
-    link : str
-        What a link with it is called when nobody names it; empty: after the file.
-    framer : callable
-        Takes the known MAVLink messages and returns what finds the frames.
+    name: what people call it.
+    link: what a link with it is called when nobody names it; empty: after the file.
+    framer: takes the known MAVLink messages and returns what finds the frames.
     """
 
     name: str

@@ -33,16 +33,10 @@ Timed = Iterator[tuple[Batch, Integers]]
 class Way:
     """The way of a recording into the log.
 
-    Parameters
-    ----------
-    decoder : Decoder
-        What decodes it.
-    timed : callable
-        Gives batches their times of receipt.
-    told : callable
-        Says, after the import, where the times came from.
-    warned : callable
-        Says what to know about the times, given the last one; empty when they are sure.
+    decoder: what decodes it.
+    timed: gives batches their times of receipt.
+    told: says, after the import, where the times came from.
+    warned: says what to know about the times, given the last one; empty when they are sure.
     """
 
     decoder: Decoder

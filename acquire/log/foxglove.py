@@ -66,13 +66,10 @@ def location_fixes(
 ) -> list[bytes]:
     """Return `foxglove.LocationFix` messages.
 
-    Parameters
-    ----------
-    time_ns : int64 (n,)
-        Time of validity, UTC, nanoseconds since 1970.
-    horizontal_m, vertical_m : float64 (n,)
-        Accuracy that the device claims: radius in the plane, standard deviation of the height. NaN: unknown.
-        The variance of each horizontal component is taken as half of the radius squared.
+    time_ns (n,): time of validity, UTC, nanoseconds since 1970.
+    horizontal_m, vertical_m (n,): accuracy that the device claims: radius in the plane, standard deviation of
+        the height. NaN: unknown. The variance of each horizontal component is taken as half of the radius
+        squared.
     """
     count = len(time_ns)
     known = np.isfinite(horizontal_m) & np.isfinite(vertical_m)
@@ -107,10 +104,7 @@ def _transform_encoder(parent: str, child: str) -> RowEncoder:
 def frame_transforms(parent: str, child: str, time_ns: Integers, quaternion: Floats) -> list[bytes]:
     """Return `foxglove.FrameTransform` messages of a pure rotation.
 
-    Parameters
-    ----------
-    time_ns : int64 (n,)
-        Time of validity, UTC, nanoseconds since 1970.
+    time_ns (n,): time of validity, UTC, nanoseconds since 1970.
     """
     columns = {
         "#seconds": time_ns // SECOND_NS,

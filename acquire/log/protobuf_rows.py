@@ -24,16 +24,11 @@ _LENGTH_DELIMITED, _FIXED64, _VARINT = 2, 1, 0
 class Field:
     """A field of a message: its number and what it holds.
 
-    Parameters
-    ----------
-    number : int
-        The number in the definition.
-    value : str, bytes, list of Field, or int
-        The name of a column of doubles (``"latitude"``) or, after ``"#"``, of non-negative integers below
+    number: the number in the definition.
+    value: the name of a column of doubles (``"latitude"``) or, after ``"#"``, of non-negative integers below
         2^35 (``"#seconds"``); constant bytes; the fields of a message within; or how many columns of doubles
         a packed list holds, then `name` is that of the column.
-    name : str, optional
-        Column of a packed list.
+    name: column of a packed list.
     """
 
     number: int

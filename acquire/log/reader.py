@@ -31,16 +31,10 @@ LONGEST_CHUNK, LONGEST_RECORD = 64 << 20, 256 << 20
 class Messages:
     """Messages of one channel in one chunk, in the order of the file.
 
-    Parameters
-    ----------
-    channel : Channel
-        The channel.
-    payloads : list of bytes (n,)
-        The messages.
-    log_ns, publish_ns : int64 (n,)
-        Time of receipt and of the device, UTC, nanoseconds since 1970.
-    sequence : int64 (n,)
-        Their numbers.
+    channel: the channel.
+    payloads (n,): the messages.
+    log_ns, publish_ns (n,): time of receipt and of the device, UTC, nanoseconds since 1970.
+    sequence (n,): their numbers.
     """
 
     channel: Channel
@@ -66,20 +60,12 @@ class LogReader:
 
     A log that is still being written is read by iterating again: it goes on where it ended before.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    metadata : dict
-        Tables by name.
-    attachments : dict
-        Attached files by name.
-    complete : bool
-        Whether the file ended with its footer.
-    position : int
-        Where in the file the next record begins.
-    wanted : callable, optional
-        Tells of which channels messages are given; otherwise of all.
+    path: the file.
+    metadata: tables by name.
+    attachments: attached files by name.
+    complete: whether the file ended with its footer.
+    position: where in the file the next record begins.
+    wanted: tells of which channels messages are given; otherwise of all.
     """
 
     path: Path

@@ -54,16 +54,10 @@ class Schema:
 class Channel:
     """A channel of the log.
 
-    Parameters
-    ----------
-    topic : str
-        Its topic; several channels may share one.
-    encoding : str
-        Message encoding.
-    schema : Schema or None
-        None for raw frames.
-    metadata : mapping of str to str
-        What is true of every message of the channel, such as the kind of its heights.
+    topic: its topic; several channels may share one.
+    encoding: message encoding.
+    schema: none for raw frames.
+    metadata: what is true of every message of the channel, such as the kind of its heights.
     """
 
     topic: str
@@ -79,12 +73,8 @@ class Channel:
 class Pieces:
     """Payloads of messages as they lie in one buffer.
 
-    Parameters
-    ----------
-    data : bytes
-        The buffer.
-    start, length : int64 (n,)
-        Where each payload lies, bytes.
+    data: the buffer.
+    start, length (n,): where each payload lies, bytes.
     """
 
     data: bytes

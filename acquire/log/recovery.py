@@ -21,14 +21,9 @@ from drivers.framing import StreamFramer, wires_of
 class Recovered:
     """What a repair has saved.
 
-    Parameters
-    ----------
-    messages, chunks : int
-        What the repaired log holds.
-    damaged : tuple of str
-        What was passed over, in words.
-    complete : bool
-        Whether the log had its end.
+    messages, chunks: what the repaired log holds.
+    damaged: what was passed over, in words.
+    complete: whether the log had its end.
     """
 
     messages: int

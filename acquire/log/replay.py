@@ -66,10 +66,7 @@ def replay(
 ) -> Replayed:
     """Send the raw frames of a link in the order in which they were received.
 
-    Parameters
-    ----------
-    clock, sleep : callable
-        Seconds of a steady clock, and waiting for seconds.
+    clock, sleep: seconds of a steady clock, and waiting for seconds.
 
     Raises
     ------

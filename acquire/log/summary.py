@@ -29,12 +29,8 @@ _LISTED_GAPS = 20
 class LinkSummary:
     """What came over one link.
 
-    Parameters
-    ----------
-    name : str
-        The link.
-    dialect : Dialect
-        Names of MAVLink messages.
+    name: the link.
+    dialect: names of MAVLink messages.
     """
 
     name: str

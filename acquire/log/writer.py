@@ -107,10 +107,7 @@ class LogWriter:
     ) -> None:
         """Add messages of one channel to the open chunk.
 
-        Parameters
-        ----------
-        log_ns, publish_ns : int64 (n,)
-            Time of receipt and time of the device, UTC, nanoseconds since 1970.
+        log_ns, publish_ns (n,): time of receipt and time of the device, UTC, nanoseconds since 1970.
         """
         if not len(payloads):
             return

@@ -14,18 +14,11 @@ from drivers.arrays import Floats
 class Layer:
     """A line or points of one name.
 
-    Parameters
-    ----------
-    kind : str
-        ``track``, ``picture``, ``missed`` or ``station``.
-    name : str
-        Whose.
-    points : float64 (n, 2)
-        Latitude and longitude, degrees.
-    edition : str
-        As long as it stays, points were only added.
-    labels : tuple of str
-        What stands beside the points; empty for nothing.
+    kind: ``track``, ``picture``, ``missed`` or ``station``.
+    name: whose.
+    points (n, 2): latitude and longitude, degrees.
+    edition: as long as it stays, points were only added.
+    labels: what stands beside the points; empty for nothing.
     """
 
     kind: str

@@ -28,18 +28,11 @@ class Exposures:
     A picture that was asked for by trigger message, or whose number the feedback has skipped, counts as
     missed as long as its own feedback has not come.
 
-    Parameters
-    ----------
-    triggers, feedbacks : int
-        How many pictures were asked for, and how many were reported.
-    pending, missed : tuple of Trigger
-        Those that may still be reported, and those that were not.
-    before : tuple of Trigger
-        Those that were not before the device last started again: their numbers have come to mean others.
-    last_trigger, last_feedback : int or None
-        The last numbers.
-    offset : int or None
-        Number of a feedback less that of its trigger: devices begin to count at 0 or 1.
+    triggers, feedbacks: how many pictures were asked for, and how many were reported.
+    pending, missed: those that may still be reported, and those that were not.
+    before: those that were not before the device last started again: their numbers have come to mean others.
+    last_trigger, last_feedback: the last numbers.
+    offset: number of a feedback less that of its trigger: devices begin to count at 0 or 1.
     """
 
     triggers: int = 0

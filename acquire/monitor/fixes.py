@@ -83,10 +83,7 @@ def receiver_after(
 def correction_age_s(receiver: Receiver, link: Link, now_ns: int) -> float | None:
     """Return the age of the corrections of a receiver; None when nobody knows of any.
 
-    Parameters
-    ----------
-    now_ns : int
-        The time, UTC.
+    now_ns: the time, UTC.
     """
     if receiver.correction_age_s is not None:
         return receiver.correction_age_s

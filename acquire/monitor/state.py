@@ -17,18 +17,11 @@ _MOST_ALARMS = 200
 class Alarm:
     """Something to be told.
 
-    Parameters
-    ----------
-    number : int
-        Counts all alarms of the recording.
-    level : str
-        ``bad`` (act now), ``warn`` (look at it) or ``note``.
-    link : str
-        What is concerned; may be empty.
-    text : str
-        What happened.
-    time_ns : int
-        When, UTC.
+    number: counts all alarms of the recording.
+    level: ``bad`` (act now), ``warn`` (look at it) or ``note``.
+    link: what is concerned; may be empty.
+    text: what happened.
+    time_ns: when, UTC.
     """
 
     number: int
@@ -42,24 +35,14 @@ class Alarm:
 class Link:
     """What came over a link.
 
-    Parameters
-    ----------
-    frames, frame_bytes, damage_bytes : int
-        Number and size.
-    first_ns, last_ns : int
-        Receipt of the first and the last frame, UTC; 0 before there was one.
-    recent : tuple of (int, int, int)
-        Of the last seconds: second since 1970, frames, bytes.
-    gaps : int
-        Number of pauses.
-    longest_gap_ns : int
-        The longest of them.
-    trouble : str
-        What the recorder says of it: ``lost`` or ``silent``; empty when all is well.
-    corrected_ns : int
-        When a correction was sent to its device last, UTC; 0 for never.
-    clock_offset_s : float or None
-        Clock of this computer less clock of the device.
+    frames, frame_bytes, damage_bytes: number and size.
+    first_ns, last_ns: receipt of the first and the last frame, UTC; 0 before there was one.
+    recent: of the last seconds: second since 1970, frames, bytes.
+    gaps: number of pauses.
+    longest_gap_ns: the longest of them.
+    trouble: what the recorder says of it: ``lost`` or ``silent``; empty when all is well.
+    corrected_ns: when a correction was sent to its device last, UTC; 0 for never.
+    clock_offset_s: clock of this computer less clock of the device.
     """
 
     frames: int = 0
@@ -79,24 +62,14 @@ class Link:
 class Receiver:
     """The last fix of a receiver.
 
-    Parameters
-    ----------
-    link : str
-        The link that told it.
-    fix : str
-        As `acquire.channels.layouts.GNSS_STATUS` names it.
-    satellites : int
-        Number used; negative when unknown.
-    horizontal_m, correction_age_s : float or None
-        What the receiver claims.
-    time_ns : int
-        When it was received, UTC.
-    expected : str
-        The best fix that it has had for a while: a lesser one is a loss.
-    since_ns : int
-        Since when the fix is what it is.
-    starved : bool
-        Whether it was told that its corrections are too old.
+    link: the link that told it.
+    fix: as `acquire.channels.layouts.GNSS_STATUS` names it.
+    satellites: number used; negative when unknown.
+    horizontal_m, correction_age_s: what the receiver claims.
+    time_ns: when it was received, UTC.
+    expected: the best fix that it has had for a while: a lesser one is a loss.
+    since_ns: since when the fix is what it is.
+    starved: whether it was told that its corrections are too old.
     """
 
     link: str
@@ -122,20 +95,12 @@ class Battery:
 class Look:
     """What the computer says.
 
-    Parameters
-    ----------
-    time_ns : int
-        Its clock, UTC.
-    file : str
-        Name of the log that is read.
-    size : int
-        Bytes of it.
-    ended : bool
-        Whether the log has its end.
-    free_bytes : int or None
-        What is left on its disk.
-    trouble : str
-        Why nothing can be read; empty when all is well.
+    time_ns: its clock, UTC.
+    file: name of the log that is read.
+    size: bytes of it.
+    ended: whether the log has its end.
+    free_bytes: what is left on its disk.
+    trouble: why nothing can be read; empty when all is well.
     """
 
     time_ns: int
@@ -150,32 +115,18 @@ class Look:
 class State:
     """A recording.
 
-    Parameters
-    ----------
-    flight : str
-        Name of its first file.
-    first_ns, last_ns : int
-        Receipt of the first and the last message, UTC; 0 before there was one.
-    links, receivers, exposures, tracks, batteries, vehicles : mapping
-        By name of link or receiver.
-    pictures : mapping of str to Track
-        Where pictures were taken, by the link and the kind of their report.
-    stations : mapping of str to (float, float)
-        Latitude and longitude of base stations, degrees.
-    marks : mapping of str to Exposures
-        Rising edges on the time mark input of a receiver: reported, and skipped by its counter.
-    alarms : tuple of Alarm
-        The latest ones.
-    raised : int
-        Number of all alarms.
-    look : Look or None
-        The last one.
-    grown_ns : int
-        When the log was seen to have grown last, clock of this computer, UTC.
-    stalled : bool
-        Whether it has not for too long.
-    growth : tuple of (int, int)
-        Earlier looks as (time, size), to tell how fast it grows.
+    flight: name of its first file.
+    first_ns, last_ns: receipt of the first and the last message, UTC; 0 before there was one.
+    links, receivers, exposures, tracks, batteries, vehicles: by name of link or receiver.
+    pictures: where pictures were taken, by the link and the kind of their report.
+    stations: latitude and longitude of base stations, degrees.
+    marks: rising edges on the time mark input of a receiver: reported, and skipped by its counter.
+    alarms: the latest ones.
+    raised: number of all alarms.
+    look: the last one.
+    grown_ns: when the log was seen to have grown last, clock of this computer, UTC.
+    stalled: whether it has not for too long.
+    growth: earlier looks as (time, size), to tell how fast it grows.
     """
 
     flight: str = ""

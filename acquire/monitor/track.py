@@ -26,14 +26,9 @@ def _never() -> Integers:
 class Track:
     """Points in order.
 
-    Parameters
-    ----------
-    points : float64 (n, 2)
-        Latitude and longitude, degrees.
-    times_ns : int64 (n,)
-        When it was there, UTC.
-    thinned : int
-        How many times every second point was left out; as long as it stays, points are only added.
+    points (n, 2): latitude and longitude, degrees.
+    times_ns (n,): when it was there, UTC.
+    thinned: how many times every second point was left out; as long as it stays, points are only added.
     """
 
     points: Floats = field(default_factory=_nowhere)

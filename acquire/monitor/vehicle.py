@@ -17,16 +17,10 @@ _V2 = 0xFD
 class Vehicle:
     """The last that an autopilot told.
 
-    Parameters
-    ----------
-    mode : str
-        Its mode of flight, as ground stations call it; empty before it was told.
-    armed : bool
-        Whether its motors may turn.
-    height_m : float or None
-        Above the take-off.
-    time_ns : int
-        When it told its mode last, UTC.
+    mode: its mode of flight, as ground stations call it; empty before it was told.
+    armed: whether its motors may turn.
+    height_m: above the take-off.
+    time_ns: when it told its mode last, UTC.
     """
 
     mode: str = ""

@@ -113,12 +113,8 @@ def flood_text(inbox: Inbox) -> str:
 class SilenceWatch:
     """Tells links that were silent for too long, each once, and when they are heard again.
 
-    Parameters
-    ----------
-    limits_s : dict of str to float
-        The longest silence of each link, seconds.
-    start_s : float
-        When the watch begins, seconds of a steady clock.
+    limits_s: the longest silence of each link, seconds.
+    start_s: when the watch begins, seconds of a steady clock.
     """
 
     limits_s: dict[str, float]

@@ -30,14 +30,9 @@ Sentence = Callable[[int], bytes]
 class CasterPosition:
     """Keeps the last position of a link, or the one that was given, and tells when a caster is to be told it.
 
-    Parameters
-    ----------
-    dialect : Dialect
-        The known MAVLink messages.
-    every_s : float
-        Time between sentences, seconds.
-    given : (float, float, float) or None
-        Latitude and longitude, degrees, and height above mean sea level, m: until a device knows better.
+    dialect: the known MAVLink messages.
+    every_s: time between sentences, seconds.
+    given: latitude and longitude, degrees, and height above mean sea level, m: until a device knows better.
     """
 
     dialect: Dialect

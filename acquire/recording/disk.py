@@ -16,10 +16,7 @@ from acquire.log import records
 class WholeWrites(io.RawIOBase):
     """A file whose writes are complete or fail; after a failure it ends where the last complete one ended.
 
-    Parameters
-    ----------
-    file : raw file
-        Where the bytes go, unbuffered.
+    file: where the bytes go, unbuffered.
     """
 
     def __init__(self, file: io.FileIO) -> None:

@@ -35,14 +35,9 @@ class Limits:
 class LogFiles:
     """Writes messages to one log file after the other.
 
-    Parameters
-    ----------
-    begin : callable
-        Writes to each file what stands at its beginning.
-    clock_ns : callable
-        The clock of the host, UTC nanoseconds since 1970.
-    make : callable
-        Makes a new file.
+    begin: writes to each file what stands at its beginning.
+    clock_ns: the clock of the host, UTC nanoseconds since 1970.
+    make: makes a new file.
 
     Raises
     ------

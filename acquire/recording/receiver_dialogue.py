@@ -24,12 +24,8 @@ _PATIENCE_S, _ATTEMPTS, _LOSSES = 1.0, 4, 2
 class ReceiverDialogue:
     """Configures a receiver and verifies what it has kept; a `Dialogue`.
 
-    Parameters
-    ----------
-    port : str
-        The receiver's port that we are connected to.
-    rate_ms : int
-        Time between measurements, milliseconds.
+    port: the receiver's port that we are connected to.
+    rate_ms: time between measurements, milliseconds.
     """
 
     def __init__(self, port: str, messages: tuple[str, ...], rate_ms: int) -> None:

@@ -41,16 +41,10 @@ _MB = 1_000_000
 class Host:
     """What a recording takes from the computer that it runs on.
 
-    Parameters
-    ----------
-    clock_ns : callable
-        UTC, nanoseconds since 1970.
-    steady_s : callable
-        A clock that never jumps, seconds.
-    free_bytes : callable
-        Free space where a folder lies.
-    make : callable
-        Makes a new file.
+    clock_ns: UTC, nanoseconds since 1970.
+    steady_s: A clock that never jumps, seconds.
+    free_bytes: free space where a folder lies.
+    make: makes a new file.
     """
 
     clock_ns: Callable[[], int] = time.time_ns

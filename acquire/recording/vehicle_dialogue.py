@@ -24,10 +24,8 @@ _RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed
 class VehicleDialogue:
     """Asks an autopilot for message rates, one after the other, and for its time; a `Dialogue`.
 
-    Parameters
-    ----------
-    timesync_every_s : float
-        Time between comparisons of the clocks; 0 for none: then those of the autopilot go unanswered, too.
+    timesync_every_s: time between comparisons of the clocks; 0 for none: then those of the autopilot go
+        unanswered, too.
     """
 
     def __init__(self, dialect: Dialect, rates_hz: dict[str, float], timesync_every_s: float) -> None:

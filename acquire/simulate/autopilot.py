@@ -19,10 +19,7 @@ _FRAGMENT_BYTES = 180
 class Autopilot:
     """The state of the vehicle's side of a link.
 
-    Parameters
-    ----------
-    start_utc_us : int
-        UTC at its start, microseconds since 1970.
+    start_utc_us: UTC at its start, microseconds since 1970.
     """
 
     def __init__(self, start_utc_us: int, *, stubborn: bool = False, system: int = 1) -> None:

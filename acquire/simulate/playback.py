@@ -21,10 +21,7 @@ _AUTOPILOT = bytes((1, 1))
 class FlightClock:
     """The time of the flight: it begins when every device was spoken to, and then runs `speed` times as fast.
 
-    Parameters
-    ----------
-    clock : callable
-        Seconds of a steady clock.
+    clock: seconds of a steady clock.
     """
 
     def __init__(
@@ -97,13 +94,7 @@ class FlownAutopilot(Autopilot):
 
     Its own messages and its answers share one row of numbers, so the frames of the flight are numbered anew.
 
-    Parameters
-    ----------
-    name : str
-    line : Line
-    clock : FlightClock
-    boot_s, drift : float
-        Its clock at the start of the flight and how fast it runs.
+    boot_s, drift: its clock at the start of the flight and how fast it runs.
     """
 
     def __init__(

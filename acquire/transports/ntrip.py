@@ -68,14 +68,9 @@ def ntrip_address(url: str) -> Address | None:
 class NtripSource:
     """The stream of a caster; a `Source`.
 
-    Parameters
-    ----------
-    user, password : str
-        As the caster knows us; empty for open streams. They appear in no message.
-    context : ssl.SSLContext, optional
-        Whom to trust; otherwise the authorities that the system trusts.
-    position : callable, optional
-        Gives the GGA sentence that the caster is told when the stream is asked for; empty while none is
+    user, password: as the caster knows us; empty for open streams. They appear in no message.
+    context: whom to trust; otherwise the authorities that the system trusts.
+    position: gives the GGA sentence that the caster is told when the stream is asked for; empty while none is
         known. Version 2 takes it in the request (``Ntrip-GGA``), version 1 as the first line after that.
     """
 

@@ -225,10 +225,7 @@ class TcpSource:
 class SerialSource:
     """A serial port, or what pyserial makes look like one.
 
-    Parameters
-    ----------
-    url : str
-        Device path, or a URL of pyserial (``socket://``, ``loop://``, ``rfc2217://``).
+    url: device path, or a URL of pyserial (``socket://``, ``loop://``, ``rfc2217://``).
     """
 
     peer, lossy, missed = "", False, 0

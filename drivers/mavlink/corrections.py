@@ -16,10 +16,7 @@ FRAGMENT_BYTES, FRAGMENTS = 180, 4
 def fragments(message: bytes, sequence: int) -> list[dict[str, Any]]:
     """Return the fields of the GPS_RTCM_DATA messages that carry an RTCM message.
 
-    Parameters
-    ----------
-    message : bytes
-        A whole RTCM 3 frame.
+    message: A whole RTCM 3 frame.
     """
     if len(message) > FRAGMENT_BYTES * FRAGMENTS:
         return []

@@ -17,15 +17,10 @@ from drivers.mavlink.dialect import V2, Dialect
 class Messages:
     """Messages of one kind.
 
-    Parameters
-    ----------
-    index : int64 (n,)
-        Position of each message in the batch.
-    system, component : uint8 (n,)
-        Who sent it.
-    fields : structured array (n,)
-        The fields by the names and in the units of the MAVLink definition; extension fields that were not
-        sent are zero, as the standard has it.
+    index (n,): position of each message in the batch.
+    system, component: who sent it.
+    fields (n,): the fields by the names and in the units of the MAVLink definition; extension fields that
+        were not sent are zero, as the standard has it.
     """
 
     index: Integers

@@ -32,12 +32,8 @@ _TYPES = {
 class Dialect:
     """The messages that are known by their definition.
 
-    Parameters
-    ----------
-    seeds : dict of int to int
-        Checksum seed (CRC_EXTRA) by message id.
-    seed_table : int16 (65536,)
-        The same for whole arrays of ids; -1 where the message is not known.
+    seeds: checksum seed (CRC_EXTRA) by message id.
+    seed_table (65536,): the same for whole arrays of ids; -1 where the message is not known.
     """
 
     seeds: dict[int, int]

@@ -21,12 +21,8 @@ def encode(
 ) -> bytes:
     """Return the MAVLink 2 frame of a message, unsigned and with its trailing zeros left out.
 
-    Parameters
-    ----------
-    values : dict
-        Values by field name, in the units of the definition; fields that are missing are zero.
-    sequence : int
-        Number of the frame; taken modulo 256.
+    values: values by field name, in the units of the definition; fields that are missing are zero.
+    sequence: number of the frame; taken modulo 256.
 
     Raises
     ------

@@ -58,18 +58,11 @@ def read_version(payload: bytes) -> Version:
 class Step:
     """One request of a configuration.
 
-    Parameters
-    ----------
-    what : str
-        In words.
-    frame : bytes
-        What is sent.
-    kind : int
-        Message that ACK-ACK or ACK-NAK will name.
-    poll : bytes
-        What asks for the setting afterwards.
-    expected : tuple of (int, int)
-        Settings that the answer must hold, by key (generation 9) or message (generation 8).
+    what: in words.
+    frame: what is sent.
+    kind: message that ACK-ACK or ACK-NAK will name.
+    poll: what asks for the setting afterwards.
+    expected: settings that the answer must hold, by key (generation 9) or message (generation 8).
     """
 
     what: str

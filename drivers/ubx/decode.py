@@ -89,12 +89,9 @@ def kind_name(kind: int) -> str:
 class Messages:
     """Messages of one kind.
 
-    Parameters
-    ----------
-    index : int64 (n,)
-        Position of each message in the batch.
-    fields : structured array (n,)
-        The fields by the names and in the units of the interface description (of RXM-SFRBX the header only).
+    index (n,): position of each message in the batch.
+    fields (n,): the fields by the names and in the units of the interface description (of RXM-SFRBX the
+        header only).
     """
 
     index: Integers
@@ -136,20 +133,13 @@ BASE_RECEIVER, BASE_GNSS, BASE_UTC = 0, 1, 2
 class TimeMarks:
     """New edges of one kind in TIM-TM2 messages.
 
-    Parameters
-    ----------
-    index : int64 (n,)
-        The message of each.
-    count : int64 (n,)
-        The receiver's count of rising edges.
-    time_ns : int64 (n,)
-        In the time base, since the GPS epoch, nanoseconds.
-    base : int64 (n,)
-        `BASE_RECEIVER`, `BASE_GNSS` or `BASE_UTC`: UTC is counted in weeks since the GPS epoch as well.
-    valid : bool (n,)
-        Whether the time is one: the first message of a recording may bring an edge of week 0.
-    accuracy_ns : int64 (n,)
-        Accuracy as the receiver claims it.
+    index (n,): the message of each.
+    count (n,): the receiver's count of rising edges.
+    time_ns (n,): in the time base, since the GPS epoch, nanoseconds.
+    base (n,): `BASE_RECEIVER`, `BASE_GNSS` or `BASE_UTC`: UTC is counted in weeks since the GPS epoch as
+        well.
+    valid: whether the time is one: the first message of a recording may bring an edge of week 0.
+    accuracy_ns (n,): accuracy as the receiver claims it.
     """
 
     index: Integers
@@ -181,15 +171,10 @@ def time_marks(fields: NDArray[Any], *, rising: bool) -> TimeMarks:
 class RawObservations:
     """RXM-RAWX: one row per epoch and one per signal.
 
-    Parameters
-    ----------
-    epochs : Messages
-        Receiver time (`rcvTow` in seconds of `week`), leap seconds and number of signals of each epoch.
-    epoch : int64 (m,)
-        Row of `epochs` that each signal belongs to.
-    signals : structured array (m,)
-        Pseudorange `prMes` (m), carrier phase `cpMes` (cycles), Doppler `doMes` (Hz), satellite and quality,
-        in the units and names of the interface description.
+    epochs: receiver time (`rcvTow` in seconds of `week`), leap seconds and number of signals of each epoch.
+    epoch (m,): row of `epochs` that each signal belongs to.
+    signals (m,): pseudorange `prMes` (m), carrier phase `cpMes` (cycles), Doppler `doMes` (Hz), satellite and
+        quality, in the units and names of the interface description.
     """
 
     epochs: Messages

@@ -72,11 +72,8 @@ class Discrepancies:
 def read_discrepancies(path: Path) -> Discrepancies:
     """Read a table of corrections at check points.
 
-    Parameters
-    ----------
-    path : Path
-        Table with the columns point, correction_E, correction_N, correction_h (those of the plane, or of the
-        height, may be missing), and optional E, N, h. dE, dN, dh are other names of the corrections: as
+    path: table with the columns point, correction_E, correction_N, correction_h (those of the plane, or of
+        the height, may be missing), and optional E, N, h. dE, dN, dh are other names of the corrections: as
         published studies print them, reference minus product. Metres, unless the header gives another unit
         (m, dm, cm, mm, ft, usft).
 

@@ -39,10 +39,7 @@ _VECTORS = Layer(
 def reference_system(crs: str | None) -> ReferenceSystem:
     """Look up a projected coordinate system.
 
-    Parameters
-    ----------
-    crs : str or None
-        Such as `EPSG:31982`; None for a local system that nothing else is known of.
+    crs: such as `EPSG:31982`; None for a local system that nothing else is known of.
 
     Raises
     ------

@@ -57,10 +57,7 @@ class LimitTable:
     def limits(self, size: float) -> tuple[ClassLimit, ...]:
         """Give the limits by the rule.
 
-        Parameters
-        ----------
-        size : float
-            Scale denominator, or contour interval in m, as `basis` says.
+        size: scale denominator, or contour interval in m, as `basis` says.
         """
         return tuple(
             ClassLimit(limit.name, limit.pec_m * size, limit.ep_m * size) for limit in self.unit_limits
@@ -69,10 +66,7 @@ class LimitTable:
     def limits_at(self, size: float) -> tuple[ClassLimit, ...]:
         """Give the printed limits where the size is listed, otherwise those by the rule.
 
-        Parameters
-        ----------
-        size : float
-            Scale denominator, or contour interval in m, as `basis` says.
+        size: scale denominator, or contour interval in m, as `basis` says.
         """
         printed = {
             entry.limit.name: entry.limit

@@ -73,11 +73,8 @@ class _ValueFile(Table):
 def load_standard(name: str) -> Standard:
     """Find and read a standard.
 
-    Parameters
-    ----------
-    name : str
-        Name of a shipped standard (`decree-89817`, `pec-pcd`, `asprs-2024`), or the path of a TOML
-        file of the same form.
+    name: name of a shipped standard (`decree-89817`, `pec-pcd`, `asprs-2024`), or the path of a TOML file of
+        the same form.
 
     Raises
     ------

@@ -93,10 +93,7 @@ def moments(values_m: Floats) -> Moments:
 def spread(values_m: Floats) -> Spread:
     """Compute extremes, median and the robust standard deviation of one component.
 
-    Parameters
-    ----------
-    values_m : ndarray, shape (n,)
-        Discrepancies, m, n at least 1.
+    values_m (n,): discrepancies, m, n at least 1.
 
     Returns
     -------

@@ -69,10 +69,7 @@ def enlargement(probability: float, dimensions: int) -> float:
 def ellipses(covariance: Floats, probability: float) -> Ellipses:
     """Error ellipses of positions in the X, Y plane.
 
-    Parameters
-    ----------
-    covariance : ndarray, shape (n, m, m)
-        m^2, m at least 2; X and Y are the first two.
+    covariance (n, m, m): m^2, m at least 2; X and Y are the first two.
     """
     lengths, vectors = _axes(covariance[:, :2, :2])
     azimuth = np.arctan2(vectors[:, 0, 0], vectors[:, 0, 1]) % np.pi
@@ -84,10 +81,7 @@ def ellipses(covariance: Floats, probability: float) -> Ellipses:
 def ellipsoids(covariance: Floats, probability: float) -> Ellipsoids:
     """Error ellipsoids of positions.
 
-    Parameters
-    ----------
-    covariance : ndarray, shape (n, 3, 3)
-        m^2.
+    covariance (n, 3, 3): m^2.
     """
     lengths, vectors = _axes(covariance)
     vectors = vectors * np.where(vectors[..., 2:] < 0, -1.0, 1.0)
@@ -105,10 +99,7 @@ def _axes(covariance: Floats) -> tuple[Floats, Floats]:
 def mean_precision(covariance: Floats) -> MeanPrecision:
     """Mean precision of points, in both definitions in use.
 
-    Parameters
-    ----------
-    covariance : ndarray, shape (n, 3, 3)
-        Of at least one point, m^2.
+    covariance (n, 3, 3): of at least one point, m^2.
     """
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     sigma = np.sqrt(variance)

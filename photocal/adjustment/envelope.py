@@ -62,10 +62,7 @@ class Envelope:
 def envelope(reach: Integers, block: int, border: int) -> Envelope:
     """Make the structure from how far down each block of columns reaches.
 
-    Parameters
-    ----------
-    reach : ndarray of int, shape (blocks,)
-        One past the last row that is not zero in the columns of each block.
+    reach (blocks,): one past the last row that is not zero in the columns of each block.
     """
     band = len(reach) * block
     panel = max(PANEL // block, 1) * block
@@ -155,10 +152,7 @@ def _subtract(target: Floats, left: Floats, right: Floats) -> None:
 def solve(structure: Envelope, factor: Floats, right: Floats) -> Floats:
     """Solve with a factorised matrix.
 
-    Parameters
-    ----------
-    right : ndarray, shape (n,) or (n, m)
-        Right-hand sides.
+    right (n,) or (n, m): right-hand sides.
 
     Returns
     -------

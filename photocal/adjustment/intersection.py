@@ -12,17 +12,11 @@ def intersect(
 ) -> Floats:
     """Intersect rays linearly: least squares of the distances from the rays.
 
-    Parameters
-    ----------
-    point : ndarray of int, shape (n,)
-        Point of each ray.
-    centre : ndarray, shape (n, 3)
-        Projection centre of each ray.
-    rotation : ndarray, shape (n, 3, 3)
-        Object to camera axes of each ray.
-    ideal : ndarray, shape (n, 2)
-        Undistorted image coordinates from the principal point.
-    principal_distance : ndarray, shape (n,)
+    point (n,): point of each ray.
+    centre (n, 3): projection centre of each ray.
+    rotation (n, 3, 3): object to camera axes of each ray.
+    ideal (n, 2): undistorted image coordinates from the principal point.
+    principal_distance (n,).
 
     Returns
     -------

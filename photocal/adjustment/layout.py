@@ -49,10 +49,7 @@ class Layout:
 def layout(network: Network, ray_start: Integers) -> Layout:
     """Order the unknowns of a network.
 
-    Parameters
-    ----------
-    ray_start : ndarray of int, shape (points + 1,)
-        First ray of each point.
+    ray_start (points + 1,): first ray of each point.
     """
     count = len(network.image_names)
     together = np.zeros((count, count), dtype=np.bool_)

@@ -150,10 +150,7 @@ def covariance_matrices(sigma: Floats, cross: Floats) -> Floats:
 def point_weights(sigma: Floats) -> tuple[Flags, Floats]:
     """Held coordinates and weight matrices from the standard deviations of coordinates.
 
-    Parameters
-    ----------
-    sigma : ndarray, shape (n, 3)
-        0 holds a coordinate, a positive value weights it, infinity leaves it free.
+    sigma (n, 3): 0 holds a coordinate, a positive value weights it, infinity leaves it free.
 
     Returns
     -------

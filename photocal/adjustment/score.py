@@ -36,12 +36,8 @@ class Score:
 def score(at: Factored, residuals: Floats, fields: Floats) -> Score:
     """Set up the normal equations of further unknowns.
 
-    Parameters
-    ----------
-    residuals : ndarray, shape (rays, 2)
-        There, computed minus measured.
-    fields : ndarray, shape (t, rays, 2)
-        Change of the computed image coordinates by a unit of each.
+    residuals (rays, 2): there, computed minus measured.
+    fields (t, rays, 2): change of the computed image coordinates by a unit of each.
     """
     weight = at.problem.design.weight
     visible = np.array([field - taken_up(at, field) for field in fields])

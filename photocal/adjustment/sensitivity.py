@@ -48,13 +48,9 @@ def along(
 ) -> None:
     """Change of every computed image coordinate along a direction of the unknowns.
 
-    Parameters
-    ----------
-    step : ndarray, shape (n,)
-        Direction in the reduced system.
-    point_step : ndarray, shape (points, 3)
-    change : ndarray, shape (rays, 2)
-        Receives A d.
+    step (n,): direction in the reduced system.
+    point_step (points, 3).
+    change (rays, 2): receives A d.
     """
     for piece in numba.prange(len(design.pieces) - 1):
         along_piece(design, values, structure, piece, step, point_step, change, scratch(columns(design)))

@@ -58,10 +58,7 @@ class Snooping:
 def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None] | None = None) -> Snooping:
     """Adjust a network that may hold gross errors among its rays.
 
-    Parameters
-    ----------
-    test : {"w", "tau"}
-        Test with the a priori standard deviations (Baarda's w) or with the a posteriori variance factor
+    test: test with the a priori standard deviations (Baarda's w) or with the a posteriori variance factor
         (Pope's tau).
 
     Raises

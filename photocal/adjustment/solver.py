@@ -71,10 +71,7 @@ def minimise(
 ) -> Minimum:
     """Find the state of least v'Pv.
 
-    Parameters
-    ----------
-    near : float
-        Squared distance to the minimum, in units of the standard deviations, that may be left.
+    near: squared distance to the minimum, in units of the standard deviations, that may be left.
 
     Raises
     ------

@@ -38,10 +38,7 @@ class Effect:
 def effects(camera: Camera, estimates: Estimates, reach: float = np.inf) -> tuple[Effect, ...]:
     """Give the effect of every parameter but c, and of the usual groups.
 
-    Parameters
-    ----------
-    reach : float
-        Largest distance of an observation from the image centre, in the unit of the camera: beyond it
+    reach: largest distance of an observation from the image centre, in the unit of the camera: beyond it
         nothing determined the distortion.
     """
     names = [name for name in estimates.names if name != "c"]

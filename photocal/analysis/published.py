@@ -47,11 +47,8 @@ def analyse_published(
 ) -> tuple[PublishedSet, ...]:
     """Analyse a printed table of parameters, a printed matrix, or both.
 
-    Parameters
-    ----------
-    table : Path
-        CSV. Either parameter, value and std_dev (or sigma), perhaps set and degrees_of_freedom: each set is
-        analysed alone. Or a square matrix of correlations, or a covariance, with the names in its head and
+    table: CSV. Either parameter, value and std_dev (or sigma), perhaps set and degrees_of_freedom: each set
+        is analysed alone. Or a square matrix of correlations, or a covariance, with the names in its head and
         its first column.
 
     Raises

@@ -64,10 +64,7 @@ def f_test(
 def significance(estimates: Estimates, degrees_of_freedom: float, alpha: float = 0.10) -> tuple[FTest, ...]:
     """Test every parameter alone, the usual groups, and the radial terms one after the other.
 
-    Parameters
-    ----------
-    estimates : Estimates
-        Parameters with their covariance, scaled by the a posteriori variance of unit weight.
+    estimates: parameters with their covariance, scaled by the a posteriori variance of unit weight.
 
     Raises
     ------

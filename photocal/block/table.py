@@ -136,10 +136,7 @@ class Table:
 def read_table(path: Path, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> Table:
     """Read a table of CSV or Parquet.
 
-    Parameters
-    ----------
-    required, optional : tuple of str
-        Names of the columns; no others are allowed.
+    required, optional: names of the columns; no others are allowed.
 
     Raises
     ------

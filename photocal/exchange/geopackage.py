@@ -53,10 +53,7 @@ def write_geopackage(
 ) -> None:
     """Write a GeoPackage.
 
-    Parameters
-    ----------
-    to_geographic : callable or None
-        From `geographic.topocentric`; None keeps local coordinates.
+    to_geographic: from `geographic.topocentric`; None keeps local coordinates.
     """
     system = LOCAL if to_geographic is None else wgs84()
     layers: dict[str, tuple[Layer, list[Feature]]] = {

@@ -143,10 +143,7 @@ def read_geo(path: Path) -> tuple[str, tuple[ImagePosition, ...]]:
 def angles_of_geo(to_camera: Floats) -> Floats:
     """Return yaw, pitch, roll as geo.txt means them, degrees (n, 3); NaN where the rotation is unknown.
 
-    Parameters
-    ----------
-    to_camera : ndarray, shape (n, 3, 3)
-        From east, north, up to camera axes (x right, y up in the image, z backwards).
+    to_camera (n, 3, 3): from east, north, up to camera axes (x right, y up in the image, z backwards).
     """
     # The body's forward is the camera's y, its right the x, its down the direction of view.
     to_body = _CAMERA_TO_BODY @ to_camera @ _NED_TO_ENU

@@ -64,12 +64,8 @@ def images(
 ) -> Images:
     """Collect images.
 
-    Parameters
-    ----------
-    camera : sequence of int
-        Index of each image's camera.
-    values, sigma : ndarray, shape (n, 6), optional
-        omega, phi, kappa in radians, X, Y, Z in m; NaN and infinity when not given.
+    camera: index of each image's camera.
+    values, sigma (n, 6): omega, phi, kappa in radians, X, Y, Z in m; NaN and infinity when not given.
     """
     shape = (len(names), 6)
     return Images(
@@ -89,12 +85,8 @@ def observations(
 ) -> Observations:
     """Collect image observations.
 
-    Parameters
-    ----------
-    marks : sequence of Mark
-        In `unit` and `axes`.
-    unit, axes
-        As in `Observations`.
+    marks: in `unit` and `axes`.
+    unit, axes: as in `Observations`.
 
     Raises
     ------

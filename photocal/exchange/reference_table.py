@@ -85,12 +85,8 @@ def read_references(path: Path) -> tuple[str, tuple[Reference, ...]]:
 def references(names: Sequence[str], places: Floats, sigmas: Floats) -> list[Reference]:
     """Make rows of arrays.
 
-    Parameters
-    ----------
-    places : ndarray, shape (n, 3)
-        m.
-    sigmas : ndarray, shape (n, 3)
-        m; NaN, or an empty array, when not known.
+    places (n, 3): m.
+    sigmas (n, 3): m; NaN, or an empty array, when not known.
     """
     known = sigmas if len(sigmas) else np.full((len(names), 3), np.nan)
     return [

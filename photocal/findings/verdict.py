@@ -18,10 +18,7 @@ def of_global_test(
 ) -> Finding:
     """Give what the global test says of the stated standard deviations.
 
-    Parameters
-    ----------
-    accepted : bool or None
-        Its outcome; None without degrees of freedom.
+    accepted: its outcome; None without degrees of freedom.
     """
     if accepted is None or degrees_of_freedom < 1:
         return untested("global-factor", "no-redundancy")

@@ -13,10 +13,7 @@ _TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 def object_to_body(angles: Floats) -> tuple[Floats, Floats]:
     """Rotations from the object frame to body axes (aerospace sequence: yaw, pitch, roll).
 
-    Parameters
-    ----------
-    angles : ndarray, shape (n, 3)
-        Roll, pitch, yaw in radians; yaw from the Y axis (north) towards X (east).
+    angles (n, 3): roll, pitch, yaw in radians; yaw from the Y axis (north) towards X (east).
 
     Returns
     -------

@@ -253,14 +253,9 @@ def camera(
 def pixel_to_plane(size_px: ArrayLike, pitch: ArrayLike, pixel: Floats) -> Floats:
     """Turn pixel coordinates into image plane coordinates.
 
-    Parameters
-    ----------
-    size_px : array_like, shape (..., 2)
-        Width and height of the image, px.
-    pitch : array_like, shape (..., 2)
-        Size of a pixel in x and y, in the unit of the image plane.
-    pixel : ndarray, shape (..., 2)
-        Column and row; the centre of the upper-left pixel is (0, 0).
+    size_px (..., 2): width and height of the image, px.
+    pitch (..., 2): size of a pixel in x and y, in the unit of the image plane.
+    pixel (..., 2): column and row; the centre of the upper-left pixel is (0, 0).
 
     Returns
     -------
@@ -274,12 +269,8 @@ def pixel_to_plane(size_px: ArrayLike, pitch: ArrayLike, pixel: Floats) -> Float
 def plane_to_pixel(size_px: ArrayLike, pitch: ArrayLike, plane: Floats) -> Floats:
     """Turn image plane coordinates into pixel coordinates, the inverse of `pixel_to_plane`.
 
-    Parameters
-    ----------
-    size_px, pitch : array_like, shape (..., 2)
-        As in `pixel_to_plane`.
-    plane : ndarray, shape (..., 2)
-        x to the right, y up, from the middle of the image.
+    size_px, pitch (..., 2): as in `pixel_to_plane`.
+    plane (..., 2): x to the right, y up, from the middle of the image.
 
     Returns
     -------

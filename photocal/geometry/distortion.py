@@ -67,12 +67,8 @@ def _through(matrix: Floats, plane: Floats) -> Floats:
 def undistorted(camera: Camera, measured: Floats, ratio: Floats | float = 1.0) -> Floats:
     """Correct measured image coordinates to those of a perfect central projection.
 
-    Parameters
-    ----------
-    measured : ndarray, shape (n, 2)
-        Image plane coordinates in the camera's unit.
-    ratio : ndarray, shape (n,), or float
-        From `scale_ratio`.
+    measured (n, 2): image plane coordinates in the camera's unit.
+    ratio (n,): from `scale_ratio`.
 
     Returns
     -------
@@ -99,12 +95,8 @@ def undistorted(camera: Camera, measured: Floats, ratio: Floats | float = 1.0) -
 def distorted(camera: Camera, ideal: Floats, ratio: Floats | float = 1.0) -> Floats:
     """Image coordinates at which the camera records ideal ones, the inverse of `undistorted`.
 
-    Parameters
-    ----------
-    ideal : ndarray, shape (n, 2)
-        p = -c (u, v)/w, from the principal point.
-    ratio : ndarray, shape (n,), or float
-        From `scale_ratio`.
+    ideal (n, 2): p = -c (u, v)/w, from the principal point.
+    ratio (n,): from `scale_ratio`.
 
     Returns
     -------
@@ -129,10 +121,7 @@ def distorted(camera: Camera, ideal: Floats, ratio: Floats | float = 1.0) -> Flo
 def projected(camera: Camera, q: Floats) -> Floats:
     """Project points in camera axes to measured image coordinates.
 
-    Parameters
-    ----------
-    q : ndarray, shape (n, 3)
-        Points in camera axes (x right, y up, z backwards), m; visible ones have q_z < 0.
+    q (n, 3): points in camera axes (x right, y up, z backwards), m; visible ones have q_z < 0.
 
     Returns
     -------

@@ -173,10 +173,7 @@ def parsed(name: str) -> Any:
 def reference_frame(name: str, height: str, origin: Floats) -> ReferenceFrame:
     """Make the frame of a block in a coordinate reference system.
 
-    Parameters
-    ----------
-    origin : ndarray, shape (3,)
-        Middle of the block.
+    origin (3,): middle of the block.
 
     Raises
     ------

@@ -33,10 +33,7 @@ def _user_folder(*, create: bool = False) -> str:
 def missing_grids(crs: str, area: Area | None = None) -> list[str]:
     """Name the grids that the best way from GNSS coordinates to a system needs and that are not here.
 
-    Parameters
-    ----------
-    area : tuple of float, optional
-        West, south, east, north, degrees; the whole area of the system when not given.
+    area: west, south, east, north, degrees; the whole area of the system when not given.
 
     Raises
     ------

@@ -51,12 +51,8 @@ def interior_orientation(
 ) -> InteriorOrientation:
     """Find the transformation of least squares residuals at the marks.
 
-    Parameters
-    ----------
-    readings : ndarray, shape (n, 2)
-        Readings of the marks, in any unit and of either handedness.
-    known : ndarray, shape (n, 2)
-        Their calibrated coordinates in the image system (x right, y up).
+    readings (n, 2): readings of the marks, in any unit and of either handedness.
+    known (n, 2): their calibrated coordinates in the image system (x right, y up).
 
     Raises
     ------

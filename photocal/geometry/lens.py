@@ -143,14 +143,9 @@ def ray_residual(
 ) -> tuple[float, float]:
     """What a ray misses the model by, and its derivatives: zero where (x, y) are the computed coordinates.
 
-    Parameters
-    ----------
-    cameras : ndarray, shape (cameras, 14)
-        Camera parameters.
-    optics_of : ndarray, shape (cameras, 14)
-        From `optics`.
-    u, v, w : float
-        Object point in camera axes, m.
+    cameras (cameras, 14): camera parameters.
+    optics_of (cameras, 14): from `optics`.
+    u, v, w: object point in camera axes, m.
     """
     by_q, by_camera, slope, terms = room.by_q, room.by_camera, room.slope, room.terms
     c, x0, y0, b1, b2 = (

@@ -104,10 +104,8 @@ class OrientedImages:
     def project(self, image: Integers, xyz: Floats) -> Floats:
         """Columns and rows (px, shape (m, 2)) where images show points; NaN for those behind a camera.
 
-        Parameters
-        ----------
-        image : ndarray of int, shape (m,)
-        xyz : ndarray, shape (m, 3)
+        image (m,).
+        xyz (m, 3).
         """
         q = np.einsum("nij,nj->ni", self.rotation[image], xyz - self.station[image])
         pixels = np.full((len(image), 2), np.nan)
@@ -120,10 +118,8 @@ class OrientedImages:
     def ideal(self, image: Integers, pixels: Floats) -> tuple[Floats, Floats]:
         """Undistorted image coordinates from the principal point, shape (m, 2), and their c, shape (m,).
 
-        Parameters
-        ----------
-        image : ndarray of int, shape (m,)
-        pixels : ndarray, shape (m, 2)
+        image (m,).
+        pixels (m, 2).
         """
         plane, c = np.empty((len(image), 2)), np.empty(len(image))
         for k, own in enumerate(self.cameras):

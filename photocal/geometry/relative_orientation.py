@@ -39,10 +39,8 @@ def relative_orientations(first: Floats, second: Floats) -> list[RelativeOrienta
     is kept. Points near a plane allow a second pose; those of their homography (Malis and Vargas 2007) are
     returned too, and a third image or control has to choose.
 
-    Parameters
-    ----------
-    first, second : ndarray, shape (n, 2)
-        Undistorted image coordinates over the principal distance (x right, y up) of the common points.
+    first, second (n, 2): undistorted image coordinates over the principal distance (x right, y up) of the
+        common points.
     """
     if len(first) < FEWEST:
         return []

@@ -43,12 +43,8 @@ def resection(xyz: Floats, rays: Floats) -> Resection | None:
     Marquardt. Where single points fit much worse than the others, the pose of least median residual among
     those of samples of four points (P3P: Ke and Roumeliotis 2017) decides which to leave out.
 
-    Parameters
-    ----------
-    xyz : ndarray, shape (n, 3)
-        Points, m.
-    rays : ndarray, shape (n, 2)
-        Undistorted image coordinates over the principal distance, x right, y up.
+    xyz (n, 3): points, m.
+    rays (n, 2): undistorted image coordinates over the principal distance, x right, y up.
 
     Returns
     -------
@@ -76,13 +72,10 @@ def resection(xyz: Floats, rays: Floats) -> Resection | None:
 def ray_residuals(rotation: Floats, centre: Floats, xyz: Floats, rays: Floats) -> Floats:
     """Length of the residual of each ray, in units of the principal distance; infinite behind the camera.
 
-    Parameters
-    ----------
-    rotation : ndarray, shape (..., 3, 3)
-    centre : ndarray, shape (..., 3)
-    xyz : ndarray, shape (..., 3)
-    rays : ndarray, shape (..., 2)
-        Leading shapes are broadcast.
+    rotation (..., 3, 3).
+    centre (..., 3).
+    xyz (..., 3).
+    rays (..., 2): leading shapes are broadcast.
 
     Returns
     -------

@@ -10,10 +10,7 @@ from drivers.arrays import Floats
 def matrix_from_angles(angles: Floats) -> Floats:
     """Rotation matrices from object to camera axes.
 
-    Parameters
-    ----------
-    angles : ndarray, shape (..., 3)
-        omega, phi, kappa in radians.
+    angles (..., 3): omega, phi, kappa in radians.
 
     Returns
     -------
@@ -33,10 +30,7 @@ def matrix_from_angles(angles: Floats) -> Floats:
 def angles_from_matrix(matrix: Floats) -> Floats:
     """Angles of rotation matrices, the inverse of `matrix_from_angles`.
 
-    Parameters
-    ----------
-    matrix : ndarray, shape (..., 3, 3)
-        Rotations from object to camera axes.
+    matrix (..., 3, 3): rotations from object to camera axes.
 
     Returns
     -------
@@ -62,10 +56,7 @@ def turn_per_angle(angles: Floats) -> Floats:
     The turned matrix is (I + [t]x) M. With M a product of passive rotations, dM M' is
     -[e3]x d kappa - [R3 e2]x d phi - [R3 R2 e1]x d omega.
 
-    Parameters
-    ----------
-    angles : ndarray, shape (..., 3)
-        omega, phi, kappa in radians.
+    angles (..., 3): omega, phi, kappa in radians.
 
     Returns
     -------
@@ -82,12 +73,8 @@ def turn_per_angle(angles: Floats) -> Floats:
 def turned(matrix: Floats, turn: Floats) -> Floats:
     """Apply turns to rotation matrices: exp([t]x) M, exactly orthogonal.
 
-    Parameters
-    ----------
-    matrix : ndarray, shape (n, 3, 3)
-        Rotations from object to camera axes.
-    turn : ndarray, shape (n, 3)
-        Turn vectors in camera axes, radians.
+    matrix (n, 3, 3): rotations from object to camera axes.
+    turn (n, 3): turn vectors in camera axes, radians.
 
     Returns
     -------

@@ -34,14 +34,9 @@ def rolling_residual(
 ) -> tuple[float, float, float, float, float]:
     """Residual of a ray whose line is that of its computed coordinates, and its derivatives.
 
-    Parameters
-    ----------
-    lenses : ndarray, shape (lenses, 20)
-        Parameters of the camera, then V (m, object axes) and W (rad, camera axes).
-    optics_of : ndarray, shape (lenses, 20)
-        From `optics`, then the given velocity (m/s) and rate (rad/s).
-    u, v, w : float
-        Object point in camera axes at the middle of the readout, m.
+    lenses (lenses, 20): parameters of the camera, then V (m, object axes) and W (rad, camera axes).
+    optics_of (lenses, 20): from `optics`, then the given velocity (m/s) and rate (rad/s).
+    u, v, w: object point in camera axes at the middle of the readout, m.
 
     Returns
     -------

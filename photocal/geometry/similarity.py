@@ -39,9 +39,7 @@ class Similarity:
 def similarity(source: Floats, target: Floats) -> Similarity | None:
     """Similarity that brings one set of places closest to another (Umeyama 1991, eq. 40-42).
 
-    Parameters
-    ----------
-    source, target : ndarray, shape (n, 3)
+    source, target (n, 3).
 
     Returns
     -------
@@ -98,14 +96,9 @@ def aligned_similarity(
 ) -> Similarity:
     """Similarity of places that need not determine it: directions help with the rotation.
 
-    Parameters
-    ----------
-    source, target : ndarray, shape (n, 3)
-        One place and more.
-    axes, goals : ndarray, shape (k, 3)
-        Directions in both systems.
-    weight : float
-        Of a direction beside those of the places, m squared.
+    source, target (n, 3): one place and more.
+    axes, goals (k, 3): directions in both systems.
+    weight: of a direction beside those of the places, m squared.
 
     Returns
     -------

@@ -95,10 +95,7 @@ def with_calibration(block: Block, calibration: Calibration) -> Block:
 def joint_covariance(calibration: Calibration, common: int) -> Floats:
     """Give the covariance of all common values of a block and its cameras.
 
-    Parameters
-    ----------
-    common : int
-        Number of the block's common values; shifts and drifts of its strips are taken as known.
+    common: number of the block's common values; shifts and drifts of its strips are taken as known.
 
     Returns
     -------

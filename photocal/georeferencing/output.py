@@ -29,10 +29,7 @@ def write_check(
 ) -> tuple[str, ...]:
     """Write the results of a check.
 
-    Parameters
-    ----------
-    system : ReferenceSystem
-        Of the block's coordinates, for the GeoPackage.
+    system: of the block's coordinates, for the GeoPackage.
 
     Raises
     ------

@@ -60,14 +60,9 @@ def accepted(
 ) -> Centre | None:
     """Make a centre of a fitted template, unless it is too faint, unsure or far from where it was expected.
 
-    Parameters
-    ----------
-    approximate : tuple of float
-        Column and row where it was expected, px.
-    farthest : float
-        How far from there it may be, px.
-    shape : ndarray, shape (k,)
-        As in `Centre`.
+    approximate: column and row where it was expected, px.
+    farthest: how far from there it may be, px.
+    shape (k,): as in `Centre`.
     """
     place = fit.parameters[:2]
     column, row = (float(p + m) for p, m in zip(place, window.middle, strict=True))

@@ -43,10 +43,7 @@ def measure_gcp(
 ) -> TieBlock:
     """Measure tie points in images and join them with marked control points.
 
-    Parameters
-    ----------
-    system : tuple of str
-        Coordinate reference system in place of the file's, or empty; and the kind of the heights.
+    system: coordinate reference system in place of the file's, or empty; and the kind of the heights.
 
     Raises
     ------

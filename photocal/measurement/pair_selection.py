@@ -37,16 +37,12 @@ def footprints(
 ) -> Footprints:
     """Footprints on level ground.
 
-    Parameters
-    ----------
-    places : ndarray, shape (n, 2)
-        East and north of the projection centres, m.
-    height_m : ndarray, shape (n,)
-        Above ground.
-    yaw_pitch : ndarray, shape (n, 2)
-        Of the camera, radians; pitch -90 degrees looks down, which is assumed where it is unknown.
-    size_px : ndarray, shape (n, 2)
-    c_px : ndarray, shape (n,)
+    places (n, 2): east and north of the projection centres, m.
+    height_m (n,): above ground.
+    yaw_pitch (n, 2): of the camera, radians; pitch -90 degrees looks down, which is assumed where it is
+        unknown.
+    size_px (n, 2).
+    c_px (n,).
     """
     yaw, pitch = (
         np.nan_to_num(yaw_pitch[:, 0]),

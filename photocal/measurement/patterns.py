@@ -24,11 +24,8 @@ def saddle(p: Floats, x: Floats, y: Floats) -> Floats:
 def cross(p: Floats, x: Floats, y: Floats, bend: Floats = FLAT) -> Floats:
     """Two bars that cross, in perspective.
 
-    Parameters
-    ----------
-    x, y : ndarray, shape (n,)
-    bend : ndarray, shape (2, 2, 2)
-        Of the ground, from `eccentricity.ground_bend`.
+    x, y (n,).
+    bend (2, 2, 2): of the ground, from `eccentricity.ground_bend`.
 
     Returns
     -------

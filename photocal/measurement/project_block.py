@@ -68,11 +68,9 @@ def measure_project(
 ) -> TieBlock:
     """Measure the images of a project.
 
-    Parameters
-    ----------
-    exposures : Orientation or None
-        Exterior orientations of some or all images in the project's system, NaN where unknown: good to start
-        from, and with their covariances to predict targets. Without: the positions that the images state.
+    exposures: exterior orientations of some or all images in the project's system, NaN where unknown: good to
+        start from, and with their covariances to predict targets. Without: the positions that the images
+        state.
 
     Returns
     -------

@@ -72,9 +72,7 @@ def position_sigma(
 def without_images(block: Block, gone: Flags) -> Block:
     """Take images out of a block, with their observations and the cameras of no other image; points stay.
 
-    Parameters
-    ----------
-    gone : ndarray of bool, shape (images,)
+    gone (images,).
     """
     keep = np.flatnonzero(~gone)
     images, seen = block.images, block.observations

@@ -48,10 +48,7 @@ def with_ties(block: Block, tracks: Tracks, values: Floats, sigma: Floats) -> Bl
 def place(block: Block, tracks: Tracks, least_spread: float = LEAST_SPREAD) -> Floats:
     """Intersect the rays of tracks in the oriented images of a block.
 
-    Parameters
-    ----------
-    least_spread : float
-        Of a point's rays from their mean, rad.
+    least_spread: of a point's rays from their mean, rad.
 
     Returns
     -------

@@ -30,9 +30,7 @@ def misses(views: OrientedImages, tracks: Tracks, points: Floats) -> Floats:
 def spread(views: OrientedImages, tracks: Tracks, points: Floats) -> Floats:
     """Largest angle of a point's rays from their mean, rad, shape (tracks.count,).
 
-    Parameters
-    ----------
-    points : ndarray, shape (tracks.count, 3)
+    points (tracks.count, 3).
 
     Returns
     -------

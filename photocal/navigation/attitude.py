@@ -25,15 +25,10 @@ _DEFAULT_WANDER = np.radians(3.0)
 class Attitudes:
     """Rotations at instants.
 
-    Parameters
-    ----------
-    rotation : float64 (n, 3, 3)
-        From east, north, up to body axes (forward, right, down); NaN where unknown.
-    rate : float64 (n, 3)
-        Angular velocity about the body axes, rad/s; zero where it is not known.
-    covariance : float64 (n, 3, 3)
-        Of small turns t about the body axes (true rotation = exp(-[t]x) rotation), rad^2, without the effect
-        of an error of the time; NaN where unknown.
+    rotation (n, 3, 3): from east, north, up to body axes (forward, right, down); NaN where unknown.
+    rate (n, 3): angular velocity about the body axes, rad/s; zero where it is not known.
+    covariance (n, 3, 3): of small turns t about the body axes (true rotation = exp(-[t]x) rotation), rad^2,
+        without the effect of an error of the time; NaN where unknown.
     """
 
     rotation: Floats
@@ -82,14 +77,9 @@ def from_angles(angles: Floats, sigma: Floats | None) -> Attitudes:
 class AttitudeTrack:
     """Recorded rotations in the order of time.
 
-    Parameters
-    ----------
-    time : GpsTime (n,)
-        By the clock of what measured them.
-    rotation : float64 (n, 3, 3)
-        From east, north, up to body axes.
-    source : str
-        What told them, for example ``ATTITUDE_QUATERNION``.
+    time: by the clock of what measured them.
+    rotation (n, 3, 3): from east, north, up to body axes.
+    source: what told them, for example ``ATTITUDE_QUATERNION``.
     """
 
     time: GpsTime

@@ -21,16 +21,10 @@ _DELTA = noncentrality(0.001, 0.80)
 class Baseline:
     """A vector from one mark to another.
 
-    Parameters
-    ----------
-    name : str
-        Session or file, for messages.
-    start, end : str
-        Marks.
-    vector_m : float64 (3,)
-        Earth-centred axes, from mark to mark (antenna heights removed).
-    covariance_m2 : float64 (3, 3)
-        Earth-centred axes.
+    name: session or file, for messages.
+    start, end: marks.
+    vector_m (3,): Earth-centred axes, from mark to mark (antenna heights removed).
+    covariance_m2 (3, 3): Earth-centred axes.
     """
 
     name: str
@@ -53,18 +47,12 @@ class Mark:
 class Blunder:
     """A baseline that was left out.
 
-    Parameters
-    ----------
-    name, start, end : str
-        Which.
-    component : str
-        ``height``, ``east`` or ``north``; an error of height alone is mostly that of an antenna height.
-    size_m : float
-        Estimated error with its sign, start to end.
-    size_sigma_m : float
-        Its standard deviation.
-    test : float
-        Normalised residual; rejected above `CRITICAL`.
+    name, start, end: which.
+    component: ``height``, ``east`` or ``north``; an error of height alone is mostly that of an antenna
+        height.
+    size_m: estimated error with its sign, start to end.
+    size_sigma_m: its standard deviation.
+    test: normalised residual; rejected above `CRITICAL`.
     """
 
     name: str
@@ -80,33 +68,20 @@ class Blunder:
 class NetworkSolution:
     """Adjusted marks.
 
-    Parameters
-    ----------
-    names : list of str (n,)
-        Marks.
-    xyz_m : float64 (n, 3)
-        Earth-centred positions.
-    covariance_m2 : float64 (3 n, 3 n)
-        Full covariance, a priori variance of unit weight.
-    residuals_m : float64 (m, 3)
-        Adjusted less measured, east, north, up, of the baselines used.
-    redundancy : float64 (m, 3)
-        Redundancy numbers of east, north, up.
-    detectable_m : float64 (m, 3)
-        Smallest error found with 80 % power at a level of 0.1 %; infinite where nothing checks it.
-    effects_m : float64 (m, 3, n, 3)
-        External reliability: what the smallest detectable error of each baseline's east, north and up does to
-        the east, north and up of every mark when it is not found (Baarda 1968): Q A' P e times the error.
-        Infinite where nothing checks it.
-    distortion : float64 (m, 3)
-        Its length in units of the marks' covariance, the root of dx' Q^-1 dx.
-    used : list of Baseline
-        Baselines used.
-    blunders : list of Blunder
-        Baselines left out, worst first.
-    degrees_of_freedom : int
-    sigma0_squared : float
-        A posteriori variance of unit weight; NaN without redundancy.
+    names: marks.
+    xyz_m (n, 3): Earth-centred positions.
+    covariance_m2 (3 n, 3 n): full covariance, a priori variance of unit weight.
+    residuals_m (m, 3): adjusted less measured, east, north, up, of the baselines used.
+    redundancy (m, 3): redundancy numbers of east, north, up.
+    detectable_m (m, 3): smallest error found with 80 % power at a level of 0.1 %; infinite where nothing
+        checks it.
+    effects_m (m, 3, n, 3): external reliability: what the smallest detectable error of each baseline's east,
+        north and up does to the east, north and up of every mark when it is not found (Baarda 1968): Q A' P e
+        times the error. Infinite where nothing checks it.
+    distortion (m, 3): its length in units of the marks' covariance, the root of dx' Q^-1 dx.
+    used: baselines used.
+    blunders: baselines left out, worst first.
+    sigma0_squared: A posteriori variance of unit weight; NaN without redundancy.
     """
 
     names: list[str]

@@ -21,22 +21,13 @@ PLAYBACK_LIMIT = 0.01
 class ClockSegment:
     """A stretch without a jump: reference = origin + offset + rate * (device - first device reading).
 
-    Parameters
-    ----------
-    first_ns, last_ns : int
-        First and last reading of the device's clock.
-    origin_ns : int
-        Reading of the reference at `first_ns`; whole nanoseconds, so that nothing is lost.
-    offset_s, rate : float
-        Correction of the origin, and seconds of the reference per second of the device.
-    offset_sigma_s, rate_sigma : float
-        Their standard deviations.
-    correlation : float
-        Between the two.
-    scatter_s : float
-        Robust standard deviation of one reading.
-    readings : int
-        Number of readings in the stretch.
+    first_ns, last_ns: first and last reading of the device's clock.
+    origin_ns: reading of the reference at `first_ns`; whole nanoseconds, so that nothing is lost.
+    offset_s, rate: correction of the origin, and seconds of the reference per second of the device.
+    offset_sigma_s, rate_sigma: their standard deviations.
+    correlation: between the two.
+    scatter_s: robust standard deviation of one reading.
+    readings: number of readings in the stretch.
     """
 
     first_ns: int

@@ -19,20 +19,14 @@ from photocal.navigation.troposphere import DelayLapse, Weather, remaining_lapse
 class CommonErrors:
     """What the covariances of single positions do not tell: parts that no average over the flight removes.
 
-    Parameters
-    ----------
-    base_sigma_m : float64 (3,) or None
-        Standard deviations of the base's coordinates, east, north, up; None: nobody stated them.
-    correlation_time_s : float or None
-        How long errors of positions last (see `engine_sights.correlation_time_s`).
-    lasting_sigma_m : float64 (3,)
-        Of the mean over the flight of errors that last, with those that grow with the distance.
-    base_height_m : float
-        Ellipsoidal.
-    lapse : DelayLapse
-        What the engine leaves of the air between base and rover.
-    shift_by_zenith_delay : float64 (3,) or None
-        Shift of a position for each metre of zenith delay, east, north, up.
+    base_sigma_m (3,): standard deviations of the base's coordinates, east, north, up; None: nobody stated
+        them.
+    correlation_time_s: how long errors of positions last (see `engine_sights.correlation_time_s`).
+    lasting_sigma_m (3,): of the mean over the flight of errors that last, with those that grow with the
+        distance.
+    base_height_m: ellipsoidal.
+    lapse: what the engine leaves of the air between base and rover.
+    shift_by_zenith_delay (3,): shift of a position for each metre of zenith delay, east, north, up.
     """
 
     base_sigma_m: Floats | None

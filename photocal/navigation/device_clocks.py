@@ -19,14 +19,9 @@ _RESTART_NS = 5_000_000_000
 class ComparedClocks:
     """One clock against another.
 
-    Parameters
-    ----------
-    name : str
-        Which two, and what told it.
-    cycles : tuple of ClockModel
-        One model for each time that the device was switched on.
-    constant_sigma_s : float
-        Standard deviation of an error that all readings share.
+    name: which two, and what told it.
+    cycles: one model for each time that the device was switched on.
+    constant_sigma_s: standard deviation of an error that all readings share.
     """
 
     name: str
@@ -71,12 +66,8 @@ class ComparedClocks:
 class AutopilotClock:
     """UTC of an autopilot's time since boot, also over restarts.
 
-    Parameters
-    ----------
-    compared : ComparedClocks
-        UTC by boot time, from SYSTEM_TIME, or through the recording computer.
-    start_host_ns : int64 (k,)
-        Arrival of the first reading of each cycle.
+    compared: UTC by boot time, from SYSTEM_TIME, or through the recording computer.
+    start_host_ns (k,): arrival of the first reading of each cycle.
     """
 
     compared: ComparedClocks

@@ -27,20 +27,13 @@ _SYSTEMS = {"G": 1, "S": 2, "R": 4, "E": 8, "J": 16, "C": 32}
 class ProcessingOptions:
     """How positions are computed.
 
-    Parameters
-    ----------
-    systems : str
-        Letters of the satellite systems.
-    two_frequencies : bool
-        Whether L2 is used beside L1.
-    elevation_deg : float
-        Satellites below are left out.
-    ratio : float
-        Least ratio of the second best to the best ambiguities for a fix.
-    rover_antenna_m, base_antenna_m : float or None
-        Heights of the antenna reference points above the marks; None: as in the RINEX header.
-    precise : bool
-        Whether orbits and clocks come from products (SP3, CLK) instead of broadcast ephemerides.
+    systems: letters of the satellite systems.
+    two_frequencies: whether L2 is used beside L1.
+    elevation_deg: satellites below are left out.
+    ratio: least ratio of the second best to the best ambiguities for a fix.
+    rover_antenna_m, base_antenna_m: heights of the antenna reference points above the marks; None: as in the
+        RINEX header.
+    precise: whether orbits and clocks come from products (SP3, CLK) instead of broadcast ephemerides.
     """
 
     systems: str

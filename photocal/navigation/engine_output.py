@@ -20,22 +20,13 @@ _LEAST_SIGMA_M = 1e-4
 class EngineSolution:
     """Positions of one run of the engine.
 
-    Parameters
-    ----------
-    time : GpsTime (n,)
-        Epochs.
-    lat_deg, lon_deg, height_m : float64 (n,)
-        Geodetic position, ellipsoidal height.
-    quality : int64 (n,)
-        1 fixed, 2 float, 5 single, as the engine numbers them.
-    satellites : int64 (n,)
-        Number used.
-    covariance_m2 : float64 (n, 3, 3)
-        East, north, up, as the engine claims it.
-    age_s, ratio : float64 (n,)
-        Age of the base's observations; ratio test.
-    velocity_m_s : float64 (n, 3)
-        East, north, up; NaN where the engine gave none.
+    time: epochs.
+    lat_deg, lon_deg, height_m (n,): geodetic position, ellipsoidal height.
+    quality (n,): 1 fixed, 2 float, 5 single, as the engine numbers them.
+    satellites (n,): number used.
+    covariance_m2 (n, 3, 3): east, north, up, as the engine claims it.
+    age_s, ratio (n,): age of the base's observations; ratio test.
+    velocity_m_s (n, 3): east, north, up; NaN where the engine gave none.
     """
 
     time: GpsTime

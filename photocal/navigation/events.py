@@ -26,25 +26,16 @@ _CLAIMED = ("latitude_deg", "longitude_deg", "altitude_msl_m", "roll_deg", "pitc
 class Events:
     """Exposures in the order of time.
 
-    Parameters
-    ----------
-    source : str
-        What noted them, for example ``TIM-TM2 rising of rover``.
-    time : GpsTime (n,)
-        When.
-    number : int64 (n,)
-        The device's own count.
-    accuracy_s : float64 (n,)
-        Accuracy of the time that the device claims; 0 where it claims none.
-    remarks : list of str
-        What is odd: jumps of the counter, edges without a time.
-    claimed : float64 (n, 6) or None
-        Latitude, longitude (deg), height above sea level (m), roll, pitch, yaw (deg) that the device told
-        with each; NaN where it told none.
-    stream_ns : int64 (n,) or None
-        Last RXM-RAWX epoch before each time mark in the receiver's stream (GPS ns); -1 before the first.
-    delay_ns : int
-        Delay that is contained in the times.
+    source: what noted them, for example ``TIM-TM2 rising of rover``.
+    time: when.
+    number (n,): the device's own count.
+    accuracy_s (n,): accuracy of the time that the device claims; 0 where it claims none.
+    remarks: what is odd: jumps of the counter, edges without a time.
+    claimed (n, 6): latitude, longitude (deg), height above sea level (m), roll, pitch, yaw (deg) that the
+        device told with each; NaN where it told none.
+    stream_ns (n,): last RXM-RAWX epoch before each time mark in the receiver's stream (GPS ns); -1 before the
+        first.
+    delay_ns: delay that is contained in the times.
     """
 
     source: str
@@ -87,10 +78,7 @@ def time_marks(
 ) -> Events:
     """Return the events of one edge from RXM-TIM-TM2 messages.
 
-    Parameters
-    ----------
-    leap_s : int, optional
-        GPS time minus UTC where the table has ended.
+    leap_s: GPS time minus UTC where the table has ended.
 
     Raises
     ------

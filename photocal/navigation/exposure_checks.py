@@ -33,24 +33,12 @@ _LATE_ATTITUDE_S = 0.05
 class Evidence:
     """What checks may use.
 
-    Parameters
-    ----------
-    rig : Rig
-        As given.
-    events : Events
-        Those used, with the delay.
-    others : list of Events
-        Other events of the logs.
-    antenna : Exposures
-        At the antenna.
-    trajectory : Trajectory or None
-        Of PPK.
-    rover : ReceiverRecording or None
-    vehicle : VehicleTrack or None
-    listed : CameraEventList or None
-    images : list of ImageMetadata
-    ppk : dict or None
-        Figures of PPK.
+    rig: as given.
+    events: those used, with the delay.
+    others: other events of the logs.
+    antenna: at the antenna.
+    trajectory: of PPK.
+    ppk: figures of PPK.
     """
 
     rig: Rig

@@ -58,17 +58,11 @@ def write_block_images(
 ) -> dict[str, Any]:
     """Write the block's `images.csv`, the full covariances beside it; return the coordinates' frame.
 
-    Parameters
-    ----------
-    path : Path
-        The file; ``covariance.parquet`` in the same folder has the lower triangle, row by row, of X, Y, Z
+    path: the file; ``covariance.parquet`` in the same folder has the lower triangle, row by row, of X, Y, Z
         (m), omega, phi, kappa (deg) of every image, as a run folder has it.
-    camera : str
-        The camera's id in the block.
-    rig : Rig or None
-        Camera axes and boresight; None: a camera that looks down, the upper edge of its image forward.
-    crs : str or None
-        Coordinate reference system of X, Y, Z; without: topocentric (east, north, up) about the middle.
+    camera: the camera's id in the block.
+    rig: camera axes and boresight; None: a camera that looks down, the upper edge of its image forward.
+    crs: coordinate reference system of X, Y, Z; without: topocentric (east, north, up) about the middle.
 
     Returns
     -------
@@ -154,10 +148,7 @@ def projected(lat: Floats, lon: Floats, height: Floats, crs: str) -> tuple[Float
 def write_geo_txt(path: Path, exposures: Exposures, rig: Rig) -> None:
     """Write OpenDroneMap's `geo.txt` on EPSG:4326: place, and where they are known angles and accuracies.
 
-    Parameters
-    ----------
-    rig : Rig
-        Camera axes and boresight: the angles are the camera's, see `photocal.exchange.ground_points`.
+    rig: camera axes and boresight: the angles are the camera's, see `photocal.exchange.ground_points`.
     """
     from photocal.exchange.ground_points import ImagePosition, angles_of_geo, write_geo
 

@@ -47,26 +47,16 @@ from photocal.navigation.vehicle import VehicleTrack, read_vehicle
 class Choices:
     """What a person asked for.
 
-    Parameters
-    ----------
-    sources : Sources
-        For the trajectory.
-    images : Path or None
-        Folder of images, or a table of their names and times.
-    mrk : Path or None
-        Event list of the vehicle, instead of the events of the log.
-    edge : str
-        ``rising`` or ``falling``.
-    delay_s, delay_sigma_s : float
-        From the event to the exposure, and its standard deviation from exposure to exposure.
-    rig : Rig
-        Lever arm, boresight, axes and their standard deviations.
-    largest_offset_s : float
-        Between the clocks of camera and log.
-    oriented : Path or None
-        Run folder of an adjustment of the same images, whose positions check the exposures.
-    ties : TieMatching or None
-        How to find tie points of the images to check their rotations; None: not at all.
+    sources: for the trajectory.
+    images: folder of images, or a table of their names and times.
+    mrk: event list of the vehicle, instead of the events of the log.
+    edge: ``rising`` or ``falling``.
+    delay_s, delay_sigma_s: from the event to the exposure, and its standard deviation from exposure to
+        exposure.
+    rig: lever arm, boresight, axes and their standard deviations.
+    largest_offset_s: between the clocks of camera and log.
+    oriented: run folder of an adjustment of the same images, whose positions check the exposures.
+    ties: how to find tie points of the images to check their rotations; None: not at all.
     """
 
     sources: Sources
@@ -85,22 +75,13 @@ class Choices:
 class ExposureRun:
     """Exposures and what was noticed on the way.
 
-    Parameters
-    ----------
-    antenna : Exposures
-        At the antenna, event and delay.
-    exposures : Exposures
-        At the camera: lever arm and time offset of the rig applied.
-    trajectory : Trajectory or None
-        Of PPK.
-    cameras : list of CameraMatch
-        Images and events.
-    images : list of ImageMetadata
-        What was read of the images.
-    checks : list of Finding
-        What was checked, and how.
-    figures : dict
-        Ready for JSON.
+    antenna: at the antenna, event and delay.
+    exposures: at the camera: lever arm and time offset of the rig applied.
+    trajectory: of PPK.
+    cameras: images and events.
+    images: what was read of the images.
+    checks: what was checked, and how.
+    figures: ready for JSON.
     """
 
     antenna: Exposures

@@ -23,12 +23,8 @@ from photocal.navigation.rig import Rig
 def write_run(folder: Path, run: ExposureRun, rig: Rig, camera: str, crs: str | None) -> dict[str, Any]:
     """Write tables, GeoPackage and plot; return the figures with the frame of `images.csv`.
 
-    Parameters
-    ----------
-    rig : Rig
-        Camera axes and boresight.
-    crs : str or None
-        System of `images.csv`; without: local.
+    rig: camera axes and boresight.
+    crs: system of `images.csv`; without: local.
 
     Raises
     ------

@@ -24,27 +24,17 @@ from photocal.navigation.time import GpsTime
 class Exposures:
     """One row per event.
 
-    Parameters
-    ----------
-    time : GpsTime (n,)
-        Moments of exposure.
-    number : int64 (n,)
-        Count of the device.
-    placed : Placed
-        Position (of the camera, once `at_camera` was applied), velocity, covariance, status.
-    attitude : Attitudes
-        Of the body that carries the camera, with the effect of errors of the time in the covariance.
-    cross : float64 (n, 3, 3)
-        Covariance of position (east, north, up, m) and turn of the body (rad); NaN where unknown.
-    image : list of str (n,)
-        Name of the image; empty where none matched.
-    height_kind : str
-        What the heights are above.
-    carrier : Attitudes or None
-        Of the body that the antenna is fixed to, where the camera hangs in a gimbal with an attitude of its
-        own; None: the same body.
-    above_take_off_m : float64 (n,) or None
-        Second height of the images, where they tell it.
+    time: moments of exposure.
+    number (n,): count of the device.
+    placed: position (of the camera, once `at_camera` was applied), velocity, covariance, status.
+    attitude: of the body that carries the camera, with the effect of errors of the time in the covariance.
+    cross (n, 3, 3): covariance of position (east, north, up, m) and turn of the body (rad); NaN where
+        unknown.
+    image: name of the image; empty where none matched.
+    height_kind: what the heights are above.
+    carrier: of the body that the antenna is fixed to, where the camera hangs in a gimbal with an attitude of
+        its own; None: the same body.
+    above_take_off_m (n,): second height of the images, where they tell it.
     """
 
     time: GpsTime
@@ -142,12 +132,9 @@ def at_camera(exposures: Exposures, rig: Rig) -> Exposures:
 class Orientations:
     """Exterior orientations in the axes east, north, up at each exposure.
 
-    Parameters
-    ----------
-    rotation : float64 (n, 3, 3)
-        To camera axes, boresight included; NaN where unknown.
-    covariance : float64 (n, 6, 6)
-        Of east, north, up (m) and the turns t about the camera axes, rad: true = exp([t]x) rotation.
+    rotation (n, 3, 3): to camera axes, boresight included; NaN where unknown.
+    covariance (n, 6, 6): of east, north, up (m) and the turns t about the camera axes, rad: true = exp([t]x)
+        rotation.
     """
 
     rotation: Floats

@@ -29,20 +29,12 @@ _FIXED_FLOOR_M = np.array([0.004, 0.004, 0.008])
 class Judgement:
     """The combined solution with its final status, and why epochs lost their fix.
 
-    Parameters
-    ----------
-    solution : EngineSolution
-        Same positions; quality and covariance as judged.
-    demoted : dict of str to bool (n,)
-        By reason.
-    float_factor : float64 (3,)
-        Factor on the engine's float sigmas (east, north, up).
-    separation_m : float64 (n, 3)
-        Forward minus backward; NaN where one of them has no position.
-    directions : int64 (n, 2)
-        Quality of forward and backward, 0 where there is no position.
-    velocity_sigma_m_s : float
-        Robust standard deviation of the Doppler velocity, one component.
+    solution: same positions; quality and covariance as judged.
+    demoted: by reason.
+    float_factor (3,): factor on the engine's float sigmas (east, north, up).
+    separation_m (n, 3): forward minus backward; NaN where one of them has no position.
+    directions (n, 2): quality of forward and backward, 0 where there is no position.
+    velocity_sigma_m_s: robust standard deviation of the Doppler velocity, one component.
     """
 
     solution: EngineSolution

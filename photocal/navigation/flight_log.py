@@ -20,10 +20,7 @@ class FlightLog:
     The logs are opened and read when a message is first asked for, and never again: raw frames, event lists,
     exposures, positions and attitudes are kept, all else is passed over.
 
-    Parameters
-    ----------
-    paths : iterable of Path
-        The logs in the order of time; may be empty.
+    paths: the logs in the order of time; may be empty.
     """
 
     def __init__(self, paths: Iterable[Path] = ()) -> None:

@@ -22,12 +22,8 @@ from photocal.navigation.rotation_check import CODE, rotation_check
 class TieMatching:
     """How tie points of the images are found.
 
-    Parameters
-    ----------
-    plan : MatchingPlan
-        Cache, processes, settings.
-    progress : callable
-        Shows a bar for a title and an amount of work.
+    plan: cache, processes, settings.
+    progress: shows a bar for a title and an amount of work.
     """
 
     plan: MatchingPlan

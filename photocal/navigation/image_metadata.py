@@ -21,22 +21,13 @@ _IN_NAME = pattern(r"(\d{14})(\d{2})Z$")
 class ImageMetadata:
     """One image.
 
-    Parameters
-    ----------
-    name : str
-        File name.
-    camera : str
-        Maker, model and serial number as far as they are told.
-    time_s : float or None
-        Seconds since 1970 by the camera's (or the file name's) clock, time zone unknown.
-    resolution_s : float
-        1 where only whole seconds are told.
-    from_name : bool
-        Whether the time is that of the recording computer in the file name (UTC).
-    facts : ImageFacts or None
-        What else the file says; None for a row of a table.
-    path : Path or None
-        The file.
+    name: file name.
+    camera: maker, model and serial number as far as they are told.
+    time_s: seconds since 1970 by the camera's (or the file name's) clock, time zone unknown.
+    resolution_s: 1 where only whole seconds are told.
+    from_name: whether the time is that of the recording computer in the file name (UTC).
+    facts: what else the file says; None for a row of a table.
+    path: the file.
     """
 
     name: str
@@ -51,10 +42,7 @@ class ImageMetadata:
 def read_images(source: Path) -> list[ImageMetadata]:
     """Read the images in a folder, or a table of images, by name.
 
-    Parameters
-    ----------
-    source : Path
-        A folder of images, or a CSV table with columns image, taken (ISO 8601, the camera's clock) and
+    source: A folder of images, or a CSV table with columns image, taken (ISO 8601, the camera's clock) and
         optionally camera.
 
     Raises

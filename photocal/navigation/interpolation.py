@@ -23,20 +23,12 @@ _DEFAULT_ROUGHNESS = 0.5
 class Placed:
     """Positions at given instants.
 
-    Parameters
-    ----------
-    placed : bool (n,)
-        Whether there are epochs close enough on both sides; the other columns are NaN where not.
-    gap_s : float64 (n,)
-        Distance of the epochs around each instant; infinite outside the trajectory.
-    lat_deg, lon_deg, height_m : float64 (n,)
-        Position, ellipsoidal height.
-    velocity_m_s : float64 (n, 3)
-        East, north, up.
-    covariance_m2 : float64 (n, 3, 3)
-        East, north, up; of the epochs, the interpolation and the time.
-    status : str (n,)
-        The worse one of the two epochs.
+    placed: whether there are epochs close enough on both sides; the other columns are NaN where not.
+    gap_s (n,): distance of the epochs around each instant; infinite outside the trajectory.
+    lat_deg, lon_deg, height_m (n,): position, ellipsoidal height.
+    velocity_m_s (n, 3): east, north, up.
+    covariance_m2 (n, 3, 3): east, north, up; of the epochs, the interpolation and the time.
+    status: the worse one of the two epochs.
     """
 
     placed: Flags
@@ -53,14 +45,9 @@ class Placed:
 class LeftOut:
     """Fixes that were left out and interpolated from their neighbours.
 
-    Parameters
-    ----------
-    time : GpsTime (n,)
-        Their epochs.
-    error_m : float64 (n, 3)
-        Measured less interpolated, east, north, up.
-    gap_s : float64 (n,)
-        Distance of the neighbours.
+    time: their epochs.
+    error_m (n, 3): measured less interpolated, east, north, up.
+    gap_s (n,): distance of the neighbours.
     """
 
     time: GpsTime

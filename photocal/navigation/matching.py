@@ -23,22 +23,13 @@ _CHANCE = 5e-4
 class Matching:
     """Images and events that belong together.
 
-    Parameters
-    ----------
-    image, event : int64 (n,)
-        Indices of the pairs, in the order of time.
-    unmatched_images, unmatched_events : int64
-        Indices of the rest.
-    ambiguous_images : int64
-        Of the unmatched images those with several possible events.
-    offset_s, drift : float
-        Event time = image time + offset + drift * (image time - first image time).
-    offset_sigma_s, drift_sigma : float
-        Their standard deviations.
-    scatter_s : float
-        Robust standard deviation of the residuals.
-    residual_s : float64 (n,)
-        Event less predicted time of each pair.
+    image, event (n,): indices of the pairs, in the order of time.
+    unmatched_images, unmatched_events: indices of the rest.
+    ambiguous_images: of the unmatched images those with several possible events.
+    offset_s, drift: event time = image time + offset + drift * (image time - first image time).
+    offset_sigma_s, drift_sigma: their standard deviations.
+    scatter_s: robust standard deviation of the residuals.
+    residual_s (n,): event less predicted time of each pair.
     """
 
     image: Integers
@@ -64,12 +55,8 @@ def match(
 ) -> Matching:
     """Match the times of images to those of events by another clock.
 
-    Parameters
-    ----------
-    image_s, event_s : float64 (n,), (m,)
-        Times in seconds since any origin that both share up to the offset; any order.
-    largest_offset_s, largest_drift : float, optional
-        Bounds of offset (s) and drift between the clocks.
+    image_s, event_s (n,): times in seconds since any origin that both share up to the offset; any order.
+    largest_offset_s, largest_drift: bounds of offset (s) and drift between the clocks.
 
     Returns
     -------

@@ -25,19 +25,12 @@ _STATUS = {50: "fixed", 34: "float"}
 class CameraEventList:
     """Events with the position that the vehicle computed in flight.
 
-    Parameters
-    ----------
-    events : Events
-        The moments (GPS time).
-    offset_enu_m : float64 (n, 3)
-        From the antenna's phase centre to the camera's sensor, east, north, up.
-    lat_deg, lon_deg, height_m : float64 (n,)
-        Position of the camera as the vehicle computed it (the maker: after compensation of the offset),
-        ellipsoidal height.
-    sigma_enu_m : float64 (n, 3)
-        Standard deviations.
-    status : str (n,)
-        ``fixed``, ``float`` or ``single``.
+    events: the moments (GPS time).
+    offset_enu_m (n, 3): from the antenna's phase centre to the camera's sensor, east, north, up.
+    lat_deg, lon_deg, height_m (n,): position of the camera as the vehicle computed it (the maker: after
+        compensation of the offset), ellipsoidal height.
+    sigma_enu_m (n, 3): standard deviations.
+    status: ``fixed``, ``float`` or ``single``.
     """
 
     events: Events

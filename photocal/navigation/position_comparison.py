@@ -29,22 +29,13 @@ AXIS_NAMES = ("forward", "right", "down")
 class PositionPairs:
     """The same exposures by two sources, in east, north, up about their middle.
 
-    Parameters
-    ----------
-    ours, theirs : float64 (n, 3)
-        Positions, m.
-    velocity : float64 (n, 3)
-        Of the vehicle, m/s.
-    to_object : float64 (n, 3, 3)
-        From body axes to east, north, up.
-    lever_m : float64 (3,) or None
-        Lever arm (camera to antenna, body axes) that was applied to ours.
-    free : str
-        What is unknown between the two systems: ``shift``, or ``similarity`` (also scale and rotation).
-    time_sigma_s : float
-        How well the time of the exposures is known beforehand; 0: taken as right.
-    lever_sigma_m : float64 (3,) or None
-        How well the lever arm is; None: taken as right.
+    ours, theirs (n, 3): positions, m.
+    velocity (n, 3): of the vehicle, m/s.
+    to_object (n, 3, 3): from body axes to east, north, up.
+    lever_m (3,): lever arm (camera to antenna, body axes) that was applied to ours.
+    free: what is unknown between the two systems: ``shift``, or ``similarity`` (also scale and rotation).
+    time_sigma_s: how well the time of the exposures is known beforehand; 0: taken as right.
+    lever_sigma_m (3,): how well the lever arm is; None: taken as right.
     """
 
     ours: Floats
@@ -61,18 +52,11 @@ class PositionPairs:
 class Explanation:
     """An error that would explain the differences.
 
-    Parameters
-    ----------
-    name : str
-        ``time-offset``, ``lever-arm`` or ``lever-arm-axes``.
-    value, sigma : float64 (k,)
-        Seconds (exposures later than stamped), or metres in body axes (true less given).
-    axes : str
-        For swapped axes: what the lever arm should read.
-    gain : float
-        By which the criterion of Schwarz falls.
-    p : float
-        Probability of the F test.
+    name: ``time-offset``, ``lever-arm`` or ``lever-arm-axes``.
+    value, sigma (k,): seconds (exposures later than stamped), or metres in body axes (true less given).
+    axes: for swapped axes: what the lever arm should read.
+    gain: by which the criterion of Schwarz falls.
+    p: probability of the F test.
     """
 
     name: str
@@ -92,22 +76,13 @@ class Explanation:
 class PositionComparison:
     """What a comparison shows.
 
-    Parameters
-    ----------
-    n : int
-        Exposures used.
-    rms_m : float64 (3,)
-        Differences after removing what is unknown between the systems, east, north, up.
-    shift_m : float64 (3,)
-        Mean of theirs less ours.
-    best : Explanation or None
-        The best significant one.
-    same : tuple of str
-        Others that explain as much.
-    detectable_s : float
-        Time offset that would be found with 80 % power; infinite when the flight cannot show one.
-    exchange : Explanation or None
-        Exchanged axes that explain most of what the best one explains.
+    n: exposures used.
+    rms_m (3,): differences after removing what is unknown between the systems, east, north, up.
+    shift_m (3,): mean of theirs less ours.
+    best: the best significant one.
+    same: others that explain as much.
+    detectable_s: time offset that would be found with 80 % power; infinite when the flight cannot show one.
+    exchange: exchanged axes that explain most of what the best one explains.
     """
 
     n: int

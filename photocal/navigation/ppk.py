@@ -34,20 +34,13 @@ _SYSTEMS = "GREJC"
 class Inputs:
     """What a PPK run starts from.
 
-    Parameters
-    ----------
-    rover, base : ObservationFile
-        Observations.
-    navigation : list of Path
-        RINEX navigation files.
-    base_m : ndarray, shape (3,)
-        Earth-centred position of the base's antenna reference point (or mark, with an antenna height).
-    base_source : str
-        Where the position stands.
-    base_sigma_m : ndarray, shape (3,), or None
-        Its standard deviations, east, north, up; None: nobody stated them.
-    weather : Weather or None
-        Measured at the base; None: that of the climate.
+    rover, base: observations.
+    navigation: RINEX navigation files.
+    base_m (3,): Earth-centred position of the base's antenna reference point (or mark, with an antenna
+        height).
+    base_source: where the position stands.
+    base_sigma_m (3,): its standard deviations, east, north, up; None: nobody stated them.
+    weather: measured at the base; None: that of the climate.
     """
 
     rover: ObservationFile
@@ -63,30 +56,17 @@ class Inputs:
 class PpkResult:
     """A judged trajectory with all that its summary tells.
 
-    Parameters
-    ----------
-    inputs : Inputs
-        Where it came from.
-    options : ProcessingOptions
-        How it was computed.
-    mode : str
-        ``kinematic`` or ``static``.
-    engine : str
-        Name of the engine.
-    combined : EngineSolution
-        The engine's own positions, quality and sigmas.
-    judgement : Judgement or None
-        Of a kinematic run.
-    trajectory : Trajectory
-        The result.
-    base_off_code_m : ndarray, shape (3,)
-        The base's position less its own code solution, east, north, up.
-    base_gaps_s : list of (GpsTime, float)
-        Begin and length of the gaps of the base within the rover's time, longest first.
-    replaced : int
-        Epochs at which the engine's combination lay apart from both directions.
-    common : CommonErrors or None
-        Of all positions.
+    inputs: where it came from.
+    options: how it was computed.
+    mode: ``kinematic`` or ``static``.
+    engine: name of the engine.
+    combined: the engine's own positions, quality and sigmas.
+    judgement: of a kinematic run.
+    trajectory: the result.
+    base_off_code_m (3,): the base's position less its own code solution, east, north, up.
+    base_gaps_s: begin and length of the gaps of the base within the rover's time, longest first.
+    replaced: epochs at which the engine's combination lay apart from both directions.
+    common: of all positions.
     """
 
     inputs: Inputs
@@ -133,10 +113,7 @@ def process(
 ) -> PpkResult:
     """Compute and judge the trajectory.
 
-    Parameters
-    ----------
-    inputs : Inputs
-        Observations, ephemerides and the base's position.
+    inputs: observations, ephemerides and the base's position.
 
     Raises
     ------

@@ -31,24 +31,15 @@ NAV_OF_BASE = "base"
 class Sources:
     """What a person named.
 
-    Parameters
-    ----------
-    log : FlightLog
-        The flight; may be empty.
-    rover, base : Path or None
-        RINEX observation files; they go before the links of the log.
-    navigation : tuple of str
-        RINEX navigation files, or ``base`` for the base's own ephemerides.
-    base_position : str or None
-        ``LAT,LON,H``; goes before what the log says.
-    rover_link, base_link, vehicle_link : str or None
-        Links of the logs; no vehicle link: any.
-    rover_antenna_m, base_antenna_m : float or None
-        Antenna reference point above the mark; None: as the RINEX header has it.
-    base_sigma_m : float64 (3,) or None
-        Standard deviations of the base's coordinates, east, north, up; goes before what a survey-in says.
-    weather : Weather or None
-        Measured at the base.
+    log: the flight; may be empty.
+    rover, base: RINEX observation files; they go before the links of the log.
+    navigation: RINEX navigation files, or ``base`` for the base's own ephemerides.
+    base_position: ``LAT,LON,H``; goes before what the log says.
+    rover_link, base_link, vehicle_link: links of the logs; no vehicle link: any.
+    rover_antenna_m, base_antenna_m: antenna reference point above the mark; None: as the RINEX header has it.
+    base_sigma_m (3,): standard deviations of the base's coordinates, east, north, up; goes before what a
+        survey-in says.
+    weather: measured at the base.
     """
 
     log: FlightLog = field(default_factory=FlightLog)
@@ -67,12 +58,8 @@ class Sources:
     def with_base(self, sigma: str | None, weather: str | None) -> Sources:
         """Return the sources with what a person states of the base.
 
-        Parameters
-        ----------
-        sigma : str or None
-            ``E,N,U``: standard deviations of its position, m.
-        weather : str or None
-            ``TEMPERATURE,HUMIDITY[,PRESSURE]``.
+        sigma: ``E,N,U``: standard deviations of its position, m.
+        weather: ``TEMPERATURE,HUMIDITY[,PRESSURE]``.
 
         Raises
         ------

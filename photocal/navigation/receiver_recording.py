@@ -31,32 +31,18 @@ _NO_DIALECT = Dialect({}, np.full(1, -1, np.int16), {})
 class ReceiverRecording:
     """Frames of one link of a flight log that bear on its position.
 
-    Parameters
-    ----------
-    link : str
-        Name of the link.
-    ubx, rtcm : list of bytes
-        RXM-RAWX with a time and at least one signal, and RXM-SFRBX; all RTCM 3 frames.
-    epochs, empty_epochs, untimed_epochs : int
-        RXM-RAWX used, without signals, and of week 0.
-    ephemeris_frames : int
-        RXM-SFRBX and RTCM ephemerides.
-    announced_m : list of ndarray, shape (3,)
-        Earth-centred positions in RTCM 1005/1006.
-    surveyed_m : ndarray, shape (3,), or None
-        Mean of a survey-in that is valid.
-    surveyed_sigma_m : float or None
-        Its accuracy as the receiver states it, in space.
-    first_log_ns : int
-        Time of receipt of the first frame (UTC ns).
-    time_marks : list of ndarray
-        RXM-TIM-TM2 fields in the order of the file.
-    mark_epoch_ns : list of ndarray of int64
-        For each of them the last RXM-RAWX epoch before it in the stream (GPS ns); -1: none yet.
-    epoch_ns, epoch_log_ns : list of ndarray of int64
-        The epochs used (GPS ns), and their arrival (UTC ns).
-    geoid_m : list of float
-        Height above the ellipsoid less height above sea level, as NAV-PVT or GGA told it.
+    link: name of the link.
+    ubx, rtcm: RXM-RAWX with a time and at least one signal, and RXM-SFRBX; all RTCM 3 frames.
+    epochs, empty_epochs, untimed_epochs: RXM-RAWX used, without signals, and of week 0.
+    ephemeris_frames: RXM-SFRBX and RTCM ephemerides.
+    announced_m (3,): Earth-centred positions in RTCM 1005/1006.
+    surveyed_m (3,): mean of a survey-in that is valid.
+    surveyed_sigma_m: its accuracy as the receiver states it, in space.
+    first_log_ns: time of receipt of the first frame (UTC ns).
+    time_marks: RXM-TIM-TM2 fields in the order of the file.
+    mark_epoch_ns: for each of them the last RXM-RAWX epoch before it in the stream (GPS ns); -1: none yet.
+    epoch_ns, epoch_log_ns: the epochs used (GPS ns), and their arrival (UTC ns).
+    geoid_m: height above the ellipsoid less height above sea level, as NAV-PVT or GGA told it.
     """
 
     link: str

@@ -22,21 +22,15 @@ def _none() -> Floats:
 class Rig:
     """How the camera sits on the body (forward, right, down) whose attitude is recorded.
 
-    Parameters
-    ----------
-    lever_m : float64 (3,) or None
-        From the camera's projection centre to the antenna, body axes, m; None: unknown, positions stay at
-        the antenna.
-    lever_sigma_m : float64 (3,)
-        Its standard deviations.
-    angle_sigma : float64 (3,) or None
-        Standard deviations of the recorded roll, pitch, yaw, rad; None: unknown.
-    boresight, boresight_sigma : float64 (3,)
-        Turn from the nominal to the true camera axes, a rotation vector in camera axes, rad.
-    axes : float64 (3, 3)
-        Nominal rotation from body to camera axes (x right, y up in the image, z backwards).
-    time_offset_s, time_offset_sigma_s : float
-        By which the exposures come later than their events, beyond the stated delay.
+    lever_m (3,): from the camera's projection centre to the antenna, body axes, m; None: unknown, positions
+        stay at the antenna.
+    lever_sigma_m (3,): its standard deviations.
+    angle_sigma (3,): standard deviations of the recorded roll, pitch, yaw, rad; None: unknown.
+    boresight, boresight_sigma (3,): turn from the nominal to the true camera axes, a rotation vector in
+        camera axes, rad.
+    axes (3, 3): nominal rotation from body to camera axes (x right, y up in the image, z backwards).
+    time_offset_s, time_offset_sigma_s: by which the exposures come later than their events, beyond the stated
+        delay.
     """
 
     lever_m: Floats | None = None

@@ -22,16 +22,10 @@ _EPHEMERIS = pattern(r"(?:[GRECJIS][ \d]\d|[ \d]\d) +\d{2,4} +\d{1,2} +\d{1,2} "
 class ObservationFile:
     """A RINEX observation file.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    time : GpsTime (n,)
-        Its epochs.
-    systems : frozenset of str
-        Letters of the satellite systems (G GPS, R GLONASS, E Galileo, J QZSS, C BeiDou).
-    bands : frozenset of str
-        Digits of the carrier bands with phases.
+    path: the file.
+    time: its epochs.
+    systems: letters of the satellite systems (G GPS, R GLONASS, E Galileo, J QZSS, C BeiDou).
+    bands: digits of the carrier bands with phases.
     """
 
     path: Path

@@ -22,19 +22,12 @@ ROUGH_DEG = 5.0
 class PairRotation:
     """Two neighbouring images.
 
-    Parameters
-    ----------
-    first, second : int
-        Rows of the exposures.
-    points : int
-        Matched points; 0 where an adjustment gave the rotations.
-    quarter_turns : int
-        Turns by 90 degrees in the image plane by which the second image is stored otherwise than recorded,
-        relative to the first.
-    angle_deg : float
-        Angle between both relative rotations beside those turns.
-    along : float
-        Cosine between the direction to the second image by the points and by the recorded orientation and
+    first, second: rows of the exposures.
+    points: matched points; 0 where an adjustment gave the rotations.
+    quarter_turns: turns by 90 degrees in the image plane by which the second image is stored otherwise than
+        recorded, relative to the first.
+    angle_deg: angle between both relative rotations beside those turns.
+    along: cosine between the direction to the second image by the points and by the recorded orientation and
         positions, both in the axes of the first; NaN without positions.
     """
 

@@ -23,18 +23,11 @@ _WINDOW = 5.0
 class Sights:
     """Satellites used by the engine, one row per epoch, satellite and frequency.
 
-    Parameters
-    ----------
-    time : GpsTime (n,)
-        Epochs, increasing.
-    satellite : str (n,)
-        Such as ``G05``.
-    frequency : int64 (n,)
-        1 or 2.
-    azimuth, elevation : float64 (n,)
-        Radians.
-    residual_m : float64 (n,)
-        Of the phase, double differenced: that of the reference satellite is 0.
+    time: epochs, increasing.
+    satellite: such as ``G05``.
+    frequency (n,): 1 or 2.
+    azimuth, elevation (n,): radians.
+    residual_m (n,): of the phase, double differenced: that of the reference satellite is 0.
     """
 
     time: GpsTime

@@ -29,16 +29,10 @@ _LOG = ".mcap"
 class Survey:
     """A survey with the engine and the folders that it works in.
 
-    Parameters
-    ----------
-    setup : SurveySetup
-        What was measured.
-    folder : Path
-        Where the files named in it lie.
-    engine : Engine
-        What computes positions.
-    scratch : Path
-        Where the engine may leave its files.
+    setup: what was measured.
+    folder: where the files named in it lie.
+    engine: what computes positions.
+    scratch: where the engine may leave its files.
     """
 
     setup: SurveySetup

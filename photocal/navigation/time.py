@@ -27,10 +27,7 @@ EXPIRES = gnsstime.EXPIRES
 class Instants:
     """Instants on one scale.
 
-    Parameters
-    ----------
-    ns : int64 (n,)
-        Nanoseconds since the scale's own origin.
+    ns (n,): nanoseconds since the scale's own origin.
     """
 
     ns: Integers

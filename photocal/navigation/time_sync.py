@@ -25,10 +25,8 @@ _RECEIVER_LATE_S, _RECEIVER_LATE_SIGMA_S = 0.05, 0.03
 class TimeSync:
     """Two clocks by exchanges of messages, both ways round.
 
-    Parameters
-    ----------
-    host_of_boot, boot_of_host : ComparedClocks
-        The recording computer's clock by the autopilot's time since boot, and the reverse.
+    host_of_boot, boot_of_host: the recording computer's clock by the autopilot's time since boot, and the
+        reverse.
     """
 
     host_of_boot: ComparedClocks

@@ -21,20 +21,12 @@ COLUMNS = (
 class Trajectory:
     """Positions of the rover's antenna reference point.
 
-    Parameters
-    ----------
-    time : GpsTime (n,)
-        Epochs, increasing.
-    lat_deg, lon_deg, height_m : float64 (n,)
-        Geodetic position, ellipsoidal height.
-    status : str (n,)
-        ``fixed``, ``float`` or ``single``.
-    covariance_m2 : float64 (n, 3, 3)
-        East, north, up.
-    velocity_m_s : float64 (n, 3)
-        East, north, up from Doppler; NaN where it is not known.
-    velocity_sigma_m_s : float
-        Standard deviation of each component.
+    time: epochs, increasing.
+    lat_deg, lon_deg, height_m (n,): geodetic position, ellipsoidal height.
+    status: ``fixed``, ``float`` or ``single``.
+    covariance_m2 (n, 3, 3): east, north, up.
+    velocity_m_s (n, 3): east, north, up from Doppler; NaN where it is not known.
+    velocity_sigma_m_s: standard deviation of each component.
     """
 
     time: GpsTime

@@ -46,14 +46,9 @@ _MEASURED_VAPOUR, _MEASURED_DRY = 0.12, 0.01
 class Weather:
     """The air at the base, as measured.
 
-    Parameters
-    ----------
-    temperature_c : float
-        In the shade.
-    relative_humidity : float
-        0 to 1.
-    pressure_hpa : float or None
-        At the place, not reduced to sea level; None: of the standard atmosphere.
+    temperature_c: in the shade.
+    relative_humidity: 0 to 1.
+    pressure_hpa: at the place, not reduced to sea level; None: of the standard atmosphere.
     """
 
     temperature_c: float
@@ -89,11 +84,7 @@ def parse_weather(text: str, option: str) -> Weather:
 class DelayLapse:
     """By how much the zenith delay falls with height beyond what the engine takes into account, m per m.
 
-    Parameters
-    ----------
-    value, sigma : float
-    source : str
-        What told it.
+    source: what told it.
     """
 
     value: float

@@ -40,28 +40,17 @@ _KINDS = (
 class VehicleTrack:
     """Positions and attitudes of the first autopilot of a log, in the order of its own clock.
 
-    Parameters
-    ----------
-    position_time : GpsTime (n,)
-        By the autopilot's clock, never by arrival.
-    position_host : HostTime (n,)
-        Arrival of the positions.
-    lat_deg, lon_deg, height_msl_m, height_rel_m : float64 (n,)
-        Height above sea level as the autopilot computes it, and above the take-off.
-    attitude : AttitudeTrack or None
-        Rotations; of ATTITUDE and ATTITUDE_QUATERNION the one with more messages.
-    clock_sigma_s : float
-        Standard deviation of the autopilot's UTC.
-    clocks : list of ComparedClocks
-        What is known of its clock and that of the recording computer.
-    geoid_m : float or None
-        Height above the ellipsoid less height above sea level that the autopilot's GNSS receiver tells.
-    untimed : int
-        Messages without a time of the autopilot, left out.
-    clock : AutopilotClock or None
-        UTC of its time since boot.
-    sync : TimeSync or None
-        Its time since boot against the recording computer's clock.
+    position_time: by the autopilot's clock, never by arrival.
+    position_host: arrival of the positions.
+    lat_deg, lon_deg, height_msl_m, height_rel_m (n,): height above sea level as the autopilot computes it,
+        and above the take-off.
+    attitude: rotations; of ATTITUDE and ATTITUDE_QUATERNION the one with more messages.
+    clock_sigma_s: standard deviation of the autopilot's UTC.
+    clocks: what is known of its clock and that of the recording computer.
+    geoid_m: height above the ellipsoid less height above sea level that the autopilot's GNSS receiver tells.
+    untimed: messages without a time of the autopilot, left out.
+    clock: UTC of its time since boot.
+    sync: its time since boot against the recording computer's clock.
     """
 
     position_time: GpsTime

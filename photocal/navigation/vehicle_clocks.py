@@ -26,16 +26,10 @@ _LONGEST_TRIP_NS = 10_000_000_000
 class VehicleClocks:
     """The clocks of a vehicle.
 
-    Parameters
-    ----------
-    clock : AutopilotClock or None
-        UTC of its time since boot.
-    sync : TimeSync or None
-        Its time since boot against the recording computer's clock.
-    compared : list of ComparedClocks
-        All that were compared.
-    told : bool
-        Whether the autopilot itself told UTC (SYSTEM_TIME).
+    clock: UTC of its time since boot.
+    sync: its time since boot against the recording computer's clock.
+    compared: all that were compared.
+    told: whether the autopilot itself told UTC (SYSTEM_TIME).
     """
 
     clock: AutopilotClock | None

@@ -15,10 +15,7 @@ from photocal.planning.area import Area, area_from_corners
 def read_area(path: Path) -> Area:
     """Read the polygon of a flight.
 
-    Parameters
-    ----------
-    path : Path
-        `.geojson` or `.json` (RFC 7946), `.kml`, or `.csv` with the columns lat_deg and lon_deg.
+    path: `.geojson` or `.json` (RFC 7946), `.kml`, or `.csv` with the columns lat_deg and lon_deg.
 
     Raises
     ------

@@ -35,12 +35,8 @@ def suggest_layout(corners_m: Floats, control: int, check: int, margin_m: float)
     turn. Check points are chosen in the same way, away from the control and from each other: where the
     block is weakest, and never a control point again.
 
-    Parameters
-    ----------
-    corners_m : ndarray, shape (n, 2)
-        Corners of the area, m.
-    margin_m : float
-        Distance that the places keep from the border, m, so that they lie on several photos.
+    corners_m (n, 2): corners of the area, m.
+    margin_m: distance that the places keep from the border, m, so that they lie on several photos.
 
     Raises
     ------

@@ -36,12 +36,8 @@ class Frame:
 def scale_denominator(gsd_m: float, pixel_m: float) -> float:
     """Give the photo scale that has a ground sample distance (canon-elph study, equation 31).
 
-    Parameters
-    ----------
-    gsd_m : float
-        Ground sample distance, m.
-    pixel_m : float
-        Pixel pitch, m.
+    gsd_m: ground sample distance, m.
+    pixel_m: pixel pitch, m.
 
     Returns
     -------
@@ -54,12 +50,8 @@ def scale_denominator(gsd_m: float, pixel_m: float) -> float:
 def flying_height(focal_m: float, denominator: float) -> float:
     """Give the height above ground of a photo scale (canon-elph study, equation 32).
 
-    Parameters
-    ----------
-    focal_m : float
-        Principal distance, m.
-    denominator : float
-        Denominator of the photo scale.
+    focal_m: principal distance, m.
+    denominator: denominator of the photo scale.
 
     Returns
     -------

@@ -24,10 +24,8 @@ def write_plan(
 ) -> tuple[str, ...]:
     """Write everything that a plan consists of.
 
-    Parameters
-    ----------
-    takeoff : tuple of Home and float, or None
-        The take-off place, and the height of the ground of the area above mean sea level, m.
+    takeoff: tuple of Home and float, or None. The take-off place, and the height of the ground of the area
+        above mean sea level, m.
 
     Raises
     ------

@@ -35,10 +35,7 @@ class Target:
 def targets_of(standard: Standard, scale_denominator: float, class_name: str) -> tuple[Target, ...]:
     """Give what a class of a standard asks for at a scale.
 
-    Parameters
-    ----------
-    scale_denominator : float
-        Map scale 1:N.
+    scale_denominator: map scale 1:N.
 
     Returns
     -------
@@ -96,12 +93,8 @@ def remarks(
 ) -> tuple[Finding, ...]:
     """Say what stands against a plan.
 
-    Parameters
-    ----------
-    exposure_time_s : float or None
-        Exposure time, s.
-    shortest_interval_s : float or None
-        Shortest time between two photos that the camera manages, s.
+    exposure_time_s: exposure time, s.
+    shortest_interval_s: shortest time between two photos that the camera manages, s.
     """
     listed = []
     speed = flight.wish.speed_m_s

@@ -50,10 +50,7 @@ def candidates(shots: OrientedImages, borders: Floats, ground: Floats) -> Intege
 def footprints(shots: OrientedImages, frame: Frame, height: float) -> Bounds:
     """Rectangle around what the images show at one height, in the terrain's coordinates.
 
-    Parameters
-    ----------
-    height : float
-        Of the terrain, m.
+    height: of the terrain, m.
 
     Returns
     -------

@@ -81,10 +81,7 @@ def displacement(
 ) -> Displacement:
     """Follow ground points through the right image geometry and back through the wrong one.
 
-    Parameters
-    ----------
-    x, y : ndarray, shape (n,)
-        Ground points, m.
+    x, y (n,): ground points, m.
 
     Raises
     ------

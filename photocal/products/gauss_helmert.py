@@ -57,12 +57,8 @@ def fit(
     Each iteration linearises at the corrected points, so that the minimum is that of the weighted
     distances and no approximation of them.
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, d)
-        Measured coordinates, m, near the origin.
-    covariance : ndarray, shape (n, d, d)
-        Covariance of each point, m2; different points are uncorrelated.
+    points (n, d): measured coordinates, m, near the origin.
+    covariance (n, d, d): covariance of each point, m2; different points are uncorrelated.
 
     Raises
     ------

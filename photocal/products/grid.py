@@ -40,13 +40,9 @@ class Grid:
 def ground_points(x: Floats, y: Floats, terrain: Terrain, frame: Frame) -> Floats:
     """Ground points of a window in local coordinates.
 
-    Parameters
-    ----------
-    x : ndarray, shape (columns,)
-    y : ndarray, shape (rows,)
-        Of the cell centres, m.
-    frame : Frame
-        From the terrain's coordinates to local ones.
+    x (columns,).
+    y (rows,): of the cell centres, m.
+    frame: from the terrain's coordinates to local ones.
 
     Returns
     -------

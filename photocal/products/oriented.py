@@ -16,10 +16,7 @@ from photocal.results.folder import read_result
 def oriented(folder: Path, run: Path | None) -> tuple[Block, Frame, OrientedImages]:
     """Read a block and, where it was adjusted, the results in place of its start values.
 
-    Parameters
-    ----------
-    run : Path or None
-        Folder of its adjustment.
+    run: folder of its adjustment.
 
     Returns
     -------

@@ -176,14 +176,9 @@ def plan_grid(
 ) -> tuple[Grid, float]:  # fmt: skip
     """Choose the cells of an orthophoto.
 
-    Parameters
-    ----------
-    shots, frame, terrain, raster
-        As for the orthophoto.
-    cell : float or None
-        Wished size, m; None for the pixel of the images on the ground.
-    bounds : tuple of float or None
-        Wished rectangle; None for all that the images show of the terrain.
+    shots, frame, terrain, raster: as for the orthophoto.
+    cell: wished size, m; None for the pixel of the images on the ground.
+    bounds: wished rectangle; None for all that the images show of the terrain.
 
     Returns
     -------

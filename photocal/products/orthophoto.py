@@ -45,12 +45,8 @@ class Tile:
 class ImageStore:
     """Decoded images, kept while there is room.
 
-    Parameters
-    ----------
-    read : callable
-        From the number of an image to its pixels, shape (rows, columns, bands).
-    room : int
-        Bytes to keep; a single image may be larger.
+    read: from the number of an image to its pixels, shape (rows, columns, bands).
+    room: bytes to keep; a single image may be larger.
     """
 
     def __init__(self, read: Callable[[int], NDArray[Any]], room: int = IMAGE_MEMORY) -> None:

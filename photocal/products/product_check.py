@@ -49,10 +49,7 @@ class ProductCheck:
 def read_check_points(path: Path) -> CheckPoints:
     """Read surveyed check points.
 
-    Parameters
-    ----------
-    path : Path
-        CSV with point, E, N and optional h, in m and in the reference system of the products.
+    path: CSV with point, E, N and optional h, in m and in the reference system of the products.
 
     Raises
     ------
@@ -76,21 +73,13 @@ def check_products(
 ) -> ProductCheck:
     """Find the targets of check points in an orthomosaic and sample a terrain model there.
 
-    Parameters
-    ----------
-    ortho : Path or None
-        Orthomosaic with round targets, lighter or darker than their surroundings.
-    target_diameter_m : float or None
-        Their diameter, m; needed with an orthomosaic.
-    search_m : float or None
-        How far from the surveyed place a target is looked for, m; needed with an orthomosaic.
-    dtm : Path or None
-        Terrain model; its height is taken at the surveyed place (bilinear), so that an error in position
+    ortho: orthomosaic with round targets, lighter or darker than their surroundings.
+    target_diameter_m: their diameter, m; needed with an orthomosaic.
+    search_m: how far from the surveyed place a target is looked for, m; needed with an orthomosaic.
+    dtm: terrain model; its height is taken at the surveyed place (bilinear), so that an error in position
         does not count twice.
-    height_kind : str or None
-        Kind of the surveyed heights; needed with a terrain model.
-    dtm_height_kind : str or None
-        Kind of the heights of a terrain model that does not say it itself.
+    height_kind: kind of the surveyed heights; needed with a terrain model.
+    dtm_height_kind: kind of the heights of a terrain model that does not say it itself.
 
     Raises
     ------

@@ -18,10 +18,7 @@ _LARGEST = 0.25
 def draw_rings(tank: Tank, axes: tuple[str, str, str], path: Path) -> None:
     """Draw the rings of a tank.
 
-    Parameters
-    ----------
-    axes : tuple of str
-        Names of the two horizontal axes and the vertical one.
+    axes: names of the two horizontal axes and the vertical one.
 
     Raises
     ------

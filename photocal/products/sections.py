@@ -77,12 +77,8 @@ class Tank:
 def read_ring_points(path: Path, vertical: Vertical, sigma_m: float | None) -> RingPoints:
     """Read the table of the points of all sections.
 
-    Parameters
-    ----------
-    path : Path
-        Columns section, point, X, Y, Z (m), optional sX, sY, sZ (m), rXY, rXZ, rYZ (correlations).
-    sigma_m : float or None
-        Standard deviation of all coordinates of a table without sX, sY, sZ.
+    path: columns section, point, X, Y, Z (m), optional sX, sY, sZ (m), rXY, rXZ, rYZ (correlations).
+    sigma_m: standard deviation of all coordinates of a table without sX, sY, sZ.
 
     Raises
     ------
@@ -151,10 +147,7 @@ def _covariances(sigma: Floats, xy: Floats, xz: Floats, yz: Floats) -> Floats:
 def measure_tank(points: RingPoints, wall_thickness: float = 0.0) -> Tank:
     """Fit the circle of each section and add up what lies between them.
 
-    Parameters
-    ----------
-    wall_thickness : float
-        Taken from every radius before a volume is computed, m; 0 where the points lie inside.
+    wall_thickness: taken from every radius before a volume is computed, m; 0 where the points lie inside.
 
     Raises
     ------

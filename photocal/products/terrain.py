@@ -38,10 +38,7 @@ class Terrain:
     def at(self, x: Floats, y: Floats) -> Floats:
         """Interpolate heights bilinearly.
 
-        Parameters
-        ----------
-        x, y : ndarray
-            m, of one shape.
+        x, y: m, of one shape.
 
         Returns
         -------

@@ -44,11 +44,8 @@ class Gridded:
 def read_terrain_points(path: Path) -> TerrainPoints:
     """Read points, vertices of contours, or the points of an adjustment.
 
-    Parameters
-    ----------
-    path : Path
-        CSV with X, Y, Z (m) and optional `line`; `points.csv` of a block or a run is one too. Points without
-        height, and check points, are left out.
+    path: CSV with X, Y, Z (m) and optional `line`; `points.csv` of a block or a run is one too. Points
+        without height, and check points, are left out.
 
     Raises
     ------
@@ -71,12 +68,8 @@ def read_terrain_points(path: Path) -> TerrainPoints:
 def grid_of_points(points: TerrainPoints, cell: float, crs: str, height_kind: str) -> Gridded:
     """Triangulate points (Delaunay) and interpolate linearly within the triangles.
 
-    Parameters
-    ----------
-    cell : float
-        Size of the cells, m.
-    crs : str
-        WKT of the reference system, empty for a local frame.
+    cell: size of the cells, m.
+    crs: WKT of the reference system, empty for a local frame.
 
     Returns
     -------

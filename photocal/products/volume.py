@@ -39,10 +39,7 @@ class Volume:
 def cylinder_volume(radius: float, radius_sigma: float, height: float, height_sigma: float) -> Volume:
     """Volume of an upright cylinder from its mean radius and its height.
 
-    Parameters
-    ----------
-    radius, radius_sigma, height, height_sigma : float
-        m; radius and height uncorrelated.
+    radius, radius_sigma, height, height_sigma: m; radius and height uncorrelated.
 
     Raises
     ------

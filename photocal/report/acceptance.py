@@ -49,16 +49,10 @@ def limits(
 ) -> tuple[Limit, ...]:
     """Set each figure against its limit.
 
-    Parameters
-    ----------
-    image_rmse_mm : tuple of float or None
-        Root mean square of the image residuals in x and y, mm.
-    pixel_mm : float or None
-        Pixel size, their limit.
-    check_rmse_cm : tuple of float or None
-        Planimetric and altimetric root mean square error of the check points, cm.
-    gsd_cm, dz_cm : float or None
-        Their limits: ground sampling distance, expected altimetric accuracy.
+    image_rmse_mm: root mean square of the image residuals in x and y, mm.
+    pixel_mm: pixel size, their limit.
+    check_rmse_cm: planimetric and altimetric root mean square error of the check points, cm.
+    gsd_cm, dz_cm: their limits: ground sampling distance, expected altimetric accuracy.
     """
     x, y = image_rmse_mm if image_rmse_mm is not None else (None, None)
     plane, height = check_rmse_cm if check_rmse_cm is not None else (None, None)

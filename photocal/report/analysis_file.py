@@ -38,10 +38,7 @@ def analyse_run(
 ) -> Outcome:
     """Analyse a run and write `analysis.json` into its folder: it then goes into the certificate.
 
-    Parameters
-    ----------
-    block : Path or None
-        Block folder or set-up file; looked for where the run says, beside it and below the current folder
+    block: block folder or set-up file; looked for where the run says, beside it and below the current folder
         when not given.
     draws : int
         Of the bootstrap over images.

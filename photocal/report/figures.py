@@ -94,10 +94,7 @@ def radial_curve(camera: Camera, profile: RadialProfile, observed_to: float, say
 def residual_map(camera: Camera, vectors: Vectors, say: Catalogue) -> str:
     """Draw residual vectors on the sensor with a scale arrow.
 
-    Parameters
-    ----------
-    camera : Camera
-        Format and unit.
+    camera: format and unit.
     """
     extent = np.array(camera.size_px) * np.array(camera.pitch)
     w, h = (float(side) for side in extent)

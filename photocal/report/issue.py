@@ -39,14 +39,9 @@ def issue(
 ) -> Document:
     """Write the certificate of a run.
 
-    Parameters
-    ----------
-    block : Path or None
-        Block folder or set-up file of the run; looked for near it when not given. Its files are carried.
-    particulars : Path or None
-        TOML file with what a person gives.
-    key : str
-        Fingerprint of the key by which it will be signed; printed.
+    block: block folder or set-up file of the run; looked for near it when not given. Its files are carried.
+    particulars: TOML file with what a person gives.
+    key: fingerprint of the key by which it will be signed; printed.
 
     Raises
     ------

@@ -84,10 +84,7 @@ class PrintedCheck:
 def check_printed(path: Path) -> PrintedCheck:
     """Check a printed calibration against itself.
 
-    Parameters
-    ----------
-    path : Path
-        TOML file with the printed figures.
+    path: TOML file with the printed figures.
 
     Raises
     ------
@@ -174,11 +171,7 @@ def offsets(
 ) -> Offsets | None:
     """Make offsets of what is given; None unless values and standard deviations are.
 
-    Parameters
-    ----------
-    values, sigmas : tuple of float or None
-        Three components and their standard deviations.
-    prior : float or None
-        Standard deviation beforehand.
+    values, sigmas: three components and their standard deviations.
+    prior: standard deviation beforehand.
     """
     return Offsets(values, sigmas, prior) if values is not None and sigmas is not None else None

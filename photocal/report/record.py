@@ -41,10 +41,7 @@ def record(
 ) -> dict[str, Any]:
     """Make the machine-readable certificate.
 
-    Parameters
-    ----------
-    say : Catalogue
-        Language of the technical report's texts.
+    say: language of the technical report's texts.
     """
     result = {key: value for key, value in result_json(run.result).items() if key in RESULT_KEYS}
     known = tuple(facts(run, name, particulars) for name in run.result.cameras)

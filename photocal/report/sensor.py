@@ -48,12 +48,8 @@ def sensor_residuals(run: Run, camera_id: str) -> SensorResiduals:
 def to_plane(camera: Camera, measured: Floats, residual: Floats, *, unit: str, axes: str) -> SensorResiduals:
     """Turn observed coordinates and residuals into the image plane of a camera.
 
-    Parameters
-    ----------
-    measured, residual : ndarray, shape (n, 2)
-        In `unit` and `axes`.
-    unit : {"px", "mm"}
-        Unit of the observations.
+    measured, residual (n, 2): in `unit` and `axes`.
+    unit: unit of the observations.
     """
     # Pitch in the unit of the observations per pixel, and in the unit of the camera per pixel.
     observed = np.array((1.0, 1.0) if unit == "px" else camera.pitch)

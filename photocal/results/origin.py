@@ -70,10 +70,7 @@ def changed_inputs(inputs: Sequence[InputFile], folder: Path) -> list[Changed]:
 def block_of_run(run: Path, result: Figures, given: Path | None, here: Path) -> Source:
     """Find what a run was made from and make sure that it has not changed.
 
-    Parameters
-    ----------
-    given : Path or None
-        The block folder or set-up file, when the user named it.
+    given: the block folder or set-up file, when the user named it.
 
     Raises
     ------
@@ -121,10 +118,7 @@ def _root(path: Path, setup: str) -> Path:
 def carry(inputs: Sequence[InputFile], source: Source, folder: Path) -> None:
     """Copy the inputs of a run into the folder of a certificate.
 
-    Parameters
-    ----------
-    folder : Path
-        The certificate's.
+    folder: the certificate's.
     """
     for file in inputs:
         copy = folder / CARRIED / file.path

@@ -55,12 +55,8 @@ def write_attitudes(path: Path, antenna: Exposures) -> None:
 def strips(seconds: Floats, velocity: Floats) -> tuple[Integers, Floats]:
     """Tell strips by the turns and pauses between exposures.
 
-    Parameters
-    ----------
-    seconds : ndarray, shape (n,)
-        Times of the exposures, increasing.
-    velocity : ndarray, shape (n, 3)
-        Along X, Y, Z, m/s.
+    seconds (n,): times of the exposures, increasing.
+    velocity (n, 3): along X, Y, Z, m/s.
 
     Returns
     -------

@@ -18,12 +18,8 @@ _YOUNG_NS = 2_000_000_000
 class Digests:
     """SHA-256 of files and folders.
 
-    Parameters
-    ----------
-    memory : Path
-        File in which digests are kept between runs; without meaning for any result.
-    again : bool
-        Whether every file is read, whatever is remembered.
+    memory: file in which digests are kept between runs; without meaning for any result.
+    again: whether every file is read, whatever is remembered.
     """
 
     def __init__(self, memory: Path, *, again: bool = False) -> None:

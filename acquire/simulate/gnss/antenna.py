@@ -16,11 +16,8 @@ Path = Callable[[Integers], Floats]
 class Antenna:
     """The way of an antenna's phase centre.
 
-    Parameters
-    ----------
-    position, velocity : callable
-        From GPS nanoseconds, int64 (n,), to metres and metres per second, earth-centred, earth-fixed,
-        float64 (n, 3). They are asked up to a second before and after a session.
+    position, velocity: from GPS nanoseconds, int64 (n,), to metres and metres per second, earth-centred,
+        earth-fixed, float64 (n, 3). They are asked up to a second before and after a session.
     """
 
     position: Path

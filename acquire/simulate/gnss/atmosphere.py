@@ -19,16 +19,10 @@ _SCALES = 2.0 ** np.array([-30, -27, -24, -24, 11, 14, 16, 16])
 class Sight:
     """Lines of sight from an antenna, one per epoch.
 
-    Parameters
-    ----------
-    lat, lon : float64 (n,)
-        Antenna, radians.
-    height_m : float64 (n,)
-        Above the ellipsoid.
-    azimuth, elevation : float64 (n,)
-        Of the satellite, radians.
-    gps_ns : int64 (n,)
-        Time.
+    lat, lon (n,): antenna, radians.
+    height_m (n,): above the ellipsoid.
+    azimuth, elevation (n,): of the satellite, radians.
+    gps_ns (n,): time.
     """
 
     lat: Floats
@@ -43,16 +37,11 @@ class Sight:
 class Atmosphere:
     """One weather for all receivers of a session.
 
-    Parameters
-    ----------
-    settings : SkySettings
-        Its strength.
-    waves : float64 (k, 4)
-        Of the ionosphere: wave numbers to the north and the east (rad/m), angular frequency (rad/s), phase.
-    wet_m : float
-        Zenith wet delay beyond the standard one.
-    longitude : float
-        Of the receivers, rad: half a turn from there the waves may break, where nobody looks.
+    settings: its strength.
+    waves (k, 4): of the ionosphere: wave numbers to the north and the east (rad/m), angular frequency
+        (rad/s), phase.
+    wet_m: zenith wet delay beyond the standard one.
+    longitude: of the receivers, rad: half a turn from there the waves may break, where nobody looks.
     """
 
     settings: SkySettings

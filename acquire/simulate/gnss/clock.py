@@ -15,16 +15,10 @@ from drivers.gnsstime import SECOND_NS
 class Clock:
     """Epochs of a receiver.
 
-    Parameters
-    ----------
-    tag_gps_ns : int64 (n,)
-        What the receiver's clock shows at its measurements.
-    bias_s : float64 (n,)
-        Receiver time minus GPS time at the measurements.
-    rate : float64 (n,)
-        Derivative of the bias.
-    step : bool (n,)
-        Whether the clock was set since the last epoch.
+    tag_gps_ns (n,): what the receiver's clock shows at its measurements.
+    bias_s (n,): receiver time minus GPS time at the measurements.
+    rate (n,): derivative of the bias.
+    step: whether the clock was set since the last epoch.
     """
 
     tag_gps_ns: Integers

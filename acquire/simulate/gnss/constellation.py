@@ -25,10 +25,7 @@ _SLOTS = {
 class Satellite:
     """A satellite: the orbit that it flies and the sets that it transmits.
 
-    Parameters
-    ----------
-    sets : tuple of Ephemeris
-        In the order of time. The satellite flies the first one for the whole session; the later ones are
+    sets: in the order of time. The satellite flies the first one for the whole session; the later ones are
         its continuations, quantised anew.
     """
 

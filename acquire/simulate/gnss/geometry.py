@@ -15,12 +15,8 @@ from drivers.arrays import Floats, Integers
 class Place:
     """An antenna at the epochs of a receiver.
 
-    Parameters
-    ----------
-    position_m, velocity_m_s : float64 (n, 3)
-        Earth-centred, earth-fixed.
-    lat, lon, height_m : float64 (n,)
-        Geodetic, radians and metres above WGS 84's ellipsoid.
+    position_m, velocity_m_s (n, 3): Earth-centred, earth-fixed.
+    lat, lon, height_m (n,): geodetic, radians and metres above WGS 84's ellipsoid.
     """
 
     position_m: Floats
@@ -53,14 +49,9 @@ def place(position_m: Floats, velocity_m_s: Floats) -> Place:
 class Link:
     """A satellite as an antenna receives it.
 
-    Parameters
-    ----------
-    range_m, range_rate_m_s : float64 (n,)
-        Way of the signal that arrives at the epoch, and its derivative.
-    azimuth, elevation : float64 (n,)
-        Radians.
-    clock_s, clock_rate : float64 (n,)
-        Satellite clock at the moment of transmission.
+    range_m, range_rate_m_s (n,): way of the signal that arrives at the epoch, and its derivative.
+    azimuth, elevation (n,): radians.
+    clock_s, clock_rate (n,): satellite clock at the moment of transmission.
     """
 
     range_m: Floats
@@ -77,10 +68,7 @@ def link(satellite: Satellite, seconds: Floats, origin_gps_ns: int, at: Place) -
     The earth turns while the signal travels (Sagnac effect): the satellite's position at transmission is
     turned into the earth-fixed frame of the arrival.
 
-    Parameters
-    ----------
-    seconds : float64 (n,)
-        GPS time of arrival since `origin_gps_ns`.
+    seconds (n,): GPS time of arrival since `origin_gps_ns`.
     """
     travel = np.full(len(seconds), 0.075)
     # The satellite moves 4 km/s: the error shrinks by 1e-5 with each step, from 60 m.

@@ -36,14 +36,9 @@ _SUBFRAME_4 = (
 class Broadcast:
     """What subframe 4 tells to all.
 
-    Parameters
-    ----------
-    klobuchar : tuple of int
-        Four alpha and four beta as transmitted (8 bits each).
-    leap_s : int
-        GPS time minus UTC.
-    almanacs : tuple of Ephemeris
-        From which the almanac pages are made.
+    klobuchar: four alpha and four beta as transmitted (8 bits each).
+    leap_s: GPS time minus UTC.
+    almanacs: from which the almanac pages are made.
     """
 
     klobuchar: tuple[int, ...]

@@ -29,18 +29,11 @@ _LEAST_SATELLITES = 4
 class OwnPosition:
     """Quality of the receiver's own solution.
 
-    Parameters
-    ----------
-    sigma_m : tuple of float
-        East, north, up.
-    correlation_s : float
-        How long its error stays.
-    speed_sigma_m_s : float
-        Of each component of the velocity.
-    carrier : str
-        ``none``, ``float`` or ``fixed``: what it says of the carrier phase.
-    geoid_m : float
-        Height of the geoid above the ellipsoid that it uses for heights above sea level.
+    sigma_m: east, north, up.
+    correlation_s: how long its error stays.
+    speed_sigma_m_s: of each component of the velocity.
+    carrier: ``none``, ``float`` or ``fixed``: what it says of the carrier phase.
+    geoid_m: height of the geoid above the ellipsoid that it uses for heights above sea level.
     """
 
     sigma_m: tuple[float, float, float] = (0.9, 0.9, 1.6)

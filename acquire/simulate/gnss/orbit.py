@@ -19,14 +19,9 @@ from drivers.gnsstime import SECOND_NS
 class Orbit:
     """State of a satellite at given times.
 
-    Parameters
-    ----------
-    position_m, velocity_m_s : float64 (n, 3)
-        Earth-centred, earth-fixed.
-    clock_s : float64 (n,)
-        Satellite time minus system time, with the relativistic term, without group delays.
-    clock_rate : float64 (n,)
-        Its derivative.
+    position_m, velocity_m_s (n, 3): Earth-centred, earth-fixed.
+    clock_s (n,): satellite time minus system time, with the relativistic term, without group delays.
+    clock_rate (n,): its derivative.
     """
 
     position_m: Floats
@@ -38,10 +33,7 @@ class Orbit:
 def evaluate(ephemeris: Ephemeris, seconds: Floats, origin_gps_ns: int) -> Orbit:
     """Evaluate an ephemeris.
 
-    Parameters
-    ----------
-    seconds : float64 (n,)
-        GPS time since `origin_gps_ns`, seconds: small numbers keep the time exact.
+    seconds (n,): GPS time since `origin_gps_ns`, seconds: small numbers keep the time exact.
     """
     v = ephemeris.value
     tk = seconds + (origin_gps_ns - ephemeris.toe_gps_ns) / SECOND_NS

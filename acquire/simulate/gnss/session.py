@@ -25,18 +25,11 @@ _SATELLITE = pattern(r"[GE][0-3]\d")
 class Session:
     """What two receivers measured.
 
-    Parameters
-    ----------
-    span_gps_ns : (int, int)
-        Start and stop.
-    sky : SkySettings
-        What the messages say.
-    satellites : tuple of Satellite
-        The sky.
-    rover, base : Observations
-        The receivers.
-    announced_m : float64 (3,)
-        What the base says where it is, earth-centred: the truth but for the fault.
+    span_gps_ns: start and stop.
+    sky: what the messages say.
+    satellites: the sky.
+    rover, base: the receivers.
+    announced_m (3,): what the base says where it is, earth-centred: the truth but for the fault.
     """
 
     span_gps_ns: tuple[int, int]
@@ -61,10 +54,7 @@ def simulate(
 ) -> Session:
     """Let a rover and a base measure.
 
-    Parameters
-    ----------
-    start_gps_ns, stop_gps_ns : int
-        Session, GPS nanoseconds since 1980-01-06.
+    start_gps_ns, stop_gps_ns: session, GPS nanoseconds since 1980-01-06.
 
     Raises
     ------

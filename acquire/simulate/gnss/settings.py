@@ -9,25 +9,15 @@ from dataclasses import dataclass
 class SkySettings:
     """Satellites and atmosphere.
 
-    Parameters
-    ----------
-    unhealthy : tuple of str
-        Satellites whose messages call them unhealthy.
-    klobuchar : tuple of int
-        The broadcast model of the ionosphere as transmitted: four alpha and four beta.
-    ionosphere_scale : float
-        What the true ionosphere has of the delay that the broadcast model says.
-    wave_m : float
-        Amplitude of the travelling waves in the ionosphere (vertical delay on L1), 150 to 400 km long.
-    temperature_c : float
-        At sea level; 6.5 K less for each kilometre.
-    relative_humidity : float
-        At all heights. At 0.5 the wet delay 100 m above the base differs by some
-        4 mm in the zenith, which no receiver knows.
-    wet_sigma_m : float
-        Scatter of the zenith wet delay around that of the standard atmosphere.
-    leap_s : int
-        GPS time minus UTC.
+    unhealthy: satellites whose messages call them unhealthy.
+    klobuchar: the broadcast model of the ionosphere as transmitted: four alpha and four beta.
+    ionosphere_scale: what the true ionosphere has of the delay that the broadcast model says.
+    wave_m: amplitude of the travelling waves in the ionosphere (vertical delay on L1), 150 to 400 km long.
+    temperature_c: at sea level; 6.5 K less for each kilometre.
+    relative_humidity: at all heights. At 0.5 the wet delay 100 m above the base differs by some 4 mm in the
+        zenith, which no receiver knows.
+    wet_sigma_m: scatter of the zenith wet delay around that of the standard atmosphere.
+    leap_s: GPS time minus UTC.
     """
 
     unhealthy: tuple[str, ...] = ()
@@ -44,29 +34,19 @@ class SkySettings:
 class ReceiverModel:
     """A receiver and its surroundings.
 
-    Parameters
-    ----------
-    interval_s : float
-        Between measurements, a divisor or multiple of a second.
-    mask_deg : float
-        Satellites below are not tracked.
-    cn0_dbhz : float
-        Carrier to noise density of a satellite in the zenith on the first frequency.
-    code_multipath_m, phase_multipath_m : float
-        Standard deviation at the mask on codes of 1 Mchip/s and on L1; a third of it in the zenith.
-    multipath_time_s : float
-        Correlation time of multipath: seconds for a rover in motion, minutes for a base.
-    clock_bias_s, clock_drift : float or None
-        Receiver time minus GPS time at the start, seconds, and its rate; None: by chance, within 0.4 ms and
-        5e-7.
-    clock_noise : float
-        White frequency noise of the oscillator, s / sqrt(s).
-    clock_steps : bool
-        Whether the clock is set by a millisecond when it is half of one off (`clkReset` of RXM-RAWX).
-    slips_per_hour : float
-        Rate of cycle slips of each signal.
-    code_bias_m : float
-        Standard deviation of the receiver's own delays, constant for each signal.
+    interval_s: between measurements, a divisor or multiple of a second.
+    mask_deg: satellites below are not tracked.
+    cn0_dbhz: carrier to noise density of a satellite in the zenith on the first frequency.
+    code_multipath_m, phase_multipath_m: standard deviation at the mask on codes of 1 Mchip/s and on L1; a
+        third of it in the zenith.
+    multipath_time_s: correlation time of multipath: seconds for a rover in motion, minutes for a base.
+    clock_bias_s, clock_drift: receiver time minus GPS time at the start, seconds, and its rate; None: by
+        chance, within 0.4 ms and 5e-7.
+    clock_noise: white frequency noise of the oscillator, s / sqrt(s).
+    clock_steps: whether the clock is set by a millisecond when it is half of one off (`clkReset` of
+        RXM-RAWX).
+    slips_per_hour: rate of cycle slips of each signal.
+    code_bias_m: standard deviation of the receiver's own delays, constant for each signal.
     """
 
     interval_s: float = 0.2
@@ -100,16 +80,10 @@ class Outage:
 class Faults:
     """What goes wrong, each alone or together.
 
-    Parameters
-    ----------
-    base_shift_m : tuple of float
-        East, north, up: what is announced as the base's position less where it is.
-    rover_slips_per_hour, base_slips_per_hour : float or None
-        Cycle slips of each signal instead of the receiver's own rate.
-    rover_gaps_s, base_gaps_s : tuple of (float, float)
-        Times without any measurement, seconds from the start.
-    outages : tuple of Outage
-        Of single satellites, at the rover.
+    base_shift_m: east, north, up: what is announced as the base's position less where it is.
+    rover_slips_per_hour, base_slips_per_hour: cycle slips of each signal instead of the receiver's own rate.
+    rover_gaps_s, base_gaps_s: times without any measurement, seconds from the start.
+    outages: of single satellites, at the rover.
     """
 
     base_shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)

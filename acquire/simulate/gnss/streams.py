@@ -23,12 +23,8 @@ Timed = tuple[int, bytes]
 class Stream:
     """Frames of one receiver.
 
-    Parameters
-    ----------
-    time_gps_ns : int64 (n,)
-        When each one is complete on the wire, GPS nanoseconds, not decreasing.
-    frames : list of bytes (n,)
-        The frames.
+    time_gps_ns (n,): when each one is complete on the wire, GPS nanoseconds, not decreasing.
+    frames (n,): the frames.
     """
 
     time_gps_ns: Integers

@@ -27,20 +27,12 @@ _BASE = {"receiver": 0, "gnss": 1, "utc": 2}
 class Events:
     """Pulses at the receiver's pin.
 
-    Parameters
-    ----------
-    rising_gps_ns : int64 (n,)
-        True GPS times of the rising edges, rising.
-    falling_gps_ns : int64 (n,) or (0,)
-        Of the falling edge of each pulse; empty: falling edges are not marked.
-    time_base : str
-        What the messages say that their times are.
-    stamped_in : str
-        What they are: another one than `time_base` is a fault.
-    accuracy_s : float
-        Standard deviation of the marks, which the messages tell.
-    first_count : int
-        Counter of rising edges before the first one.
+    rising_gps_ns (n,): true GPS times of the rising edges, rising.
+    falling_gps_ns (n,) or (0,): of the falling edge of each pulse; empty: falling edges are not marked.
+    time_base: what the messages say that their times are.
+    stamped_in: what they are: another one than `time_base` is a fault.
+    accuracy_s: standard deviation of the marks, which the messages tell.
+    first_count: counter of rising edges before the first one.
     """
 
     rising_gps_ns: Integers
@@ -59,10 +51,7 @@ def messages(
     Edges are reported with the next epoch of navigation, one of each kind in a message; several pulses
     between two epochs give several messages.
 
-    Parameters
-    ----------
-    leap_s : int
-        GPS time minus UTC.
+    leap_s: GPS time minus UTC.
     """
     true_ns = clock.true_gps_ns
     latest = [0, 0]

@@ -19,23 +19,14 @@ _LARGEST_SLIP = 40
 class Tracking:
     """A signal at the epochs of a receiver.
 
-    Parameters
-    ----------
-    code : bool (n,)
-        Whether there is a pseudorange.
-    phase : bool (n,)
-        Whether there is a carrier phase.
-    lock_s : float64 (n,)
-        How long the phase has been followed without a break; 0 where it is not.
-    ambiguity : float64 (n,)
-        Cycles beyond the ones that bring the phase near the pseudorange: whole, or half where `half_valid` is
-        not yet set.
-    half_valid : bool (n,)
-        Whether the ambiguity is known to be whole.
-    half_subtracted : bool (n,)
-        Whether half a cycle was taken off to make it whole.
-    arc : int64 (n,)
-        Number of the unbroken stretch; -1 without phase.
+    code: whether there is a pseudorange.
+    phase: whether there is a carrier phase.
+    lock_s (n,): how long the phase has been followed without a break; 0 where it is not.
+    ambiguity (n,): cycles beyond the ones that bring the phase near the pseudorange: whole, or half where
+        `half_valid` is not yet set.
+    half_valid: whether the ambiguity is known to be whole.
+    half_subtracted: whether half a cycle was taken off to make it whole.
+    arc (n,): number of the unbroken stretch; -1 without phase.
     """
 
     code: Flags

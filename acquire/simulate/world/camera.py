@@ -64,9 +64,7 @@ class Camera:
     def project(self, points: Floats) -> Floats:
         """Give columns and rows of points in OpenCV's camera axes (x right, y down, z forward).
 
-        Parameters
-        ----------
-        points : ndarray, shape (..., 3)
+        points (..., 3).
 
         Returns
         -------

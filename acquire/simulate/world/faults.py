@@ -29,25 +29,15 @@ class Fault(StrEnum):
 class FaultSizes(Table):
     """`[fault_sizes]`: how large the faults are that are switched on.
 
-    Parameters
-    ----------
-    antenna_height_m : float
-        By which the height of the base's antenna is noted too low: a slant height taken for a vertical one,
-        or a mark confused with its tripod's plate.
-    base_m : (float, float, float)
-        East, north, up: announced place of the base less the true one.
-    late_s : float
-        By which exposures happen later after their events than anybody knows.
-    zoom : float
-        Principal distance of the later passes over that of the first.
-    control_m : (float, float, float)
-        What is typed too much; with zeros two neighbouring digits change places.
-    missing_share : float
-        Part of the images, all in a row.
-    gap_s : float
-        Without telemetry.
-    slips_per_hour : float
-        Of every signal; with 360 a new ambiguity has hardly been fixed when the next slip comes.
+    antenna_height_m: by which the height of the base's antenna is noted too low: a slant height taken for a
+        vertical one, or a mark confused with its tripod's plate.
+    base_m: east, north, up: announced place of the base less the true one.
+    late_s: by which exposures happen later after their events than anybody knows.
+    zoom: principal distance of the later passes over that of the first.
+    control_m: what is typed too much; with zeros two neighbouring digits change places.
+    missing_share: part of the images, all in a row.
+    gap_s: without telemetry.
+    slips_per_hour: of every signal; with 360 a new ambiguity has hardly been fixed when the next slip comes.
     """
 
     antenna_height_m: FiniteFloat = 0.2

@@ -15,10 +15,7 @@ from drivers.arrays import Floats, Integers
 def seen(points_m: Floats, pose: Pose, camera: Camera) -> Floats:
     """Give columns and rows of points, each by its own pose or all by one, shape (n, 2).
 
-    Parameters
-    ----------
-    points_m : ndarray, shape (n, 3)
-        In the local frame.
+    points_m (n, 3): in the local frame.
     """
     rays = np.squeeze(pose.rotation @ (points_m - pose.centre_m)[..., None], axis=-1)
     return camera.project(rays @ TO_OPENCV)
@@ -38,9 +35,7 @@ def sight(
 ) -> Sight:
     """Give where all points appear in all pictures.
 
-    Parameters
-    ----------
-    points_m : ndarray, shape (n, 3)
+    points_m (n, 3).
     """
     image, point, pixels = [], [], []
     for number in range(len(exposures)):

@@ -42,10 +42,7 @@ def carry(
 ) -> Wire:
     """Carry frames from a device to the recording.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-        When they are sent.
+    time_s (n,): when they are sent.
     """
     count = len(frames)
     late = latency_s * (0.6 + 0.4 * random.exponential(size=count))

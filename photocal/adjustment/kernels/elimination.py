@@ -245,12 +245,8 @@ def accumulate(
 ) -> None:
     """Normal equations of the rays and of the weighted points, reduced to images and border.
 
-    Parameters
-    ----------
-    damping : float
-        Relative addition to the diagonal of each point's own block (Marquardt 1963).
-    singular : ndarray of bool, shape (points,)
-        Receives the points that their rays do not determine.
+    damping: relative addition to the diagonal of each point's own block (Marquardt 1963).
+    singular (points,): receives the points that their rays do not determine.
     """
     for piece in numba.prange(len(design.pieces) - 1):
         totals[piece] = accumulate_piece(

@@ -26,12 +26,8 @@ def evaluate_piece(
 def evaluate(design: Design, values: Values, residuals: Floats, depth: Floats) -> None:
     """Residuals of all rays.
 
-    Parameters
-    ----------
-    residuals : ndarray, shape (rays, 2)
-        Receives computed minus measured.
-    depth : ndarray, shape (rays,)
-        Receives how far each point lies in front of the camera, m.
+    residuals (rays, 2): receives computed minus measured.
+    depth (rays,): receives how far each point lies in front of the camera, m.
     """
     for piece in numba.prange(len(design.pieces) - 1):
         evaluate_piece(design, values, piece, scratch(columns(design)), residuals, depth)

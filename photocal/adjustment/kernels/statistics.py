@@ -165,11 +165,9 @@ def statistics(
 ) -> None:
     """Covariance of each point, and residual and redundancy number of each image coordinate.
 
-    Parameters
-    ----------
-    point_covariance : ndarray, shape (points, 3, 3)
-    residuals, redundancy : ndarray, shape (rays, 2)
-        Receive the results. r = 1 - p a Q a' with a the row of the design matrix (Foerstner 1979).
+    point_covariance (points, 3, 3).
+    residuals, redundancy (rays, 2): receive the results. r = 1 - p a Q a' with a the row of the design matrix
+        (Foerstner 1979).
     """
     for piece in numba.prange(len(design.pieces) - 1):
         size = columns(design) * most_rays(design, piece) + structure.border

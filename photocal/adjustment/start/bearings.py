@@ -66,9 +66,7 @@ class Sights:
 def sights(cameras: tuple[Camera, ...], camera_of: Integers, points: int, rays: Rays) -> Sights:
     """Undistort the rays of a block.
 
-    Parameters
-    ----------
-    camera_of : ndarray of int, shape (images,)
+    camera_of (images,).
     """
     return Sights(cameras, cameras, camera_of, points, rays, _slopes(cameras, camera_of, rays))
 

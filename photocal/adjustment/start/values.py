@@ -49,17 +49,12 @@ def start_values(
     brought to the known points and projection centres by a similarity. On the way the models are adjusted,
     gross errors weighed down.
 
-    Parameters
-    ----------
-    cameras : tuple of Camera
-        With rough values: a principal distance good to some percent.
-    camera_of : ndarray of int, shape (images,)
-    exposures : ndarray, shape (images, 6)
-        NaN where unknown. Complete ones are kept as they are; of others a known X, Y, Z serves as control.
-    points : ndarray, shape (points, 3)
-        Coordinates of control points, NaN for all others.
-    relations : Relations
-        Their distances give a free network its scale.
+    cameras: with rough values: a principal distance good to some percent.
+    camera_of (images,).
+    exposures (images, 6): naN where unknown. Complete ones are kept as they are; of others a known X, Y, Z
+        serves as control.
+    points (points, 3): coordinates of control points, NaN for all others.
+    relations: their distances give a free network its scale.
     """
     seen = sights(cameras, camera_of, len(points), rays)
     model = _known_poses(empty_model(seen, points), exposures)

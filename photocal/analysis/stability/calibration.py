@@ -45,10 +45,7 @@ class View:
 def sensor_grid(size_px: tuple[int, int], step_px: float | None = None) -> Floats:
     """Spread a regular grid of pixels over the format.
 
-    Parameters
-    ----------
-    step_px : float, optional
-        Distance of the grid points; 100 px unless the image is so small that fewer than 20 columns of
+    step_px: distance of the grid points; 100 px unless the image is so small that fewer than 20 columns of
         points would fit. The first point stands half a step from the upper left.
 
     Returns
@@ -69,10 +66,7 @@ def sensor_grid(size_px: tuple[int, int], step_px: float | None = None) -> Float
 def view(camera: Camera, pixels: Floats) -> View:
     """Correct pixels by a calibration.
 
-    Parameters
-    ----------
-    pixels : (n, 2) array
-        Column and row, px.
+    pixels (n, 2): column and row, px.
 
     Returns
     -------

@@ -99,11 +99,8 @@ class CameraFile:
 def read_camera_file(path: Path) -> CameraFile:
     """Read a file of cameras.
 
-    Parameters
-    ----------
-    path : Path
-        TOML: `[[camera]]` as in block.toml with optional `sigma` and `correlation` (names, matrix); optional
-        `[comparison]` and `[[published]]`. The model "pix4d" takes f, Px, Py, R1, R2, R3, T1, T2.
+    path: TOML: `[[camera]]` as in block.toml with optional `sigma` and `correlation` (names, matrix);
+        optional `[comparison]` and `[[published]]`. The model "pix4d" takes f, Px, Py, R1, R2, R3, T1, T2.
 
     Raises
     ------

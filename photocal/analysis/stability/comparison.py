@@ -64,10 +64,7 @@ def compare(
 ) -> tuple[Pair, ...]:
     """Compare every pair of calibrations; set I is the one that comes first.
 
-    Parameters
-    ----------
-    pixels : (n, 2) array
-        The grid, column and row, px.
+    pixels (n, 2): the grid, column and row, px.
 
     Raises
     ------

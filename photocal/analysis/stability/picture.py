@@ -24,10 +24,7 @@ def draw(
 ) -> None:
     """Draw the matrices of all methods, coloured by threshold.
 
-    Parameters
-    ----------
-    thresholds_px : tuple of float
-        Limits between the colours, ascending, px.
+    thresholds_px: limits between the colours, ascending, px.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.colors import BoundaryNorm, LinearSegmentedColormap

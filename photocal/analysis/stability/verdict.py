@@ -57,10 +57,7 @@ def follow(printed: tuple[Printed, ...], pairs: tuple[Pair, ...]) -> tuple[Follo
 def likeness(figure: Figure, thresholds_px: tuple[float, ...]) -> float | None:
     """Give the tightest threshold that a figure keeps.
 
-    Parameters
-    ----------
-    thresholds_px : tuple of float
-        Thresholds, px.
+    thresholds_px: thresholds, px.
 
     Returns
     -------
@@ -75,10 +72,7 @@ def sentences(
 ) -> tuple[str, ...]:
     """Put a comparison into words.
 
-    Parameters
-    ----------
-    thresholds_px : tuple of float
-        Thresholds, px.
+    thresholds_px: thresholds, px.
     """
     loosest = max(thresholds_px)
     said = []

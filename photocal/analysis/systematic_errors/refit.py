@@ -62,10 +62,7 @@ class Lowest:
 def fit(network: Network, state: State | None = None) -> Fit:
     """Adjust a network with its statistics.
 
-    Parameters
-    ----------
-    state : State, optional
-        Where to start; the network's own start values otherwise.
+    state: where to start; the network's own start values otherwise.
 
     Raises
     ------

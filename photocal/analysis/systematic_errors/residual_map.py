@@ -50,16 +50,10 @@ def residual_map(
     The standardised residuals of a cell are taken as independent. The adjustment makes their sums smaller
     than that, so the test alarms less often than its level says, never more often.
 
-    Parameters
-    ----------
-    pixel : (n, 2) array
-        Measured column and row, px.
-    residual_px : (n, 2) array
-        Residuals in the same axes, px.
-    standardised : (n, 2) array
-        Standardised residuals in the same axes; NaN where nothing checks a ray.
-    variance_factor : float
-        Variance of unit weight that the standardised residuals are judged by.
+    pixel (n, 2): measured column and row, px.
+    residual_px (n, 2): residuals in the same axes, px.
+    standardised (n, 2): standardised residuals in the same axes; NaN where nothing checks a ray.
+    variance_factor: variance of unit weight that the standardised residuals are judged by.
     """
     from scipy import stats
 

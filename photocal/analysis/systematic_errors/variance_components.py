@@ -33,10 +33,7 @@ def variance_components(
 ) -> tuple[VarianceComponent, ...]:
     """Estimate the variance of groups of observations from their residuals and redundancy numbers.
 
-    Parameters
-    ----------
-    names : tuple of str
-        Names of the m groups.
+    names: names of the m groups.
 
     Notes
     -----

@@ -55,10 +55,7 @@ class Scene:
 def scene_of_project(project: Project, run: Path | None) -> tuple[Scene, Path]:
     """Read what is marked in a project, and where its marks are kept.
 
-    Parameters
-    ----------
-    run : Path or None
-        Adjustment that says how images are oriented, instead of what the project has.
+    run: adjustment that says how images are oriented, instead of what the project has.
 
     Raises
     ------
@@ -80,12 +77,8 @@ def scene_of_project(project: Project, run: Path | None) -> tuple[Scene, Path]:
 def scene_of_folder(folder: Path, points: Path | None, run: Path | None) -> Scene:
     """Read what is marked in a folder of pictures without a project.
 
-    Parameters
-    ----------
-    points : Path or None
-        points.csv; without it any name may be marked.
-    run : Path or None
-        Adjustment that says how images are oriented.
+    points: points.csv; without it any name may be marked.
+    run: adjustment that says how images are oriented.
 
     Raises
     ------

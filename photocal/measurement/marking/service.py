@@ -54,12 +54,7 @@ class _Click(_Place):
 class Desk:
     """What lies on the table: the scene, its marks, and what the last adjustment found.
 
-    Parameters
-    ----------
-    scene : Scene
-    store : MarkStore
-    cache : Path
-        Where tiles are kept.
+    cache: where tiles are kept.
     """
 
     def __init__(self, scene: Scene, store: MarkStore, cache: Path) -> None:

@@ -38,10 +38,7 @@ class MarkStore:
     the file in between, their marks are kept, and the history of changes, which may not fit them, begins
     anew.
 
-    Parameters
-    ----------
-    path : Path
-        marks.csv; may not exist yet.
+    path: marks.csv; may not exist yet.
 
     Raises
     ------

@@ -61,12 +61,8 @@ def coarsest_level(size_px: tuple[int, int]) -> int:
 class Tiles:
     """Tiles of pictures, on disk once they were made.
 
-    Parameters
-    ----------
-    cache : Path
-        Folder in which they are kept.
-    most_bytes : int
-        That tiles of all projects may have on disk together.
+    cache: folder in which they are kept.
+    most_bytes: that tiles of all projects may have on disk together.
     """
 
     def __init__(self, cache: Path, most_bytes: int = MOST_BYTES) -> None:
