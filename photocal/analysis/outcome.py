@@ -11,6 +11,7 @@ from photocal.adjustment.network import Network
 from photocal.analysis.camera_analysis import CameraAnalysis, analyse_camera
 from photocal.analysis.method import METHODS, MethodCheck, Shape, check_method, shape
 from photocal.analysis.robust import Robust, bootstrap, sandwich
+from photocal.analysis.systematic_errors.camera_findings import of_datum
 from photocal.analysis.systematic_errors.findings import findings
 from photocal.analysis.systematic_errors.left_out import Checks
 from photocal.analysis.systematic_errors.refit import fit
@@ -69,7 +70,7 @@ def analyse_network(
     geometry = shape(network, fitted.state)
     drawn = bootstrap(fitted, draws, np.random.default_rng(SEED), done) if draws else None
     return Outcome(
-        findings(searched),
+        (*findings(searched), *of_datum(searched)),
         searched,
         tuple(analyse_camera(fitted, k, checks, alpha, threshold, done) for k in range(len(network.cameras))),
         geometry,

@@ -73,7 +73,8 @@ def sandwich(fit: Fit) -> Floats:
             step, moved = np.ascontiguousarray(step), np.ascontiguousarray(moved)
             change = np.zeros_like(pull)
             along(problem.design, values, problem.structure, step, moved, change)
-            parts: list[Floats] = [np.bincount(image, np.einsum("rk,rk->r", change, pull), images)]
+            by_image = np.bincount(image, np.einsum("rk,rk->r", change, pull), images)
+            parts: list[Floats] = [by_image.astype(np.float64)]
             parts.append(np.einsum("na,na->n", moved, off))
             for rows in others:
                 if len(rows.weight):

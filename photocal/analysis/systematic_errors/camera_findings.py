@@ -108,7 +108,34 @@ def of_shift(search: Search) -> list[Finding]:
     numbers = tuple(f"{axis} {value:+.3f} +- {sigma:.3f} m" for axis, value, sigma in axes)
     worst = int(np.argmax(np.abs(one.shift)))
     size = Size(float(one.shift[worst]), "m", float(one.sigma[worst]))
-    return [Finding("datum-shift", "doubtful", "positions", {"numbers": numbers}, size=size)]
+    return [Finding("datum-shift", "doubtful", "positions", {"numbers": numbers}, ("positions_off",), size)]
+
+
+def of_datum(search: Search) -> list[Finding]:
+    """Say what hangs on the datum of the positions, where no test could tell that it is wrong."""
+    one, solution = search.positions, search.first.solution
+    if one is None or search.shift is not None:
+        return []
+    height = {"stated_m": float(one.stated[2])}
+    if not any(group.name == "control" for group in solution.groups):
+        return [Finding("heights-on-positions", "note", "positions", height)]
+    listed = []
+    for k, camera in enumerate(search.first.network.cameras):
+        sigma = float(np.sqrt(solution.camera_covariance[k, 0, 0]))
+        by_m = float(one.c_by_shift[k, 2])
+        if not sigma > 0.0 or abs(by_m) * one.stated[2] < SMALL_SIGMAS * sigma:
+            continue
+        by_cm: dict[str, Figure] = {
+            "camera": camera.id,
+            "by_cm": by_m / 100.0,
+            "unit": camera.unit,
+            "sigmas": abs(by_m) / 100.0 / sigma,
+            "told_m": float(one.sigma[2]),
+            **height,
+        }
+        clause = "shift_told" if np.isfinite(one.sigma[2]) else "shift_untold"
+        listed.append(Finding("c-on-positions", "note", camera.id, by_cm, (clause,)))
+    return listed
 
 
 def of_sigma(search: Search) -> list[Finding]:

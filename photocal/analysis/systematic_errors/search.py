@@ -55,7 +55,8 @@ class Search:
 
     rounds: errors in the order in which they were found, the worst first.
     first, last: the network as it was adjusted, and with all corrections.
-    shift: of all observed positions against the rest, where it is significant; it is then free in `last`.
+    positions: what a common shift of all observed positions would be and do; None where it is free.
+    shift: the same where it is significant; it is then free in `last`.
     sigma: of the image coordinates, at the end.
     groups: each group of observations against its stated standard deviations, at the end.
     images, axes, cameras: scatter by image, by image axis and by camera, at the end.
@@ -67,6 +68,7 @@ class Search:
     rounds: tuple[Round, ...]
     first: Fit
     last: Fit
+    positions: PositionShift | None
     shift: PositionShift | None
     sigma: AssumedSigma
     groups: tuple[GroupTest, ...]
@@ -82,9 +84,8 @@ class Search:
 def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
     """Look for systematic errors in an adjusted network."""
     rounds = list[Round]()
-    shift = position_shift(first)
-    if shift is not None and shift.p_value >= LEVEL:
-        shift = None
+    positions = position_shift(first)
+    shift = positions if positions is not None and positions.p_value < LEVEL else None
     last = first if shift is None else fit(with_free_shift(first.network), first.state)
     while len(rounds) < ROUNDS:
         worst = _worst(last, tuple(one.parameter.candidate for one in rounds), done)
@@ -108,6 +109,7 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
         tuple(rounds),
         first,
         last,
+        positions,
         shift,
         sigma,
         _groups(last, sigma),

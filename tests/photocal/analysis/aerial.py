@@ -6,10 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Integers
+from drivers.arrays import Floats, Integers
 from photocal.adjustment.mounting import NO_MOUNTING, STRIPS, Mounting, Positions
 from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
-from photocal.analysis.estimates import Array
 from photocal.geometry.camera import Camera, Model, camera
 from photocal.geometry.distortion import projected
 from photocal.geometry.rotation import matrix_from_angles
@@ -49,7 +48,7 @@ class Flown:
 
     network: Network
     lens: Camera
-    points: Array
+    points: Floats
 
 
 def lens(flight: Flight) -> Camera:
@@ -118,7 +117,7 @@ def _strip(images: int) -> Integers:
     return np.asarray(np.arange(images) // max(int(np.sqrt(images)), 3), dtype=np.int64)
 
 
-def _positions(centres: Array, rng: np.random.Generator) -> Positions:
+def _positions(centres: Floats, rng: np.random.Generator) -> Positions:
     n = len(centres)
     strip = _strip(n)
     first = np.searchsorted(strip, strip)
@@ -133,7 +132,7 @@ def _positions(centres: Array, rng: np.random.Generator) -> Positions:
     )
 
 
-def _poses(images: int, rng: np.random.Generator) -> Array:
+def _poses(images: int, rng: np.random.Generator) -> Floats:
     """Three of four images in strips there and back, the others across and a quarter higher."""
     across = images // 4
     poses = []
@@ -153,13 +152,13 @@ def _poses(images: int, rng: np.random.Generator) -> Array:
     return table
 
 
-def _ground(rng: np.random.Generator, count: int, low: Array, high: Array) -> Array:
+def _ground(rng: np.random.Generator, count: int, low: Floats, high: Floats) -> Floats:
     xy = rng.uniform(low, high, (count, 2))
     z = 8.0 * np.sin(xy[:, 0] / 40.0) + 6.0 * np.cos(xy[:, 1] / 55.0) + rng.uniform(-2.0, 2.0, count)
     return np.column_stack([xy, z])
 
 
-def _spread(count: int, low: Array, high: Array, xyz: Array) -> Array:
+def _spread(count: int, low: Floats, high: Floats, xyz: Floats) -> Floats:
     """So many of the points, near the corners and edges of the area."""
     rows = max(int(np.sqrt(count)), 2)
     grid = np.array([(a, b) for a in np.linspace(0, 1, rows) for b in np.linspace(0, 1, -(-count // rows))])
@@ -170,7 +169,7 @@ def _spread(count: int, low: Array, high: Array, xyz: Array) -> Array:
     return chosen
 
 
-def _seen(own: Camera, rotation: Array, centres: Array, xyz: Array) -> tuple[Integers, Integers, Array]:
+def _seen(own: Camera, rotation: Floats, centres: Floats, xyz: Floats) -> tuple[Integers, Integers, Floats]:
     """Image, point and place in the image of all rays, sorted by point."""
     reach = 1.4 * np.hypot(*SIZE) / 2 / own.values[0] * 1.4 * HEIGHT
     rows = []

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from photocal.adjustment.adjust import adjust
+from photocal.analysis.systematic_errors.camera_findings import of_datum
 from photocal.analysis.systematic_errors.findings import findings
 from photocal.analysis.systematic_errors.position_shift import position_shift, with_free_shift
 from photocal.analysis.systematic_errors.refit import fit
@@ -55,3 +56,21 @@ def test_the_block_in_which_a_missing_k4_was_claimed_gets_no_finding() -> None:
         # What is held has its true value.
         assert own.value("B1") == pytest.approx(2e-4)
         assert findings(search(fit(network))) == ()
+
+
+def test_c_is_said_to_hang_on_the_height_datum_by_what_a_shift_does_to_it() -> None:
+    network = fly(FLIGHT, 6).network
+    first = fit(network)
+    found = position_shift(first)
+    assert found is not None
+    lower = replace(network.positions, values=network.positions.values + np.array([0.0, 0.0, -0.01]))
+    moved = fit(replace(network, positions=lower)).state.cameras[0, 0] - first.state.cameras[0, 0]
+    assert moved == pytest.approx(-0.01 * found.c_by_shift[0, 2], rel=0.01)
+    (told,) = of_datum(search(first))
+    assert told.code == "c-on-positions"
+    assert abs(float(told.figures["by_cm"])) == pytest.approx(abs(moved), rel=0.01)
+
+
+def test_heights_without_control_are_said_to_hang_on_the_positions() -> None:
+    first = fit(fly(replace(FLIGHT, control=False), 6).network)
+    assert [one.code for one in of_datum(search(first))] == ["heights-on-positions"]
