@@ -17,6 +17,9 @@ MOTION_COLUMNS = (*VELOCITY, *(f"s{c}" for c in VELOCITY), *RATE, *(f"s{c}" for 
 APART = 2.5
 # By how much the velocity of an image may depart from zero when nothing at all is known of it, m/s.
 ANY_FLIGHT = 15.0
+# A strip ends with a turn of the track, or a pause.
+_TURN_DEG = 30.0
+_PAUSE = 4.0
 
 
 def read_motion(table: Table) -> tuple[Floats, Floats, Floats]:
@@ -105,3 +108,31 @@ def velocity_of_neighbours(camera: Integers, time: Floats, centre: Floats) -> tu
         both = count == 2
         change[mine[both]] = np.linalg.norm(sides[1] - sides[0], axis=1)[both] / 2
     return velocity, change
+
+
+def strips(seconds: Floats, velocity: Floats) -> tuple[Integers, Floats]:
+    """Tell strips by the turns and pauses between exposures.
+
+    Parameters
+    ----------
+    seconds : ndarray, shape (n,)
+        Times of the exposures, increasing.
+    velocity : ndarray, shape (n, 3)
+        Along X, Y, Z, m/s.
+
+    Returns
+    -------
+    strip : ndarray of int, shape (n,)
+    elapsed : ndarray, shape (n,)
+        Seconds since the middle of the strip.
+    """
+    heading = np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1]))
+    turned = np.abs((np.diff(heading) + 180.0) % 360.0 - 180.0) > _TURN_DEG
+    wait = np.diff(seconds)
+    paused = wait > _PAUSE * np.median(wait) if len(wait) else turned
+    strip = np.concatenate([[0], np.cumsum(turned | paused)]).astype(np.int64)
+    first = np.full(strip[-1] + 1, np.inf)
+    last = np.full(strip[-1] + 1, -np.inf)
+    np.minimum.at(first, strip, seconds)
+    np.maximum.at(last, strip, seconds)
+    return strip, np.asarray(seconds - ((first + last) / 2)[strip])

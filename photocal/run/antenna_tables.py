@@ -8,14 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
+from photocal.block.motion import strips
 from photocal.block.mounting import ATTITUDE_COLUMNS, POSITION_COLUMNS, POSITION_EXTRAS, RATE_COLUMNS
 from photocal.navigation.exposure_files import projected, with_images
 from photocal.navigation.exposures import Exposures
 
-# A strip ends with a turn of the track, or a pause.
-_TURN_DEG = 30.0
-_PAUSE = 4.0
 # Of a rate between two attitudes of an autopilot, some hundredths of a second apart, deg/s.
 _RATE_SIGMA = 2.0
 
@@ -50,30 +47,6 @@ def write_attitudes(path: Path, antenna: Exposures) -> None:
             cells += [f"{v:.4f}" for v in rate] + 3 * [f"{_RATE_SIGMA}"] if rate.any() else [""] * 6
             lines += [[name, *cells] for name in antenna.image[row].split()]
     _write(path, (*ATTITUDE_COLUMNS, *RATE_COLUMNS), lines)
-
-
-def strips(seconds: Floats, velocity: Floats) -> tuple[Integers, Floats]:
-    """Tell strips by the turns and pauses between exposures.
-
-    seconds (n,): times of the exposures, increasing.
-    velocity (n, 3): along X, Y, Z, m/s.
-
-    Returns
-    -------
-    strip : ndarray of int, shape (n,)
-    elapsed : ndarray, shape (n,)
-        Seconds since the middle of the strip.
-    """
-    heading = np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1]))
-    turned = np.abs((np.diff(heading) + 180.0) % 360.0 - 180.0) > _TURN_DEG
-    wait = np.diff(seconds)
-    paused = wait > _PAUSE * np.median(wait) if len(wait) else turned
-    strip = np.concatenate([[0], np.cumsum(turned | paused)]).astype(np.int64)
-    first = np.full(strip[-1] + 1, np.inf)
-    last = np.full(strip[-1] + 1, -np.inf)
-    np.minimum.at(first, strip, seconds)
-    np.maximum.at(last, strip, seconds)
-    return strip, np.asarray(seconds - ((first + last) / 2)[strip])
 
 
 def _write(path: Path, columns: tuple[str, ...], lines: Iterable[list[str]]) -> None:

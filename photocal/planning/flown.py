@@ -1,0 +1,328 @@
+"""The flown block: what each image shows of the ground, overlaps, rays for each place, gaps, tilt, smear."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from drivers.arrays import Flags, Floats, Integers
+from drivers.errors import IllPosedError
+from photocal.geometry.camera import pixel_to_plane
+from photocal.geometry.distortion import undistorted
+from photocal.geometry.oriented_images import OrientedImages
+from photocal.planning.exposure import SMEAR_LIMIT_PX, TILT_TOLERANCE_RAD, TILT_WITH_EFFECT_RAD, smear_px
+
+# Cells across a footprint: its area is then known to some thousandths.
+CELLS_ACROSS = 60
+# Strips are neighbours when their directions and heights differ by less.
+_PARALLEL_RAD, _LEVEL = math.radians(20.0), 0.15
+# A point in fewer images has no height that is checked.
+FEWEST_RAYS = 3
+# Steps in which a ray meets the ground.
+_STEPS = 4
+_BORDER = np.array([[0, 0], [1, 0], [2, 0], [2, 1], [2, 2], [1, 2], [0, 2], [0, 1]]) / 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """The ground as square cells in rows from the south, each from the west.
+
+    Attributes
+    ----------
+    places : ndarray, shape (rows * columns, 3)
+        Middles of the cells, local coordinates, m.
+    """
+
+    places: Floats
+    cell_m: float
+    columns: int
+
+
+@dataclass(frozen=True, eq=False)
+class FlownBlock:
+    """What was flown; everything with one entry for each image is in the order of the images.
+
+    Attributes
+    ----------
+    strip : ndarray of int
+    height_m, gsd_m : ndarray
+        Above the ground below the image, and what a pixel is there, m.
+    tilt_rad : ndarray
+        Of the optical axis against the vertical.
+    forward : ndarray
+        Share of the image that the next one of its strip shows, too; NaN for the last one.
+    side : dict of (int, int) to float
+        For neighbouring strips: share of an image of the first that the second shows, median.
+    smear_px : ndarray
+        By the flight during the exposure; NaN where speed or exposure time are not known.
+    rays : ndarray of int, one for each cell
+        Images that show it.
+    inside : ndarray of bool, one for each cell
+        Whether it lies below the flight: within the hull of the stations.
+    """
+
+    names: tuple[str, ...]
+    strip: Integers
+    height_m: Floats
+    gsd_m: Floats
+    tilt_rad: Floats
+    forward: Floats
+    side: dict[tuple[int, int], float]
+    smear_px: Floats
+    ground: Ground
+    rays: Integers
+    inside: Flags
+
+
+def flown_block(
+    images: OrientedImages,
+    strip: Integers,
+    ground: Ground,
+    speed_m_s: Floats | None = None,
+    exposure_s: Floats | None = None,
+) -> FlownBlock:
+    """Measure a flown block.
+
+    Parameters
+    ----------
+    images : OrientedImages
+        In local coordinates (Z up), in the order in which they were taken.
+    strip : ndarray of int, shape (n,)
+        From `block.motion.strips`.
+    speed_m_s, exposure_s : ndarray, shape (n,)
+        NaN where not known.
+    """
+    seen = cells_seen(images, ground)
+    parts = _cells_of_pixels(images, ground)
+    below = _ground_below(images.station, ground)
+    height = images.station[:, 2] - below
+    pixel = np.array([math.sqrt(own.pitch[0] * own.pitch[1]) / own.values[0] for own in images.cameras])
+    gsd = height * pixel[images.camera]
+    tilt = np.arccos(np.clip(images.rotation[:, 2, 2], -1.0, 1.0))
+    unknown = np.full(len(images), np.nan)
+    forward = np.array(
+        [
+            _share(parts[i], seen[i + 1]) if i + 1 < len(images) and strip[i] == strip[i + 1] else np.nan
+            for i in range(len(images))
+        ]
+    )
+    smear = np.array(
+        [
+            smear_px(time, speed, own)
+            for time, speed, own in zip(
+                unknown if exposure_s is None else exposure_s,
+                unknown if speed_m_s is None else speed_m_s,
+                gsd,
+                strict=True,
+            )
+        ]
+    )
+    rays = np.bincount(np.concatenate([*seen, np.zeros(0, np.int64)]), minlength=len(ground.places))
+    side = _side_overlaps(images.station, height, strip, seen, parts)
+    inside = _below_the_flight(images.station, ground)
+    return FlownBlock(images.names, strip, height, gsd, tilt, forward, side, smear, ground, rays, inside)
+
+
+def level_ground(images: OrientedImages, height_m: float) -> Ground:
+    """Take the ground as level: before any point of it is known."""
+    return _cells(images, height_m)
+
+
+def ground_through(images: OrientedImages, points: Floats) -> Ground:
+    """Take the ground through measured points, shape (n, 3): linear between them, the nearest beyond.
+
+    Raises
+    ------
+    IllPosedError
+        For fewer than three points.
+    """
+    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) < 3:
+        raise IllPosedError("fewer than three points tell no ground", remedy="give the height of the ground")
+    ground = _cells(images, float(np.median(points[:, 2])))
+    plane = ground.places[:, :2]
+    inner = LinearNDInterpolator(points[:, :2], points[:, 2])(plane)
+    outer = NearestNDInterpolator(points[:, :2], points[:, 2])(plane)
+    ground.places[:, 2] = np.where(np.isfinite(inner), inner, outer)
+    return ground
+
+
+def cells_seen(images: OrientedImages, ground: Ground) -> list[Integers]:
+    """List the cells of the ground that each image shows."""
+    size = images.sizes()
+    low, high = ground.places[:, 2].min(), ground.places[:, 2].max()
+    found = []
+    for i, border in enumerate(_directions(images, _BORDER)):
+        # Within the corners' circle alone: beyond, a distortion polynomial may fold ground into the image.
+        middle, reach = _circle(images.station[i], border, low, high)
+        near = np.flatnonzero(np.hypot(*(ground.places[:, :2] - middle).T) <= reach + ground.cell_m)
+        pixel = images.project(np.full(len(near), i), ground.places[near])
+        with np.errstate(invalid="ignore"):
+            inside = ((pixel >= -0.5) & (pixel <= size[i] - 0.5)).all(axis=1)
+        found.append(near[inside])
+    return found
+
+
+def figures_of(block: FlownBlock) -> dict[str, Any]:
+    """Give the figures of a flown block as a JSON value; overlaps are shares, NaN is None."""
+
+    def spread(values: Floats) -> dict[str, float] | None:
+        known = values[np.isfinite(values)]
+        if not len(known):
+            return None
+        low, middle, high = np.percentile(known, [0, 50, 100]).tolist()
+        return {"least": low, "median": middle, "most": high}
+
+    pairs = np.array(list(block.side.values()))
+    counted = block.rays[block.inside]
+    area = block.ground.cell_m**2
+    return {
+        "images": len(block.names),
+        "strips": len(np.unique(block.strip)),
+        "height_m": spread(block.height_m),
+        "gsd_m": spread(block.gsd_m),
+        "tilt_deg": spread(np.degrees(block.tilt_rad)),
+        "tilt_over_3_deg": int((block.tilt_rad > TILT_WITH_EFFECT_RAD).sum()),
+        "tilt_over_5_deg": int((block.tilt_rad > TILT_TOLERANCE_RAD).sum()),
+        "forward_overlap": spread(block.forward),
+        "side_overlap": spread(pairs),
+        "smear_px": spread(block.smear_px),
+        "smear_over_limit": int((block.smear_px > SMEAR_LIMIT_PX).sum()),
+        "rays": spread(counted.astype(np.float64)),
+        "gaps": [
+            {"east_m": east, "north_m": north, "area_m2": cells * area} for east, north, cells in gaps(block)
+        ],
+    }
+
+
+def gaps(block: FlownBlock, fewest: int = FEWEST_RAYS) -> list[tuple[float, float, int]]:
+    """List places below the flight that too few images show: middle (m) and cells, largest first."""
+    from scipy import ndimage
+
+    thin = (block.rays < fewest) & block.inside
+    marked, count = ndimage.label(thin.reshape(-1, block.ground.columns))
+    found = []
+    for number in range(1, count + 1):
+        cells = block.ground.places[marked.ravel() == number]
+        found.append((*cells[:, :2].mean(axis=0).tolist(), len(cells)))
+    return sorted(found, key=lambda gap: -gap[2])
+
+
+def _directions(images: OrientedImages, raster: Floats) -> Floats:
+    """Directions in object space of rays through places of each image (shares of its sides), (n, m, 3)."""
+    rays = []
+    for own in images.cameras:
+        ideal = undistorted(own, pixel_to_plane(own.size_px, own.pitch, raster * own.size_px - 0.5))
+        rays.append(np.column_stack([ideal, np.full(len(ideal), -own.values[0])]))
+    return np.asarray(np.einsum("mkc,mcd->mkd", np.array(rays)[images.camera], images.rotation))
+
+
+def _circle(station: Floats, border: Floats, low: float, high: float) -> tuple[Floats, float]:
+    """Middle and radius of what an image shows between two heights; rays to the horizon reach 5 heights."""
+    height = max(station[2] - low, 1e-6)
+    corners = []
+    for level in (low, high):
+        slope = np.minimum(border[:, 2], -1e-9)
+        away = border[:, :2] / -slope[:, None] * max(station[2] - level, 0.0)
+        far = np.linalg.norm(away, axis=1)
+        corners.append(away * np.minimum(1.0, 5.0 * height / np.maximum(far, 1e-9))[:, None])
+    reach = np.vstack(corners)
+    middle = reach.mean(axis=0)
+    return station[:2] + middle, float(np.linalg.norm(reach - middle, axis=1).max())
+
+
+def _cells(images: OrientedImages, height_m: float) -> Ground:
+    circles = [
+        _circle(at, border, height_m, height_m)
+        for at, border in zip(images.station, _directions(images, _BORDER), strict=True)
+    ]
+    middle, radius = np.array([c[0] for c in circles]), np.array([c[1] for c in circles])
+    # The shorter side of the footprint is at least some half of the circle.
+    cell = float(np.median(radius)) * 2.0 / CELLS_ACROSS / math.sqrt(2.0)
+    low, high = (middle - radius[:, None]).min(axis=0), (middle + radius[:, None]).max(axis=0)
+    x, y = (np.arange(a + cell / 2.0, b + cell, cell) for a, b in zip(low, high, strict=True))
+    east, north = np.meshgrid(x, y)
+    places = np.column_stack([east.ravel(), north.ravel(), np.full(east.size, float(height_m))])
+    return Ground(places, cell, len(x))
+
+
+def _cell_of(places: Floats, ground: Ground) -> Integers:
+    """Cells below places, the nearest one for places beyond all of them."""
+    column, row = np.rint((places - ground.places[0, :2]) / ground.cell_m).astype(np.int64).T
+    last = len(ground.places) // ground.columns - 1
+    return np.asarray(np.clip(row, 0, last) * ground.columns + np.clip(column, 0, ground.columns - 1))
+
+
+def _ground_below(station: Floats, ground: Ground) -> Floats:
+    return np.asarray(ground.places[_cell_of(station[:, :2], ground), 2])
+
+
+def _cells_of_pixels(images: OrientedImages, ground: Ground) -> Integers:
+    """Cells that pixels of a raster over each image show, shape (n, pixels)."""
+    across = np.array([(k + 0.5) / CELLS_ACROSS for k in range(CELLS_ACROSS)])
+    raster = np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2)
+    found = []
+    for station, rays in zip(images.station, _directions(images, raster), strict=True):
+        slope = rays[:, :2] / -np.minimum(rays[:, 2], -1e-9)[:, None]
+        height = np.full(len(rays), station[2] - _ground_below(station[None], ground)[0])
+        for _ in range(_STEPS):
+            cells = _cell_of(station[:2] + slope * height[:, None], ground)
+            height = station[2] - ground.places[cells, 2]
+        found.append(cells)
+    return np.array(found)
+
+
+def _share(cells: Integers, others: Integers) -> float:
+    """Share of an image, by the cells of its raster, that others show."""
+    return float(np.isin(cells, others).mean())
+
+
+def _side_overlaps(
+    station: Floats, height: Floats, strip: Integers, seen: list[Integers], parts: Integers
+) -> dict[tuple[int, int], float]:
+    """Overlap of each strip with the nearest parallel one of the same height on either side."""
+    numbers = [int(s) for s in np.unique(strip) if (strip == s).sum() > 1]
+    way = {s: _direction(station[strip == s, :2]) for s in numbers}
+    level = {s: float(np.median(height[strip == s])) for s in numbers}
+    found = {}
+    for s in numbers:
+        mine = np.flatnonzero(strip == s)
+        along, across = way[s], np.array([way[s][1], -way[s][0]])
+        nearest: dict[bool, tuple[float, int, Integers]] = {}
+        for t in numbers:
+            parallel = abs(float(along @ way[t])) > math.cos(_PARALLEL_RAD)
+            if t == s or not parallel or abs(level[t] - level[s]) > _LEVEL * level[s]:
+                continue
+            reach = station[strip == t, :2] @ along
+            progress = station[mine, :2] @ along
+            beside = mine[(progress >= reach.min()) & (progress <= reach.max())]
+            offset = float(np.median((station[strip == t, :2] - station[mine, :2].mean(axis=0)) @ across))
+            right = offset > 0
+            if len(beside) and (right not in nearest or abs(offset) < nearest[right][0]):
+                nearest[right] = abs(offset), t, beside
+        for _, t, beside in nearest.values():
+            shown = np.unique(np.concatenate([seen[j] for j in np.flatnonzero(strip == t)]))
+            found[s, t] = float(np.median([_share(parts[i], shown) for i in beside]))
+    return found
+
+
+def _direction(places: Floats) -> Floats:
+    way = places[-1] - places[0]
+    return np.asarray(way / max(float(np.linalg.norm(way)), 1e-9))
+
+
+def _below_the_flight(station: Floats, ground: Ground) -> Flags:
+    """Cells within the hull of the stations; of a single strip, those within a cell of it."""
+    from scipy.spatial import Delaunay, QhullError
+
+    try:
+        hull = Delaunay(station[:, :2])
+        return np.asarray(hull.find_simplex(ground.places[:, :2]) >= 0)
+    except (QhullError, ValueError):
+        apart = np.linalg.norm(ground.places[:, None, :2] - station[None, :, :2], axis=2).min(axis=1)
+        return np.asarray(apart <= ground.cell_m)
