@@ -16,7 +16,7 @@ from pathlib import Path
 import numba
 import numpy as np
 
-from photocal.analysis.estimates import Array
+from drivers.arrays import Floats
 from photocal.analysis.systematic_errors.findings import findings
 from photocal.analysis.systematic_errors.refit import fit
 from photocal.analysis.systematic_errors.search import search
@@ -73,25 +73,25 @@ def injected() -> list[str]:
     return lines
 
 
-def _stretched(made: Simulated) -> Array:
+def _stretched(made: Simulated) -> Floats:
     return np.asarray(made.exact * np.array([1.0, 1.0 / 0.9990]))
 
 
-def _sheared(made: Simulated) -> Array:
+def _sheared(made: Simulated) -> Floats:
     return made.exact - 0.0008 * np.column_stack([made.exact[:, 1], np.zeros(len(made.exact))])
 
 
-def _radial(made: Simulated) -> Array:
+def _radial(made: Simulated) -> Floats:
     x = made.exact - made.network.cameras[0].values[1:3]
     return np.asarray(made.exact - 1.5e-22 * x * np.sum(x**2, axis=1, keepdims=True) ** 3)
 
 
-def _moved_image(made: Simulated) -> Array:
+def _moved_image(made: Simulated) -> Floats:
     mine = (made.network.rays.image == 5)[:, None]
     return np.asarray(made.exact + mine * np.array([20.0, 12.0]))
 
 
-_CASES: tuple[tuple[str, str, Callable[[Simulated], Array]], ...] = (
+_CASES: tuple[tuple[str, str, Callable[[Simulated], Floats]], ...] = (
     ("y-scale", "convergent", _stretched),
     ("shear", "convergent", _sheared),
     ("radial", "convergent", _radial),

@@ -18,7 +18,7 @@ from pathlib import Path
 import numba
 import numpy as np
 
-from photocal.analysis.estimates import Array
+from drivers.arrays import Floats
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.georeferencing.mistyped import mistyped_control
@@ -34,7 +34,7 @@ LEAST_M = 0.3
 EAST, NORTH = 2_400.0, 7_300.0
 
 
-def mistyped(place: Array, kind: str, rng: np.random.Generator) -> Array:
+def mistyped(place: Floats, kind: str, rng: np.random.Generator) -> Floats:
     """Coordinates of a point with one slip."""
     wrong = place.copy()
     if kind == "exchanged":

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drivers.arrays import Floats
 from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
-from photocal.analysis.estimates import Array
 from photocal.geometry.camera import Camera, Model, camera
 from photocal.geometry.distortion import projected
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
@@ -21,7 +21,7 @@ class Simulated:
     """A network with the image coordinates that its truth gives, without noise."""
 
     network: Network
-    exact: Array
+    exact: Floats
 
 
 def a_camera(estimate: tuple[str, ...], model: Model = "brown-observed", **changed: float) -> Camera:
@@ -75,7 +75,7 @@ def flight(turned: bool = True, flat: bool = False) -> Simulated:
     return _imaged(own, np.array(centres), matrix_from_angles(np.array(angles)), points, 0.02)
 
 
-def _imaged(own: Camera, centres: Array, rotations: Array, points: Array, sigma_m: float) -> Simulated:
+def _imaged(own: Camera, centres: Floats, rotations: Floats, points: Floats, sigma_m: float) -> Simulated:
     rows = []
     for j, point in enumerate(points):
         for i, (centre, rotation) in enumerate(zip(centres, rotations, strict=True)):
@@ -97,7 +97,7 @@ def _imaged(own: Camera, centres: Array, rotations: Array, points: Array, sigma_
     return Simulated(network, exact)
 
 
-def noisy(simulated: Simulated, seed: int, plane: Array | None = None, control_m: float = 0.002) -> Network:
+def noisy(simulated: Simulated, seed: int, plane: Floats | None = None, control_m: float = 0.002) -> Network:
     """Draw image coordinates and surveyed coordinates."""
     generator = np.random.default_rng(seed)
     network = simulated.network
@@ -112,7 +112,7 @@ def noisy(simulated: Simulated, seed: int, plane: Array | None = None, control_m
     )
 
 
-def read_in_flight(made: Simulated) -> Array:
+def read_in_flight(made: Simulated) -> Floats:
     """Image coordinates when the rows are read during a twentieth of the exposure interval, in flight."""
     network = made.network
     own, image = network.cameras[0], network.rays.image

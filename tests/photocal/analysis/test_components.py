@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.arrays import Floats
 from drivers.errors import IllPosedError
 from photocal.analysis.components import Proposal, principal_components, propose_removal
 from photocal.analysis.correlation import strong_correlations
-from photocal.analysis.estimates import Array, Estimates, from_sigmas, without
+from photocal.analysis.estimates import Estimates, from_sigmas, without
 from photocal.findings.catalogue import catalogue
 from photocal.findings.texts import finding_text, plain
 
@@ -26,7 +27,7 @@ LEFT_OUT_COLUMNS = {3: (6, 7), 4: (6, 7, 8), 5: (5, 6)}
 LEFT_OUT_BY_LABEL = {3: (5, 6), 4: (5, 6, 7), 5: (4, 5)}
 
 
-def numbers(rows: Rows) -> Array:
+def numbers(rows: Rows) -> Floats:
     return np.array([[float(value) for value in list(row.values())[1:]] for row in rows])
 
 
@@ -35,7 +36,7 @@ def sentences(proposal: Proposal) -> list[str]:
     return [finding_text(remark, say, plain) for remark in proposal.findings]
 
 
-def known_only_by_correlation(names: tuple[str, ...], r: Array) -> Estimates:
+def known_only_by_correlation(names: tuple[str, ...], r: Floats) -> Estimates:
     return from_sigmas(names, [0.0] * len(names), [1.0] * len(names), r)
 
 
@@ -93,7 +94,7 @@ def test_loadings_of_the_refined_matrix(tank: Callable[[str], Rows], refined: Es
     assert np.abs(found.loadings * signs - printed)[strong].max() < 0.0075
 
 
-def dropped(r: Array, columns: tuple[int, ...]) -> Array:
+def dropped(r: Floats, columns: tuple[int, ...]) -> Floats:
     names = tuple(str(i) for i in range(len(r)))
     kept, _ = without(known_only_by_correlation(names, r), [str(i) for i in columns])
     return kept.correlation

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from drivers.arrays import Floats
 from photocal.adjustment.network import Relations
-from photocal.analysis.estimates import Array
 from photocal.analysis.systematic_errors.candidates import candidates
 from photocal.analysis.systematic_errors.extra_parameter import estimated_amount
 from photocal.analysis.systematic_errors.findings import findings
@@ -35,7 +35,7 @@ def networks() -> dict[str, Simulated]:
     return {"convergent": convergent(), "flight": flight()}
 
 
-def found(simulated: Simulated, seed: int, plane: Array, control_m: float = 0.002) -> tuple[Finding, ...]:
+def found(simulated: Simulated, seed: int, plane: Floats, control_m: float = 0.002) -> tuple[Finding, ...]:
     return findings(search(fit(noisy(simulated, seed, plane, control_m))))
 
 

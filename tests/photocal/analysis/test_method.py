@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.arrays import Floats
 from photocal.adjustment.network import Exposures, Network, Points, Rays, Relations, point_weights
 from photocal.adjustment.state import start_state
-from photocal.analysis.estimates import Array
 from photocal.analysis.method import METHODS, Shape, check_method, shape
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
@@ -20,7 +20,7 @@ from photocal.geometry.camera import camera
 
 
 def network_of(
-    angles_deg: list[list[float]], centres: list[list[float]], points: Array, sigma: Array
+    angles_deg: list[list[float]], centres: list[list[float]], points: Floats, sigma: Floats
 ) -> Network:
     own = camera("a", "brown-observed", "px", (4000, 3000), (1.0, 1.0), {"c": 3000.0}, estimate=("c",))
     images = len(angles_deg)
@@ -47,7 +47,7 @@ GROUND = np.column_stack([np.tile([0.0, 50.0, 100.0], 3), np.repeat([0.0, 50.0, 
 KNOWN, FREE = np.full((9, 3), 0.02), np.full((9, 3), np.inf)
 
 
-def shape_of(angles: list[list[float]], centres: list[list[float]], points: Array, sigma: Array) -> Shape:
+def shape_of(angles: list[list[float]], centres: list[list[float]], points: Floats, sigma: Floats) -> Shape:
     network = network_of(angles, centres, points, sigma)
     return shape(network, start_state(network))
 
