@@ -17,7 +17,12 @@ from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding
 from photocal.findings.texts import finding_text
 from photocal.georeferencing.calibrated import Calibration
-from photocal.georeferencing.differences import Differences, differences
+from photocal.georeferencing.differences import (
+    Differences,
+    ExposureDifference,
+    differences,
+    exposure_difference,
+)
 from photocal.georeferencing.local import in_local_frame
 from photocal.georeferencing.methods import (
     METHODS,
@@ -46,18 +51,6 @@ class Judged:
     control: Differences
     check: Differences
     assessment: Assessment | None
-
-
-@dataclass(frozen=True)
-class ExposureDifference:
-    """Observed exterior orientation less that of the indirect method, over the images that have both.
-
-    mean, rmse (6,): omega, phi, kappa (rad), X, Y, Z (m).
-    """
-
-    images: int
-    mean: Floats
-    rmse: Floats
 
 
 @dataclass(frozen=True)
@@ -186,7 +179,4 @@ def _exposures(judged: tuple[Judged, ...]) -> ExposureDifference | None:
     by_method = {one.found.method: one.found for one in judged}
     if "direct" not in by_method or "indirect" not in by_method:
         return None
-    d = by_method["direct"].exposures - by_method["indirect"].exposures
-    d[:, :3] = (d[:, :3] + np.pi) % (2 * np.pi) - np.pi
-    d = d[np.isfinite(d).all(axis=1)]
-    return ExposureDifference(len(d), d.mean(axis=0), np.sqrt(np.mean(d**2, axis=0)))
+    return exposure_difference(by_method["direct"].exposures, by_method["indirect"].exposures)

@@ -94,6 +94,26 @@ class Differences:
         return float(np.sqrt(known.mean() / 3.0)) if len(known) else float("nan")
 
 
+@dataclass(frozen=True)
+class ExposureDifference:
+    """Exterior orientations less those of a reference, over the images that have both.
+
+    mean, rmse (6,): omega, phi, kappa (rad), X, Y, Z (m).
+    """
+
+    images: int
+    mean: Floats
+    rmse: Floats
+
+
+def exposure_difference(exposures: Floats, reference: Floats) -> ExposureDifference:
+    """Compare orientations (omega, phi, kappa, X, Y, Z; NaN where there is none) with a reference."""
+    d = exposures - reference
+    d[:, :3] = (d[:, :3] + np.pi) % (2 * np.pi) - np.pi
+    d = d[np.isfinite(d).all(axis=1)]
+    return ExposureDifference(len(d), d.mean(axis=0), np.sqrt(np.mean(d**2, axis=0)))
+
+
 def differences(block: Block, found: Georeferenced, role: Role) -> Differences:
     """Compare the ground points of one role with their survey."""
     mine = block.points.role[found.points] == ROLES.index(role)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -15,7 +16,12 @@ from photocal.accuracy.statistics import moments
 from photocal.accuracy.trend import rmse_after_trend_removal
 from photocal.block.model import Block
 from photocal.geometry.camera import Camera
-from photocal.georeferencing.differences import Differences, differences
+from photocal.georeferencing.differences import (
+    Differences,
+    ExposureDifference,
+    differences,
+    exposure_difference,
+)
 from photocal.georeferencing.local import in_local_frame
 from photocal.georeferencing.methods import Method, checkable, of_method, with_roles
 from photocal.georeferencing.mounted import with_attitude_angles
@@ -81,6 +87,9 @@ class Run:
     without_trend: RMSE after the mean of biased components is removed, m.
     variance_factor: chi-squared over degrees of freedom; NaN when the run failed.
     failure: why it failed; empty otherwise.
+    residuals_px (2,): root mean square of all image residuals in x and y.
+    exposures: against the reference, the block adjusted with all its surveyed points as control.
+    points: control and check points; xyz (n, 3): their coordinates by this run, m.
     """
 
     interior: str
@@ -93,6 +102,10 @@ class Run:
     without_trend: tuple[float, ...]
     variance_factor: float
     failure: str
+    residuals_px: Floats = field(default_factory=lambda: np.full(2, np.nan))
+    exposures: ExposureDifference | None = None
+    points: tuple[str, ...] = ()
+    xyz: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def name(self) -> str:
@@ -111,6 +124,19 @@ class Run:
         if self.check is None or not len(self.check.d):
             return np.full(3, np.nan)
         return np.asarray(np.sqrt(np.mean(self.check.product_sigma**2, axis=0)))
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two runs that differ by their interior orientation only.
+
+    check, all (3,): RMSE of the differences in X, Y, Z at the check points, and at all ground points, m.
+    """
+
+    first: Run
+    second: Run
+    check: Floats
+    all: Floats
 
 
 @dataclass(frozen=True)
@@ -135,10 +161,32 @@ class Outcome:
     runs: tuple[Run, ...]
     left_out: tuple[LeftOut, ...]
 
+    @property
+    def pairs(self) -> tuple[Pair, ...]:
+        """Runs of one method, pattern and use pair by pair, without those that failed."""
+        return tuple(
+            _pair(a, b)
+            for a, b in combinations(self.runs, 2)
+            if (a.method, a.pattern, a.use) == (b.method, b.pattern, b.use) and a.check and b.check
+        )
+
+
+def _pair(first: Run, second: Run) -> Pair:
+    """Compare the points that both runs have."""
+    at = {name: k for k, name in enumerate(second.points)}
+    both = [(k, at[name]) for k, name in enumerate(first.points) if name in at]
+    d = np.array([first.xyz[k] - second.xyz[other] for k, other in both]).reshape(-1, 3)
+    checks = set(first.check.names if first.check else ())
+    mine = np.array([first.points[k] in checks for k, _ in both], dtype=np.bool_)
+    rmse = [np.sqrt(np.mean(part**2, axis=0)) if len(part) else np.full(3, np.nan) for part in (d[mine], d)]
+    return Pair(first, second, *rmse)
+
 
 def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: None) -> Outcome:
     """Run an experiment."""
     block = with_attitude_angles(checkable(in_local_frame(experiment.block)))
+    reference = _reference(block)
+    done()
     if experiment.noise is not None:
         # One realisation for all runs, so that they differ by what is being compared only.
         noisy = degraded(block, experiment.noise, np.random.default_rng(experiment.seed))
@@ -152,10 +200,19 @@ def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: No
                 cameras = list(block.cameras)
                 cameras[experiment.camera] = camera
                 setup = with_roles(replace(block, cameras=tuple(cameras)), pattern.points)
-                runs.append(_run(setup, method, interior, use, pattern, experiment.confidence))
+                runs.append(_run(setup, method, interior, use, pattern, experiment.confidence, reference))
                 done()
     left = _leave_one_out(block, experiment.methods, done) if experiment.leave_one_out else ()
     return Outcome(tuple(runs), left)
+
+
+def _reference(block: Block) -> Floats | None:
+    """Orientations with all surveyed points as control, shape (images, 6); None where that cannot be."""
+    surveyed = np.flatnonzero(np.isfinite(block.points.sigma).any(axis=1))
+    try:
+        return of_method(with_roles(block, surveyed), "indirect").exposures
+    except PhotocalError:
+        return None
 
 
 def spread_points(block: Block, candidates: Integers, count: int) -> Integers:
@@ -199,7 +256,13 @@ def _cameras(experiment: Experiment, block: Block) -> list[tuple[str, Use, Camer
 
 
 def _run(
-    block: Block, method: Method, interior: str, use: Use, pattern: ControlPattern, confidence: float
+    block: Block,
+    method: Method,
+    interior: str,
+    use: Use,
+    pattern: ControlPattern,
+    confidence: float,
+    reference: Floats | None,
 ) -> Run:
     head = (interior, use, pattern.name, method, len(pattern.points))
     try:
@@ -216,6 +279,10 @@ def _run(
         tuple(rmse_after_trend_removal(m, confidence) for m in figures) if enough else (),
         found.chi_squared / found.degrees_of_freedom if found.degrees_of_freedom > 0 else float("nan"),
         "",
+        np.sqrt(np.average(found.images.rms**2, axis=0, weights=found.images.rays)),
+        None if reference is None else exposure_difference(found.exposures, reference),
+        tuple(block.points.names[k] for k in found.points),
+        found.xyz,
     )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from acquire.outputs import output_folder
 from photocal.accuracy.discrepancies import SIGN
 from photocal.georeferencing.as_json import finite
-from photocal.georeferencing.experiment import LeftOut, Outcome, Run
+from photocal.georeferencing.experiment import LeftOut, Outcome, Pair, Run
 from photocal.georeferencing.experiment_plots import control_plot, rmse_plot
 
 SCHEMA = "photocal.experiment/2"
@@ -26,6 +26,7 @@ def to_json(outcome: Outcome) -> dict[str, Any]:
         "schema": SCHEMA,
         "sign": SIGN,
         "runs": [_run(run) for run in outcome.runs],
+        "pairs": [_pair(pair) for pair in outcome.pairs],
         "leave_one_out": [_left(one) for one in outcome.left_out],
         "leave_one_out_rmse_m": {
             method: _rmse([one for one in outcome.left_out if one.method == method])
@@ -52,6 +53,17 @@ def to_text(outcome: Outcome) -> str:
             + "".join(f"{v:8.4f}" for v in run.predicted())
             + f"   {t}"
         )
+    lines += ["", f"{'run':<40}{'image residuals px':>20}   exterior orientation, RMSE in m and deg"]
+    for run in (run for run in outcome.runs if run.check):
+        x, y = run.residuals_px.tolist()
+        turned = np.full(6, np.nan) if run.exposures is None else run.exposures.rmse
+        poses = "".join(f"{v:9.4f}" for v in [*turned[3:], *np.degrees(turned[:3])])
+        lines.append(f"{run.name:<40}{x:11.3f}{y:9.3f}   {poses}")
+    if outcome.pairs:
+        lines += ["", "pair by pair: RMSE of the differences at check points, m"]
+    for pair in outcome.pairs:
+        values = "".join(f"{v:9.4f}" for v in pair.check)
+        lines.append(f"{pair.first.name} - {pair.second.name:<28}{values}")
     if outcome.left_out:
         lines += ["", "leave one out: d, w"]
     for one in outcome.left_out:
@@ -76,6 +88,8 @@ def write_experiment(outcome: Outcome, folder: Path) -> tuple[str, ...]:
         "experiment.json": json.dumps(to_json(outcome), indent=1, allow_nan=False) + "\n",
         "runs.csv": _csv([_flat(run) for run in outcome.runs]),
     }
+    if outcome.pairs:
+        texts["pairs.csv"] = _csv([_pair(pair) for pair in outcome.pairs])
     if outcome.left_out:
         texts["leave_one_out.csv"] = _csv([_left(one) for one in outcome.left_out])
     drawn = {"rmse.pdf": rmse_plot(outcome), "rmse_by_control.pdf": control_plot(outcome)}
@@ -123,9 +137,22 @@ def _flat(run: Run) -> dict[str, Any]:
         row[f"t_{axis}"] = None if bias is None else finite(bias.t)
         row[f"biased_{axis}"] = None if bias is None else bool(bias.significant)
         row[f"rmse_without_trend_{axis}_m"] = run.without_trend[k] if run.without_trend else None
+    row |= {f"residual_{a}_px": finite(float(v)) for a, v in zip(_AXES, run.residuals_px, strict=False)}
+    poses = np.full(6, np.nan) if run.exposures is None else run.exposures.rmse
+    row |= {f"exterior_rmse_{a}_m": finite(float(v)) for a, v in zip(_AXES, poses[3:], strict=True)}
+    angles = zip(("omega", "phi", "kappa"), np.degrees(poses[:3]), strict=True)
+    row |= {f"exterior_rmse_{a}_deg": finite(float(v)) for a, v in angles}
     row["errors_over_prediction"] = None if run.check is None else finite(run.check.ratio)
     row["variance_factor"] = finite(run.variance_factor)
     row["failure"] = run.failure
+    return row
+
+
+def _pair(pair: Pair) -> dict[str, Any]:
+    row: dict[str, Any] = {name: getattr(pair.first, name) for name in ("use", "pattern", "method")}
+    row |= {"first": pair.first.interior, "second": pair.second.interior}
+    for part, values in (("check", pair.check), ("all", pair.all)):
+        row |= {f"{part}_rmse_{a}_m": finite(float(v)) for a, v in zip(_AXES, values, strict=True)}
     return row
 
 

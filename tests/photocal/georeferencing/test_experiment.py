@@ -61,6 +61,20 @@ def test_fourteen_runs(photocal: Photocal, folder: Path) -> None:
     assert runs["5", "fixed"]["rmse_without_trend_z_m"] < runs["5", "fixed"]["rmse_z_m"]
     with (folder / "out" / "runs.csv").open(encoding="utf-8", newline="") as text:
         assert len(list(csv.DictReader(text))) == 14
+    # Residuals have the noise that was put in, less what the unknowns took up; a held wrong c adds to it.
+    assert 0.28 < runs["1", "weighted"]["residual_x_px"] < 0.4
+    assert runs["5", "fixed"]["residual_y_px"] > runs["1", "fixed"]["residual_y_px"]
+    exterior = {k: runs[str(k), "fixed"]["exterior_rmse_z_m"] for k in (1, 5)}
+    assert exterior[5] > 3 * exterior[1]
+    # 0.06 mm of 12 mm at 90 to 130 m, of which the observed positions let through a part.
+    assert exterior[5] < 0.06 / 12 * 130
+    pairs = {(pair["first"], pair["second"], pair["use"]): pair for pair in content["pairs"]}
+    assert len(pairs) == 2 * 21
+    d = {k: np.array([point["d_m"] for point in runs[k, "fixed"]["points"]]) for k in "15"}
+    rmse = np.sqrt(np.mean((d["1"] - d["5"]) ** 2, axis=0))
+    assert [pairs["1", "5", "fixed"][f"check_rmse_{a}_m"] for a in "xyz"] == pytest.approx(rmse.tolist())
+    with (folder / "out" / "pairs.csv").open(encoding="utf-8", newline="") as text:
+        assert len(list(csv.DictReader(text))) == 2 * 21
     assert (folder / "out" / "rmse.pdf").read_bytes().startswith(b"%PDF")
 
 
