@@ -15,6 +15,7 @@ from photocal.commands import (
     export,
     exposures,
     fetch_grids,
+    flown,
     keys,
     mark,
     measure,
@@ -47,6 +48,7 @@ app.command()(analyse.analyse)
 app.command()(compare.compare)
 app.command()(check.check)
 app.command()(plan.plan)
+app.command()(flown.flown)
 app.command()(ppk.ppk)
 app.command()(exposures.exposures)
 app.command()(survey.survey)

@@ -58,6 +58,7 @@ class ImageFacts:
     altitude_kind: what the maker calls the altitude ("RtkAlt"); empty when not given.
     maker_camera: XMP tags about the camera, for `maker_camera.stated_camera`.
     c_px: principal distance that a person gives in place of all these; NaN when not given.
+    exposure_s, iso: exposure time and sensitivity; NaN when not given.
     """
 
     name: str
@@ -81,6 +82,8 @@ class ImageFacts:
     altitude_kind: str = ""
     maker_camera: Mapping[str, str] = field(default_factory=dict)
     c_px: float = math.nan
+    exposure_s: float = math.nan
+    iso: float = math.nan
 
     @property
     def has_position(self) -> bool:
@@ -122,6 +125,8 @@ def read_facts(path: Path) -> ImageFacts:
         _pitch_mm(exif, size[0]),
         xmp.get("AltitudeType", ""),
         {key: value for key, value in xmp.items() if key in _CAMERA_TAGS},
+        exposure_s=_positive(exif.get(0x829A)),
+        iso=_positive(exif.get(0x8827)),
     )
 
 

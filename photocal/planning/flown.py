@@ -168,8 +168,14 @@ def cells_seen(images: OrientedImages, ground: Ground) -> list[Integers]:
     return found
 
 
-def figures_of(block: FlownBlock) -> dict[str, Any]:
-    """Give the figures of a flown block as a JSON value; overlaps are shares, NaN is None."""
+def figures_of(block: FlownBlock, **of_images: Floats) -> dict[str, Any]:
+    """Give the figures of a flown block as a JSON value; overlaps are shares, what is not known is None.
+
+    Parameters
+    ----------
+    of_images : ndarray, shape (n,)
+        Further figures of the images by their names, such as exposure_ms and iso.
+    """
 
     def spread(values: Floats) -> dict[str, float] | None:
         known = values[np.isfinite(values)]
@@ -194,6 +200,7 @@ def figures_of(block: FlownBlock) -> dict[str, Any]:
         "smear_px": spread(block.smear_px),
         "smear_over_limit": int((block.smear_px > SMEAR_LIMIT_PX).sum()),
         "rays": spread(counted.astype(np.float64)),
+        **{name: spread(values) for name, values in of_images.items()},
         "gaps": [
             {"east_m": east, "north_m": north, "area_m2": cells * area} for east, north, cells in gaps(block)
         ],

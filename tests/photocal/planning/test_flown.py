@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import csv
+import json
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,6 +30,8 @@ from photocal.planning.flown import (
     ground_through,
     level_ground,
 )
+from tests.photocal.conftest import Answer
+from tests.photocal.georeferencing.flights import Plan, fly
 
 
 @pytest.fixture(scope="module")
@@ -145,3 +153,31 @@ def test_figures_are_plain(block: FlownBlock) -> None:
     assert 0.7 < figures["forward_overlap"]["median"] < 0.8
     nothing = replace(block, smear_px=np.full(len(block.names), np.nan))
     assert figures_of(nothing)["smear_px"] is None
+
+
+def test_the_command_measures_a_block_folder(photocal: Callable[..., Answer], tmp_path: Path) -> None:
+    """Strips 40 m apart, 26 m between images, at 90 m with 12 mm of 13.5 mm x 9 mm: overlaps by hand."""
+    folder = fly(tmp_path / "flight", np.random.default_rng(3), plan=Plan(relief_m=0.0))
+    plan = tmp_path / "plan.json"
+    plan.write_text('{"levels": [{"height_m": 90.0, "gsd_m": 0.03375}]}', encoding="utf-8")
+    said = photocal("flown", folder, "--exposure-ms", 1, "--plan", plan, "-o", tmp_path / "out", "--json")
+    assert said.code == 0, said.err
+    figures = json.loads(said.out)
+    assert figures["planned"] == {"height_m": 90.0, "gsd_m": 0.03375}
+    assert (figures["images"], figures["strips"]) == (40, 7)
+    low = [row for row in read_rows(tmp_path / "out" / "flown.csv") if float(row["height_m"]) < 100.0]
+    # Height along the flight: 9 mm / 12 mm x 90 m; the images are turned and shifted by chance.
+    forward = np.median([float(row["forward_overlap"]) for row in low if row["forward_overlap"]])
+    assert forward == pytest.approx(1.0 - 26.0 / 67.5, abs=0.03)
+    assert float(low[0]["gsd_m"]) == pytest.approx(float(low[0]["height_m"]) * 0.0045 / 12.0, rel=1e-4)
+    # 14 m/s and 8 m/s in turn, 1 ms, 3.4 and 4.9 cm.
+    assert figures["smear_px"]["most"] == pytest.approx(14e-3 / 0.03375, rel=0.1)
+    with closing(sqlite3.connect(tmp_path / "out" / "flown.gpkg")) as database:
+        assert database.execute("SELECT COUNT(*) FROM images").fetchone() == (40,)
+        assert database.execute("SELECT MIN(images) FROM rays").fetchone()[0] >= 0
+    assert "<svg" in (tmp_path / "out" / "flown.svg").read_text(encoding="utf-8")
+
+
+def read_rows(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))

@@ -1,0 +1,172 @@
+"""Files and words about a flown block: tables, a map for QGIS, a picture, and what to tell a person."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from acquire.outputs import output_folder
+from drivers.arrays import Floats
+from photocal.geopackage import Feature, Layer, ReferenceSystem, add_layer, geopackage
+from photocal.planning.flown import FEWEST_RAYS, FlownBlock, gaps
+
+_NUMBERS = ("height_m", "gsd_m", "tilt_deg", "forward_overlap", "smear_px", "speed_m_s")
+_IMAGES = Layer(
+    "images",
+    "POINT",
+    has_heights=False,
+    columns={"name": "TEXT", "strip": "INTEGER", **dict.fromkeys(_NUMBERS, "DOUBLE")},
+)
+_RAYS = Layer("rays", "POLYGON", has_heights=False, columns={"images": "INTEGER"})
+_GAPS = Layer("gaps", "POINT", has_heights=False, columns={"area_m2": "DOUBLE"})
+# Cells of the map, as many of the raster on a side.
+_MERGED = 3
+# Planned figures that may be compared, and the flown one of the same name.
+_PLANNED = {"height_m": "height_m", "gsd_m": "gsd_m"}
+
+
+def flown_text(figures: Mapping[str, Any]) -> str:
+    """Write a flown block for people."""
+
+    def spread(name: str, factor: float = 1.0, form: str = ".1f") -> str:
+        values = figures[name]
+        if values is None:
+            return "not known"
+        least, middle, most = (format(factor * values[key], form) for key in ("least", "median", "most"))
+        return f"{middle} ({least} to {most})"
+
+    n = figures["images"]
+    tilted = f"over 3 deg {figures['tilt_over_3_deg']}, over 5 deg {figures['tilt_over_5_deg']} of {n}"
+    smeared = f"over half a pixel {figures['smear_over_limit']} of {n}"
+    lines = [
+        f"{n} images in {figures['strips']} strips; medians, least and most",
+        f"  height above ground  {spread('height_m')} m",
+        f"  ground sampling      {spread('gsd_m', 100.0, '.2f')} cm",
+        f"  tilt                 {spread('tilt_deg')} deg; {tilted}",
+        f"  forward overlap      {spread('forward_overlap', 100.0)} %",
+        f"  side overlap         {spread('side_overlap', 100.0)} %",
+        f"  images of a place    {spread('rays', 1.0, '.0f')}",
+        f"  smear                {spread('smear_px', 1.0, '.2f')} px; {smeared}",
+        f"  exposure time        {spread('exposure_ms', 1.0, '.2f')} ms, ISO {spread('iso', 1.0, '.0f')}",
+    ]
+    listed = figures["gaps"]
+    lines.append(f"  places with fewer than {FEWEST_RAYS} images: {len(listed) or 'none'}")
+    lines += [f"    {g['east_m']:.1f}, {g['north_m']:.1f}: {g['area_m2']:.0f} m2" for g in listed[:10]]
+    for name, planned in figures.get("planned", {}).items():
+        lines.append(f"  planned {name}: {planned:g}, flown {figures[name]['median']:g}")
+    return "\n".join(lines)
+
+
+def against_plan(figures: dict[str, Any], plan: Mapping[str, Any]) -> dict[str, Any]:
+    """Add what `photocal plan` wrote to the figures of a flown block: of the level flown nearest."""
+    height = figures["height_m"]["median"]
+    level = min(plan["levels"], key=lambda one: abs(one["height_m"] - height))
+    return figures | {"planned": {name: level[key] for name, key in _PLANNED.items() if key in level}}
+
+
+def write_flown(
+    folder: Path,
+    block: FlownBlock,
+    stations: Floats,
+    speed_m_s: Floats,
+    figures: Mapping[str, Any],
+    to_given: Callable[[Floats], Floats],
+    system: ReferenceSystem,
+    changed_utc: str,
+) -> tuple[str, ...]:
+    """Write figures, a table of the images, a map and a picture.
+
+    Raises
+    ------
+    OutputError
+        When the folder cannot be written.
+    """
+    columns = (
+        block.height_m,
+        block.gsd_m,
+        np.degrees(block.tilt_rad),
+        block.forward,
+        block.smear_px,
+        speed_m_s,
+    )
+    rows = [
+        (name, int(strip), *values)
+        for name, strip, values in zip(
+            block.names, block.strip, np.column_stack(columns).tolist(), strict=True
+        )
+    ]
+    with output_folder(folder) as aside:
+        (aside / "flown.json").write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+        with (aside / "flown.csv").open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.writer(stream, lineterminator="\n")
+            writer.writerow(_IMAGES.columns)
+            writer.writerows(
+                [name, strip, *("" if v != v else f"{v:.6g}" for v in values)]
+                for name, strip, *values in rows
+            )
+        with geopackage(aside / "flown.gpkg", system) as database:
+            places = to_given(stations)[:, :2]
+            images = zip(places[:, None], rows, strict=True)
+            add_layer(database, _RAYS, system, _cells(block, to_given), changed_utc)
+            add_layer(database, _IMAGES, system, images, changed_utc)
+            holes = [(to_given(np.array([[e, n, 0.0]]))[:, :2], n * block.ground.cell_m**2)
+                     for e, n, _ in gaps(block)]  # fmt: skip
+            add_layer(database, _GAPS, system, [(at, [area]) for at, area in holes], changed_utc)
+        _draw(block, stations, aside / "flown.svg")
+    return "flown.json", "flown.csv", "flown.gpkg", "flown.svg"
+
+
+def _cells(block: FlownBlock, to_given: Callable[[Floats], Floats]) -> list[Feature]:
+    """Squares of the map below the flight with the least number of images in each."""
+    ground, k = block.ground, _MERGED
+    rows = len(ground.places) // ground.columns // k
+    columns = ground.columns // k
+    shape = (rows * k, columns * k)
+
+    def merged(values: Any) -> Any:
+        grid = values.reshape(-1, ground.columns)[: shape[0], : shape[1]]
+        return grid.reshape(rows, k, columns, k).swapaxes(1, 2).reshape(rows, columns, k * k)
+
+    inside = merged(block.inside).all(axis=2)
+    least = merged(block.rays).min(axis=2)
+    first = ground.places[0] - [ground.cell_m / 2.0, ground.cell_m / 2.0, 0.0]
+    side = k * ground.cell_m
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 0]]) * side
+    return [
+        (to_given(first + side * np.array([column, row, 0.0]) + square)[:, :2], [int(least[row, column])])
+        for row, column in zip(*np.nonzero(inside), strict=True)
+    ]
+
+
+def _draw(block: FlownBlock, stations: Floats, path: Path) -> None:
+    """Draw how many images show each place, with the stations and the gaps."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    ground = block.ground
+    rays = np.where(block.rays > 0, block.rays, np.nan).reshape(-1, ground.columns)
+    half = ground.cell_m / 2.0
+    west, south = ground.places[0, :2] - half
+    east, north = ground.places[-1, :2] + half
+    with mpl.rc_context({"svg.hashsalt": "photocal", "svg.fonttype": "path", "font.size": 8}):
+        figure = Figure(figsize=(6.7, 6.0), layout="constrained")
+        axes = figure.add_subplot()
+        shown = axes.imshow(rays, origin="lower", extent=(west, east, south, north), cmap="viridis")
+        axes.contour(
+            block.inside.reshape(-1, ground.columns), [0.5], colors="black", linewidths=0.8,
+            extent=(west, east, south, north),
+        )  # fmt: skip
+        for strip in np.unique(block.strip):
+            mine = block.strip == strip
+            axes.plot(*stations[mine, :2].T, ".-", color="white", markersize=3, linewidth=0.6)
+        for x, y, _ in gaps(block):
+            axes.plot([x], [y], "x", color="red", markersize=8)
+        axes.set_xlabel("m")
+        axes.set_ylabel("m")
+        figure.colorbar(shown, ax=axes, shrink=0.8, label="images that show a place")
+        figure.savefig(path, format="svg", metadata={"Date": None, "Creator": None})
