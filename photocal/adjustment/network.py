@@ -29,6 +29,7 @@ class Exposures:
         about the camera's axes (the turn that takes old camera axes to new ones), and by how much the image
         departs from them; None at rest. Their product with the readout moves the image; a departure is an
         unknown of the image whose sigma is that of the motion times the camera's given readout.
+    time, temperature (n,): of the exposures, s and degrees Celsius, NaN where not known; for the analysis.
     """
 
     camera: Integers
@@ -36,6 +37,8 @@ class Exposures:
     sigma: Floats
     motion: Floats | None = None
     motion_sigma: Floats | None = None
+    time: Floats | None = None
+    temperature: Floats | None = None
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from photocal.analysis.effects import Effect, effects
 from photocal.analysis.estimates import Estimates, scaled
 from photocal.analysis.exterior_correlation import ExteriorCorrelation, exterior_correlations
 from photocal.analysis.significance import FTest, significance
+from photocal.analysis.systematic_errors.drift import Within, within_flight
 from photocal.analysis.systematic_errors.left_out import Checks, LeftOut, left_out
 from photocal.analysis.systematic_errors.refit import Fit
 from photocal.analysis.systematic_errors.search import camera_estimates
@@ -30,6 +31,7 @@ class CameraAnalysis:
     exterior: with elements of the exterior orientation, over the threshold.
     proposal: of the principal component analysis.
     left_out: adjusted anew without each parameter.
+    within: c, x0 and y0 over the flight; empty for a few images.
     """
 
     estimates: Estimates
@@ -40,6 +42,7 @@ class CameraAnalysis:
     exterior: tuple[ExteriorCorrelation, ...]
     proposal: Proposal
     left_out: tuple[LeftOut, ...]
+    within: tuple[Within, ...] = ()
 
 
 def analyse_camera(
@@ -67,6 +70,7 @@ def analyse_camera(
         exterior_correlations(fit, camera, threshold, done),
         propose_removal(judged),
         left_out(fit, camera, checks, done),
+        within_flight(fit, camera),
     )
 
 

@@ -51,6 +51,8 @@ class Images:
         Velocity (m/s) and rate (rad/s) as `adjustment.network.Exposures` has them; NaN where not known.
     time : ndarray, shape (n,)
         Of the exposure, s; NaN where it is not known.
+    temperature : ndarray, shape (n,)
+        Of the camera or the air at the exposure, degrees Celsius; NaN where it is not known.
     """
 
     names: tuple[str, ...]
@@ -60,10 +62,11 @@ class Images:
     motion: Floats = field(default_factory=lambda: np.zeros((0, 6)))
     motion_sigma: Floats = field(default_factory=lambda: np.zeros((0, 6)))
     time: Floats = field(default_factory=lambda: np.zeros(0))
+    temperature: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         """Fill what is not known of the motion."""
-        for name, shape in (("motion", (6,)), ("motion_sigma", (6,)), ("time", ())):
+        for name, shape in (("motion", (6,)), ("motion_sigma", (6,)), ("time", ()), ("temperature", ())):
             if len(getattr(self, name)) != len(self.names):
                 object.__setattr__(self, name, np.full((len(self.names), *shape), np.nan))
 

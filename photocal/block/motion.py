@@ -12,7 +12,14 @@ from photocal.block.model import Block
 from photocal.block.table import Table
 
 VELOCITY, RATE = ("vX", "vY", "vZ"), ("wx", "wy", "wz")
-MOTION_COLUMNS = (*VELOCITY, *(f"s{c}" for c in VELOCITY), *RATE, *(f"s{c}" for c in RATE), "time_s")
+MOTION_COLUMNS = (
+    *VELOCITY,
+    *(f"s{c}" for c in VELOCITY),
+    *RATE,
+    *(f"s{c}" for c in RATE),
+    "time_s",
+    "temperature_c",
+)
 # Exposures further apart than this many usual intervals are no neighbours.
 APART = 2.5
 # By how much the velocity of an image may depart from zero when nothing at all is known of it, m/s.
@@ -22,10 +29,11 @@ _TURN_DEG = 30.0
 _PAUSE = 4.0
 
 
-def read_motion(table: Table) -> tuple[Floats, Floats, Floats]:
-    """Velocity (m/s) and rate (rad/s), their sigmas, and times (s) of `images.csv`; NaN where nothing stands.
+def read_motion(table: Table) -> tuple[Floats, Floats, Floats, Floats]:
+    """Velocity (m/s) and rate (rad/s), their sigmas, times (s) and temperatures (degC) of `images.csv`.
 
-    A rate there is that of the camera about its own axes; inside it is the turn of what they see.
+    NaN where nothing stands. A rate there is that of the camera about its own axes; inside it is the turn of
+    what they see.
     """
 
     def columns(names: tuple[str, ...]) -> Floats:
@@ -34,7 +42,7 @@ def read_motion(table: Table) -> tuple[Floats, Floats, Floats]:
 
     value = np.hstack([columns(VELOCITY), -np.radians(columns(RATE))])
     sigma = np.hstack([columns(MOTION_COLUMNS[3:6]), np.radians(columns(MOTION_COLUMNS[9:12]))])
-    return value, sigma, columns(("time_s",))[:, 0]
+    return value, sigma, *columns(("time_s", "temperature_c")).T
 
 
 def motion_of(

@@ -64,7 +64,13 @@ def assemble(block: Block) -> NetworkOfBlock:
     position[used] = np.arange(len(used))
     order = np.argsort(position[block.observations.point], kind="stable")
     frame = block_frame(block)
-    exposures = Exposures(block.images.camera, _local_exposures(block, frame), block.images.sigma)
+    exposures = Exposures(
+        block.images.camera,
+        _local_exposures(block, frame),
+        block.images.sigma,
+        time=block.images.time,
+        temperature=block.images.temperature,
+    )
     plane, sigma = observed_plane(block)
     rays = Rays(
         block.observations.image[order], position[block.observations.point[order]], plane[order], sigma[order]

@@ -30,10 +30,7 @@ _BORDER = np.array([[0, 0], [1, 0], [2, 0], [2, 1], [2, 2], [1, 2], [0, 2], [0, 
 class Ground:
     """The ground as square cells in rows from the south, each from the west.
 
-    Attributes
-    ----------
-    places : ndarray, shape (rows * columns, 3)
-        Middles of the cells, local coordinates, m.
+    places (rows * columns, 3): middles of the cells, local coordinates, m.
     """
 
     places: Floats
@@ -45,23 +42,12 @@ class Ground:
 class FlownBlock:
     """What was flown; everything with one entry for each image is in the order of the images.
 
-    Attributes
-    ----------
-    strip : ndarray of int
-    height_m, gsd_m : ndarray
-        Above the ground below the image, and what a pixel is there, m.
-    tilt_rad : ndarray
-        Of the optical axis against the vertical.
-    forward : ndarray
-        Share of the image that the next one of its strip shows, too; NaN for the last one.
-    side : dict of (int, int) to float
-        For neighbouring strips: share of an image of the first that the second shows, median.
-    smear_px : ndarray
-        By the flight during the exposure; NaN where speed or exposure time are not known.
-    rays : ndarray of int, one for each cell
-        Images that show it.
-    inside : ndarray of bool, one for each cell
-        Whether it lies below the flight: within the hull of the stations.
+    height_m, gsd_m: above the ground below the image, and what a pixel is there, m.
+    tilt_rad: of the optical axis against the vertical.
+    forward: share of the image that the next one of its strip shows, too; NaN for the last one.
+    side: for neighbouring strips: share of an image of the first that the second shows, median.
+    smear_px: by the flight during the exposure; NaN where speed or exposure time are not known.
+    rays, inside (cells,): how many images show a cell, and whether it lies within the hull of the stations.
     """
 
     names: tuple[str, ...]
@@ -86,14 +72,9 @@ def flown_block(
 ) -> FlownBlock:
     """Measure a flown block.
 
-    Parameters
-    ----------
-    images : OrientedImages
-        In local coordinates (Z up), in the order in which they were taken.
-    strip : ndarray of int, shape (n,)
-        From `block.motion.strips`.
-    speed_m_s, exposure_s : ndarray, shape (n,)
-        NaN where not known.
+    images: in local coordinates (Z up), in the order in which they were taken.
+    strip (n,): from `block.motion.strips`.
+    speed_m_s, exposure_s (n,): NaN where not known.
     """
     seen = cells_seen(images, ground)
     parts = _cells_of_pixels(images, ground)
@@ -171,10 +152,7 @@ def cells_seen(images: OrientedImages, ground: Ground) -> list[Integers]:
 def figures_of(block: FlownBlock, **of_images: Floats) -> dict[str, Any]:
     """Give the figures of a flown block as a JSON value; overlaps are shares, what is not known is None.
 
-    Parameters
-    ----------
-    of_images : ndarray, shape (n,)
-        Further figures of the images by their names, such as exposure_ms and iso.
+    of_images (n,): further figures of the images by their names, such as exposure_ms and iso.
     """
 
     def spread(values: Floats) -> dict[str, float] | None:

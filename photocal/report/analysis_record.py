@@ -88,6 +88,7 @@ def _camera(one: CameraAnalysis, say: Catalogue) -> dict[str, Any]:
             "remarks": [finding_record(remark, say) for remark in proposal.findings],
         },
         "left_out": [as_plain(asdict(outcome)) for outcome in one.left_out],
+        "within_flight": [as_plain(asdict(parameter)) for parameter in one.within],
     }
 
 

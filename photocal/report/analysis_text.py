@@ -47,7 +47,9 @@ def _camera(k: int, one: CameraAnalysis, outcome: Outcome, say: Catalogue) -> li
         lines.append(f"  {pair} {where}: {say(f'cause.{p.cause}')}")
     lines.append(say("console.components", camera=name))
     lines += [f"  {finding_text(remark, say, plain)}" for remark in one.proposal.findings]
-    return lines + _left_out(k, one, outcome, say) + _jackknife(k, outcome, say)
+    return (
+        lines + _left_out(k, one, outcome, say) + _within(k, one, outcome, say) + _jackknife(k, outcome, say)
+    )
 
 
 def _number(value: float, say: Catalogue) -> Number:
@@ -86,6 +88,24 @@ def _left_out(k: int, one: CameraAnalysis, outcome: Outcome, say: Catalogue) -> 
             x, y, z = (_number(1000.0 * float(v), say) for v in left.check_rmse_m)
             said += say("console.checks", x=x, y=y, z=z)
         lines.append(f"  {left.parameter:<3} {said}")
+    return lines
+
+
+def _within(k: int, one: CameraAnalysis, outcome: Outcome, say: Catalogue) -> list[str]:
+    """c, x0 and y0 in the thirds of the flight, against the first one."""
+    camera = outcome.search.first.network.cameras[k]
+    lines = [say("console.within", camera=camera.id, unit=camera.unit)] if one.within else []
+    for parameter in one.within:
+        thirds = "; ".join(
+            f"{_number(amount, say):+.3g} ± {_number(sigma, say):.2g}"
+            for amount, sigma in parameter.parts[1:]
+        )
+        courses = "; ".join(
+            say(f"course.{key}") + f" {_number(amount, say):+.3g} ± {_number(sigma, say):.2g}"
+            for key, (amount, sigma, _) in parameter.drifts.items()
+        )
+        p = f"p = {_number(parameter.p_value, say):.2g}"
+        lines.append(f"  {parameter.parameter:<3} {thirds} ({p}); {courses}")
     return lines
 
 

@@ -22,7 +22,7 @@ CONTRADICTED = 4.0
 # With two thirds of the positions fixed, it is they that carry what is found.
 _JUDGED_FROM_PERCENT = 200.0 / 3.0
 # What else looks like what the search for systematic errors blames: told instead of it.
-_EXCUSES = ("rolling-shutter", "ppk-not-fixed")
+_EXCUSES = ("rolling-shutter", "c-drift", "ppk-not-fixed")
 _ORDER = ("refused", "grave", "doubtful", "consequence", "note")
 _NOT_CHECKED = Finding("not-checked", "doubtful", stage="certificate")
 

@@ -46,6 +46,7 @@ def of_round(one: Round) -> Finding:
         "unit": camera.unit,
         "ground_m": ground,
         "alike": parameter.alike,
+        "share": parameter.amount / float(one.before.solution.cameras[at, 0]),
     }
     clauses = []
     if parameter.candidate.kind == "y-scale":
@@ -89,6 +90,8 @@ def _figure(parameter: ExtraParameter, camera: Camera) -> tuple[float, str]:
     kind = parameter.candidate.kind
     if kind == "y-scale":
         return 1.0 + parameter.amount, "1"
+    if kind in ("c-drift", "c-step"):
+        return parameter.amount, camera.unit
     units = {"rolling-shutter": "exposure intervals", "shear": "1"}
     return parameter.amount, units.get(kind, f"powers of {camera.unit}")
 

@@ -9,20 +9,23 @@ import numpy as np
 from drivers.arrays import Floats
 from photocal.adjustment.network import Network
 from photocal.adjustment.state import State
+from photocal.analysis.systematic_errors.drift import FEWEST_IMAGES, PARTS, change_of, course, order_of
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.distortion import undistorted
 
 # Exposures are a flight when this share of the steps from one to the next has the usual length, this nearly.
 REGULAR_SHARE = 0.6
 REGULAR_SPACING = 0.3
+# A drift of c is held against steps at so many places.
+STEPS = 7
 
 
 @dataclass(frozen=True)
 class Candidate:
     """A systematic error with one unknown amount.
 
-    kind: "y-scale", "shear", "radial", "decentring" or "rolling-shutter".
-    parameter: the term of the camera model that is missing; empty where there is none.
+    kind: "y-scale", "shear", "radial", "decentring", "rolling-shutter", "c-drift" or "c-step".
+    parameter: the term of the camera model that is missing, or the first image after a step; else empty.
     camera: the camera concerned.
     displacement (n, 2): what must be added to the measured image plane coordinates for an amount of 1; zero
         for rays of other cameras. It is a function of the computed coordinates: of the measured ones, a field
@@ -56,6 +59,30 @@ def candidates(network: Network, state: State, computed: Floats) -> tuple[Candid
         motion = None if camera.rolling else _rolling_shutter(network, state, computed, k)
         if motion is not None:
             found.append(Candidate("rolling-shutter", "", k, motion * mine))
+        found += _change_of_c(network, state, computed, k)[:1]
+    return tuple(found)
+
+
+def steps_of_c(network: Network, state: State, computed: Floats, camera: int) -> tuple[Candidate, ...]:
+    """List steps of c at some places of the flight: what a drift must explain better than."""
+    return _change_of_c(network, state, computed, camera)[1:]
+
+
+def _change_of_c(network: Network, state: State, computed: Floats, camera: int) -> tuple[Candidate, ...]:
+    """Give c as a drift from the first image to the last, then as steps; nothing for a few images."""
+    exposures, image = network.exposures, network.rays.image
+    order = order_of(exposures.time, np.flatnonzero(exposures.camera == camera))
+    if len(order) < PARTS * FEWEST_IMAGES:
+        return ()
+    mine = exposures.camera[image] == camera
+    change = change_of(state.cameras[camera], computed, "c") * mine[:, None]
+    at = course(order, len(network.image_names))
+    steps = np.unique(np.linspace(0, len(order), STEPS + 2).round().astype(int)[1:-1]).tolist()
+    found = [Candidate("c-drift", "", camera, -at[image][:, None] * change)]
+    for first in steps:
+        side = np.where(at < at[order[first]], -0.5, 0.5)
+        name = network.image_names[order[first]]
+        found.append(Candidate("c-step", name, camera, -side[image][:, None] * change))
     return tuple(found)
 
 

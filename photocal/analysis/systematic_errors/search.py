@@ -10,7 +10,7 @@ import numpy as np
 from drivers.arrays import Floats
 from photocal.adjustment.groups import GroupTest, group_tests
 from photocal.analysis.estimates import Estimates
-from photocal.analysis.systematic_errors.candidates import Candidate, candidates
+from photocal.analysis.systematic_errors.candidates import Candidate, candidates, steps_of_c
 from photocal.analysis.systematic_errors.extra_parameter import ExtraParameter, estimated_amount, judged
 from photocal.analysis.systematic_errors.image_shift import ImageShift, image_shifts
 from photocal.analysis.systematic_errors.jackknife import Jackknife, jackknife
@@ -147,6 +147,10 @@ def _worst(last: Fit, found: tuple[Candidate, ...], done: Callable[[], None]) ->
     if not significant:
         return None
     worst = max(significant, key=lambda one: one.statistic)
+    if worst.candidate.kind == "c-drift":
+        steps = steps_of_c(last.network, last.state, last.computed, worst.candidate.camera)
+        tried = (estimated_amount(last, one) for one in steps)
+        worst = max((worst, *(one for one in tried if one)), key=lambda one: one.statistic)
     alike = tuple(
         one.candidate.name
         for one in significant

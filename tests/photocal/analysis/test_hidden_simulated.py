@@ -11,13 +11,15 @@ from scipy import stats
 from drivers.arrays import Floats
 from photocal.adjustment.network import Relations
 from photocal.analysis.systematic_errors.candidates import candidates
+from photocal.analysis.systematic_errors.drift import within_flight
 from photocal.analysis.systematic_errors.extra_parameter import estimated_amount
 from photocal.analysis.systematic_errors.findings import findings
 from photocal.analysis.systematic_errors.image_shift import joint_shift
 from photocal.analysis.systematic_errors.jackknife import jackknife
-from photocal.analysis.systematic_errors.refit import fit, with_sigmas, without_images
+from photocal.analysis.systematic_errors.refit import fit, with_measurements, with_sigmas, without_images
 from photocal.analysis.systematic_errors.search import search
 from photocal.findings.finding import Finding
+from tests.photocal.analysis import aerial
 from tests.photocal.analysis.findings import said, sized
 from tests.photocal.analysis.simulated import (
     CONTROL_M,
@@ -221,3 +223,29 @@ def test_an_image_gets_its_own_geometry_as_the_adjustment_would_give_it() -> Non
     assert np.log(found.p_value / 8) == pytest.approx(np.log(p_value), rel=0.1)
     # 0.3 px of noise: what nothing else takes up is less than what was moved.
     assert 0.0 < found.effect_px < 2.0
+
+
+@pytest.mark.parametrize(("shape", "code"), [("drift", "c-drift"), ("step", "c-step"), ("late", "c-drift")])
+def test_a_principal_distance_that_changes_within_the_flight_is_named(shape: str, code: str) -> None:
+    """c grows by 0.3 % through a flight, in its middle, or with a time that is not the order of the names."""
+    flown = aerial.fly(aerial.Flight(24, 4000, sigma_px=0.6), 5).network
+    images = len(flown.image_names)
+    at = np.linspace(-0.5, 0.5, images)
+    time: Floats | None = None
+    if shape == "late":
+        time = np.asarray(np.random.default_rng(2).permutation(images) * 2.0)
+        at = time / time.max() - 0.5
+    change = 0.003 * (np.sign(at) / 2 if shape == "step" else at)
+    network = with_measurements(flown, flown.rays.plane * (1.0 + change[flown.rays.image, None]))
+    network = replace(network, exposures=replace(network.exposures, time=time))
+    fitted = fit(network)
+    first = findings(search(fitted))[0]
+    assert first.code == code
+    assert abs(sized(first).figure - 0.003 * aerial.LENS["c"]) < 4 * (sized(first).sigma or 0.0)
+    c = within_flight(fitted, 0)[0]
+    assert c.p_value < 1e-4
+    amount, sigma = c.parts[2]
+    expected = 0.003 * aerial.LENS["c"] * (1.0 if shape == "step" else 2.0 / 3.0)
+    assert abs(amount - expected) < 4 * sigma
+    if time is not None:
+        assert c.drifts["time"][0] == pytest.approx(c.drifts["order"][0], rel=1e-6)
