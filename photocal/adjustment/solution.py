@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from scipy import special
@@ -26,13 +27,16 @@ class Group:
     redundancy: float
 
 
+Sided = Literal["two-sided", "one-sided", "none"]
+
+
 @dataclass(frozen=True)
 class GlobalTest:
-    """Two-sided chi-square test of the a posteriori against the a priori unit variance.
+    """Chi-square test of the a posteriori against the a priori unit variance; one-sided from 0.
 
     probability: confidence of the interval.
     lower, upper: interval of v'Pv when the model and the weights are right.
-    p_value: two-sided.
+    p_value: of so large, or so different, a v'Pv.
     """
 
     probability: float
@@ -114,27 +118,22 @@ class Solution:
         return np.asarray(self.residuals / scale)
 
 
-def global_test(chi_squared: float, degrees_of_freedom: int, probability: float = 0.95) -> GlobalTest | None:
-    """Test whether v'Pv is as large as the weights claim.
+def global_test(
+    chi_squared: float, degrees_of_freedom: float, probability: float = 0.95, sided: Sided = "two-sided"
+) -> GlobalTest | None:
+    """Test whether v'Pv is as large as the weights claim; one-sided, whether it is larger.
 
-    Returns
-    -------
-    GlobalTest or None
-        None without redundancy.
+    None without redundancy, or when the standard deviations are assumed ("none"). One-sided at 90 % is the
+    test of the canon-elph study, Table 5.
     """
-    if degrees_of_freedom <= 0:
+    if degrees_of_freedom <= 0 or sided == "none":
         return None
     # chdtr and chdtrc are the chi-squared distribution and its complement, chdtri inverts the latter.
-    lower, upper = special.chdtri(degrees_of_freedom, [(1 + probability) / 2, (1 - probability) / 2])
-    p_value = 2 * min(
-        special.chdtr(degrees_of_freedom, chi_squared), special.chdtrc(degrees_of_freedom, chi_squared)
-    )
-    accepted = bool(lower <= chi_squared <= upper)
-    return GlobalTest(probability, float(lower), float(upper), min(float(p_value), 1.0), accepted)
-
-
-def upper_global_test(chi_squared: float, degrees_of_freedom: float, probability: float = 0.90) -> GlobalTest:
-    """Test whether the residuals are larger than assumed (one-sided; canon-elph study, Table 5, at 90 %)."""
-    upper = float(special.chdtri(degrees_of_freedom, 1.0 - probability))
+    tails = (1 - probability) / (2 if sided == "two-sided" else 1)
+    upper = float(special.chdtri(degrees_of_freedom, tails))
     p_value = float(special.chdtrc(degrees_of_freedom, chi_squared))
-    return GlobalTest(probability, 0.0, upper, p_value, chi_squared <= upper)
+    lower = 0.0
+    if sided == "two-sided":
+        lower = float(special.chdtri(degrees_of_freedom, 1 - tails))
+        p_value = min(2 * min(float(special.chdtr(degrees_of_freedom, chi_squared)), p_value), 1.0)
+    return GlobalTest(probability, lower, upper, p_value, lower <= chi_squared <= upper)

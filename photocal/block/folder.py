@@ -11,10 +11,19 @@ from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.adjustment.network import NO_RELATIONS, RELATIONS, Relations, covariance_matrices
 from photocal.block.camera_setup import make_camera
-from photocal.block.model import ROLES, Block, FiducialFit, Images, InputFile, ObjectPoints, Observations
+from photocal.block.model import (
+    ROLES,
+    Block,
+    FiducialFit,
+    Images,
+    InputFile,
+    ObjectPoints,
+    Observations,
+    Repetition,
+)
 from photocal.block.motion import MOTION_COLUMNS, read_motion
 from photocal.block.mounting import make_mounting, read_attitudes, read_positions
-from photocal.block.readings import MARKS, READINGS, from_readings
+from photocal.block.readings import MARKS, READINGS, from_readings, mean_of_readings
 from photocal.block.setup import ObservationKeys, read_setup
 from photocal.block.table import Table, known_rows, read_table, refuse, refuse_unknown
 from photocal.geometry.camera import Camera
@@ -53,7 +62,7 @@ def read_block(folder: Path) -> Block:
     images = read_images(folder / "images.csv", cameras)
     points = read_points(folder / "points.csv")
     table = _observations_path(folder)
-    observations = read_observations(table, setup.observations, images.names, points.names)
+    observations, repetition = read_observations(table, setup.observations, images.names, points.names)
     fits: tuple[FiducialFit, ...] = ()
     readings = setup.observations.readings
     if readings is not None:
@@ -83,6 +92,8 @@ def read_block(folder: Path) -> Block:
         attitudes,
         make_mounting(setup.mounting, strips),
         fits,
+        repetition,
+        (setup.block.level, setup.block.global_test),
     )
 
 
@@ -163,7 +174,7 @@ def _cross(table: Table, sigma: Floats) -> Floats:
 
 def read_observations(
     path: Path, keys: ObservationKeys, images: tuple[str, ...], points: tuple[str, ...]
-) -> Observations:
+) -> tuple[Observations, Repetition | None]:
     """Read `observations.csv`; errors as for `read_block`."""
     table = read_table(path, OBSERVATION_COLUMNS, ("sx", "sy"))
     image = known_rows(table, "image", images, "images.csv")
@@ -171,8 +182,10 @@ def read_observations(
     pair = image * len(points) + point
     _, first = np.unique(pair, return_index=True)
     again = np.ones(len(pair), dtype=np.bool_)
-    again[first] = False
-    refuse(table, again, "the point was already observed in this image", "keep one of the observations")
+    again[first] = keys.rejection_limit is not None
+    if keys.rejection_limit is None:
+        remedy = "keep one of the observations; for repeated readings give rejection_limit in [observations]"
+        refuse(table, again, "the point was already observed in this image", remedy)
     common = keys.sigma if isinstance(keys.sigma, tuple) else (keys.sigma, keys.sigma)
     sigma = np.column_stack(
         [table.numbers(c, empty=s or np.nan) for c, s in zip(("sx", "sy"), common, strict=True)]
@@ -190,7 +203,10 @@ def read_observations(
         "give a positive number",
     )
     values = np.column_stack([table.numbers("x"), table.numbers("y")])
-    return Observations(keys.unit, keys.axes, image, point, values, sigma)
+    observations = Observations(keys.unit, keys.axes, image, point, values, sigma)
+    if keys.rejection_limit is None:
+        return observations, None
+    return mean_of_readings(observations, keys.rejection_limit, path, images, points)
 
 
 def _present(folder: Path) -> list[str]:
@@ -200,21 +216,22 @@ def _present(folder: Path) -> list[str]:
     ]
 
 
+def read_relations(path: Path, kind: str, points: tuple[str, ...], known: str = "points.csv") -> Relations:
+    """Read a table of observations between points; errors as for `read_block`."""
+    table = read_table(path, ("from", "to", "value", "sigma"))
+    first, second = (known_rows(table, end, points, known) for end in ("from", "to"))
+    value, sigma = table.numbers("value"), table.numbers("sigma")
+    refuse(table, first == second, "both ends are the same point", "name two points")
+    refuse(table, sigma <= 0, "sigma is not positive", "give a standard deviation")
+    refuse(table, (value <= 0) & (kind == "distance"), "the distance is not positive", "correct it")
+    code = np.full(len(value), RELATIONS.index(kind))
+    scale = np.pi / 180 if kind == "azimuth" else 1.0
+    return Relations(code, first, second, value * scale, sigma * scale)
+
+
 def _read_relations(folder: Path, points: tuple[str, ...]) -> Relations:
-    parts = []
-    for name in RELATIONS:
-        path = folder / f"{name}s.csv"
-        if not path.exists():
-            continue
-        table = read_table(path, ("from", "to", "value", "sigma"))
-        first, second = (known_rows(table, end, points, "points.csv") for end in ("from", "to"))
-        value, sigma = table.numbers("value"), table.numbers("sigma")
-        refuse(table, first == second, "both ends are the same point", "name two points")
-        refuse(table, sigma <= 0, "sigma is not positive", "give a standard deviation")
-        refuse(table, (value <= 0) & (name == "distance"), "the distance is not positive", "correct it")
-        code = np.full(len(value), RELATIONS.index(name))
-        scale = np.pi / 180 if name == "azimuth" else 1.0
-        parts.append(Relations(code, first, second, value * scale, sigma * scale))
+    paths = {name: folder / f"{name}s.csv" for name in RELATIONS}
+    parts = [read_relations(path, name, points) for name, path in paths.items() if path.exists()]
     if not parts:
         return NO_RELATIONS
     columns = zip(*(vars(part).values() for part in parts), strict=True)

@@ -17,6 +17,7 @@ from photocal.adjustment.mounting import (
     Positions,
 )
 from photocal.adjustment.network import NO_RELATIONS, Relations
+from photocal.adjustment.solution import Sided
 from photocal.geometry.camera import Camera
 from photocal.geometry.oriented_images import OrientedImages
 
@@ -141,6 +142,24 @@ class FiducialFit:
     sigma0: float
 
 
+@dataclass(frozen=True)
+class Repetition:
+    """How repeated readings of one point in one image agree.
+
+    readings, rejected: all of them, and those farther from the mean of the others than the limit.
+    limit: in the unit of the observations.
+    sigma: standard deviations of a single reading in x and y, pooled; None where nothing is repeated.
+    least, most: readings that stay of a point in an image.
+    """
+
+    readings: int
+    rejected: int
+    limit: float
+    sigma: tuple[float, float] | None
+    least: int
+    most: int
+
+
 @dataclass(frozen=True, repr=False)
 class Block:
     """Everything in a block folder.
@@ -160,6 +179,8 @@ class Block:
         Observations of a GNSS antenna and an inertial unit, and how they are mounted.
     fiducial_fits : tuple of FiducialFit
         Where the observations were given as readings.
+    repetition: how repeated readings agree, where the block has them.
+    global_test: its level and its kind.
     """
 
     name: str
@@ -177,6 +198,8 @@ class Block:
     attitudes: Attitudes = NO_ATTITUDES
     mounting: Mounting = NO_MOUNTING
     fiducial_fits: tuple[FiducialFit, ...] = ()
+    repetition: Repetition | None = None
+    global_test: tuple[float, Sided] = (0.95, "two-sided")
 
     def __repr__(self) -> str:
         """Say in one line what it holds."""

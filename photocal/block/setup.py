@@ -25,6 +25,8 @@ class BlockKeys(Table):
     )
     datum: Literal["control", "free"] | list[str] = "control"
     datum_points: tuple[str, ...] = ()
+    global_test: Literal["two-sided", "one-sided", "none"] = "two-sided"
+    level: float = Field(default=0.95, gt=0.5, lt=1.0)
 
 
 class ObservationKeys(Table):
@@ -34,6 +36,7 @@ class ObservationKeys(Table):
     axes: Literal["pixel", "photo"]
     sigma: PositiveFloat | tuple[PositiveFloat, PositiveFloat] | None = None
     readings: Literal["conformal", "affine", "projective"] | None = None
+    rejection_limit: PositiveFloat | None = None
 
 
 class MountingKeys(Table):

@@ -12,7 +12,7 @@ import numpy as np
 from drivers.arrays import Floats, Integers
 from photocal.adjustment.readout import Readout
 from photocal.adjustment.solution import GlobalTest, Group
-from photocal.block.model import InputFile
+from photocal.block.model import InputFile, Repetition
 from photocal.geometry.camera import Camera
 from photocal.geometry.oriented_images import OrientedImages
 
@@ -204,6 +204,7 @@ class Figures:
     rejected: tuple[RejectedRay, ...] = ()
     unobserved: tuple[str, ...] = ()
     fiducials: tuple[dict[str, Any], ...] = ()
+    repetition: Repetition | None = None
     mean_precision_m: dict[str, Any] = field(default_factory=dict)
     ellipses: dict[str, float] | None = None
     reliability: dict[str, float] | None = None
@@ -250,7 +251,14 @@ class Result(Figures):
             verdict = "accepted" if test.accepted else "REJECTED"
             lines.append(
                 f"chi-squared {self.chi_squared:.2f}, expected {test.lower:.1f} to {test.upper:.1f} "
-                f"(95 %): {verdict}; a posteriori variance factor {self.sigma0_squared:.4f}"
+                f"({test.probability:.0%}): {verdict}; a posteriori variance factor {self.sigma0_squared:.4f}"
+            )
+        if self.repetition is not None:
+            r, unit = self.repetition, self.block.observation_unit
+            spread = "" if r.sigma is None else f"; sigma of one {r.sigma[0]:.3g}, {r.sigma[1]:.3g} {unit}"
+            lines.append(
+                f"{r.readings} readings, {r.rejected} beyond {r.limit:g} {unit} rejected, "
+                f"{r.least} to {r.most} of a point in an image stay{spread}"
             )
         for name, camera in self.cameras.items():
             lines.append(f"camera {name} ({camera.model}, {camera.unit})")

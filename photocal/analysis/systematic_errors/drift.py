@@ -20,15 +20,10 @@ FEWEST_IMAGES, LEFT = 4, 1e-6
 class Within:
     """One parameter of a camera over a flight, each estimate beside all other unknowns, to first order.
 
-    Attributes
-    ----------
-    parts : ndarray, shape (3, 2)
-        Departure of each third from the first one, and its standard deviation.
-    drifts : dict of str to tuple of float
-        Change from one end to the other, linear in "order" (of the exposures), "time" or "temperature", as
-        far as these are known: amount, standard deviation, and F.
-    statistic, p_value : float
-        F of all thirds together, and its probability in a camera that stays the same.
+    parts (3, 2): departure of each third from the first one, and its standard deviation.
+    drifts: change from one end to the other, linear in "order" (of the exposures), "time" or "temperature",
+        as far as these are known: amount, standard deviation, and F.
+    statistic, p_value: F of all thirds together, and its probability in a camera that stays the same.
     """
 
     parameter: str
