@@ -363,19 +363,26 @@ def _mavlink(
     if step < 0:
         return 0, kind, True
     seed = step ^ (remainder & 0xFF)
-    seen = _recall(memory, kind << 8 | seed, 0)
-    if not seen and _recall(memory, -1 - kind, 0):
-        return 0, kind, True
-    if not seen:
+    if not _recall(memory, kind << 8 | seed, 0):
+        if _recall(memory, -1 - kind, 0):
+            return 0, kind, True
         ends = _may_end(data, at + length, closed, starts)
         if ends <= 0:
             return (-(length + 1) if ends < 0 else 0), kind, True
     inside = _known_inside(data, at, at + length, closed, ahead, running, tables)
     if inside:
         return min(inside, 0), kind, True
+    recall_unknown(memory, kind, seed)
+    return length, kind, False
+
+
+def recall_unknown(memory: NDArray[np.int64], kind: int, seed: int) -> bool:
+    """Remember an unknown message with its seed; False where the number has shown another one twice."""
+    if not _recall(memory, kind << 8 | seed, 0) and _recall(memory, -1 - kind, 0):
+        return False
     if _recall(memory, kind << 8 | seed, 1) > 1:
         _recall(memory, -1 - kind, 1)
-    return length, kind, False
+    return True
 
 
 def _contradicts(data: Octets, at: int, kind: int, tables: Tables) -> bool:
@@ -479,7 +486,7 @@ def _stamp(data: Octets, at: int) -> int:
 
 _SEARCH = (
     _running, _ubx, _rtcm3, _sentence_ends, _nmea, _extent, _remainder, _known_mavlink, _contradicts, _stamp,
-    _may_end, _known_inside, _recall, _mavlink, _record, search_stream, search_records,
+    _may_end, _known_inside, _recall, recall_unknown, _mavlink, _record, search_stream, search_records,
 )  # fmt: skip
 
 

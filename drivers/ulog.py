@@ -5,7 +5,9 @@ Source: PX4 User Guide, "ULog File Format".
 
 from __future__ import annotations
 
+import math
 import re
+import struct
 from typing import Any
 
 import numpy as np
@@ -18,7 +20,7 @@ from drivers.records import NOTHING, WAIT, RecordFramer
 
 MAGIC = b"ULog\x01\x12\x35"
 FILE_HEAD_BYTES, HEAD_BYTES = 16, 3
-DATA, SUBSCRIBED, FORMAT, TEXT = ord("D"), ord("A"), ord("F"), ord("L")
+DATA, SUBSCRIBED, FORMAT, TEXT, PARAMETER = ord("D"), ord("A"), ord("F"), ord("L"), ord("P")
 FILE_HEAD_KIND = 0
 _SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 _TYPES = {
@@ -112,6 +114,14 @@ class UlogFormats:
         severity = np.array([record[3] - ord("0") for record in records], np.int64)
         text = np.array([record[12:].decode("utf-8", "replace") for record in records], str)
         return Records(index, {"severity": severity, "text": text})
+
+    def parameters(self, batch: Batch) -> Records:
+        """Return the parameters at the start and their changes: `name`, `value`."""
+        index = batch.where(Wire.ULOG, PARAMETER << 16)
+        found = [_parameter(batch.frame(i).data) for i in index.tolist()]
+        told = np.array([value == value for _, value in found], bool)
+        names, values = zip(*found, strict=True) if found else ((), ())
+        return Records(index, {"name": np.array(names, str), "value": np.array(values, float)}).rows(told)
 
     def boot_ns(self, batch: Batch) -> Integers:
         """Return the time of each record since the autopilot started, nanoseconds; -1 where it has none."""
@@ -234,6 +244,14 @@ def _text(data: bytes, at: int, end: int) -> int:
     if len(data) < end:
         return WAIT
     return int(not _CONTROL.search(data, at, end))
+
+
+def _parameter(record: bytes) -> tuple[str, float]:
+    """Return name and value of a parameter; not a number where it is of another type or cut."""
+    at = HEAD_BYTES + 1 + record[HEAD_BYTES]
+    kind, _, name = record[HEAD_BYTES + 1 : at].decode("latin-1").partition(" ")
+    form = {"float": "<f", "int32_t": "<i"}.get(kind)
+    return name, float(struct.unpack(form, record[at:])[0]) if form and len(record) - at == 4 else math.nan
 
 
 def _since_boot_ns(time_us: NDArray[np.uint64]) -> Integers:

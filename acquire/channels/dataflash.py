@@ -41,6 +41,7 @@ class DataflashDecoder(LogDecoder[DataflashFormats]):
         texts = part.logged("MSG")
         if "Message" in texts.records:
             yield texts.health({"text": texts.records["Message"]})
+        yield part.logged("PARM").parameters("Name", "Value")
         yield part.logged("BAT").battery("Volt", "Curr")
 
     def _positions(self, part: Part[DataflashFormats]) -> Iterator[Logged]:

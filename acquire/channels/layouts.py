@@ -65,6 +65,12 @@ HEALTH = JsonLayout(
     },
 )
 
+PARAMETER = JsonLayout(
+    "photocal.Parameter",
+    "A parameter of the autopilot.",
+    {**_SOURCE, "name": words("name"), "value": number("value, in the unit that the autopilot documents")},
+)
+
 GNSS_STATUS = JsonLayout(
     "photocal.GnssStatus",
     "Quality of a GNSS fix.",

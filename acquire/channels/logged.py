@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from acquire.channels.decoded import Decoded, JsonLayout, Times
-from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, HEALTH
+from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, HEALTH, PARAMETER
 from acquire.channels.vehicle_messages import FIX_NAMES, SEA_LEVEL
 from acquire.log import foxglove
 from acquire.log.records import Channel
@@ -101,6 +101,12 @@ class Logged:
         """Return the state of the battery from members in V and A."""
         found = self.records.number(voltage), self.records.number(current)
         return self.health(dict(zip(("voltage_v", "current_a"), found, strict=True)))
+
+    def parameters(self, name: str, value: str) -> Decoded:
+        """Return the autopilot's parameters from members with their names and values."""
+        logged = self if name in self.records else self.rows(np.zeros(len(self), bool))
+        columns = {"name": logged.records.columns.get(name, ()), "value": logged.records.number(value)}
+        return logged.json(f"/{self.link}/parameter", PARAMETER, columns)
 
     def health(self, columns: Mapping[str, Any]) -> Decoded:
         """Return texts and the state of the battery."""

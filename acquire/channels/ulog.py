@@ -43,6 +43,9 @@ class UlogDecoder(LogDecoder[UlogFormats]):
         texts = part.formats.texts(part.batch)
         logged = Logged(part.link, "logging", texts, part.utc_ns[texts.index])
         yield logged.health({"severity": texts["severity"], "text": texts["text"]})
+        parameters = part.formats.parameters(part.batch)
+        told = Logged(part.link, "parameter", parameters, part.utc_ns[parameters.index])
+        yield told.parameters("name", "value")
         yield part.logged("battery_status").battery("voltage_v", "current_a")
 
 

@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.channels.decoded import JsonLayout, Made, Times
-from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, HEALTH
+from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, HEALTH, PARAMETER
 from acquire.log import foxglove
 from acquire.log.records import Channel
 from drivers.arrays import Floats, Integers
 
 SEA_LEVEL = "above mean sea level, as the autopilot computes it"
+# MAV_PARAM_TYPE: what is before are whole numbers.
+_FIRST_REAL_TYPE = 9
 FIX_NAMES = ("none", "none", "2d", "3d", "differential", "rtk_float", "rtk_fixed", "3d", "3d")
 
 
@@ -215,6 +217,18 @@ def status_text(sent: Sent) -> Made:
     return sent.json("/health", HEALTH, {"severity": sent.fields["severity"], "text": sent.fields["text"]})
 
 
+def parameter(sent: Sent) -> Made:
+    """Make the autopilot's parameters."""
+    told = sent.fields["param_value"]
+    whole = sent.fields["param_type"] < _FIRST_REAL_TYPE
+    # ArduPilot sends whole numbers as such, PX4 their bytes, which as a real number are next to nothing.
+    with np.errstate(invalid="ignore"):
+        bytewise = whole & (told != 0) & ~(np.abs(told) >= 1)
+    value = np.where(bytewise, told.view("<i4").astype(float), told.astype(float))
+    columns = {"name": sent.fields["param_id"], "value": value}
+    return sent.json(f"/{sent.link}/parameter", PARAMETER, columns, common=False)
+
+
 MAKERS: dict[str, tuple[Callable[[Sent], Made], ...]] = {
     "GPS_RAW_INT": (gnss_fix(""), gnss_status("")),
     "GPS2_RAW": (gnss_fix("-2"), gnss_status("-2")),
@@ -228,6 +242,7 @@ MAKERS: dict[str, tuple[Callable[[Sent], Made], ...]] = {
     "SYS_STATUS": (sys_status,),
     "RADIO_STATUS": (radio_status,),
     "STATUSTEXT": (status_text,),
+    "PARAM_VALUE": (parameter,),
 }
 
 

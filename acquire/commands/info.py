@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from acquire.channels.mounting import mounting_of
 from acquire.console import answer
 
 if TYPE_CHECKING:
@@ -44,6 +45,9 @@ def _text(summary: LogSummary) -> str:
         for receiver, counts in figures["fixes"].items():
             shares = ", ".join(f"{name} {count}" for name, count in counts.items())
             lines.append(f"  {receiver}: {shares}")
+    for source, told in summary.parameters.items():
+        lines += ["", f"mounting as {len(told)} parameters of {source.split('/')[0]} tell it (body axes)"]
+        lines += mounting_of(told).lines()
     lines += ["", "topics"]
     for topic in figures["topics"]:
         kind = topic["schema"] or topic["encoding"]

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from acquire.channels.mounting import mounting_of
 from acquire.log.clock_offset import ClockOffset
 from acquire.log.reader import LogReader, Messages, link_of, read_json
 from acquire.log.records import DAMAGE_ENCODING
@@ -103,6 +104,7 @@ class LogSummary:
     fixes: dict[str, Counter[str]]
     topics: Counter[tuple[str, str, str]]
     metadata: dict[str, dict[str, str]]
+    parameters: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
         """Return the figures for programs."""
@@ -118,6 +120,10 @@ class LogSummary:
                 for (topic, encoding, schema), count in sorted(self.topics.items())
             ],
             "metadata": self.metadata,
+            "mounting": {
+                source: {"parameters": len(told), **mounting_of(told).as_json()}
+                for source, told in sorted(self.parameters.items())
+            },
         }
 
 
@@ -133,6 +139,7 @@ def summarise(path: Path, dialect: Dialect) -> LogSummary:
     links: dict[str, LinkSummary] = {}
     fixes: dict[str, Counter[str]] = {}
     topics: Counter[tuple[str, str, str]] = Counter()
+    parameters: dict[str, dict[str, float]] = {}
     for chunk in reader.chunks():
         for messages in chunk:
             channel = messages.channel
@@ -142,10 +149,14 @@ def summarise(path: Path, dialect: Dialect) -> LogSummary:
                 receiver = channel.topic.removeprefix("/gnss/").removesuffix("/status")
                 counts = fixes.setdefault(receiver, Counter())
                 counts.update(str(read_json(payload, path).get("fix")) for payload in messages.payloads)
+            elif schema == "photocal.Parameter":
+                told = [read_json(payload, path) for payload in messages.payloads]
+                values = {str(p["name"]): float(p["value"]) for p in told if p.get("value") is not None}
+                parameters.setdefault(channel.topic.removeprefix("/"), {}).update(values)
             elif channel.schema is None:
                 link = link_of(channel)
                 _add(links.setdefault(link, LinkSummary(link, dialect)), messages)
-    return LogSummary(path, reader.complete, links, fixes, topics, reader.metadata)
+    return LogSummary(path, reader.complete, links, fixes, topics, reader.metadata, parameters)
 
 
 def _add(link: LinkSummary, messages: Messages) -> None:

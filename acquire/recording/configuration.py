@@ -39,10 +39,11 @@ class Ublox(Table):
 
 
 class Vehicle(Table):
-    """What is asked of an autopilot: rates by message name, and comparison of clocks every so often."""
+    """What is asked of an autopilot: message rates, comparison of clocks, parameters of its mounting."""
 
     rates_hz: dict[str, Annotated[float, Field(gt=0, le=1000)]] = Field(default={})
     timesync_s: Annotated[float, Field(ge=0)] = 1.0
+    parameters: bool = True
 
 
 class Link(Table):

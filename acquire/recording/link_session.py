@@ -8,6 +8,7 @@ import numpy as np
 
 from acquire.channels.decoded import Decoded, Decoder
 from acquire.channels.link import LinkLog, MessageWriter, arrived_channel
+from acquire.channels.mounting import NAMES
 from acquire.channels.receiver import ReceiverDecoder
 from acquire.channels.vehicle import VehicleDecoder
 from acquire.console import printable
@@ -111,7 +112,9 @@ class LinkSession:
                     where=f"link {link.name}, vehicle.rates_hz",
                     remedy="check it",
                 ) from unknown
-        dialogue = VehicleDialogue(dialect, rates, link.vehicle.timesync_s if link.vehicle else 0.0)
+        asked = NAMES if link.vehicle and link.vehicle.parameters else ()
+        timesync_s = link.vehicle.timesync_s if link.vehicle else 0.0
+        dialogue = VehicleDialogue(dialect, rates, timesync_s, asked)
         self._corrections = VehicleCorrections(dialogue)
         self._dialogue = dialogue if link.vehicle else None
 

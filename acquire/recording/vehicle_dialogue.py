@@ -1,6 +1,8 @@
-"""The conversation with an autopilot: message rates are asked for and verified, clocks compared."""
+"""The conversation with an autopilot: rates are asked for and verified, parameters read, clocks compared."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -18,21 +20,33 @@ _GROUND_STATION = 6
 _NO_AUTOPILOT = 8
 _ACCEPTED = 0
 _PATIENCE_S, _ATTEMPTS = 1.0, 4
+# Parameters are asked for one by one: a slow radio has room for each. Those it lacks are not answered.
+_PARAMETER_EVERY_S, _PARAMETER_ROUNDS = 0.1, 2
 _RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress", "cancelled")
 
 
 class VehicleDialogue:
-    """Asks an autopilot for message rates, one after the other, and for its time; a `Dialogue`.
+    """Asks an autopilot for message rates, one after the other, for parameters and its time; a `Dialogue`.
 
     timesync_every_s: time between comparisons of the clocks; 0 for none: then those of the autopilot go
         unanswered, too.
+    parameters: names of the parameters that are read once the rates are settled.
     """
 
-    def __init__(self, dialect: Dialect, rates_hz: dict[str, float], timesync_every_s: float) -> None:
+    def __init__(
+        self,
+        dialect: Dialect,
+        rates_hz: dict[str, float],
+        timesync_every_s: float,
+        parameters: Sequence[str] = (),
+    ) -> None:
         self._dialect = dialect
         self._open = list(rates_hz.items())
         self._timesync_every_s = timesync_every_s
         self._timesync_due_s = 0.0
+        self._unread: list[str] | None = list(parameters) * _PARAMETER_ROUNDS or None
+        self._read: set[str] = set()
+        self._parameter_due_s = 0.0
         self._target: tuple[int, int] | None = None
         self._attempts = 0
         self._asked_s = 0.0
@@ -41,8 +55,8 @@ class VehicleDialogue:
 
     @property
     def finished(self) -> bool:
-        """Whether all rates were answered or given up."""
-        return not self._open
+        """Whether all rates and parameters were answered or given up."""
+        return not self._open and self._unread is None
 
     def step(self, batch: Batch | None, steady_s: float, clock_ns: int) -> Said:
         """Take what was received and return what is to be said now."""
@@ -57,6 +71,7 @@ class VehicleDialogue:
         if self._target is None:
             return Said((), tuple(notes), tuple(alarms))
         frames = [*self._answer_timesync(batch, clock_ns), *self._ask(steady_s, alarms)]
+        frames += self._read_parameters(batch, steady_s, notes)
         if self._timesync_every_s and steady_s >= self._timesync_due_s:
             self._timesync_due_s = steady_s + self._timesync_every_s
             frames.append(self.frame("TIMESYNC", {"tc1": 0, "ts1": clock_ns}))
@@ -101,6 +116,24 @@ class VehicleDialogue:
             "param2": 1e6 / rate,
         }
         return [self.frame("COMMAND_LONG", {**values})]
+
+    def _read_parameters(self, batch: Batch | None, steady_s: float, notes: list[str]) -> list[bytes]:
+        """Ask for the next parameter that was not told yet."""
+        if batch is not None:
+            told = decode(batch, self._dialect.number("PARAM_VALUE"), self._dialect)
+            self._read |= {name.decode("latin-1") for name in told.fields["param_id"].tolist()}
+        if self._open or self._unread is None or steady_s < self._parameter_due_s:
+            return []
+        self._parameter_due_s = steady_s + _PARAMETER_EVERY_S
+        self._unread = [name for name in self._unread if name not in self._read]
+        if not self._unread:
+            self._unread = None
+            notes.append(f"tells {len(self._read)} parameters: acquire info shows those of its mounting")
+            return []
+        system, component = self._target or (0, 0)
+        name = self._unread.pop(0)
+        values = {"target_system": system, "target_component": component, "param_index": -1}
+        return [self.frame("PARAM_REQUEST_READ", {**values, "param_id": name.encode()})]
 
     def _take_answers(self, batch: Batch, notes: list[str], alarms: list[str]) -> None:
         answers = self._of_target(decode(batch, self._dialect.number("COMMAND_ACK"), self._dialect))

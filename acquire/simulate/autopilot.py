@@ -5,7 +5,7 @@ It reads and writes with pymavlink, so that what we send is judged by another pr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 SET_MESSAGE_INTERVAL, DIGICAM_CONTROL = 511, 203
@@ -20,9 +20,17 @@ class Autopilot:
     """The state of the vehicle's side of a link.
 
     start_utc_us: UTC at its start, microseconds since 1970.
+    parameters: its parameters beside `PARAMETERS`.
     """
 
-    def __init__(self, start_utc_us: int, *, stubborn: bool = False, system: int = 1) -> None:
+    def __init__(
+        self,
+        start_utc_us: int,
+        *,
+        stubborn: bool = False,
+        system: int = 1,
+        parameters: Mapping[str, float] | None = None,
+    ) -> None:
         from pymavlink.dialects.v20 import ardupilotmega as tables
 
         self._tables: Any = tables
@@ -33,6 +41,7 @@ class Autopilot:
         self._heartbeat_due_s = 0.0
         self._due_s: dict[int, float] = {}
         self._shots = 0
+        self._parameters = {**PARAMETERS, **(parameters or {})}
         self._fragments: dict[int, bytes] = {}
         self.interval_s: dict[int, float] = {}
         self.corrections: list[bytes] = []
@@ -96,17 +105,17 @@ class Autopilot:
         return round(time_s * 1e9) + 1
 
     def _param_request_list(self, _message: Any, _time_s: float) -> list[Any]:
-        return [self._parameter(name) for name in PARAMETERS]
+        return [self._parameter(name) for name in self._parameters]
 
     def _param_request_read(self, message: Any, _time_s: float) -> list[Any]:
-        names = list(PARAMETERS)
+        names = list(self._parameters)
         name = message.param_id if message.param_index < 0 else names[message.param_index]
-        return [self._parameter(name)] if name in PARAMETERS else []
+        return [self._parameter(name)] if name in self._parameters else []
 
     def _parameter(self, name: str) -> Any:
-        place = list(PARAMETERS).index(name)
+        place = list(self._parameters).index(name)
         return self._tables.MAVLink_param_value_message(
-            name.encode(), PARAMETERS[name], 9, len(PARAMETERS), place
+            name.encode(), self._parameters[name], 9, len(self._parameters), place
         )
 
     def _gps_rtcm_data(self, message: Any, _time_s: float) -> list[Any]:

@@ -23,7 +23,7 @@ def on_ports(
     """Let vehicle, rover and base speak: by UDP, on a pseudo terminal, and on another one or by TCP."""
     with ExitStack() as stack:
         port = udp_port or _free_port()
-        autopilot = FlownAutopilot("vehicle", flight.lines["vehicle"], clock)
+        autopilot = FlownAutopilot("vehicle", flight.lines["vehicle"], clock, parameters=flight.parameters)
         stack.enter_context(on_udp(autopilot, HOST, port))
         rover = stack.enter_context(on_pty(FlownReceiver("rover", flight.lines["rover"], clock)))
         base = FlownReceiver("base", flight.lines["base"], clock)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -98,9 +98,16 @@ class FlownAutopilot(Autopilot):
     """
 
     def __init__(
-        self, name: str, line: Line, clock: FlightClock, *, boot_s: float = 0.0, drift: float = 0.0
+        self,
+        name: str,
+        line: Line,
+        clock: FlightClock,
+        *,
+        boot_s: float = 0.0,
+        drift: float = 0.0,
+        parameters: Mapping[str, float] | None = None,
     ) -> None:
-        super().__init__(0)
+        super().__init__(0, parameters=parameters)
         self._name, self._line, self._clock = name, line, clock
         self._boot_s, self._drift = boot_s, drift
         self._tape = _Tape(line)

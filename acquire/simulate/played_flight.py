@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import datetime as dt
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -36,12 +36,14 @@ class PlayedFlight:
     base_protocol: ``ubx`` or ``rtcm3``.
     interval_s: between the measurements of rover and base.
     rates_hz: at which the autopilot sends the messages that matter most.
+    parameters: of the autopilot: where the antenna was measured to be from the inertial unit.
     """
 
     lines: dict[str, Line]
     base_protocol: str
     interval_s: dict[str, float]
     rates_hz: dict[str, float]
+    parameters: dict[str, float] = field(default_factory=dict)
 
     @property
     def end_s(self) -> float:
@@ -60,6 +62,7 @@ def read_flight(source: Path, start_utc: dt.datetime | None = None) -> PlayedFli
         When streams and their times do not fit.
     """
     from acquire.simulate.world.configuration import read_configuration
+    from acquire.simulate.world.exposures import CAMERA_FROM_IMU_M
 
     folder = source.is_dir()
     given = read_configuration(source / "truth" / "flight.toml" if folder else source)
@@ -70,16 +73,18 @@ def read_flight(source: Path, start_utc: dt.datetime | None = None) -> PlayedFli
         "GLOBAL_POSITION_INT": given.telemetry.position_hz,
         "SYSTEM_TIME": 1.0,
     }
+    antenna = CAMERA_FROM_IMU_M + given.rig.camera_to_antenna_m
+    parameters = {f"GPS1_POS_{axis}": round(float(v), 3) for axis, v in zip("XYZ", antenna, strict=True)}
     if start_utc is not None:
         given = given.model_copy(update={"place": given.place.model_copy(update={"start_utc": start_utc})})
     elif folder:
-        return PlayedFlight(_read_lines(source), gnss.base_protocol, interval, rates)
+        return PlayedFlight(_read_lines(source), gnss.base_protocol, interval, rates, parameters)
     from acquire.simulate.world.streams import make_streams
     from acquire.simulate.world.world import make_world
 
     wires = make_streams(make_world(given)).links()
     lines = {name: Line(wire.arrival_s, wire.frames) for name, wire in wires.items()}
-    return PlayedFlight(lines, gnss.base_protocol, interval, rates)
+    return PlayedFlight(lines, gnss.base_protocol, interval, rates, parameters)
 
 
 def _read_lines(folder: Path) -> dict[str, Line]:

@@ -139,7 +139,7 @@ def _figure(key: str, value: Any, say: Catalogue, name: Callable[[str], str]) ->
         return say("join.and").join(_term(one, say) for one in texts)
     if key in PARAMETERS:
         return " ".join(name(one) for one in texts)
-    if key in ("numbers", "stated"):
+    if key in ("numbers", "stated", "difference"):
         return ", ".join(_number(one, say) for one in texts)
     more = say("join.more", count=len(texts) - _NAMED) if len(texts) > _NAMED else ""
     return ", ".join(texts[:_NAMED]) + more

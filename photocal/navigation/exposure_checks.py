@@ -18,7 +18,7 @@ from photocal.navigation.mrk import CameraEventList
 from photocal.navigation.position_check import judge_positions
 from photocal.navigation.position_comparison import PositionPairs, compare_positions
 from photocal.navigation.receiver_recording import ReceiverRecording
-from photocal.navigation.rig import Rig
+from photocal.navigation.rig import Rig, check_mounting
 from photocal.navigation.time import leap_seconds
 from photocal.navigation.trajectory import Trajectory, enu_offsets
 from photocal.navigation.vehicle import VehicleTrack
@@ -60,6 +60,7 @@ def check_exposures(evidence: Evidence) -> list[Finding]:
         _height_kind(evidence),
         _autopilot_clock(evidence),
         *_other_positions(evidence),
+        *([] if evidence.vehicle is None else check_mounting(evidence.rig, evidence.vehicle.mounting)),
         *_out_of_sight(evidence),
     ]
 

@@ -11,7 +11,7 @@ from drivers.frames import Wire
 
 EXPOSURES = "/camera/exposure"
 _RAW = {wire.encoding for wire in (Wire.UBX, Wire.RTCM3, Wire.NMEA, Wire.MAVLINK, Wire.MRK)}
-_DECODED = ("/position", "/fix", "/attitude")
+_DECODED = ("/position", "/fix", "/attitude", "/parameter")
 
 
 class FlightLog:

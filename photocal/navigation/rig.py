@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from acquire.channels.mounting import CAMERA_PLACE_SIGMA_M, MOUNT_SIGMA_DEG, Mounting
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.adjustment.mounting import NADIR
 from photocal.block.mounting import BODY_AXES
 from photocal.block.setup import MountingKeys
+from photocal.findings.finding import Finding
 
 
 def _none() -> Floats:
@@ -50,6 +54,38 @@ class Rig:
             )
 
 
+def check_mounting(rig: Rig, mounting: Mounting) -> list[Finding]:
+    """Hold lever arm and camera axes of a project against what the vehicle's parameters tell of its mounting.
+
+    The parameters count from the body's origin, the lever arm from the camera: the difference is where the
+    camera would sit on the body. No check where the vehicle tells nothing.
+    """
+    found = []
+    code, antenna = "vehicle-antenna", mounting.camera_to_antenna_m
+    if antenna is not None:
+        figures: dict[str, Any] = {"numbers": _signed(antenna), "sigma_m": CAMERA_PLACE_SIGMA_M}
+        if rig.lever_m is None:
+            found.append(Finding("vehicle-antenna-offered", "note", figures=figures))
+        else:
+            camera = np.asarray(antenna) - rig.lever_m
+            figures |= {"stated": _signed(rig.lever_m), "difference": _signed(camera)}
+            limit = 3.0 * np.hypot(CAMERA_PLACE_SIGMA_M, rig.lever_sigma_m)
+            far = bool((np.abs(camera) > limit).any())
+            turned = far and bool((np.abs(np.asarray(antenna) + rig.lever_m) < limit).all())
+            clauses = ("lever-reversed",) if turned else ()
+            found.append(Finding(code, "doubtful" if far else "passed", figures=figures, clauses=clauses))
+    if mounting.mount_deg is not None:
+        # The mount's forward axis on the body (yaw, pitch, roll), and where the project has the camera look.
+        roll, pitch, yaw = mounting.mount_deg
+        ahead = Rotation.from_euler("ZYX", (yaw, pitch, roll), degrees=True).as_matrix()[:, 0]
+        looks = -(Rotation.from_rotvec(rig.boresight).as_matrix() @ rig.axes)[2]
+        apart = float(np.degrees(np.arccos(np.clip(ahead @ looks, -1.0, 1.0))))
+        limit_deg = 3.0 * float(np.hypot(MOUNT_SIGMA_DEG, np.degrees(rig.boresight_sigma.max())))
+        figures = {"numbers": _signed(mounting.mount_deg), "apart_deg": apart, "limit_deg": limit_deg}
+        found.append(Finding("vehicle-mount", "doubtful" if apart > limit_deg else "passed", figures=figures))
+    return found
+
+
 def camera_axes(directions: tuple[str, ...]) -> Floats:
     """Return the rotation from body to camera axes of the body directions of camera x, y and z.
 
@@ -80,6 +116,10 @@ def rig_of_mounting(keys: MountingKeys, angle_sigma: Floats) -> Rig:
         keys.time_offset_s,
         float(_sigma(keys.time_offset_sigma_s, 0.05)[0]),
     )
+
+
+def _signed(values: Iterable[float]) -> tuple[str, ...]:
+    return tuple(f"{value:+.3f}" for value in values)
 
 
 def _sigma(given: float | tuple[float, ...] | Literal["free"], unknown: float) -> Floats:

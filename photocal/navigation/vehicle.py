@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from acquire.channels.mounting import Mounting
 from drivers.arrays import Flags, Floats, Integers
 from drivers.frames import Wire
 from drivers.identify import batch_of_payloads
@@ -20,7 +21,7 @@ from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.time import GpsTime, HostTime, UtcTime
 from photocal.navigation.time_sync import TimeSync
 from photocal.navigation.vehicle_clocks import VehicleClocks, vehicle_clocks
-from photocal.navigation.vehicle_topics import decoded_attitude, decoded_positions
+from photocal.navigation.vehicle_topics import decoded_attitude, decoded_positions, told_mounting
 
 _STRAY_NS = 5_000_000_000
 _MILLISECOND_NS = 1_000_000
@@ -51,6 +52,7 @@ class VehicleTrack:
     untimed: messages without a time of the autopilot, left out.
     clock: UTC of its time since boot.
     sync: its time since boot against the recording computer's clock.
+    mounting: what its parameters tell of antenna and camera mount.
     """
 
     position_time: GpsTime
@@ -66,6 +68,7 @@ class VehicleTrack:
     untimed: int = 0
     clock: AutopilotClock | None = None
     sync: TimeSync | None = None
+    mounting: Mounting = field(default_factory=lambda: Mounting(()))
 
     @property
     def attitude_time(self) -> GpsTime:
@@ -120,6 +123,7 @@ def read_vehicle(log: FlightLog, link: str | None = None, gnss: ComparedClocks |
         untimed,
         clock,
         clocks.sync,
+        told_mounting(log, link or "vehicle"),
     )
 
 
@@ -135,6 +139,7 @@ def _of_topics(log: FlightLog, link: str) -> VehicleTrack:
         unknown,
         decoded_attitude(log, link),
         _CARD_SIGMA_S,
+        mounting=told_mounting(log, link),
     )
 
 

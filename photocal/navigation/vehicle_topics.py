@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from acquire.channels.mounting import Mounting, mounting_of
+from acquire.log.reader import read_json
 from drivers.arrays import Floats, Integers
 from drivers.gnsstime import SECOND_NS
 from photocal.navigation.attitude import AttitudeTrack, rotations_of_quaternions
@@ -53,3 +55,14 @@ def decoded_attitude(log: FlightLog, link: str) -> AttitudeTrack | None:
         return None
     utc, first = np.unique(np.array(stamps, np.int64)[sound], return_index=True)
     return AttitudeTrack(UtcTime(utc).to_gps(), rotations_of_quaternions(wxyz[sound][first]), source)
+
+
+def told_mounting(log: FlightLog, link: str) -> Mounting:
+    """Return what the autopilot's parameters in `/<link>/parameter` tell of its mounting."""
+    parameters: dict[str, float] = {}
+    for messages in log.topic(f"/{link}/parameter"):
+        for payload in messages.payloads:
+            told = read_json(bytes(payload), log.paths[0])
+            if isinstance(told.get("value"), int | float):
+                parameters[str(told.get("name"))] = float(told["value"])
+    return mounting_of(parameters)

@@ -20,6 +20,8 @@ from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.maker_camera import StatedCamera, stated_camera
 from photocal.measurement.marks_files import named_after
 from photocal.measurement.start_camera import group_cameras
+from photocal.navigation.flight_log import FlightLog
+from photocal.navigation.vehicle_topics import told_mounting
 from photocal.project_tables import ASKED
 from photocal.run.folder_survey import ASSUMED_M, Found, Survey, survey
 
@@ -192,6 +194,11 @@ class _Text:
         yield "# base_position = [-22.7, -43.2, 30.0]   # latitude, longitude (deg), ellipsoidal height (m)"
         yield ""
         yield "[rig]  # body axes forward, right, down"
+        offered = told_mounting(FlightLog(seen.logs), "vehicle").camera_to_antenna_m
+        if offered is not None:
+            arm = ", ".join(f"{value:.3f}" for value in offered)
+            self.found.append(f"antenna ({arm}) m forward, right, down of the body's origin (its parameters)")
+            yield f"# [{arm}] by the vehicle's parameters if the camera sits at its origin (sigma 0.1 m)"
         yield f"camera_to_antenna_m = {_quoted(ASKED)}"
         yield "camera_to_antenna_sigma_m = [0.01, 0.01, 0.01]"
         yield "boresight_sigma_deg = [1.0, 1.0, 1.0]"

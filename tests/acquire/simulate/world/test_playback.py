@@ -95,8 +95,8 @@ def test_a_recording_over_real_ports_has_every_frame(small: Flight, tmp_path: Pa
     sent = unnumbered(flight.lines["vehicle"].frames)
     assert not sent - unnumbered(telemetry)
     extra = unnumbered(telemetry) - sent
-    # Heartbeats before the flight, acknowledged rates, comparisons of clocks.
-    assert {int.from_bytes(frame[6:9], "little") for frame in extra} <= {0, 77, 111}
+    # Heartbeats before the flight, acknowledged rates, parameters, comparisons of clocks.
+    assert {int.from_bytes(frame[6:9], "little") for frame in extra} <= {0, 22, 77, 111}
     numbers = [frame[4] for frame in telemetry if frame[5:7] == b"\x01\x01"]
     assert set(np.diff(numbers) % 256) == {1}
     assert not [a for a in result.alarms if a.kind not in ("note", "silent")], result.alarms

@@ -1,0 +1,130 @@
+"""What an autopilot's parameters say of antennas, inertial units, camera mount and board on the vehicle.
+
+Sources: ArduPilot, AP_GPS_Params.cpp (`GPS1_POS_*` since 4.6, `GPS_POS1_*` before: antenna from the body's
+origin, forward, right, down, m), AP_InertialSensor.cpp (`INS_POS*`, m), AP_Mount_Params.cpp (`MNT1_*`, deg),
+AP_AHRS.cpp (`AHRS_TRIM_*`, rad); PX4 (`SENS_GPS0_OFF*` since 1.18, `EKF2_GPS_POS_*` before, m;
+`SENS_BOARD_*_OFF`, deg). Both apply trims and board turns to the attitude that they tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+# Where the camera sits on the body no parameter tells: taken at its origin, give or take, per axis.
+CAMERA_PLACE_SIGMA_M = 0.1
+# How well a camera is screwed to the axes of the body, and a mount holds the angle it is told.
+MOUNT_SIGMA_DEG = 2.0
+_XYZ = ("X", "Y", "Z")
+
+
+def _triple(stem: str) -> tuple[str, ...]:
+    return tuple(stem + axis for axis in _XYZ)
+
+
+# What is told, its unit, and the parameters that tell it: of several ways the first that is there.
+ANTENNA = "antenna 1"
+NEUTRAL = "camera mount, neutral (roll, pitch, yaw)"
+_VALUES: dict[str, tuple[str, tuple[tuple[str, ...], ...]]] = {
+    ANTENNA: ("m", tuple(map(_triple, ("GPS1_POS_", "GPS_POS1_", "SENS_GPS0_OFF", "EKF2_GPS_POS_")))),
+    "antenna 2": ("m", tuple(map(_triple, ("GPS2_POS_", "GPS_POS2_", "SENS_GPS1_OFF")))),
+    "inertial unit 1": ("m", tuple(map(_triple, ("INS_POS1_", "EKF2_IMU_POS_")))),
+    "inertial unit 2": ("m", (_triple("INS_POS2_"),)),
+    "inertial unit 3": ("m", (_triple("INS_POS3_"),)),
+    NEUTRAL: ("deg", tuple(map(_triple, ("MNT1_NEUTRAL_", "MNT_NEUTRAL_")))),
+    "camera mount, offset (pitch, roll, yaw)": ("deg", (("MNT_OFF_PITCH", "MNT_OFF_ROLL", "MNT_OFF_YAW"),)),
+    "camera mount, type": ("", (("MNT1_TYPE",), ("MNT_TYPE",), ("MNT_MODE_IN",))),
+    "camera mount, mode at start": ("", (("MNT1_DEFLT_MODE",), ("MNT_DEFLT_MODE",))),
+    "camera, type": ("", (("CAM1_TYPE",), ("CAM_TRIGG_TYPE",), ("TRIG_MODE",))),
+    "board, turn": ("", (("AHRS_ORIENTATION",), ("SENS_BOARD_ROT",))),
+    "board, trim": ("rad", (_triple("AHRS_TRIM_"),)),
+    "board, offset": ("deg", (("SENS_BOARD_X_OFF", "SENS_BOARD_Y_OFF", "SENS_BOARD_Z_OFF"),)),
+}
+# What a recorder asks an autopilot for.
+NAMES = tuple(name for _, ways in _VALUES.values() for names in ways for name in names)
+_NEUTRAL_MODE = 1.0
+
+
+@dataclass(frozen=True)
+class MountingValue:
+    """What parameters tell of one thing: its name, their names, values and unit."""
+
+    thing: str
+    parameters: tuple[str, ...]
+    values: tuple[float, ...]
+    unit: str
+
+    def __str__(self) -> str:
+        values = ", ".join(f"{value:.6g}" for value in self.values)
+        return f"{self.thing}: {values} {self.unit}".rstrip() + f" ({', '.join(self.parameters)})"
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """What an autopilot tells of its mounting, and what follows for the camera.
+
+    values: as told.
+    camera_to_antenna_m: lever arm, body axes, m, of a camera at the body's origin, `CAMERA_PLACE_SIGMA_M` off on
+        each axis; None where no antenna is stated: three zeros are what a vehicle has that nobody measured.
+    mount_deg: roll, pitch and yaw of the camera mount against the body, `MOUNT_SIGMA_DEG` off; None where the
+        camera is fixed, or the mount is turned in flight.
+    """
+
+    values: tuple[MountingValue, ...]
+    camera_to_antenna_m: tuple[float, float, float] | None = None
+    mount_deg: tuple[float, float, float] | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the values and what is offered for `[rig]` of a project."""
+        offered: dict[str, Any] = {}
+        if self.camera_to_antenna_m is not None:
+            offered["camera_to_antenna_m"] = list(self.camera_to_antenna_m)
+            offered["camera_to_antenna_sigma_m"] = [CAMERA_PLACE_SIGMA_M] * 3
+        if self.mount_deg is not None:
+            offered["mount_deg"] = list(self.mount_deg)
+        if self.values:
+            # The attitude is that of the body already, whatever turn and trim the board has.
+            offered["boresight_sigma_deg"] = [MOUNT_SIGMA_DEG] * 3
+        told = [
+            {"thing": v.thing, "unit": v.unit, **dict(zip(v.parameters, v.values, strict=True))}
+            for v in self.values
+        ]
+        return {"values": told, "rig": offered}
+
+    def lines(self) -> list[str]:
+        """Say the same in words."""
+        lines = [f"  {value}" for value in self.values]
+        if self.camera_to_antenna_m is not None:
+            arm = ", ".join(f"{value:.6g}" for value in self.camera_to_antenna_m)
+            lines.append(
+                f"  for [rig]: camera_to_antenna_m = [{arm}], sigma {CAMERA_PLACE_SIGMA_M:g} m: "
+                "if the camera sits at the body's origin; measure where it sits"
+            )
+        elif any(value.thing == ANTENNA for value in self.values):
+            lines.append("  for [rig]: nothing; an antenna at 0, 0, 0 was not measured")
+        if self.mount_deg is not None:
+            angles = ", ".join(f"{value:.6g}" for value in self.mount_deg)
+            lines.append(
+                f"  for [rig]: camera turned by roll, pitch, yaw {angles}, sigma {MOUNT_SIGMA_DEG:g} deg"
+            )
+        return lines
+
+
+def mounting_of(parameters: Mapping[str, float]) -> Mounting:
+    """Return what parameters of an autopilot, by their names, tell of its mounting."""
+    values = []
+    for thing, (unit, ways) in _VALUES.items():
+        names = next((names for names in ways if all(name in parameters for name in names)), None)
+        if names is not None:
+            values.append(MountingValue(thing, names, tuple(parameters[name] for name in names), unit))
+    told = {value.thing: value.values for value in values}
+    x, y, z = told.get(ANTENNA, (0.0, 0.0, 0.0))
+    kind = told.get("camera mount, type", (0.0,))[0]
+    held = kind > 0 and told.get("camera mount, mode at start", (0.0,))[0] == _NEUTRAL_MODE
+    roll, pitch, yaw = told.get(NEUTRAL, (0.0, 0.0, 0.0))
+    return Mounting(
+        tuple(values),
+        (x, y, z) if x or y or z else None,
+        (roll, pitch, yaw) if held and NEUTRAL in told else None,
+    )
