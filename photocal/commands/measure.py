@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from photocal.measurement.match_images import MatchingPlan
     from photocal.measurement.measure_ties import TieBlock
     from photocal.measurement.start_camera import GivenLens
+    from photocal.results.result import Result
     from photocal.tasks.workers import Workers
 
 # A principal distance that is known no better than this is worth a warning.
@@ -59,6 +60,17 @@ def measure(
     charuco: Annotated[
         str, typer.Option(help="Marker dictionary of a ChArUco board, such as 4x4_50 or apriltag_36h11.")
     ] = "",
+    field: Annotated[
+        str,
+        typer.Option(help="Field of coded targets without coordinates: their dictionary, such as 4x4_250."),
+    ] = "",
+    distances: Annotated[
+        Path | None,
+        typer.Option(help="Tape distances in a field: CSV from, to, value, sigma (m) between corners 17.1."),
+    ] = None,
+    run: Annotated[
+        Path | None, typer.Option(help="With --field: adjust the block, too, into this folder.")
+    ] = None,
     c_px: Annotated[
         float, typer.Option(help="Principal distance, px, in place of what the pictures state.")
     ] = 0.0,
@@ -79,7 +91,9 @@ def measure(
 
     Examples: `photocal measure PROJECT.toml -o block`,
     `photocal measure --images photos --gcp gcp_list.txt --height ellipsoidal -o block`,
-    `photocal measure --images photos --board 10x7 -o block`; with --images alone, tie points.
+    `photocal measure --images photos --board 10x7 -o block`,
+    `photocal measure --images lab --field 4x4_250 --distances tape.csv -o block --run run`;
+    with --images alone, tie points.
     """
     if (project is None) == (images is None):
         raise ConfigurationError(
@@ -103,6 +117,10 @@ def measure(
             )
         record = _project(project or Path(), marks or [], crew, cache, output)
         answer(as_json, lambda: record, lambda: _project_text(record, output))
+    elif field:
+        record = _field(images, field, distances, _lens(c_px, focal_mm), output)
+        adjusted = "" if run is None else repr(_adjusted(output, run))
+        answer(as_json, lambda: record, lambda: "\n".join([_field_text(record, output), adjusted]))
     elif board:
         record = _board(images, board, square_m, charuco, output)
         answer(as_json, lambda: record, lambda: _board_text(record, output))
@@ -128,12 +146,37 @@ def _board(images: Path, board: str, square_m: float, charuco: str, output: Path
     return _written(measured.block, measured.record, output)
 
 
-def _board_text(record: dict[str, Any], output: Path) -> str:
+def _field(images: Path, field: str, distances: Path | None, lens: GivenLens, output: Path) -> dict[str, Any]:
+    from photocal.measurement.field_block import measure_field
+    from photocal.measurement.image_file import list_images
+
+    paths = list_images(images)
+    with progress("measuring the targets", len(paths)) as done:
+        measured = measure_field(paths, field, distances, images.resolve().name, lens, done)
+    return _written(measured.block, measured.record, output)
+
+
+def _adjusted(block: Path, run: Path) -> Result:
+    from photocal.results.adjusting import adjust_block
+
+    return adjust_block(block, run)
+
+
+def _field_text(record: dict[str, Any], output: Path) -> str:
     found = record["images"]
     corners = sum(image["corners"] for image in found)
-    unit = "" if record["board"]["square_m"] != 1.0 else " (lengths in squares: no --square-m was given)"
-    lines = [
-        f"{len(found)} images show the board, {corners} corners{unit}",
+    lengths = f"{record['distances']} distances" if record["distances"] else "no distance: the unit is free"
+    return "\n".join(
+        [
+            f"{record['targets']} targets in {len(found)} pictures, {corners} corners, {lengths}",
+            *_weak_and_left_out(record),
+            f"block folder: {output}",
+        ]
+    )
+
+
+def _weak_and_left_out(record: dict[str, Any]) -> list[str]:
+    return [
         f"common part of a corner's sigma: {record['common_sigma_px']:.3f} px",
         *(
             f"the views determine the principal distance to {100 * ratio:.2g} % only: take more, tilted ones"
@@ -141,6 +184,16 @@ def _board_text(record: dict[str, Any], output: Path) -> str:
             if ratio > WEAK
         ),
         *(f"left out: {entry['image']}: {entry['reason']}" for entry in record["left_out"]),
+    ]
+
+
+def _board_text(record: dict[str, Any], output: Path) -> str:
+    found = record["images"]
+    corners = sum(image["corners"] for image in found)
+    unit = "" if record["board"]["square_m"] != 1.0 else " (lengths in squares: no --square-m was given)"
+    lines = [
+        f"{len(found)} images show the board, {corners} corners{unit}",
+        *_weak_and_left_out(record),
         f"block folder: {output}; next: photocal adjust {output} -o RUN",
     ]
     return "\n".join(lines)

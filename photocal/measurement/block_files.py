@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from photocal.adjustment.network import RELATIONS
 from photocal.block.model import ROLES, Block
 from photocal.geometry.camera import PARAMETERS, Camera
 
@@ -59,6 +60,16 @@ def write_block(folder: Path, block: Block, record: dict[str, Any]) -> None:
             for image, point, value, s in zip(seen.image, seen.point, seen.values, seen.sigma, strict=True)
         ),
     )
+    relations = block.relations
+    for code, kind in enumerate(RELATIONS):
+        mine = np.flatnonzero(relations.kind == code)
+        if len(mine):
+            scale = 180 / np.pi if kind == "azimuth" else 1.0
+            ends = ((points.names[relations.first[k]], points.names[relations.second[k]]) for k in mine)
+            numbers = (relations.values[mine] * scale, relations.sigma[mine] * scale)
+            rows = zip(ends, *numbers, strict=True)
+            cells = ([*pair, _cell(v, 8), _cell(s, 8)] for pair, v, s in rows)
+            _write(folder / f"{kind}s.csv", ("from", "to", "value", "sigma"), cells)
     (folder / "measurement.json").write_text(
         json.dumps(record, indent=2, allow_nan=False) + "\n", encoding="utf-8", newline="\n"
     )
@@ -72,6 +83,7 @@ def _setup(block: Block) -> str:
         f"frame = {json.dumps(block.frame)}",
         f"height = {json.dumps(block.height)}",
         f"datum = {json.dumps(block.datum)}",
+        *([f'global_test = "{block.global_test[1]}"'] if block.global_test[1] != "two-sided" else []),
         "",
         "[observations]",
         'unit = "px"',

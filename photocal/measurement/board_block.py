@@ -63,7 +63,7 @@ def measure_board(
             remedy="count the squares, not the corners, and see that the whole board is visible",
         )
     block = _block(facts, views, board, name)
-    block, common, weakness = _with_common_sigma(block)
+    block, common, weakness = with_common_sigma(block)
     record = {
         "schema": "photocal.measurement/1",
         "kind": "board",
@@ -176,10 +176,11 @@ def plane_principal_distance(flat: Sequence[Floats], planes: Sequence[Floats]) -
     return 1 / np.sqrt(inverse_square) if inverse_square > 0 else None
 
 
-def _with_common_sigma(block: Block) -> tuple[Block, float, list[float]]:
+def with_common_sigma(block: Block) -> tuple[Block, float, list[float]]:
     """Add to the sigmas what makes the residuals as large as they claim (uniform over the images).
 
-    Also tells how well each camera's principal distance is determined: its sigma over its value.
+    Cameras and images start from its adjustment. Also tells how well each camera's principal distance is
+    determined: its sigma over its value.
     """
     seen = block.observations
     fit_variance = seen.sigma**2
