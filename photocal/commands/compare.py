@@ -20,7 +20,7 @@ def compare(
     calibrations: Annotated[
         list[Path],
         typer.Argument(
-            help="One TOML file of [[camera]] entries; or run folders, work folders or project files."
+            help="One TOML file of [[camera]] entries; or certificates, run or work folders, or projects."
         ),
     ],
     picture: Annotated[
@@ -42,12 +42,15 @@ def compare(
     (height_m, relief_m), terrains_each and seed. [[published]] gives printed figures to follow: method,
     definition, tolerance_px, values = [[first, second, px], ...].
 
-    Runs and projects give their calibrations with all sigmas and correlations, in the order of time:
-    stability of one camera over several flights.
+    Certificates, runs and projects give their calibrations with all sigmas and correlations, in the order of
+    time: stability of one camera over several flights. From three on, the variance between flights and the
+    uncertainty of a future use follow; certificates that state temperatures, c against temperature and time.
 
     Example: `photocal compare configs/studies/canon-elph.toml --picture pairs.png`, or
     `photocal compare MAY.toml JUNE.toml --exchange`
     """
+    from dataclasses import asdict
+
     import numpy as np
 
     from acquire.console import answer, progress
@@ -56,8 +59,9 @@ def compare(
     from photocal.analysis.stability.camera_file import read_camera_file
     from photocal.analysis.stability.comparison import compare as compare_pairs
     from photocal.analysis.stability.methods import methods
+    from photocal.analysis.stability.repeatability import repeatability_text
     from photocal.analysis.stability.verdict import follow
-    from photocal.run.calibrations import cameras_of, exchanged, uses_text
+    from photocal.run.calibrations import cameras_of, exchanged, repeated, uses_text
 
     flights = _flights(calibrations, exchange=exchange)
     asked = cameras_of(flights) if flights else read_camera_file(calibrations[0])
@@ -75,6 +79,7 @@ def compare(
 
         with output_file(picture) as aside:
             draw(pairs, tuple(one.id for one in asked.calibrations), asked.thresholds_px, aside, ending)
+    repeats = repeated(flights)
     uses: tuple[Use, ...] = ()
     if exchange:
         with progress("using each in each", len(flights) ** 2) as advance:
@@ -83,9 +88,16 @@ def compare(
         as_json,
         lambda: {
             **_figures(asked, len(pixels), pairs, followed),
+            "repeatability": {name: [asdict(one) for one in found] for name, found in repeats.items()},
             "exchange": [dict(vars(use)) for use in uses],
         },
-        lambda: "\n\n".join([_text(asked, pairs, followed), *([uses_text(uses)] if uses else [])]),
+        lambda: "\n\n".join(
+            [
+                _text(asked, pairs, followed),
+                *(repeatability_text(found) for found in repeats.values()),
+                *([uses_text(uses)] if uses else []),
+            ]
+        ),
     )
 
 

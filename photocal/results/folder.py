@@ -273,6 +273,12 @@ def read_json(path: Path, kind: type[Kind], schema: str, remedy: str) -> Kind:
     return checked(text, kind, path, remedy)
 
 
+def cameras_of_json(content: object, path: Path) -> dict[str, Camera]:
+    """Give the cameras of what `result_json` made; errors as of `read_result`."""
+    known = checked(json.dumps(content), dict[str, _Camera], path, AGAIN, "cameras")
+    return {name: _camera(name, own, path) for name, own in known.items()}
+
+
 def checked(text: str, kind: type[Kind], path: Path, remedy: str, within: str = "") -> Kind:
     """Turn JSON into a dataclass; what does not fit is named by its key."""
     from pydantic import TypeAdapter, ValidationError

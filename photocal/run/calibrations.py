@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,9 +12,13 @@ import numpy as np
 
 from acquire.checked_toml import parse_toml
 from drivers.errors import ConfigurationError, InputNotFoundError, PhotocalError
+from photocal.analysis.stability.repeatability import Occasion, Repeatability, repeatability
+from photocal.geometry.camera import Camera
 from photocal.project import read_project
-from photocal.results.folder import RESULT, read_result
-from photocal.results.result import Result
+from photocal.report.certificate_metadata import given_particulars
+from photocal.report.record import NAME, read_record
+from photocal.results.folder import RESULT, cameras_of_json, read_result
+from photocal.results.origin import CARRIED
 
 if TYPE_CHECKING:
     from photocal.analysis.stability.camera_file import CameraFile
@@ -25,14 +30,17 @@ _STAGE, _BLOCK = "calibration", "block"
 class Calibrated:
     """A flight whose camera was calibrated.
 
-    run: folder with its `result.json`.
+    run: folder with its `result.json` or `certificate.json`.
     block: folder of its block.
+    day, temperature_c: of the calibration, where a certificate says them.
     """
 
     name: str
     run: Path
     block: Path
-    result: Result
+    cameras: dict[str, Camera]
+    day: dt.date | None = None
+    temperature_c: float | None = None
 
 
 @dataclass(frozen=True)
@@ -55,7 +63,7 @@ class Use:
 
 def is_camera_file(path: Path) -> bool:
     """Whether a path is a file of `[[camera]]` entries, not a run folder, a work folder or a project."""
-    if path.is_dir():
+    if path.is_dir() or path.name == NAME:
         return False
     try:
         return "project" not in parse_toml(path.read_text(encoding="utf-8"))
@@ -65,7 +73,7 @@ def is_camera_file(path: Path) -> bool:
 
 
 def read_calibrated(paths: Sequence[Path]) -> tuple[Calibrated, ...]:
-    """Find the calibrations of run folders, work folders and projects.
+    """Find the calibrations of certificates, run folders, work folders and projects.
 
     Raises
     ------
@@ -76,7 +84,7 @@ def read_calibrated(paths: Sequence[Path]) -> tuple[Calibrated, ...]:
     for path in paths:
         one = _calibrated(path)
         taken = sum(one.name == other.name for other in found)
-        found.append(one if not taken else Calibrated(f"{one.name} ({path})", one.run, one.block, one.result))
+        found.append(replace(one, name=f"{one.name} ({path})") if taken else one)
     if len(found) < 2:
         raise InputNotFoundError(
             "one calibration has nothing to be compared with", remedy="name two or more runs or projects"
@@ -86,6 +94,8 @@ def read_calibrated(paths: Sequence[Path]) -> tuple[Calibrated, ...]:
 
 def _calibrated(path: Path) -> Calibrated:
     name = path.resolve().name
+    if path.name == NAME or (path / NAME).is_file():
+        return _certified(path)
     if path.is_file():
         project = read_project(path)
         name, path = project.name, project.output
@@ -96,7 +106,21 @@ def _calibrated(path: Path) -> Calibrated:
         )
     result = read_result(run)
     source = result.block.source
-    return Calibrated(name, run, run / source if source else path / _BLOCK, result)
+    return Calibrated(name, run, run / source if source else path / _BLOCK, result.cameras)
+
+
+def _certified(path: Path) -> Calibrated:
+    """A calibration as its certificate has it: on the day of measurement, or else of the issue."""
+    content, folder = read_record(path)
+    given = given_particulars(content["particulars"], content["date"])
+    return Calibrated(
+        f"{content['number']}",
+        folder,
+        folder / CARRIED,
+        cameras_of_json(content["result"]["cameras"], folder / NAME),
+        given.laboratory.measured or given.date,
+        given.conditions.temperature_c,
+    )
 
 
 def cameras_of(flights: Sequence[Calibrated]) -> CameraFile:
@@ -111,12 +135,24 @@ def cameras_of(flights: Sequence[Calibrated]) -> CameraFile:
 
     return of_cameras(
         [
-            replace(camera, id=f"{flight.name} {name}" if len(flight.result.cameras) > 1 else flight.name)
+            replace(camera, id=f"{flight.name} {name}" if len(flight.cameras) > 1 else flight.name)
             for flight in flights
-            for name, camera in flight.result.cameras.items()
+            for name, camera in flight.cameras.items()
         ],
         flights[0].run / RESULT,
     )
+
+
+def repeated(flights: Sequence[Calibrated]) -> dict[str, tuple[Repeatability, ...]]:
+    """Judge how each camera repeats from flight to flight: those of one name are one."""
+    alone = all(len(flight.cameras) == 1 for flight in flights)
+    occasions: dict[str, list[Occasion]] = {}
+    for flight in flights:
+        for name, camera in flight.cameras.items():
+            one = Occasion(flight.name, camera, flight.day, flight.temperature_c)
+            occasions.setdefault("camera" if alone else name, []).append(one)
+    judged = {name: repeatability(own) for name, own in occasions.items()}
+    return {name: found for name, found in judged.items() if found}
 
 
 def exchanged(flights: Sequence[Calibrated], done: Callable[[], None] = lambda: None) -> tuple[Use, ...]:

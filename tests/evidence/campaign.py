@@ -50,7 +50,7 @@ def calibrated(projects: list[Path]) -> list[str]:
     """Table of c, x0, y0 with their standard deviations."""
     lines = ["| flight | c, mm | x0, mm | y0, mm |", "|---|---|---|---|"]
     for flight in read_calibrated(projects):
-        (camera,) = flight.result.cameras.values()
+        (camera,) = flight.cameras.values()
         cells = [f"{camera.value(name):.4f} ± {camera.sigma_of(name):.4f}" for name in ("c", "x0", "y0")]
         lines.append(f"| {flight.name} | {' | '.join(cells)} |")
     truth = json.loads((projects[0].parents[1] / "truth" / "truth.json").read_text(encoding="utf-8"))

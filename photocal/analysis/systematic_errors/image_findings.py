@@ -100,7 +100,7 @@ def of_maps(search: Search) -> list[Finding]:
     """Describe patterns of the residuals on the sensor."""
     listed = []
     for camera, cells in zip(search.last.network.cameras, search.maps, strict=True):
-        if cells is None or (cells.global_p_value >= LEVEL / 2 and not cells.significant.any()):
+        if cells is None or (cells.global_p_value >= LEVEL and not cells.significant.any()):
             continue
         length = np.linalg.norm(cells.mean_px, axis=-1)
         length[cells.count == 0] = 0.0

@@ -48,7 +48,8 @@ def residual_map(
     """Test residuals for a pattern that is fixed to the sensor.
 
     The standardised residuals of a cell are taken as independent. The adjustment makes their sums smaller
-    than that, so the test alarms less often than its level says, never more often.
+    than that, so the test alarms less often than its level says: of 140 clean flights its two
+    parts stayed below 5 % in 5, where 14 are expected, and below 1 % in none.
 
     pixel (n, 2): measured column and row, px.
     residual_px (n, 2): residuals in the same axes, px.

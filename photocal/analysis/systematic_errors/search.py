@@ -209,4 +209,4 @@ def _map(last: Fit, camera: int, factor: float) -> ResidualMap | None:
     pixel: Floats = plane_to_pixel(own.size_px, own.pitch, last.network.rays.plane[mine])
     residual = last.solution.residuals[mine] / np.array(own.pitch) * down
     w = last.solution.standardised(last.network.rays.sigma)[mine] * down
-    return residual_map(own.size_px, pixel, residual, w, factor, LEVEL / 2)
+    return residual_map(own.size_px, pixel, residual, w, factor, LEVEL)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import json
 from pathlib import Path
 
@@ -11,8 +12,10 @@ from typer.testing import CliRunner
 
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.cli import app
+from photocal.report.issue import issue
 from photocal.results.adjusting import adjust_block
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
+from tests.photocal.report.runs import invented
 
 RIG = Errors(lever_arm_m=(0.1, -0.05, -0.2), boresight_deg=(0.4, -0.3, 0.5), time_offset_s=0.008)
 PLAN = Plan(
@@ -67,3 +70,25 @@ def test_what_cannot_be_compared(runs: list[Path], tmp_path: Path) -> None:
     (tmp_path / "cameras.toml").write_text("[[camera]]\n", encoding="utf-8")
     mixed = CliRunner().invoke(app, ["compare", str(tmp_path / "cameras.toml"), str(runs[0])])
     assert isinstance(mixed.exception, ConfigurationError)
+
+
+def test_three_certificates_tell_how_their_camera_repeats(tmp_path: Path) -> None:
+    folders = []
+    for k, (warm, day) in enumerate(((8, "2026-01-10"), (20, "2026-04-10"), (31, "2026-07-10"))):
+        run = invented(tmp_path / f"run{k}")
+        record = json.loads((run / "result.json").read_text(encoding="utf-8"))
+        own = next(iter(record["cameras"].values()))["parameters"]["c"]
+        own["value"] += 40.0 * own["sigma"] * k
+        (run / "result.json").write_text(json.dumps(record), encoding="utf-8")
+        given = tmp_path / f"given{k}.toml"
+        given.write_text(f"[laboratory]\nmeasured = {day}\n[conditions]\ntemperature_c = {warm}\n")
+        issue(run, tmp_path / f"certificate{k}", day=dt.date(2026, 8, 1), particulars=given)
+        folders.append(str(tmp_path / f"certificate{k}"))
+    answer = json.loads(CliRunner().invoke(app, ["compare", *folders, "--json"]).stdout)
+    (found,) = answer["repeatability"].values()
+    c = next(one for one in found if one["parameter"] == "c")
+    assert c["between"] == pytest.approx(np.std([0.0, 40.0, 80.0], ddof=1) * own["sigma"], rel=0.01)
+    assert {trend["against"] for trend in c["trends"]} == {"temperature", "time"}
+    text = CliRunner().invoke(app, ["compare", *folders]).stdout
+    assert "for one more flight" in text
+    assert "with temperature" in text

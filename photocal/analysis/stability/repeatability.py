@@ -1,0 +1,171 @@
+"""How one camera repeats from flight to flight: variance between flights, trends, a future use."""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.arrays import Floats
+from photocal.geometry.camera import Camera
+
+# What a user of the camera feels; distortion is compared over the format.
+PARAMETERS = ("c", "x0", "y0")
+PROBABILITY = 0.95
+
+
+@dataclass(frozen=True)
+class Occasion:
+    """One calibration of the camera, with what is known of when and how warm it was."""
+
+    name: str
+    camera: Camera
+    day: dt.date | None = None
+    temperature_c: float | None = None
+
+
+@dataclass(frozen=True)
+class Trend:
+    """Change of a parameter with temperature (per degree) or time (per 100 days); p of there being none.
+
+    left: standard deviation between flights that remains with it.
+    """
+
+    against: str
+    slope: float
+    sigma: float
+    p_value: float
+    left: float
+
+
+@dataclass(frozen=True)
+class Repeatability:
+    """What several calibrations say of one parameter, in the unit of the camera.
+
+    mean, sigma: of all flights, and its standard deviation.
+    between: standard deviation between flights, beyond what the calibrations themselves are uncertain by.
+    p_value: of a scatter as large without any (Cochran 1954).
+    future, factor: standard uncertainty of the mean for one more flight, and Student's factor for 95 %.
+    """
+
+    parameter: str
+    unit: str
+    flights: int
+    mean: float
+    sigma: float
+    between: float
+    p_value: float
+    future: float
+    factor: float
+    trends: tuple[Trend, ...]
+
+
+def repeatability(occasions: Sequence[Occasion]) -> tuple[Repeatability, ...]:
+    """Judge every parameter that all calibrations estimated; nothing for fewer than three of one unit.
+
+    Notes
+    -----
+    x_i = mean + b_i + e_i with known variances of e_i; that of b_i after Paule and Mandel (1982).
+    """
+    if len(occasions) < 3 or len({one.camera.unit for one in occasions}) > 1:
+        return ()
+    shared = [name for name in PARAMETERS if all(one.camera.sigma_of(name) > 0.0 for one in occasions)]
+    return tuple(_of_parameter(name, occasions) for name in shared)
+
+
+def _of_parameter(name: str, occasions: Sequence[Occasion]) -> Repeatability:
+    from scipy import stats
+
+    x = np.array([one.camera.value(name) for one in occasions])
+    variance = np.array([one.camera.sigma_of(name) for one in occasions]) ** 2
+    n, ones = len(x), np.ones((len(x), 1))
+    between = between_flights(x, variance, ones)
+    (mean,), covariance = _fitted(x, variance + between, ones)
+    sigma = math.sqrt(covariance[0, 0])
+    scatter = float(np.sum((x - np.average(x, weights=1.0 / variance)) ** 2 / variance))
+    trends = (_trend(against, at, x, variance) for against, at in _conditions(occasions))
+    return Repeatability(
+        name,
+        occasions[0].camera.unit,
+        n,
+        float(mean),
+        sigma,
+        math.sqrt(between),
+        float(stats.chi2.sf(scatter, n - 1)),
+        math.hypot(math.sqrt(between), sigma),
+        float(stats.t.ppf(0.5 + PROBABILITY / 2.0, n - 1)),
+        tuple(trend for trend in trends if trend is not None),
+    )
+
+
+def between_flights(x: Floats, variance: Floats, design: Floats) -> float:
+    """Give the variance between flights that makes the weighted sum of squares its expectation."""
+    from scipy.optimize import brentq
+
+    freedom = len(x) - design.shape[1]
+
+    def excess(between: float) -> float:
+        values, _ = _fitted(x, variance + between, design)
+        return float(np.sum((x - design @ values) ** 2 / (variance + between))) - freedom
+
+    if freedom < 1 or excess(0.0) <= 0.0:
+        return 0.0
+    upper = float(np.ptp(x) ** 2)
+    while excess(upper) > 0.0:
+        upper *= 2.0
+    return float(brentq(excess, 0.0, upper, xtol=1e-12 * upper))
+
+
+def _fitted(x: Floats, variance: Floats, design: Floats) -> tuple[Floats, Floats]:
+    normal = design.T @ (design / variance[:, None])
+    covariance = np.linalg.inv(normal)
+    return covariance @ (design.T @ (x / variance)), covariance
+
+
+def _conditions(occasions: Sequence[Occasion]) -> list[tuple[str, Floats]]:
+    """Temperatures and days, where all flights have them and they differ."""
+    found = []
+    warm = [one.temperature_c for one in occasions]
+    days = [one.day.toordinal() / 100.0 if one.day else None for one in occasions]
+    for against, values in (("temperature", warm), ("time", days)):
+        known = np.array([value for value in values if value is not None], dtype=np.float64)
+        if len(known) == len(occasions) and np.ptp(known) > 0.0:
+            found.append((against, known - known.mean()))
+    return found
+
+
+def _trend(against: str, at: Floats, x: Floats, variance: Floats) -> Trend | None:
+    from scipy import stats
+
+    freedom = len(x) - 2
+    if freedom < 1:
+        return None
+    design = np.column_stack([np.ones(len(x)), at])
+    left = between_flights(x, variance, design)
+    (_, slope), covariance = _fitted(x, variance + left, design)
+    sigma = math.sqrt(covariance[1, 1])
+    # Where nothing is left between flights the sigmas of the calibrations count, which are known.
+    t = abs(slope) / sigma
+    p_value = 2.0 * float(stats.t.sf(t, freedom) if left > 0.0 else stats.norm.sf(t))
+    return Trend(against, float(slope), sigma, p_value, math.sqrt(left))
+
+
+def repeatability_text(found: Sequence[Repeatability]) -> str:
+    """Write it for people, one line for each parameter and each trend."""
+    per = {"temperature": "°C", "time": "100 days"}
+    lines = ["repeatability from flight to flight (Paule and Mandel 1982)"]
+    for one in found:
+        lines.append(
+            f"  {one.parameter:<3} {one.mean:.6g} +- {one.sigma:.2g} {one.unit} over {one.flights} flights, "
+            f"{one.between:.2g} between flights (p {one.p_value:.2g} of none); for one more flight "
+            f"+- {one.factor * one.future:.2g} (95 %, k {one.factor:.2f})"
+        )
+        lines += [
+            f"      with {t.against}: {t.slope:+.2g} +- {t.sigma:.2g} {one.unit} per {per[t.against]} "
+            f"(p {t.p_value:.2g} of none), {t.left:.2g} left between flights"
+            for t in one.trends
+        ]
+    return "\n".join(lines)
