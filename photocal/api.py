@@ -176,7 +176,7 @@ def check(block: Block, *, standards: Sequence[str] = (), scale: float | None = 
     scale : float, optional
         Denominator of the map scale to judge at.
     """
-    from photocal.accuracy.assessment import Question
+    from photocal.accuracy.standard import Question
     from photocal.accuracy.standard_file import load_standard
     from photocal.georeferencing.comparison import check_block
 

@@ -154,6 +154,7 @@ def _value(value: ValueClass) -> dict[str, Any]:
         "standard": value.standard.id,
         "horizontal": rmse(value.horizontal_m),
         "vertical": rmse(value.vertical_m),
+        "vegetated": rmse(value.vegetated_m),
         "space": rmse(value.spatial_m),
         "survey_included": {
             "horizontal": value.survey_included_horizontal,

@@ -14,7 +14,7 @@ from photocal.accuracy.discrepancies import COMPONENTS, Discrepancies
 from photocal.accuracy.outliers import outliers
 from photocal.accuracy.probable_error import circular_error, counted_error, linear_error
 from photocal.accuracy.significance_tests import BiasTest, NormalityTest, bias_test, normality_test
-from photocal.accuracy.standard import LimitTable, ScaleStandard, Standard, ValueStandard
+from photocal.accuracy.standard import LimitTable, Question, ScaleStandard, Standard, ValueStandard
 from photocal.accuracy.statistics import (
     LengthStatistics,
     Moments,
@@ -25,30 +25,9 @@ from photocal.accuracy.statistics import (
     spread,
 )
 from photocal.accuracy.trend import SimilarityTrend, rmse_after_trend_removal, similarity_trend
-from photocal.accuracy.value_class import Stated, ValueClass, value_class
+from photocal.accuracy.value_class import ValueClass, value_class
 
 PROBABLE_ERROR = 0.90
-
-
-@dataclass(frozen=True)
-class Question:
-    """What the product is to be judged for.
-
-    scale_denominator: map scale 1:N of the product.
-    interval_m: contour interval, m; when None, the one that a standard lists for the scale.
-    confidence: level of all tests, 0 to 1: two-sided for the bias, one-sided for the precision.
-    survey_horizontal_m, survey_vertical_m: RMSE of the survey of the check points, m; the horizontal one
-        radial.
-    target_horizontal_m, target_vertical_m: RMSE that the project asks for, m.
-    """
-
-    scale_denominator: float | None = None
-    interval_m: float | None = None
-    confidence: float = 0.90
-    survey_horizontal_m: float | None = None
-    survey_vertical_m: float | None = None
-    target_horizontal_m: float | None = None
-    target_vertical_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -151,18 +130,16 @@ def assess(discrepancies: Discrepancies, standards: tuple[Standard, ...], questi
         for table in standard.tables
         if table.component in products
     )
+    ground = discrepancies.of_ground("open"), discrepancies.of_ground("vegetated")
+    heights = [part.component("h")[1][:, np.newaxis] for part in ground]
     values = tuple(
         value_class(
             standard,
             products.get("planimetry"),
-            products.get("height"),
-            Stated(
-                question.survey_horizontal_m,
-                question.survey_vertical_m,
-                question.target_horizontal_m,
-                question.target_vertical_m,
-            ),
-            {name: discrepancies.component(name) for name in COMPONENTS},
+            sample(heights[0]) if len(heights[0]) else None,
+            question,
+            {name: (ground[0] if name == "h" else discrepancies).component(name) for name in COMPONENTS},
+            sample(heights[1]) if len(heights[1]) else None,
         )
         for standard in standards
         if isinstance(standard, ValueStandard)

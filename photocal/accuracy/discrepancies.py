@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from photocal.block.table import Table, read_columns
 
 SIGN = "product minus reference"
 COMPONENTS = ("E", "N", "h")
+GROUND = "ground"
 
 _METRES: dict[str, float] = {
     "m": 1.0,
@@ -34,11 +36,20 @@ class Discrepancies:
     points: names, all different.
     d_m (n, 3): dE, dN, dh in m; NaN where a component was not measured.
     positions_m (n, 3): E, N, h of the points, m, for maps; NaN where not given.
+    vegetated (n,): which points lie in vegetated ground; None where nobody said, then none does.
     """
 
     points: tuple[str, ...]
     d_m: Floats
     positions_m: Floats | None = None
+    vegetated: Flags | None = None
+
+    def of_ground(self, ground: Literal["open", "vegetated"]) -> Discrepancies:
+        """Give the points in open, or in vegetated ground."""
+        grown = np.zeros(len(self.points), dtype=np.bool_) if self.vegetated is None else self.vegetated
+        own = grown if ground == "vegetated" else ~grown
+        names = tuple(name for name, has in zip(self.points, own.tolist(), strict=True) if has)
+        return Discrepancies(names, self.d_m[own])
 
     @property
     def correction_m(self) -> Floats:
@@ -73,9 +84,9 @@ def read_discrepancies(path: Path) -> Discrepancies:
     """Read a table of corrections at check points.
 
     path: table with the columns point, correction_E, correction_N, correction_h (those of the plane, or of
-        the height, may be missing), and optional E, N, h. dE, dN, dh are other names of the corrections: as
-        published studies print them, reference minus product. Metres, unless the header gives another unit
-        (m, dm, cm, mm, ft, usft).
+        the height, may be missing), and optional E, N, h, and ground (open or vegetated). dE, dN, dh are
+        other names of the corrections: as published studies print them, reference minus product. Metres,
+        unless the header gives another unit (m, dm, cm, mm, ft, usft).
 
     Raises
     ------
@@ -98,7 +109,24 @@ def read_discrepancies(path: Path) -> Discrepancies:
     corrections = metres("de dn dh")
     if not np.isfinite(corrections).any():
         raise InputMalformedError("holds no discrepancy", where=path, remedy="give at least one check point")
-    return Discrepancies(points, 0.0 - corrections, metres("e n h") if {"e", "n"} <= title.keys() else None)
+    positions = metres("e n h") if {"e", "n"} <= title.keys() else None
+    return Discrepancies(points, 0.0 - corrections, positions, _vegetated(table))
+
+
+def _vegetated(table: Table) -> Flags | None:
+    """The column `ground`: open or vegetated."""
+    if not table.has(GROUND):
+        return None
+    which, kinds = table.names(GROUND)
+    wrong = [kind for kind in kinds if kind not in ("open", "vegetated")]
+    if wrong:
+        row = int(np.flatnonzero(which == kinds.index(wrong[0]))[0])
+        raise InputMalformedError(
+            f"ground {wrong[0]!r} is not known",
+            where=table.place(row),
+            remedy="write open (bare, rock, short grass, paved) or vegetated",
+        )
+    return np.asarray([kind == "vegetated" for kind in kinds])[which]
 
 
 def _columns(table: Table) -> tuple[dict[str, str], dict[str, float]]:
@@ -107,6 +135,8 @@ def _columns(table: Table) -> tuple[dict[str, str], dict[str, float]]:
     factors: dict[str, float] = {}
     place, remedy = f"{table.path}, line 1", f"the columns are {_EXPECTED}, and E, N, h"
     for title in table.columns.column_names:
+        if title == GROUND:
+            continue
         match = _COLUMN.match(title.lower())
         if match is None:
             raise InputMalformedError(f"unknown column {title!r}", where=place, remedy=remedy)

@@ -101,9 +101,8 @@ def _classes(table: TableResult) -> list[Finding]:
 
 def _value_class(value: ValueClass) -> list[Finding]:
     standard, listed = value.standard, []
-    counts = [count for count in (value.points_horizontal, value.points_vertical) if count]
     if not value.enough_points:
-        figures = {"n": float(min(counts)), "required": standard.minimum_points.value}
+        figures = {"n": float(min(value.counts)), "required": standard.minimum_points.value}
         listed.append(Finding("too-few-check-points", "note", standard.id, figures))
     missing = tuple(
         name
@@ -127,6 +126,11 @@ def _value_class(value: ValueClass) -> list[Finding]:
         blunders = tuple(f"{point} {component}" for point, component in value.blunders)
         times: dict[str, Figure] = {"points": blunders, "times": standard.blunder_over_target.value}
         listed.append(Finding("beyond-target", "doubtful", standard.id, times))
+    if value.vegetated_m is not None:
+        grown = {"rmse_m": value.vegetated_m, "n": float(value.points_vegetated)}
+        listed.append(
+            Finding("vva", "note", standard.id, {**grown, "required": standard.minimum_points.value})
+        )
     return listed + _tested(value)
 
 

@@ -10,6 +10,27 @@ Basis = Literal["scale", "interval"]
 
 
 @dataclass(frozen=True)
+class Question:
+    """What the product is to be judged for.
+
+    scale_denominator: map scale 1:N of the product.
+    interval_m: contour interval, m; when None, the one that a standard lists for the scale.
+    confidence: level of all tests, 0 to 1: two-sided for the bias, one-sided for the precision.
+    survey_horizontal_m, survey_vertical_m: RMSE of the survey of the check points, m; the horizontal one
+        radial.
+    target_horizontal_m, target_vertical_m: RMSE that the project asks for, m.
+    """
+
+    scale_denominator: float | None = None
+    interval_m: float | None = None
+    confidence: float = 0.90
+    survey_horizontal_m: float | None = None
+    survey_vertical_m: float | None = None
+    target_horizontal_m: float | None = None
+    target_vertical_m: float | None = None
+
+
+@dataclass(frozen=True)
 class ClassLimit:
     """What one class allows.
 

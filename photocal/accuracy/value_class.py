@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from drivers.arrays import Floats
 from photocal.accuracy.classes import Sample
-from photocal.accuracy.standard import ValueStandard
+from photocal.accuracy.standard import Question, ValueStandard
 
 
 @dataclass(frozen=True)
@@ -16,11 +16,11 @@ class ValueClass:
     """RMSE of a product with the survey accuracy of its check points.
 
     standard: the standard, with the sources of its figures.
-    horizontal_m, vertical_m, spatial_m: RMSE with the survey accuracy, m; None where the component was not
-        checked.
+    horizontal_m, vertical_m, vegetated_m, spatial_m: RMSE with the survey accuracy, m; None where the
+        component was not checked.
     survey_included_horizontal, survey_included_vertical: whether a survey accuracy was given; without one the
         class is too good.
-    points_horizontal, points_vertical: number of check points.
+    points_horizontal, points_vertical, points_vegetated: number of check points.
     target_horizontal_m, target_vertical_m: classes that the project asks for: what the limits below go by.
         None where nobody said.
     systematic: components whose mean exceeds the standard's share of the target.
@@ -32,11 +32,13 @@ class ValueClass:
     standard: ValueStandard
     horizontal_m: float | None
     vertical_m: float | None
+    vegetated_m: float | None
     spatial_m: float | None
     survey_included_horizontal: bool
     survey_included_vertical: bool
     points_horizontal: int
     points_vertical: int
+    points_vegetated: int
     target_horizontal_m: float | None
     target_vertical_m: float | None
     systematic: tuple[str, ...]
@@ -44,10 +46,15 @@ class ValueClass:
     blunders: tuple[tuple[str, str], ...]
 
     @property
+    def counts(self) -> tuple[int, ...]:
+        """Number of points of each test that was made: horizontal, open and vegetated ground."""
+        own = (self.points_horizontal, self.points_vertical, self.points_vegetated)
+        return tuple(count for count in own if count)
+
+    @property
     def enough_points(self) -> bool:
         """Whether every checked component has the number of points that the standard asks for."""
-        counts = [count for count in (self.points_horizontal, self.points_vertical) if count]
-        return all(count >= self.standard.minimum_points.value for count in counts)
+        return all(count >= self.standard.minimum_points.value for count in self.counts)
 
 
 def class_cm(rmse_m: float) -> float:
@@ -55,29 +62,19 @@ def class_cm(rmse_m: float) -> float:
     return math.ceil(rmse_m * 1000.0 - 1e-9) / 10.0
 
 
-@dataclass(frozen=True)
-class Stated:
-    """What was asked and stated for the horizontal and the vertical component, m.
-
-    survey_horizontal_m, survey_vertical_m: RMSE of the survey of the check points; the horizontal one radial,
-        root of 2 times that of an axis.
-    target_horizontal_m, target_vertical_m: classes that the project asks for.
-    """
-
-    survey_horizontal_m: float | None = None
-    survey_vertical_m: float | None = None
-    target_horizontal_m: float | None = None
-    target_vertical_m: float | None = None
-
-
 def value_class(
     standard: ValueStandard,
     plane: Sample | None,
     height: Sample | None,
-    stated: Stated,
+    stated: Question,
     errors: Mapping[str, tuple[tuple[str, ...], Floats]] | None = None,
+    vegetated: Sample | None = None,
 ) -> ValueClass:
-    """Compute the class reached, and what goes by the class that was asked for."""
+    """Compute the class reached, and what goes by the class that was asked for.
+
+    height, vegetated: heights in open ground (NVA), which are held against the class, and in vegetated ground
+        (VVA), which are reported as they are.
+    """
     horizontal = _with_survey(plane, stated.survey_horizontal_m)
     vertical = _with_survey(height, stated.survey_vertical_m)
     wide, high = stated.target_horizontal_m, stated.target_vertical_m
@@ -93,11 +90,13 @@ def value_class(
         standard,
         horizontal,
         vertical,
+        _with_survey(vegetated, stated.survey_vertical_m),
         None if horizontal is None or vertical is None else math.hypot(horizontal, vertical),
         stated.survey_horizontal_m is not None,
         stated.survey_vertical_m is not None,
         plane.components[0].n if plane else 0,
         height.components[0].n if height else 0,
+        vegetated.components[0].n if vegetated else 0,
         wide if plane else None,
         high if height else None,
         tuple(
@@ -127,5 +126,10 @@ def _with_survey(product: Sample | None, survey_m: float | None) -> float | None
 
 def value_class_text(value: ValueClass) -> str:
     """Write the class reached."""
-    parts = (("horizontal", value.horizontal_m), ("vertical", value.vertical_m), ("3D", value.spatial_m))
+    parts = (
+        ("horizontal", value.horizontal_m),
+        ("vertical (NVA)", value.vertical_m),
+        ("VVA", value.vegetated_m),
+        ("3D", value.spatial_m),
+    )
     return ", ".join(f"{name} {class_cm(rmse):.1f} cm" for name, rmse in parts if rmse is not None)

@@ -12,8 +12,7 @@ from photocal.commands.check_of_product import changed_utc
 if TYPE_CHECKING:
     import numpy as np
 
-    from photocal.accuracy.assessment import Question
-    from photocal.accuracy.standard import Standard
+    from photocal.accuracy.standard import Question, Standard
     from photocal.georeferencing.experiment import InteriorSet
     from photocal.georeferencing.simulated import Degradation
     from photocal.project import Project

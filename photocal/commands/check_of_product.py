@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 from acquire.console import answer
 
 if TYPE_CHECKING:
-    from photocal.accuracy.assessment import Question
     from photocal.accuracy.discrepancies import Discrepancies
-    from photocal.accuracy.standard import Standard
+    from photocal.accuracy.standard import Question, Standard
     from photocal.products.product_check import ProductCheck
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import IllPosedError, PhotocalError
-from photocal.accuracy.assessment import Assessment, Question, assess
-from photocal.accuracy.standard import Standard
+from photocal.accuracy.assessment import Assessment, assess
+from photocal.accuracy.standard import Question, Standard
 from photocal.block.model import Block, Role
 from photocal.block.network import block_frame
 from photocal.findings.catalogue import catalogue

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,13 +14,13 @@ from numpy.typing import NDArray
 from drivers.errors import ConfigurationError
 from photocal.accuracy.as_json import to_json
 from photocal.accuracy.as_text import to_text
-from photocal.accuracy.assessment import Assessment, Question, TableResult, assess
+from photocal.accuracy.assessment import Assessment, TableResult, assess
 from photocal.accuracy.classes import Sample, sample
-from photocal.accuracy.discrepancies import Discrepancies
+from photocal.accuracy.discrepancies import Discrepancies, read_discrepancies
 from photocal.accuracy.findings import findings
-from photocal.accuracy.standard import ValueStandard
+from photocal.accuracy.standard import Question, ValueStandard
 from photocal.accuracy.standard_file import SHIPPED, load_standard
-from photocal.accuracy.value_class import Stated, class_cm, value_class
+from photocal.accuracy.value_class import class_cm, value_class
 from photocal.findings.finding import Finding
 from tests.photocal.findings.english import english
 
@@ -116,7 +117,7 @@ def test_asprs_class_includes_the_survey() -> None:
     assert full.enough_points
     # Without a target nothing goes by it.
     assert (full.survey_too_coarse, full.systematic, full.blunders) == ((), (), ())
-    assert value_class(standard, None, None, Stated()).horizontal_m is None
+    assert value_class(standard, None, None, Question()).horizontal_m is None
 
 
 # Edition 2, table 7.4: vertical, survey 2.0 cm; fit and product in cm.
@@ -147,14 +148,16 @@ def of_rmse(*rmse_cm: float) -> Sample:
 
 def test_asprs_vertical_class_of_table_7_4() -> None:
     for fit_cm, product_cm in TABLE_7_4.items():
-        value = value_class(asprs(), None, of_rmse(fit_cm), Stated(survey_vertical_m=0.02))
+        value = value_class(asprs(), None, of_rmse(fit_cm), Question(survey_vertical_m=0.02))
         assert value.vertical_m is not None
         assert 100.0 * value.vertical_m == pytest.approx(product_cm, abs=0.005)
 
 
 def test_asprs_horizontal_class_takes_the_radial_survey() -> None:
     """Fit 4 and 3 cm, survey 1 cm an axis: 5.196 cm, which misses 5; in space with 2.236: 5.657."""
-    stated = Stated(math.sqrt(2.0) * 0.01, 0.02, target_horizontal_m=0.05)
+    stated = Question(
+        survey_horizontal_m=math.sqrt(2.0) * 0.01, survey_vertical_m=0.02, target_horizontal_m=0.05
+    )
     value = value_class(asprs(), of_rmse(4.0, 3.0), of_rmse(1.0), stated)
     assert value.horizontal_m == pytest.approx(0.05196152, abs=1e-8)
     assert value.vertical_m == pytest.approx(0.02236068, abs=1e-8)
@@ -164,28 +167,28 @@ def test_asprs_horizontal_class_takes_the_radial_survey() -> None:
 @pytest.mark.parametrize(("error_cm", "flagged"), [(10.60, False), (10.61, True)])
 def test_asprs_blunder_of_an_axis(error_cm: float, flagged: bool) -> None:
     errors = {"E": (("P1", "P2"), np.array([0.0, -error_cm / 100.0]))}
-    value = value_class(asprs(), of_rmse(3.0, 3.0), None, Stated(target_horizontal_m=0.05), errors)
+    value = value_class(asprs(), of_rmse(3.0, 3.0), None, Question(target_horizontal_m=0.05), errors)
     assert value.blunders == ((("P2", "E"),) if flagged else ())
 
 
 @pytest.mark.parametrize(("error_cm", "flagged"), [(14.9, False), (15.1, True)])
 def test_asprs_blunder_of_a_height(error_cm: float, flagged: bool) -> None:
     errors = {"h": (("P1",), np.array([error_cm / 100.0]))}
-    value = value_class(asprs(), None, of_rmse(3.0), Stated(target_vertical_m=0.05), errors)
+    value = value_class(asprs(), None, of_rmse(3.0), Question(target_vertical_m=0.05), errors)
     assert bool(value.blunders) == flagged
 
 
 @pytest.mark.parametrize(("mean_cm", "flagged"), [(1.24, False), (1.26, True)])
 def test_asprs_mean_goes_by_the_target(mean_cm: float, flagged: bool) -> None:
     height = sample(np.full((30, 1), mean_cm / 100.0) + 1e-9 * np.arange(30)[:, None])
-    value = value_class(asprs(), None, height, Stated(target_vertical_m=0.05))
+    value = value_class(asprs(), None, height, Question(target_vertical_m=0.05))
     assert value.systematic == (("h",) if flagged else ())
 
 
 def test_asprs_survey_goes_by_the_target() -> None:
     """Fit 1 cm and survey 2 cm are no fault for a class of 5 cm, but for one of 3."""
     for target, coarse in ((0.05, ()), (0.03, ("vertical",))):
-        stated = Stated(survey_vertical_m=0.02, target_vertical_m=target)
+        stated = Question(survey_vertical_m=0.02, target_vertical_m=target)
         assert value_class(asprs(), None, of_rmse(1.0), stated).survey_too_coarse == coarse
 
 
@@ -293,3 +296,24 @@ def test_a_chi_square_that_is_stricter_than_the_standard_is_said_to_be() -> None
     assert (plane.precision_class, plane.accuracy_class) == ("B", "A")
     said = [english(finding) for finding in findings(result) if finding.code == "class-differs"]
     assert any("stricter than the standard's own rule" in text for text in said)
+
+
+def test_heights_in_vegetated_ground_are_reported_and_only_those_in_open_ground_are_judged(
+    tmp_path: Path,
+) -> None:
+    rows = ["point,dh_cm,ground"]
+    rows += [f"A{i},{3.0 if i % 2 else -3.0},open" for i in range(30)]
+    rows += [f"V{i},{20.0 if i % 2 else -20.0},vegetated" for i in range(10)]
+    path = tmp_path / "d.csv"
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    question = Question(survey_vertical_m=0.02, target_vertical_m=0.05)
+    judged = assess(read_discrepancies(path), (asprs(),), question)
+    (value,) = judged.values
+    assert value.vertical_m == pytest.approx(math.hypot(0.03, 0.02))
+    assert value.vegetated_m == pytest.approx(math.hypot(0.20, 0.02))
+    assert value.blunders == ()
+    assert value.counts == (30, 10)
+    said = {one.code: one for one in findings(judged)}
+    assert said["target-met"].figures["n"] == 30.0
+    assert "reported as found" in english(said["vva"])
+    assert said["too-few-check-points"].figures["n"] == 10.0

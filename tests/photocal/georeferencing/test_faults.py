@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from photocal.accuracy.assessment import Question
+from photocal.accuracy.standard import Question
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.georeferencing.comparison import check_block

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from photocal.accuracy.assessment import Question
+from photocal.accuracy.standard import Question
 from photocal.exchange.formats import read_foreign_block
 from photocal.exchange.micmac import read_micmac
 from photocal.exchange.photomodeler import block_from_export, read_control, read_positions

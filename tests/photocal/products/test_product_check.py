@@ -12,7 +12,8 @@ import rasterio  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
-from photocal.accuracy.assessment import Question, assess
+from photocal.accuracy.assessment import assess
+from photocal.accuracy.standard import Question
 from photocal.accuracy.standard_file import load_standard
 from photocal.products.product_check import CheckPoints, check_products, read_check_points
 from photocal.products.raster import system_wkt, write_terrain
