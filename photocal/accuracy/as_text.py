@@ -14,7 +14,7 @@ from photocal.accuracy.assessment import Assessment, TableResult, VectorResult
 from photocal.accuracy.classes import smallest_listed
 from photocal.accuracy.discrepancies import COMPONENTS, SIGN
 from photocal.accuracy.findings import findings
-from photocal.accuracy.map_scale import scale_text, size_text
+from photocal.accuracy.standard import scale_text, size_text
 from photocal.accuracy.value_class import value_class_text
 from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding

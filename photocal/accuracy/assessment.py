@@ -11,9 +11,17 @@ from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.accuracy.classes import AdmittedSize, ClassDecision, Sample, admitted_size, decide, sample
 from photocal.accuracy.discrepancies import COMPONENTS, Discrepancies
-from photocal.accuracy.outliers import outliers
 from photocal.accuracy.probable_error import circular_error, counted_error, linear_error
-from photocal.accuracy.significance_tests import BiasTest, NormalityTest, bias_test, normality_test
+from photocal.accuracy.significance_tests import (
+    BiasTest,
+    NormalityTest,
+    SimilarityTrend,
+    bias_test,
+    normality_test,
+    outliers,
+    rmse_after_trend_removal,
+    similarity_trend,
+)
 from photocal.accuracy.standard import LimitTable, Question, ScaleStandard, Standard, ValueStandard
 from photocal.accuracy.statistics import (
     LengthStatistics,
@@ -24,7 +32,6 @@ from photocal.accuracy.statistics import (
     moments,
     spread,
 )
-from photocal.accuracy.trend import SimilarityTrend, rmse_after_trend_removal, similarity_trend
 from photocal.accuracy.value_class import ValueClass, value_class
 
 PROBABLE_ERROR = 0.90

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
 
 # Longest vector as a share of the width of the map.
 _LONGEST = 0.12
+# Names of more points than this would hide the vectors.
+NAMED = 60
+_INK = "#1f4e9c"
 _MAP_INCHES = (7.0, 6.0)
 _HISTOGRAM_INCHES = (7.0, 2.6)
 
@@ -29,8 +33,61 @@ def round_down(value: float) -> float:
     return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= value * (1.0 + 1e-12))
 
 
+def draw_vectors(
+    axes: Axes,
+    names: tuple[str, ...],
+    table: Floats,
+    height_text: Callable[[float], str],
+    length_text: Callable[[float], str],
+    colour: str,
+) -> float:
+    """Draw discrepancies as vectors at their points, those in height as numbers; give the enlargement.
+
+    table: (n, 5), place and discrepancy in plane, discrepancy in height, m.
+    """
+    extent = max(float(np.ptp(table[:, 0])), float(np.ptp(table[:, 1])), 1e-9)
+    longest = float(np.max(np.hypot(table[:, 2], table[:, 3]))) or 1.0
+    enlarge = _LONGEST * extent / longest
+    arrows = axes.quiver(
+        *table[:, :4].T,
+        color=colour,
+        zorder=3,
+        angles="xy",
+        scale_units="xy",
+        scale=1.0 / enlarge,
+        width=0.003,
+    )
+    axes.plot(table[:, 0], table[:, 1], ".", color=colour, markersize=3)
+    if len(names) <= NAMED:
+        for name, row in zip(names, table.tolist(), strict=True):
+            text = name if math.isnan(row[4]) else f"{name}\n{height_text(row[4])}"
+            axes.annotate(
+                text, row[:2], xytext=(3, -3), textcoords="offset points", fontsize=6, va="top", color=colour
+            )
+    unit = round_down(longest)
+    axes.quiverkey(arrows, 0.88, 1.03, unit, length_text(unit), labelpos="E", coordinates="axes")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.15)
+    axes.grid(visible=True, color="#e4e7ea", linewidth=0.5)
+    axes.set_axisbelow(True)
+    return enlarge
+
+
+def draw_histogram(axes: Axes, values: Floats, face: str, colour: str) -> None:
+    """Draw a histogram with its mean and the normal curve of its moments."""
+    edges = np.histogram_bin_edges(values, bins="sturges")
+    axes.hist(values, bins=edges.tolist(), color=face, edgecolor=colour, linewidth=0.5)
+    mean, spread = float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else 0.0
+    axes.axvline(0.0, color=colour, linewidth=0.6)
+    axes.axvline(mean, color=colour, linewidth=1.0, linestyle=(0, (4, 3)))
+    if spread > 0.0:
+        x = np.linspace(edges[0], edges[-1], 121)
+        peak = len(values) * (edges[1] - edges[0]) / (spread * math.sqrt(2.0 * math.pi))
+        axes.plot(x, peak * np.exp(-0.5 * ((x - mean) / spread) ** 2), color=colour, linewidth=0.9)
+
+
 def residual_map(discrepancies: Discrepancies) -> Figure | None:
-    """Draw the planimetric discrepancies as vectors, the heights as bars, at their points.
+    """Draw the planimetric discrepancies as vectors, the heights as numbers, at their points.
 
     Returns
     -------
@@ -46,43 +103,18 @@ def residual_map(discrepancies: Discrepancies) -> Figure | None:
     known: Flags = np.all(np.isfinite(table[:, :4]), axis=1)
     if not known.any():
         return None
-    names = [name for name, has in zip(discrepancies.points, known.tolist(), strict=True) if has]
-    table = table[known]
+    names = tuple(name for name, has in zip(discrepancies.points, known.tolist(), strict=True) if has)
     figure = Figure(figsize=_MAP_INCHES, layout="constrained")
     axes = figure.add_subplot()
-    extent = max(float(np.ptp(table[:, 0])), float(np.ptp(table[:, 1])), 1.0)
-    longest = float(np.max(np.hypot(table[:, 2], table[:, 3]))) or 1.0
-    enlarge = _LONGEST * extent / longest
-    quiver = axes.quiver(
-        *table[:, :4].T,
-        color="#1f4e9c",
-        zorder=3,
-        angles="xy",
-        scale_units="xy",
-        scale=1.0 / enlarge,
-        width=0.004,
-    )
-    axes.plot(table[:, 0], table[:, 1], "k.", markersize=4)
-    for name, row in zip(names, table, strict=True):
-        height = "" if math.isnan(row[4]) else f"\n{row[4]:+.2f}"
-        axes.annotate(
-            f"{name}{height}", row[:2], xytext=(3, -3), textcoords="offset points", fontsize=6, va="top"
-        )
-    unit = round_down(longest)
-    axes.quiverkey(quiver, 0.9, 1.03, unit, f"{unit:g} m", labelpos="E", coordinates="axes")
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.margins(0.18)
+    enlarge = draw_vectors(axes, names, table[known], "{:+.2f}".format, "{:g} m".format, _INK)
     axes.ticklabel_format(style="plain", useOffset=False)
     axes.set_xlabel("E (m)")
     axes.set_ylabel("N (m)")
-    numbers = ", numbers: dh (m)" if np.isfinite(table[:, 4]).any() else ""
+    numbers = ", numbers: dh (m)" if np.isfinite(table[known][:, 4]).any() else ""
     axes.set_title(
-        f"Discrepancies, {SIGN}\nvectors {enlarge:.3g} times enlarged{numbers}",
-        fontsize=9,
-        loc="left",
+        f"Discrepancies, {SIGN}\nvectors {enlarge:.3g} times enlarged{numbers}", fontsize=9, loc="left"
     )
     axes.tick_params(labelsize=7)
-    axes.grid(visible=True, linewidth=0.3)
     return figure
 
 
@@ -102,16 +134,8 @@ def histograms(discrepancies: Discrepancies) -> Figure:
 
 
 def _histogram(axes: Axes, name: str, values: Floats) -> None:
-    edges = np.histogram_bin_edges(values, bins="sturges")
-    axes.hist(values, bins=edges.tolist(), color="#9db8d9", edgecolor="black", linewidth=0.5)
+    draw_histogram(axes, values, "#9db8d9", _INK)
     figures = moments(values)
-    axes.axvline(0.0, color="black", linewidth=0.8)
-    axes.axvline(figures.mean_m, color="#b02a2a", linewidth=1.2, linestyle="--")
-    if figures.n > 1 and figures.std_m > 0.0:
-        x = np.linspace(edges[0], edges[-1], 200)
-        density = np.exp(-0.5 * ((x - figures.mean_m) / figures.std_m) ** 2)
-        peak = figures.n * (edges[1] - edges[0]) / (figures.std_m * math.sqrt(2.0 * math.pi))
-        axes.plot(x, peak * density, color="#b02a2a", linewidth=1.0)
     axes.set_xlabel(f"d{name} (m)")
     axes.set_title(f"n {figures.n}, mean {figures.mean_m:+.3f}, RMSE {figures.rmse_m:.3f}", fontsize=7)
     axes.tick_params(labelsize=7)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from photocal.accuracy.assessment import Assessment, ComponentResult, TableResult
 from photocal.accuracy.discrepancies import SIGN
-from photocal.accuracy.map_scale import size_text
 from photocal.accuracy.significance_tests import std_interval_factors
+from photocal.accuracy.standard import size_text
 from photocal.accuracy.value_class import ValueClass
 from photocal.findings.finding import Figure, Finding
 

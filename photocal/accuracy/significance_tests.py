@@ -1,10 +1,11 @@
-"""Statistical tests on discrepancies: bias (Student), precision (chi-square), normality."""
+"""Statistical tests on discrepancies: bias (Student), precision (chi-square), normality, outliers, trends."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
+import numpy as np
 from scipy import stats
 
 from drivers.arrays import Floats
@@ -137,3 +138,83 @@ def _require_level(confidence: float) -> None:
         raise ConfigurationError(
             f"confidence {confidence} is not between 0 and 1", remedy="give for example 0.90"
         )
+
+
+# Below this many points a deviation cannot be told from the spread it makes itself.
+SMALLEST_SAMPLE = 5
+# More outliers than this are no outliers any more but another distribution.
+MOST_TESTED = 100
+
+
+def outliers(values_m: Floats, confidence: float) -> tuple[int, ...]:
+    """Find the values that do not belong to the normal distribution of the others.
+
+    They are shown, never removed: a check point with a large error is the reason for checking.
+    """
+    if len(values_m) < SMALLEST_SAMPLE:
+        return ()
+    rows = np.arange(len(values_m))
+    removed: list[int] = []
+    found = 0
+    for _ in range(min(max(1, len(values_m) // 4), MOST_TESTED)):
+        rest = values_m[rows]
+        deviation = np.abs(rest - np.mean(rest))
+        std = float(np.std(rest, ddof=1))
+        if std == 0.0:
+            break
+        worst = int(np.argmax(deviation))
+        removed.append(int(rows[worst]))
+        # The number of outliers is the last step that passes, not the first that fails: two outliers
+        # side by side hide each other in the first step.
+        if float(deviation[worst]) / std > critical_deviate(len(rest), confidence):
+            found = len(removed)
+        rows = np.delete(rows, worst)
+    return tuple(removed[:found])
+
+
+def critical_deviate(n: int, confidence: float) -> float:
+    """Give the largest Studentised deviate that n normal values may show."""
+    t = float(stats.t.ppf(1.0 - (1.0 - confidence) / (2.0 * n), n - 2))
+    return (n - 1) * t / math.sqrt((n - 2 + t**2) * n)
+
+
+@dataclass(frozen=True)
+class SimilarityTrend:
+    """Scale, rotation and shift that explain planimetric discrepancies best.
+
+    shift_m: east and north part at the centre of the points, m.
+    scale: by which the product is too large: 0.01 is 1 %.
+    rotation_rad: by which the product is turned counter-clockwise, rad.
+    rmse_left_m: planimetric root mean square (over n) of what it does not explain, m.
+    """
+
+    shift_m: tuple[float, float]
+    scale: float
+    rotation_rad: float
+    rmse_left_m: float
+
+
+def rmse_after_trend_removal(component: Moments, confidence: float) -> float:
+    """Give the RMSE after the mean has been subtracted where it is significant."""
+    biased = bias_test(component, confidence).significant
+    return component.rmse_without_mean_m if biased else component.rmse_m
+
+
+def similarity_trend(positions_m: Floats, discrepancies_m: Floats) -> SimilarityTrend:
+    """Fit shift, scale and rotation to planimetric discrepancies by least squares."""
+    if len(positions_m) < 3:
+        raise IllPosedError("a similarity trend needs at least three check points with coordinates")
+    reduced = positions_m - positions_m.mean(axis=0)
+    inertia = float(np.sum(reduced**2))
+    if inertia == 0.0:
+        raise IllPosedError(
+            "all check points have the same coordinates", remedy="look at the columns E and N"
+        )
+    shift = discrepancies_m.mean(axis=0)
+    east, north = reduced.T
+    scale = float(np.sum(reduced * discrepancies_m)) / inertia
+    rotation = float(np.sum(east * discrepancies_m[:, 1] - north * discrepancies_m[:, 0])) / inertia
+    explained = shift + np.column_stack((scale * east - rotation * north, rotation * east + scale * north))
+    left = discrepancies_m - explained
+    rmse_left = math.sqrt(float(np.sum(left**2)) / len(left))
+    return SimilarityTrend((float(shift[0]), float(shift[1])), scale, rotation, rmse_left)

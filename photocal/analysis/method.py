@@ -11,6 +11,7 @@ import numpy as np
 from drivers.arrays import Floats, Integers
 from photocal.adjustment.network import Network
 from photocal.adjustment.state import State
+from photocal.findings.finding import Finding
 
 # Convergent cameras: two photographs 90 degrees apart, one rolled by 90 degrees, both with the tolerance of
 # a camera that is held by hand or by a gimbal.
@@ -56,30 +57,16 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Requirement:
-    """One thing that a method asks for.
-
-    code: what it is: key of its name, of what was found and is needed, and of the advice for the next flight.
-    met: whether it is there.
-    figures: found and needed, with unit.
-    """
-
-    code: str
-    met: bool
-    figures: Mapping[str, float]
-
-
-@dataclass(frozen=True)
 class MethodCheck:
     """A method and its requirements.
 
     method: one of `METHODS`.
-    requirements: everything that it asks for.
+    requirements: everything that it asks for, passed or a note; `texts.need_words` says it.
     met: whether the network satisfies the method.
     """
 
     method: str
-    requirements: tuple[Requirement, ...]
+    requirements: tuple[Finding, ...]
     met: bool
 
 
@@ -125,24 +112,24 @@ def check_method(method: str, found: Shape) -> MethodCheck:
         "on-the-job": (_photographs, _control, _around, _convergence_or_ranges),
     }[method]
     requirements = tuple(one(found) for one in needed)
-    return MethodCheck(method, requirements, all(one.met for one in requirements))
+    return MethodCheck(method, requirements, all(_met(one) for one in requirements))
 
 
-def _photographs(found: Shape) -> Requirement:
+def _photographs(found: Shape) -> Finding:
     return _at_least("photographs", found.images, PHOTOGRAPHS)
 
 
-def _convergence(found: Shape) -> Requirement:
+def _convergence(found: Shape) -> Finding:
     figures = {"needed_deg": CONVERGENCE_DEG}
     return _at_least("convergence", found.convergence_deg, CONVERGENCE_ENOUGH_DEG, figures)
 
 
-def _roll(found: Shape) -> Requirement:
+def _roll(found: Shape) -> Finding:
     figures = {"found": 90.0 - found.roll_deg, "tolerance_deg": ROLL_ENOUGH_DEG}
-    return Requirement("roll", found.roll_deg <= ROLL_ENOUGH_DEG, figures)
+    return _needed("roll", met=found.roll_deg <= ROLL_ENOUGH_DEG, figures=figures)
 
 
-def _ranges(found: Shape) -> Requirement:
+def _ranges(found: Shape) -> Finding:
     figures = {
         "spread": found.range_spread,
         "ratio": found.height_ratio,
@@ -150,32 +137,40 @@ def _ranges(found: Shape) -> Requirement:
         "needed_ratio": HEIGHT_RATIO,
     }
     met = found.range_spread >= RANGE_SPREAD or found.height_ratio >= HEIGHT_RATIO
-    return Requirement("mixed-ranges", met, figures)
+    return _needed("mixed-ranges", met=met, figures=figures)
 
 
-def _convergence_or_ranges(found: Shape) -> Requirement:
+def _convergence_or_ranges(found: Shape) -> Finding:
     tilted, mixed = _convergence(found), _ranges(found)
-    return Requirement("height-separated", tilted.met or mixed.met, {**tilted.figures, **mixed.figures})
+    return _needed(
+        "height-separated", met=_met(tilted) or _met(mixed), figures={**tilted.figures, **mixed.figures}
+    )
 
 
-def _datum(found: Shape) -> Requirement:
+def _datum(found: Shape) -> Finding:
     return _at_least("datum", found.constraints, DATUM_CONSTRAINTS)
 
 
-def _control(found: Shape) -> Requirement:
+def _control(found: Shape) -> Finding:
     return _at_least("control", found.control_points, CONTROL_POINTS)
 
 
-def _around(found: Shape) -> Requirement:
+def _around(found: Shape) -> Finding:
     figures = {"quarters": float(found.quadrants), "share": found.control_share, "needed": COVERED}
-    return Requirement("around", found.quadrants == 4 and found.control_share >= COVERED, figures)
+    return _needed("around", met=found.quadrants == 4 and found.control_share >= COVERED, figures=figures)
 
 
-def _at_least(
-    code: str, found: float, needed: float, figures: Mapping[str, float] | None = None
-) -> Requirement:
+def _needed(code: str, *, met: bool, figures: Mapping[str, float]) -> Finding:
+    return Finding(code, "passed" if met else "note", figures=figures)
+
+
+def _met(need: Finding) -> bool:
+    return need.severity == "passed"
+
+
+def _at_least(code: str, found: float, needed: float, figures: Mapping[str, float] | None = None) -> Finding:
     both = {"found": float(found), "needed": float(needed)}
-    return Requirement(code, found >= needed, {**both, **(figures or {})})
+    return _needed(code, met=found >= needed, figures={**both, **(figures or {})})
 
 
 def _some_pairs(images: int) -> list[tuple[int, int]]:

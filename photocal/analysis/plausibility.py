@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from drivers.arrays import Floats
-from photocal.analysis.correlation_check import correlation_findings
+from photocal.analysis.correlation import correlation_findings
 from photocal.findings.finding import Finding
 
 Triple = tuple[float, float, float]

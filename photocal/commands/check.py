@@ -115,8 +115,7 @@ def check(
 
     Example: `photocal check field7 -o field7-check --scale 1:1000`
     """
-    from photocal.accuracy.map_scale import parse_scale
-    from photocal.accuracy.standard import Question
+    from photocal.accuracy.standard import Question, parse_scale
     from photocal.accuracy.standard_file import SHIPPED, load_standard
 
     if sum(source is not None for source in (block, discrepancies, experiment, points)) != 1:

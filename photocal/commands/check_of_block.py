@@ -68,7 +68,7 @@ def with_project(path: Path, question: Question) -> tuple[Project, Question]:
     import datetime as dt
     from dataclasses import replace
 
-    from photocal.accuracy.map_scale import parse_scale
+    from photocal.accuracy.standard import parse_scale
     from photocal.project import read_project
     from photocal.run.workflow import run_project
 

@@ -85,7 +85,7 @@ def plan(
     Example: `photocal plan field.kml -o plan --focal-mm 8.8 --pixel-um 2.41 --image-px 5472x3648
     --gsd-cm 3 --second-height 140 --home -28.853,-51.294,700 --ground-height 705`
     """
-    from photocal.accuracy.map_scale import parse_scale
+    from photocal.accuracy.standard import parse_scale
     from photocal.accuracy.standard_file import load_standard
     from photocal.planning.area_file import read_area
     from photocal.planning.control_layout import suggest_layout

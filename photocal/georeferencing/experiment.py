@@ -11,9 +11,8 @@ import numpy as np
 
 from drivers.arrays import Floats, Integers
 from drivers.errors import ConfigurationError, PhotocalError
-from photocal.accuracy.significance_tests import BiasTest, bias_test
+from photocal.accuracy.significance_tests import BiasTest, bias_test, rmse_after_trend_removal
 from photocal.accuracy.statistics import moments
-from photocal.accuracy.trend import rmse_after_trend_removal
 from photocal.block.model import Block
 from photocal.geometry.camera import Camera
 from photocal.georeferencing.differences import (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from photocal.accuracy.map_scale import size_text
+from photocal.accuracy.standard import size_text
 from photocal.accuracy.value_class import class_cm
 from photocal.georeferencing.comparison import BlockCheck
 

@@ -100,7 +100,8 @@ def _method(one: MethodCheck, say: Catalogue) -> dict[str, Any]:
         "requirements": [
             {
                 "code": need.code,
-                "met": need.met,
+                "severity": need.severity,
+                "met": need.severity == "passed",
                 "figures": dict(need.figures),
                 **need_words(need.code, need.figures, say),
             }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import fixed, significant, symbol
+from photocal.findings.finding import Finding
 from photocal.findings.texts import finding_text, need_words
 from photocal.geometry.camera import Camera
 from photocal.report.document import Column, Paragraph, Piece, Section, Statement, Table
@@ -202,9 +203,9 @@ def method_check(analysis: StoredAnalysis, say: Catalogue) -> Section:
         for need in one.requirements:
             words = need_words(need.code, need.figures, say)
             name = say(f"calibration_method.{one.method}")
-            met = say("word.yes" if need.met else "word.no")
+            met = say("word.yes" if need.severity == "passed" else "word.no")
             rows.append((name, words["name"], words["found"], words["needed"], met))
-            if not need.met and words["advice"] not in advice:
+            if need.severity != "passed" and words["advice"] not in advice:
                 advice.append(words["advice"])
     table = Table(
         say("analysis.method_table"), columns, tuple(rows), widths=(0.17, 0.27, 0.22, 0.24, 0.1), dense=True
@@ -213,3 +214,24 @@ def method_check(analysis: StoredAnalysis, say: Catalogue) -> Section:
     if advice:
         pieces.append(Paragraph(say("analysis.advice", advice="; ".join(advice))))
     return Section(say("analysis.method"), tuple(pieces))
+
+
+def warned(findings: tuple[Finding, ...], say: Catalogue) -> list[Statement]:
+    """Say at the head of a document that there are warnings; nothing where there are none."""
+    warnings = [one for one in findings if one.severity != "note"]
+    if not warnings:
+        return []
+    text = say("warnings.verdict", count=len(warnings), first=finding_text(warnings[0], say))
+    return [Statement("bad", say("warnings.title"), text)]
+
+
+def warning_sections(findings: tuple[Finding, ...], say: Catalogue) -> list[Section]:
+    """List warnings and notes."""
+    tables = []
+    for kind in ("warning", "note"):
+        texts = [finding_text(one, say) for one in findings if (one.severity == "note") == (kind == "note")]
+        columns = (Column("", align="right"), Column(say(f"warnings.{kind}"), align="left"))
+        rows = tuple((str(n), text) for n, text in enumerate(texts, start=1))
+        if rows:
+            tables.append(Table(say(f"warnings.table_{kind}"), columns, rows, widths=(0.06, 0.94)))
+    return [Section(say("warnings.section"), tuple(tables))] if tables else []

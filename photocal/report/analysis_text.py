@@ -130,7 +130,7 @@ def _method(one: MethodCheck, say: Catalogue) -> str:
     missing = [
         say("console.needs", **need_words(need.code, need.figures, say))
         for need in one.requirements
-        if not need.met
+        if need.severity != "passed"
     ]
     if not missing:
         return f"  {name}: {say('analysis.satisfied')}"

@@ -13,7 +13,14 @@ from photocal.findings.texts import finding_text, identity
 from photocal.findings.verdict import of_global_test, verdict
 from photocal.geometry.camera import Camera
 from photocal.report.acceptance import verdict as keeps
-from photocal.report.analysis_sections import analysis_verdict, hidden_errors, method_check, parameters
+from photocal.report.analysis_sections import (
+    analysis_verdict,
+    hidden_errors,
+    method_check,
+    parameters,
+    warned,
+    warning_sections,
+)
 from photocal.report.block_sections import (
     check_points,
     exterior_orientation,
@@ -38,7 +45,6 @@ from photocal.report.ministry_sections import (
 )
 from photocal.report.sensor import sensor_residuals
 from photocal.report.stored_analysis import Run
-from photocal.report.warning_sections import warned, warning_sections
 
 # Findings of the plausibility that a reader must see first.
 WEAK = "weak_principal_distance"

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.arrays import Floats
 from photocal.analysis.plausibility import CalibrationRecord, plausibility
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.report.acceptance import Limit, expected_altimetric_error_cm, limits
 from photocal.report.certificate_metadata import Particulars
 from photocal.report.image_sections import rms_px
-from photocal.report.network_shape import network_shape
 from photocal.report.printed import offsets
 from photocal.report.sensor import sensor_residuals
 from photocal.report.stored_analysis import Run
@@ -146,3 +146,42 @@ def _record(run: Run, camera_id: str, particulars: Particulars) -> CalibrationRe
             system.boresight_deg, system.boresight_sigma_deg, system.boresight_prior_sigma_deg
         ),
     )
+
+
+# Pairs of axes are compared for this many images at most; beyond, every k-th is taken.
+IMAGES = 1000
+
+
+@dataclass(frozen=True)
+class NetworkShape:
+    """Two figures of a network.
+
+    convergence_deg: largest angle between two optical axes.
+    depth_spread: distances of the points along the axes: 95th less 5th percentile over the median.
+    """
+
+    convergence_deg: float
+    depth_spread: float
+
+
+def network_shape(run: Run, camera_id: str) -> NetworkShape | None:
+    """Measure the exposures of one camera."""
+    result, rays = run.result, run.result.residuals_of(camera_id)
+    place = {name: j for j, name in enumerate(result.points.names)}
+    point = np.array([place.get(name, -1) for name in rays.point_names], dtype=np.int64)[rays.point]
+    image, point = rays.image[point >= 0], point[point >= 0]
+    if not len(image):
+        return None
+    # The third row of the rotation is the camera's backward axis in object space.
+    axes = result.images.rotation[:, 2, :]
+    depth = np.abs(
+        np.einsum("ij,ij->i", axes[image], result.points.values[point] - result.images.station[image])
+    )
+    low, middle, high = np.percentile(depth, [5, 50, 95])
+    own = axes[np.unique(image)]
+    own = own[:: -(-len(own) // IMAGES)]
+    return NetworkShape(_largest_angle(own), float((high - low) / middle))
+
+
+def _largest_angle(axes: Floats) -> float:
+    return float(np.degrees(np.arccos(np.clip((axes @ axes.T).min(), -1.0, 1.0))))

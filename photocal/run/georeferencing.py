@@ -35,8 +35,7 @@ def _files(project: Project) -> list[str]:
 
 def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
     from photocal.accuracy.geopackage import reference_system
-    from photocal.accuracy.map_scale import parse_scale
-    from photocal.accuracy.standard import Question
+    from photocal.accuracy.standard import Question, parse_scale
     from photocal.accuracy.standard_file import SHIPPED, load_standard
     from photocal.block.folder import read_block
     from photocal.georeferencing.as_json import to_json

@@ -7,8 +7,7 @@ import numpy as np
 from photocal.analysis.estimates import Estimates, scaled
 from photocal.analysis.significance import f_test
 from photocal.analysis.systematic_errors.extra_parameter import ExtraParameter
-from photocal.analysis.systematic_errors.ground_effect import SMALL_PX, SMALL_SIGMAS, ground_effect
-from photocal.analysis.systematic_errors.refit import Fit
+from photocal.analysis.systematic_errors.refit import SMALL_PX, SMALL_SIGMAS, Fit, ground_effect
 from photocal.analysis.systematic_errors.search import LEVEL, WRONG_SIGMA, Round, Search, camera_estimates
 from photocal.findings.finding import Figure, Finding, Severity, Size
 from photocal.geometry.camera import PARAMETERS, Camera

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from photocal.analysis.systematic_errors.ground_effect import SMALL_PX
+from photocal.analysis.systematic_errors.refit import SMALL_PX
 from photocal.analysis.systematic_errors.search import LEVEL, WRONG_SIGMA, Search
 from photocal.analysis.systematic_errors.variance_components import VarianceComponent
 from photocal.findings.finding import Figure, Finding, Severity, Size

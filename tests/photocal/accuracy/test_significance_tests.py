@@ -14,10 +14,10 @@ from photocal.accuracy.significance_tests import (
     normality_test,
     precision_quantile,
     precision_test,
+    rmse_after_trend_removal,
     std_interval_factors,
 )
 from photocal.accuracy.statistics import Moments, moments_from_rmse_and_t
-from photocal.accuracy.trend import rmse_after_trend_removal
 
 Published = Callable[[str], list[dict[str, str]]]
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from photocal.analysis.correlation_check import correlation_findings
+from photocal.analysis.correlation import correlation_findings
 from photocal.analysis.plausibility import CalibrationRecord, Offsets, effective_unit, plausibility
 from photocal.findings.finding import Figure
 

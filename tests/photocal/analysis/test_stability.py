@@ -17,9 +17,8 @@ from drivers.errors import (
 )
 from photocal.analysis.estimates import from_sigmas
 from photocal.analysis.stability.calibration import Calibration, View, sensor_grid, view
-from photocal.analysis.stability.camera_file import CameraFile, read_camera_file
+from photocal.analysis.stability.camera_file import CameraFile, brown_from_pix4d, read_camera_file
 from photocal.analysis.stability.comparison import Pair, compare
-from photocal.analysis.stability.manufacturer import brown_from_pix4d
 from photocal.analysis.stability.methods import Method, Terrain, figure, fitted_pose, methods
 from photocal.analysis.stability.verdict import follow, likeness, sentences
 from photocal.geometry.camera import Camera, camera

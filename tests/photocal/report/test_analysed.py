@@ -12,12 +12,11 @@ import pytest
 from photocal.block.folder import read_block
 from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding
-from photocal.report.analysis_file import analyse_run
+from photocal.report.analysis_file import analyse_run, exterior_difference
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import read_particulars
 from photocal.report.derived_figures import facts
 from photocal.report.document import Document, KeyValues, Paragraph, Signature, Statement, Table
-from photocal.report.exterior_difference import exterior_difference
 from photocal.report.html import html
 from photocal.report.ministry import entries, read_layout
 from photocal.report.ministry_rows import Context

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from photocal.report.network_shape import network_shape
+from photocal.report.derived_figures import network_shape
 from photocal.report.stored_analysis import Run
 
 Floats = NDArray[np.float64]
