@@ -35,17 +35,24 @@ def certificate(
     ] = None,
     client: Annotated[str, typer.Option(help="For whom.")] = "",
     operator: Annotated[str, typer.Option(help="By whom.")] = "",
+    images: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the pictures: their EXIF tells camera, aperture, focus and firmware."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
 ) -> None:
     """Write the certificate of a calibration: HTML page, PDF and JSON.
 
     Example: `photocal certificate run -o certificate --block block --language pt-BR`
     """
+    from photocal.measurement.image_facts import read_facts, told_conditions
+    from photocal.measurement.image_file import list_images
     from photocal.report.issue import FORMS, issue
     from photocal.report.signing import own_key
     from photocal.results.origin import CARRIED
     from photocal.run.warnings import told_beside
 
+    pictures = told_conditions([read_facts(path) for path in list_images(images)] if images else [])
     own = own_key()
     with progress("certificate", 4) as step:
         document = issue(
@@ -59,6 +66,7 @@ def certificate(
             operator=operator,
             key=own.fingerprint if own else "",
             told=told_beside(run),
+            pictures=pictures,
             done=lambda: step(1),
         )
     written = [str(output / name) for name in (*FORMS, CARRIED) if (output / name).exists()]

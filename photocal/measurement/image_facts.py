@@ -6,7 +6,7 @@ import math
 import re
 import struct
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -59,6 +59,8 @@ class ImageFacts:
     maker_camera: XMP tags about the camera, for `maker_camera.stated_camera`.
     c_px: principal distance that a person gives in place of all these; NaN when not given.
     exposure_s, iso: exposure time and sensitivity; NaN when not given.
+    f_number, focus_m: aperture, and distance focused at; NaN when not given.
+    lens, firmware: as the camera calls them; empty when not given.
     """
 
     name: str
@@ -84,6 +86,10 @@ class ImageFacts:
     c_px: float = math.nan
     exposure_s: float = math.nan
     iso: float = math.nan
+    f_number: float = math.nan
+    focus_m: float = math.nan
+    lens: str = ""
+    firmware: str = ""
 
     @property
     def has_position(self) -> bool:
@@ -127,7 +133,32 @@ def read_facts(path: Path) -> ImageFacts:
         {key: value for key, value in xmp.items() if key in _CAMERA_TAGS},
         exposure_s=_positive(exif.get(0x829A)),
         iso=_positive(exif.get(0x8827)),
+        f_number=_positive(exif.get(0x829D)),
+        focus_m=_positive(exif.get(0x9206)),
+        lens=_text(exif.get(0xA434)),
+        firmware=_text(main.get(0x0131)),
     )
+
+
+def told_conditions(facts: Sequence[ImageFacts]) -> dict[str, dict[str, str]]:
+    """Give what the pictures tell of their camera and its state, in sections of a certificate's particulars.
+
+    Values that differ stand side by side; what no picture says is left out.
+    """
+
+    def both(name: str, form: str = "{}") -> str:
+        values = {getattr(one, name) for one in facts}
+        return ", ".join(sorted(form.format(one) for one in values if one and str(one) != "nan"))
+
+    camera = {"model": both("model"), "manufacturer": both("make"), "serial": both("serial")}
+    camera["lens_type"] = both("lens")
+    conditions = {
+        "aperture": both("f_number", "f/{:g}"),
+        "focus": both("focus_m", "{:g} m"),
+        "firmware": both("firmware"),
+    }
+    sections = {"camera": camera, "conditions": conditions}
+    return {name: {key: value for key, value in own.items() if value} for name, own in sections.items()}
 
 
 def _accuracy(xmp: Mapping[str, str]) -> Triple:

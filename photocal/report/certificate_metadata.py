@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -157,10 +158,20 @@ class Particulars(Table):
 
 
 def read_particulars(
-    path: Path | None, date: dt.date, *, client: str = "", operator: str = "", key: str = ""
+    path: Path | None,
+    date: dt.date,
+    *,
+    client: str = "",
+    operator: str = "",
+    key: str = "",
+    pictures: Mapping[str, Mapping[str, str]] | None = None,
 ) -> Particulars:
-    """Read the particulars of a certificate."""
+    """Read the particulars of a certificate; what nobody typed may stand in the pictures, by section."""
     keys: dict[str, Any] = load_toml(path) if path is not None else {}
+    for section, told in (pictures or {}).items():
+        typed = keys.get(section, {})
+        if isinstance(typed, dict):
+            keys[section] = {**{name: f"{value} (EXIF)" for name, value in told.items()}, **typed}
     if "date" in keys:
         raise ConfigurationError("unknown key 'date'", where=path, remedy="give the day by --date")
     named = {"client": client, "operator": operator}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from acquire.outputs import output_folder
@@ -35,6 +35,7 @@ def issue(
     operator: str = "",
     key: str = "",
     told: tuple[Finding, ...] = (),
+    pictures: Mapping[str, Mapping[str, str]] | None = None,
     done: Callable[[], None] = lambda: None,
 ) -> Document:
     """Write the certificate of a run.
@@ -42,6 +43,7 @@ def issue(
     block: block folder or set-up file of the run; looked for near it when not given. Its files are carried.
     particulars: TOML file with what a person gives.
     key: fingerprint of the key by which it will be signed; printed.
+    pictures: what they say of camera and conditions, by section and key of the particulars.
 
     Raises
     ------
@@ -49,7 +51,7 @@ def issue(
         For inputs that cannot be read or have changed, and for figures that cannot be right.
     """
     say = catalogue(language)
-    given = read_particulars(particulars, day, client=client, operator=operator, key=key)
+    given = read_particulars(particulars, day, client=client, operator=operator, key=key, pictures=pictures)
     results = read_run(run)
     _refuse_a_guess(run, results.result)
     source = _source(run, results, block)

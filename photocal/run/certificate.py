@@ -22,7 +22,9 @@ def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple
     inputs = {} if keys.particulars is None else {"particulars": keys.particulars}
 
     def make(folder: Path, show: Progress) -> None:
+        from photocal.measurement.image_facts import told_conditions
         from photocal.report.issue import issue
+        from photocal.run.project_checks import facts_of_pictures
 
         with show("certificate", None):
             issue(
@@ -36,6 +38,7 @@ def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple
                 operator=keys.operator,
                 key=fingerprint,
                 told=gather(work),
+                pictures=told_conditions(facts_of_pictures(project)),
             )
 
     settings = {**keys.model_dump(mode="json", exclude={"particulars"}), "key": fingerprint}

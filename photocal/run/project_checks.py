@@ -67,7 +67,7 @@ def _place(project: Project) -> Place | None:
     if flight is not None and flight.base_position is not None:
         latitude, longitude, _ = flight.base_position
         return latitude, longitude, "base_position in [flight]", FAR_FROM_BASE_M
-    placed = [own for own in _facts(project) if own.has_position]
+    placed = [own for own in facts_of_pictures(project) if own.has_position]
     if not placed:
         return None
     middle = np.median([(own.latitude_deg, own.longitude_deg) for own in placed], axis=0)
@@ -76,13 +76,14 @@ def _place(project: Project) -> Place | None:
 
 def picture_places(project: Project) -> Floats:
     """Positions that the pictures state, in the project's system; none in a local one."""
-    facts = _facts(project, None)
+    facts = facts_of_pictures(project, None)
     if project.crs == "local" or not facts:
         return np.empty((0, 3))
     return map_places(facts, project.crs)
 
 
-def _facts(project: Project, most: int | None = _PICTURES) -> list[ImageFacts]:
+def facts_of_pictures(project: Project, most: int | None = _PICTURES) -> list[ImageFacts]:
+    """Read what the first pictures of a project say of themselves; none without pictures."""
     images = project.contents.images
     if images is None or images.folder is None:
         return []
@@ -96,7 +97,7 @@ def _facts(project: Project, most: int | None = _PICTURES) -> list[ImageFacts]:
 
 
 def _has_positions(project: Project) -> bool:
-    return project.contents.flight is not None or any(own.has_position for own in _facts(project))
+    return project.contents.flight is not None or any(own.has_position for own in facts_of_pictures(project))
 
 
 def _check_system(project: Project, place: Place | None) -> None:

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
-import pytest
+import json
+from pathlib import Path
 
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from photocal.cli import app
 from photocal.report.laboratory import combined
 
 
@@ -17,3 +23,23 @@ def test_welch_and_satterthwaite() -> None:
 
 def test_many_degrees_of_freedom_are_normal() -> None:
     assert combined([(0.1, float("inf"))])[2] == pytest.approx(1.959964, abs=1e-4)
+
+
+def test_what_nobody_typed_comes_from_the_pictures(tmp_path: Path, run_folder: Path) -> None:
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    for k, aperture in enumerate((2.8, 4.0)):
+        exif = Image.Exif()
+        exif[0x0110], exif[0x0131] = "FC6310", "v01.2"
+        exif.get_ifd(0x8769).update({0x829D: aperture})
+        Image.new("L", (40, 30)).save(pictures / f"{k}.jpg", exif=exif)
+    given = tmp_path / "given.toml"
+    given.write_text('[conditions]\nfirmware = "v02"\n', encoding="utf-8")
+    asked = ["certificate", str(run_folder), "-o", str(tmp_path / "c"), "--particulars", str(given)]
+    said = CliRunner().invoke(app, [*asked, "--images", str(pictures)])
+    assert said.exit_code == 0, said.output
+    record = json.loads((tmp_path / "c" / "certificate.json").read_text(encoding="utf-8"))
+    assert record["particulars"]["camera"]["model"] == "FC6310 (EXIF)"
+    assert record["particulars"]["conditions"]["aperture"] == "f/2.8, f/4 (EXIF)"
+    assert record["particulars"]["conditions"]["firmware"] == "v02"
+    assert record["particulars"]["conditions"]["focus"] == ""
