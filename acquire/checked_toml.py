@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -36,6 +37,22 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise tomllib.TOMLDecodeError(str(failure)) from None
 
 
+def read_tables(path: Path) -> dict[str, Any]:
+    """Read a TOML file; errors as of `read_toml`."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        content = parse_toml(text)
+    except OSError as refusal:
+        raise InputNotFoundError(_unreadable(refusal), where=path, remedy="check the path") from refusal
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as failure:
+        raise ConfigurationError(
+            f"is not valid TOML ({failure})", where=path, remedy="correct it"
+        ) from failure
+    if not text.strip():
+        raise InputNotFoundError("is empty", where=path, remedy="was it written completely?")
+    return content
+
+
 def read_toml(path: Path, model: type[Content], context: dict[str, Any] | None = None) -> Content:
     """Read a TOML file and check it.
 
@@ -46,23 +63,19 @@ def read_toml(path: Path, model: type[Content], context: dict[str, Any] | None =
     ConfigurationError
         For what is not TOML, an unknown key, a missing one, or an impossible value.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-        content = parse_toml(text)
-    except OSError as refusal:
-        raise InputNotFoundError(_unreadable(refusal), where=path, remedy="check the path") from refusal
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as failure:
-        raise ConfigurationError(
-            f"is not valid TOML ({failure})", where=path, remedy="correct it"
-        ) from failure
-    if not text:
-        raise InputNotFoundError("is empty", where=path, remedy="was it written completely?")
+    return checked_tables(read_tables(path), model, path, context)
+
+
+def checked_tables(
+    content: Mapping[str, Any], model: type[Content], where: object, context: dict[str, Any] | None = None
+) -> Content:
+    """Check tables that were read; errors as of `read_toml`, said of `where`."""
     try:
         return model.model_validate(content, context=context)
     except ValidationError as failure:
         # A misspelt key is both unknown and missing: the first says more.
         unknown = [error for error in failure.errors() if error["type"] == "extra_forbidden"]
-        raise _complaint(path, (unknown or failure.errors())[0]) from failure
+        raise _complaint(where, (unknown or failure.errors())[0]) from failure
 
 
 def _unreadable(refusal: OSError) -> str:
@@ -73,7 +86,7 @@ def _unreadable(refusal: OSError) -> str:
     return f"cannot be read ({refusal.strerror})"
 
 
-def _complaint(path: Path, error: Any) -> ConfigurationError:
+def _complaint(path: object, error: Any) -> ConfigurationError:
     """Say in words what is wrong with a key."""
     # What stands in angle brackets is the name of a variant, not of a key.
     parts = (str(part + 1) if isinstance(part, int) else part for part in error["loc"])

@@ -8,9 +8,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from acquire.checked_toml import Table, parse_toml
+from acquire.checked_toml import Table, checked_tables, parse_toml
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.accuracy.standard import (
     Basis,
@@ -102,14 +102,10 @@ def parse_standard(text: str, where: str) -> Standard:
     try:
         content = parse_toml(text)
         if content.get("kind") == "value":
-            return _value_standard(_ValueFile.model_validate(content))
-        return _scale_standard(_ScaleFile.model_validate(content))
+            return _value_standard(checked_tables(content, _ValueFile, where))
+        return _scale_standard(checked_tables(content, _ScaleFile, where))
     except tomllib.TOMLDecodeError as refusal:
         raise ConfigurationError(f"is not TOML ({refusal})", where=where) from refusal
-    except ValidationError as refusal:
-        first = refusal.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "kind"
-        raise ConfigurationError(f"{key}: {first['msg']}", where=where) from refusal
     except (ValueError, ZeroDivisionError) as refusal:
         raise ConfigurationError(f"a limit is not a number ({refusal})", where=where) from refusal
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import datetime as dt
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, FiniteFloat, PositiveFloat, ValidationError
+from pydantic import Field, FiniteFloat, PositiveFloat
 
-from acquire.checked_toml import Table, parse_toml
-from drivers.errors import ConfigurationError, InputNotFoundError
+from acquire.checked_toml import Table, checked_tables, read_tables
+from drivers.errors import ConfigurationError
 
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Sigmas = tuple[PositiveFloat, PositiveFloat, PositiveFloat]
@@ -167,7 +166,7 @@ def read_particulars(
     pictures: Mapping[str, Mapping[str, str]] | None = None,
 ) -> Particulars:
     """Read the particulars of a certificate; what nobody typed may stand in the pictures, by section."""
-    keys: dict[str, Any] = load_toml(path) if path is not None else {}
+    keys: dict[str, Any] = read_tables(path) if path is not None else {}
     for section, told in (pictures or {}).items():
         typed = keys.get(section, {})
         if isinstance(typed, dict):
@@ -181,32 +180,9 @@ def read_particulars(
     responsible = keys.get("responsible", {})
     if isinstance(responsible, dict) and key:
         keys["responsible"] = {"key": key, **responsible}
-    return _validated({**keys, "date": date}, path)
+    return checked_tables({**keys, "date": date}, Particulars, path)
 
 
 def given_particulars(keys: dict[str, Any], date: str) -> Particulars:
     """Take the particulars from a machine-readable certificate."""
-    return _validated({**keys, "date": date}, "certificate.json, particulars")
-
-
-def _validated(keys: dict[str, Any], where: object) -> Particulars:
-    try:
-        return Particulars.model_validate(keys)
-    except ValidationError as refusal:
-        first = refusal.errors()[0]
-        place = ".".join(str(step) for step in first["loc"])
-        raise ConfigurationError(
-            f"{place}: {first['msg']}",
-            where=where,
-            remedy="see configs/certificates/example_particulars.toml",
-        ) from None
-
-
-def load_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file."""
-    try:
-        return parse_toml(path.read_text(encoding="utf-8"))
-    except (FileNotFoundError, IsADirectoryError):
-        raise InputNotFoundError("no such file", where=path, remedy="name a TOML file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as broken:
-        raise ConfigurationError(f"is not TOML ({broken})", where=path, remedy="correct the file") from None
+    return checked_tables({**keys, "date": date}, Particulars, "certificate.json, particulars")

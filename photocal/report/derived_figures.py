@@ -13,7 +13,7 @@ from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.report.acceptance import Limit, expected_altimetric_error_cm, limits
 from photocal.report.certificate_metadata import Particulars
 from photocal.report.image_sections import rms_px
-from photocal.report.printed import offsets
+from photocal.report.printed import given_figures
 from photocal.report.sensor import sensor_residuals
 from photocal.report.stored_analysis import Run
 
@@ -118,7 +118,6 @@ def _record(run: Run, camera_id: str, particulars: Particulars) -> CalibrationRe
     camera = run.result.cameras[camera_id]
     prior = dict(zip(PARAMETERS, camera.prior_sigma.tolist(), strict=True))
     place = sensor_residuals(run, camera_id).place - [camera.value("x0"), camera.value("y0")]
-    given, campaign, system = particulars.camera, particulars.campaign, particulars.gnss_ins
     shape = network_shape(run, camera_id)
     return CalibrationRecord(
         unit=camera.unit,
@@ -132,19 +131,10 @@ def _record(run: Run, camera_id: str, particulars: Particulars) -> CalibrationRe
         observed_radius=float(np.hypot(*place.T).max()) if len(place) else None,
         pitch_mm=pixel_size_mm(camera, particulars),
         pitch_ratio=camera.pitch[0] / camera.pitch[1],
-        sensor_mm=given.sensor_size_mm,
-        nominal_focal_mm=given.nominal_focal_length_mm,
-        height_m=campaign.flying_height_m,
-        gsd_cm=campaign.gsd_cm,
-        base_m=campaign.air_base_m,
-        forward_overlap=campaign.forward_overlap,
+        **given_figures(particulars.camera, particulars.campaign, particulars.gnss_ins),
         convergence_deg=shape.convergence_deg if shape else None,
         depth_spread=shape.depth_spread if shape else None,
         prior_sigmas={name: prior[name] for name in camera.free if np.isfinite(prior[name])},
-        lever_arm_cm=offsets(system.lever_arm_cm, system.lever_arm_sigma_cm),
-        boresight_deg=offsets(
-            system.boresight_deg, system.boresight_sigma_deg, system.boresight_prior_sigma_deg
-        ),
     )
 
 

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field, FiniteFloat, PositiveFloat, PositiveInt, ValidationError
+from pydantic import FiniteFloat, PositiveInt
 
-from acquire.checked_toml import Table
+from acquire.checked_toml import Table, read_toml
 from drivers.errors import ConfigurationError
 from photocal.analysis.plausibility import CalibrationRecord, Offsets, effective_unit, plausibility
 from photocal.findings.finding import Finding
 from photocal.report.acceptance import Limit, expected_altimetric_error_cm, limits
-from photocal.report.certificate_metadata import GnssInsKeys, load_toml
+from photocal.report.certificate_metadata import CameraKeys, CampaignKeys, GnssInsKeys
 
 Pair = tuple[FiniteFloat, FiniteFloat]
 
@@ -32,22 +32,10 @@ class CalibrationKeys(Table):
     correlation_decimals: PositiveInt = 2
 
 
-class PrintedCameraKeys(Table):
+class PrintedCameraKeys(CameraKeys):
     """Table `[camera]`."""
 
     size_px: tuple[PositiveInt, PositiveInt] | None = None
-    pixel_size_mm: PositiveFloat | None = None
-    sensor_size_mm: Annotated[tuple[PositiveFloat, ...], Field(min_length=1, max_length=2)] | None = None
-    nominal_focal_length_mm: PositiveFloat | None = None
-
-
-class FlightKeys(Table):
-    """Table `[campaign]`."""
-
-    flying_height_m: PositiveFloat | None = None
-    gsd_cm: PositiveFloat | None = None
-    air_base_m: PositiveFloat | None = None
-    forward_overlap: Annotated[float, Field(gt=0, lt=1)] | None = None
 
 
 class ResidualKeys(Table):
@@ -62,7 +50,7 @@ class PrintedKeys(Table):
 
     calibration: CalibrationKeys
     camera: PrintedCameraKeys = PrintedCameraKeys()
-    campaign: FlightKeys = FlightKeys()
+    campaign: CampaignKeys = CampaignKeys()
     gnss_ins: GnssInsKeys = GnssInsKeys()
     residuals: ResidualKeys = ResidualKeys()
 
@@ -93,7 +81,7 @@ def check_printed(path: Path) -> PrintedCheck:
     ConfigurationError
         For a wrong key or value.
     """
-    keys = _keys(path)
+    keys = read_toml(path, PrintedKeys)
     record = _record(keys, path)
     flight, camera = keys.campaign, keys.camera
     # The form works with the focal length in millimetres; a value in pixels cannot stand in for it.
@@ -113,17 +101,6 @@ def check_printed(path: Path) -> PrintedCheck:
         dz,
     )
     return PrintedCheck(keys.calibration.name, plausibility(record), checked)
-
-
-def _keys(path: Path) -> PrintedKeys:
-    try:
-        return PrintedKeys.model_validate(load_toml(path))
-    except ValidationError as refusal:
-        first = refusal.errors()[0]
-        place = ".".join(str(step) for step in first["loc"])
-        raise ConfigurationError(
-            f"{place}: {first['msg']}", where=path, remedy="see configs/studies/phantom4pro.toml"
-        ) from None
 
 
 def _record(keys: PrintedKeys, path: Path) -> CalibrationRecord:
@@ -151,17 +128,23 @@ def _record(keys: PrintedKeys, path: Path) -> CalibrationRecord:
         correlation_rounding=0.5 * 10.0**-printed.correlation_decimals,
         size_px=camera.size_px,
         pitch_mm=camera.pixel_size_mm,
-        sensor_mm=camera.sensor_size_mm,
-        nominal_focal_mm=camera.nominal_focal_length_mm,
-        height_m=flight.flying_height_m,
-        gsd_cm=flight.gsd_cm,
-        base_m=flight.air_base_m,
-        forward_overlap=flight.forward_overlap,
-        lever_arm_cm=offsets(system.lever_arm_cm, system.lever_arm_sigma_cm),
-        boresight_deg=offsets(
-            system.boresight_deg, system.boresight_sigma_deg, system.boresight_prior_sigma_deg
-        ),
+        **given_figures(camera, flight, system),
     )
+
+
+def given_figures(camera: CameraKeys, campaign: CampaignKeys, system: GnssInsKeys) -> dict[str, Any]:
+    """What a person gives of the fields of a `CalibrationRecord`."""
+    prior = system.boresight_prior_sigma_deg
+    return {
+        "sensor_mm": camera.sensor_size_mm,
+        "nominal_focal_mm": camera.nominal_focal_length_mm,
+        "height_m": campaign.flying_height_m,
+        "gsd_cm": campaign.gsd_cm,
+        "base_m": campaign.air_base_m,
+        "forward_overlap": campaign.forward_overlap,
+        "lever_arm_cm": offsets(system.lever_arm_cm, system.lever_arm_sigma_cm),
+        "boresight_deg": offsets(system.boresight_deg, system.boresight_sigma_deg, prior),
+    }
 
 
 def offsets(

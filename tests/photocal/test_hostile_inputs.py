@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from acquire.checked_toml import read_tables
 from acquire.simulate.world.configuration import read_configuration
 from drivers.errors import PhotocalError
 from photocal.accuracy.discrepancies import read_discrepancies
@@ -30,7 +31,6 @@ from photocal.measurement.marks_files import read_any_marks
 from photocal.navigation.image_metadata import read_images
 from photocal.planning.area_file import read_area
 from photocal.project import read_project
-from photocal.report.certificate_metadata import load_toml
 from photocal.report.record import read_record
 
 DEEP = 200_000
@@ -61,7 +61,7 @@ def control(path: Path) -> object:
 READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "project": ("project.toml", read_project),
     "flight plan": ("flight.toml", read_configuration),
-    "particulars": ("particulars.toml", load_toml),
+    "particulars": ("particulars.toml", read_tables),
     "standard": ("standard.toml", lambda path: load_standard(str(path))),
     "block": ("block.toml", lambda path: read_block(path.parent)),
     "table": ("points.csv", read_columns),

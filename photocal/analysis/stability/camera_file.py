@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from acquire.checked_toml import Table, parse_toml
-from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError, PhotocalError
+from acquire.checked_toml import Table, checked_tables, read_tables
+from drivers.errors import ConfigurationError, PhotocalError
 from photocal.analysis.estimates import Estimates, from_sigmas
 from photocal.analysis.stability.calibration import Calibration
 from photocal.analysis.stability.methods import Terrain
@@ -110,32 +109,12 @@ def read_camera_file(path: Path) -> CameraFile:
     ConfigurationError
         When a key is unknown or missing, or a value impossible.
     """
-    if not path.is_file():
-        raise InputNotFoundError(
-            "no such file", where=path, remedy="name a TOML file with [[camera]] entries"
-        )
-    content = path.read_bytes()
-    if not content.strip():
-        raise InputNotFoundError(
-            "the file is empty", where=path, remedy="write two or more [[camera]] entries"
-        )
-    try:
-        tables = parse_toml(content.decode("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as broken:
-        raise InputMalformedError(f"is not TOML ({broken})", where=path, remedy="correct the file") from None
-    return camera_file(tables, path)
+    return camera_file(read_tables(path), path)
 
 
 def camera_file(tables: dict[str, Any], path: Path) -> CameraFile:
     """Check the tables of such a file."""
-    try:
-        file = _File.model_validate(tables)
-    except ValidationError as refusal:
-        first = refusal.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise ConfigurationError(
-            f"{place}: {first['msg'].lower()}", where=path, remedy="see `photocal compare --help`"
-        ) from None
+    file = checked_tables(tables, _File, path)
     printed = tuple(
         Printed(one.method, one.definition, a, b, value, one.tolerance_px)
         for one in file.published

@@ -11,14 +11,13 @@ import pytest
 from scipy import stats
 
 from photocal.analysis.stability.repeatability import Occasion, between_flights, repeatability
-from photocal.geometry.camera import PARAMETERS, Camera, camera
+from photocal.geometry.camera import Camera, camera
 
 
 def calibrated(c: float, sigma: float) -> Camera:
     own = camera("a", "brown-ideal", "mm", (4000, 3000), (0.004, 0.004), {"c": c}, estimate=("c",))
-    covariance = np.zeros((len(PARAMETERS), len(PARAMETERS)))
-    covariance[0, 0] = sigma**2
-    return replace(own, covariance=covariance)
+    sigmas = np.where(own.estimated, sigma, 0.0)
+    return replace(own, sigma=sigmas, correlation=np.eye(len(sigmas)))
 
 
 def occasions(values: np.ndarray, sigma: float, warm: np.ndarray | None = None) -> list[Occasion]:

@@ -155,7 +155,7 @@ def test_full_certificate_has_all_sections(invented_run: Run) -> None:
         ("[gnss_ins]\nlever_arm_cm = [1, 2]", "gnss_ins.lever_arm_cm"),
         ("date = 2020-01-01", "date"),
         ("document = 3", "document"),
-        ("[camera", "not TOML"),
+        ("[camera", "not valid TOML"),
     ],
 )
 def test_wrong_particulars_are_named(tmp_path: Path, text: str, message: str) -> None:
