@@ -45,6 +45,15 @@ def ppk(
         float | None,
         typer.Option(help="Antenna reference point above the base's mark, metres; without: RINEX header."),
     ] = None,
+    antex: Annotated[
+        Path | None, typer.Option(help="Antenna models: an ANTEX file, such as igs20.atx of the IGS.")
+    ] = None,
+    rover_antenna: Annotated[
+        str, typer.Option(help="Type and radome of the rover's antenna in it; none: without a model.")
+    ] = "",
+    base_antenna: Annotated[
+        str, typer.Option(help="The base's; without: as the RINEX header names it.")
+    ] = "",
     elevation: Annotated[float, typer.Option(help="Least elevation of satellites, degrees.")] = 15.0,
     static: Annotated[bool, typer.Option("--static", help="The rover stood still: one position.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
@@ -63,7 +72,7 @@ def ppk(
     from acquire.outputs import output_folder
     from photocal.navigation.engine import Rtklib
     from photocal.navigation.flight_log import FlightLog
-    from photocal.navigation.ppk import options_for, process
+    from photocal.navigation.ppk import options_for, process, with_antennas
     from photocal.navigation.ppk_inputs import Sources, gather_inputs
     from photocal.navigation.ppk_report import plot_ppk, ppk_figures, ppk_text
     from photocal.navigation.trajectory import write_trajectory
@@ -76,6 +85,7 @@ def ppk(
     with tempfile.TemporaryDirectory() as scratch:
         inputs, remarks = gather_inputs(sources, engine, Path(scratch))
         options = options_for(inputs.rover, inputs.base, rover_antenna_height, base_antenna_height, elevation)
+        options = with_antennas(options, antex, (inputs.rover, rover_antenna), (inputs.base, base_antenna))
         result = process(inputs, options, "static" if static else "kinematic", engine, Path(scratch))
     figures = ppk_figures(result, remarks)
     with output_folder(output) as folder:

@@ -17,7 +17,8 @@ def survey(
             help="TOML: required_minutes, optional crs; [[known]] name, lat_deg, lon_deg, height_m, sigma_m; "
             "[[baseline]] name, start, end, base, rover (RINEX or flight logs, with base_link, rover_link), "
             "nav, products, base_antenna_m, rover_antenna_m; "
-            "[[ppp]] name, rover, nav, products (SP3, CLK), rover_antenna_m."
+            "[[ppp]] name, rover, nav, products (SP3, CLK), rover_antenna_m; antex with base_antenna, "
+            "rover_antenna (types and radomes)."
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for points.csv and the summary.")],

@@ -34,6 +34,8 @@ class ProcessingOptions:
     rover_antenna_m, base_antenna_m: heights of the antenna reference points above the marks; None: as in the
         RINEX header.
     precise: whether orbits and clocks come from products (SP3, CLK) instead of broadcast ephemerides.
+    antex: models of the antennas; with products also of the satellites'; None: without.
+    rover_antenna, base_antenna: names in that file; empty: without a model.
     """
 
     systems: str
@@ -43,6 +45,9 @@ class ProcessingOptions:
     rover_antenna_m: float | None = None
     base_antenna_m: float | None = None
     precise: bool = False
+    antex: Path | None = None
+    rover_antenna: str = ""
+    base_antenna: str = ""
 
 
 @dataclass(frozen=True)
@@ -156,10 +161,17 @@ def configuration(mode: Mode, direction: Direction, options: ProcessingOptions) 
         "out-height": "ellipsoidal",
         "out-solstatic": "all",
     }
-    for antenna, height_m in (("ant1", options.rover_antenna_m), ("ant2", options.base_antenna_m)):
+    for antenna, name, height_m in (
+        ("ant1", options.rover_antenna, options.rover_antenna_m),
+        ("ant2", options.base_antenna, options.base_antenna_m),
+    ):
         # With the type "*" the engine takes type and height from the header and passes over the height here.
-        settings[f"{antenna}-anttype"] = "*" if height_m is None else ""
+        settings[f"{antenna}-anttype"] = name or ("*" if height_m is None else "")
         settings[f"{antenna}-antdelu"] = f"{height_m or 0.0:.4f}"
+    if options.antex is not None:
+        settings |= {"pos1-posopt2": "on", "file-rcvantfile": str(options.antex.resolve())}
+        if options.precise:
+            settings |= {"pos1-posopt1": "on", "file-satantfile": str(options.antex.resolve())}
     if mode in ("kinematic", "static") and direction == "forward":
         settings["out-outstat"] = "residual"
     if mode == "ppp-static":

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, IllPosedError
+from photocal.navigation.antex import antenna_named, read_antennas
 from photocal.navigation.combination import between_directions
 from photocal.navigation.common_errors import CommonErrors, common_errors
 from photocal.navigation.engine import Direction, Engine, Mode, ProcessingOptions
@@ -106,6 +108,46 @@ def options_for(
     return ProcessingOptions(
         shared, two, elevation_deg, rover_antenna_m=rover_antenna_m, base_antenna_m=base_antenna_m
     )
+
+
+def with_antennas(
+    options: ProcessingOptions,
+    antex: Path | None,
+    rover: tuple[ObservationFile, str],
+    base: tuple[ObservationFile, str] | None,
+) -> ProcessingOptions:
+    """Return options with the models of the antennas, each by a given name or that of its RINEX header.
+
+    rover, base: observations and given name; "none" for an antenna without a model.
+
+    Raises
+    ------
+    ConfigurationError
+        For an antenna that is not told, or that the file does not have; for names without a file.
+    """
+    sides = {"rover": rover} | ({} if base is None else {"base": base})
+    if antex is None:
+        for side, (_, given) in sides.items():
+            if given:
+                raise ConfigurationError(
+                    f"the {side}'s antenna {given} needs a file of antenna models", remedy="give ANTEX, too"
+                )
+        return options
+    models, changed = read_antennas(antex), dict[str, Any](antex=antex)
+    for side, (observed, given) in sides.items():
+        if given.lower() == "none":
+            continue
+        if not (given or observed.antenna):
+            raise ConfigurationError(
+                f"nothing tells the antenna of the {side}",
+                where=observed.path,
+                remedy='name its type and radome as the ANTEX file does, or "none" for one without a model',
+            )
+        changed[f"{side}_antenna"] = antenna_named(models, given or observed.antenna, antex).name
+        # The engine reads the header's height only together with the header's type.
+        if getattr(options, f"{side}_antenna_m") is None:
+            changed[f"{side}_antenna_m"] = observed.antenna_m
+    return replace(options, **changed)
 
 
 def process(

@@ -26,12 +26,15 @@ class ObservationFile:
     time: its epochs.
     systems: letters of the satellite systems (G GPS, R GLONASS, E Galileo, J QZSS, C BeiDou).
     bands: digits of the carrier bands with phases.
+    antenna, antenna_m: its type with radome, empty where not told, and its reference point above the mark.
     """
 
     path: Path
     time: GpsTime
     systems: frozenset[str]
     bands: frozenset[str]
+    antenna: str = ""
+    antenna_m: float = 0.0
 
     @property
     def interval_s(self) -> float:
@@ -48,7 +51,7 @@ def read_observation_file(path: Path) -> ObservationFile:
         )
     second = lines[0].lstrip().startswith("2")
     systems, bands, end = set(), set(), len(lines)
-    letter = ""
+    letter, antenna, antenna_m = "", "", 0.0
     for number, line in enumerate(lines):
         label = line[60:].strip()
         if label == "END OF HEADER":
@@ -58,6 +61,10 @@ def read_observation_file(path: Path) -> ObservationFile:
             letter = line[0] if line[0] != " " else letter
             systems.add(letter)
             bands |= {code[1] for code in line[7:60].split() if code[0] == "L"}
+        elif label == "ANT # / TYPE":
+            antenna = " ".join(line[20:40].split())
+        elif label == "ANTENNA: DELTA H/E/N":
+            antenna_m = float(line[:14].strip() or 0.0)
         elif label == "# / TYPES OF OBSERV":
             bands |= {code[1] for code in line[6:60].split() if code[0] == "L"}
         elif label == "TIME OF FIRST OBS" and line[48:51].strip() not in ("", "GPS"):
@@ -75,6 +82,8 @@ def read_observation_file(path: Path) -> ObservationFile:
         GpsTime(np.array([_gps_ns(*match.groups()) for match in found], np.int64)),
         frozenset(systems),
         frozenset(bands),
+        antenna,
+        antenna_m,
     )
 
 

@@ -13,7 +13,7 @@ from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.navigation.baseline_network import Baseline, Mark, NetworkSolution, adjust_baselines
 from photocal.navigation.engine import Engine
 from photocal.navigation.flight_log import FlightLog
-from photocal.navigation.ppk import Inputs, PpkResult, options_for, process
+from photocal.navigation.ppk import Inputs, PpkResult, options_for, process, with_antennas
 from photocal.navigation.ppk_inputs import converted
 from photocal.navigation.receiver_recording import pick, read_receivers, refuse_unusable
 from photocal.navigation.rinex import ObservationFile, read_observation_file
@@ -112,6 +112,9 @@ def _session(measured: MeasuredBaseline, survey: Survey, start_m: Floats) -> tup
         base_antenna_m=measured.base_antenna_m,
         precise=bool(measured.products),
     )
+    options = with_antennas(
+        options, _antex(survey), (rover, measured.rover_antenna), (base, measured.base_antenna)
+    )
     found = process(inputs, options, "static", survey.engine, own)
     position, air_m = _through_air(found)
     end, covariance = _earth_centred(position)
@@ -124,6 +127,7 @@ def _session(measured: MeasuredBaseline, survey: Survey, start_m: Floats) -> tup
         "length_m": float(np.linalg.norm(end - start_m)),
         "air_correction_m": air_m,
         "base_antenna_m": measured.base_antenna_m,
+        "antenna_models": [options.base_antenna, options.rover_antenna],
         "rover_antenna_m": measured.rover_antenna_m,
         **_duration(float(last - first) / 60e9, survey),
     }
@@ -148,6 +152,7 @@ def _precise(point: PrecisePoint, survey: Survey) -> tuple[Mark, dict[str, Any]]
     observed, recorded = _observations(point.rover, point.rover_link, "rover", survey, own / "rover")
     named = [survey.folder / p for p in (*point.nav, *point.products)]
     options = replace(options_for(observed, observed), rover_antenna_m=point.rover_antenna_m, precise=True)
+    options = with_antennas(options, _antex(survey), (observed, point.rover_antenna), None)
     found = precise_point(observed, [*recorded, *named], options, survey.engine, own)
     place, covariance = _earth_centred(found)
     session = {
@@ -160,6 +165,10 @@ def _precise(point: PrecisePoint, survey: Survey) -> tuple[Mark, dict[str, Any]]
         **_duration(float(observed.time.ns[-1] - observed.time.ns[0]) / 60e9, survey),
     }
     return Mark(point.name, place, covariance), session
+
+
+def _antex(survey: Survey) -> Path | None:
+    return None if survey.setup.antex is None else survey.folder / survey.setup.antex
 
 
 def _own_folder(survey: Survey, name: str) -> Path:

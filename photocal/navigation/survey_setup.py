@@ -30,6 +30,7 @@ class MeasuredBaseline(Table):
     nav: RINEX navigation files, beside the ephemerides that logs recorded.
     products: precise orbits and clocks (SP3, CLK) that take the place of broadcast ones.
     base_antenna_m, rover_antenna_m: heights of the antenna reference points above the marks.
+    base_antenna, rover_antenna: types and radomes in `antex`; empty: as the RINEX header names them.
     """
 
     name: str
@@ -43,6 +44,8 @@ class MeasuredBaseline(Table):
     products: tuple[Path, ...] = ()
     base_antenna_m: float
     rover_antenna_m: float
+    base_antenna: str = ""
+    rover_antenna: str = ""
 
 
 class PrecisePoint(Table):
@@ -54,14 +57,16 @@ class PrecisePoint(Table):
     nav: tuple[Path, ...] = ()
     products: tuple[Path, ...] = Field(min_length=1)
     rover_antenna_m: float
+    rover_antenna: str = ""
 
 
 class SurveySetup(Table):
-    """A survey; the weather is that of its time and place, None: the climate's."""
+    """A survey; the weather is that of its time and place, None: the climate's; antex: antenna models."""
 
     crs: str | None = None
     required_minutes: float = Field(gt=0)
     weather: AirAtBase | None = None
+    antex: Path | None = None
     known: tuple[KnownMark, ...] = ()
     ppp: tuple[PrecisePoint, ...] = ()
     baseline: tuple[MeasuredBaseline, ...] = ()
