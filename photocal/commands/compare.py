@@ -26,6 +26,12 @@ def compare(
     picture: Annotated[
         Path | None, typer.Option("--picture", help="Draw the matrices of all pairs (.png, .svg, .pdf).")
     ] = None,
+    curves: Annotated[
+        Path | None,
+        typer.Option(
+            "--curves", help="Draw distortion profiles, parameters over the calibrations, and vectors."
+        ),
+    ] = None,
     exchange: Annotated[
         bool,
         typer.Option(
@@ -80,6 +86,12 @@ def compare(
         with output_file(picture) as aside:
             draw(pairs, tuple(one.id for one in asked.calibrations), asked.thresholds_px, aside, ending)
     repeats = repeated(flights)
+    if curves is not None:
+        from photocal.analysis.stability.curves import draw_curves
+
+        kind = _picture_format(curves)
+        with output_file(curves) as aside:
+            draw_curves(asked.calibrations, aside, kind)
     uses: tuple[Use, ...] = ()
     if exchange:
         with progress("using each in each", len(flights) ** 2) as advance:

@@ -20,8 +20,10 @@ from drivers.errors import (
 from photocal.analysis.stability.calibration import sensor_grid
 from photocal.analysis.stability.camera_file import read_camera_file
 from photocal.analysis.stability.comparison import compare
+from photocal.analysis.stability.curves import displacements
 from photocal.analysis.stability.methods import Terrain, methods
 from photocal.cli import app
+from photocal.geometry.camera import camera
 
 STUDY = Path(__file__).parents[3] / "configs/studies/canon-elph.toml"
 GRID = sensor_grid((4000, 3000), 250.0)
@@ -134,3 +136,23 @@ def test_a_picture_of_unknown_kind_is_refused(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["compare", str(path), "--picture", str(tmp_path / "pairs.doc")])
     assert isinstance(done.exception, ConfigurationError)
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_curves_of_several_calibrations(tmp_path: Path) -> None:
+    picture = tmp_path / "curves.png"
+    done = CliRunner().invoke(app, ["compare", str(STUDY), "--json", "--curves", str(picture)])
+    assert done.exit_code == 0, done.output
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_displacements_are_those_of_the_polynomials() -> None:
+    """At 45 degrees right of and below the principal point: K1 r^3 outwards; decentring by hand."""
+    k1, p1 = -2e-8, 3e-7
+    values = {"c": 1500.0, "x0": 0.0, "y0": 0.0, "K1": k1, "P1": p1}
+    own = camera("a", "brown-observed", "px", (1001, 801), (1.0, 1.0), values)
+    found = displacements(own, np.array([[500.0 + 300.0, 400.0 + 300.0]]))
+    r2 = 2 * 300.0**2
+    assert found["radial"][0] == pytest.approx([k1 * r2 * 300.0, k1 * r2 * 300.0])
+    # x = 300, y = -300 (up): P1 (r2 + 2 x2) to the right, 2 P1 x y up, which is down when it is negative.
+    assert found["decentring"][0] == pytest.approx([p1 * (r2 + 2 * 9e4), 2 * p1 * 9e4])
+    assert found["total"] == pytest.approx(found["radial"] + found["decentring"])

@@ -1,0 +1,141 @@
+"""Pictures of calibrations: profiles of their distortion, parameters over them, vectors on the sensor."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drivers.arrays import Floats
+from photocal.analysis.stability.calibration import Calibration
+from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
+from photocal.geometry.distortion import polynomial_distortion, radial_profile
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Arrows across the sensor; the longest one is this share of its width.
+_ACROSS, _LONGEST = 13, 0.07
+_RADIAL, _DECENTRING = slice(3, 7), slice(7, 11)
+_DASHES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))
+
+
+def displacements(camera: Camera, pixels: Floats) -> dict[str, Floats]:
+    """What the distortion does to places of the image, right and down, px, each shape (n, 2).
+
+    By the terms of the polynomial at those places, less the principal point: radial, decentring, and both
+    together (Brown 1971). It is what the model adds to the projection; the affinity is left out.
+    """
+    plane = pixel_to_plane(camera.size_px, camera.pitch, pixels) - camera.values[1:3]
+    found = {}
+    for name, left_out in (("radial", _DECENTRING), ("decentring", _RADIAL), ("total", slice(0, 0))):
+        values = camera.values.copy()
+        values[left_out] = 0.0
+        moved = polynomial_distortion(camera.with_values(values), plane) / np.array(camera.pitch)
+        found[name] = moved * np.array([1.0, -1.0])
+    return found
+
+
+def draw_curves(calibrations: tuple[Calibration, ...], path: Path, ending: str) -> None:
+    """Draw the profiles of all calibrations, c, x0 and y0 over them, and vectors of the first and last."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    canvas = Figure(figsize=(10.5, 9.5), layout="constrained")
+    FigureCanvasAgg(canvas)
+    grid = canvas.add_gridspec(3, 12)
+    radial, decentring = canvas.add_subplot(grid[0, :6]), canvas.add_subplot(grid[0, 6:])
+    for k, one in enumerate(calibrations):
+        _profiles(one, radial, decentring, _DASHES[k % len(_DASHES)])
+    radial.set_title("radial distortion", fontsize=9)
+    decentring.set_title("decentring distortion, largest at a radius (profile function)", fontsize=9)
+    for axes in (radial, decentring):
+        axes.set_xlabel("distance from the principal point, px", fontsize=8)
+        axes.set_ylabel("px", fontsize=8)
+        axes.axhline(0.0, color="#8a8f94", linewidth=0.6)
+        axes.tick_params(labelsize=7)
+    radial.legend(fontsize=7, frameon=False)
+    for k, name in enumerate(("c", "x0", "y0")):
+        _over_calibrations(calibrations, name, canvas.add_subplot(grid[1, 4 * k : 4 * k + 4]))
+    first, last = calibrations[0], calibrations[-1]
+    width, height = first.camera.size_px
+    steps = (np.arange(_ACROSS) + 0.5) / _ACROSS
+    rows = (np.arange(round(_ACROSS * height / width)) + 0.5) / round(_ACROSS * height / width)
+    pixels = np.column_stack([m.ravel() for m in np.meshgrid(steps * width, rows * height)]) - 0.5
+    fields = displacements(first.camera, pixels)
+    change = displacements(last.camera, pixels)["total"] - fields["total"]
+    pictures = [(f"{name}, {first.id}", field) for name, field in fields.items()]
+    if len(calibrations) > 1:
+        pictures.append((f"total, {last.id} less {first.id}", change))
+    for k, (title, field) in enumerate(pictures):
+        axes = canvas.add_subplot(grid[2, 3 * k : 3 * k + 3])
+        _vectors(axes, first.camera, pixels, field, title)
+    canvas.savefig(path, dpi=130, format=ending)
+
+
+def _profiles(one: Calibration, radial: Axes, decentring: Axes, dashes: object) -> None:
+    camera = one.camera
+    pitch = float(np.mean(camera.pitch))
+    half = np.array(camera.size_px) * camera.pitch / 2.0
+    radius = np.linspace(0.0, float(np.hypot(*(half + np.abs(camera.values[1:3])))), 200)
+    curve = radial_profile(camera, radius) / pitch
+    style = {"linestyle": dashes, "linewidth": 1.1, "label": one.id}
+    (line,) = radial.plot(radius / pitch, curve, **style)  # type: ignore[arg-type]
+    spread = _spread_of_profile(one, radius) / pitch
+    radial.fill_between(radius / pitch, curve - spread, curve + spread, color=line.get_color(), alpha=0.2)
+    p1, p2, p3, p4 = camera.values[_DECENTRING]
+    largest = 3.0 * np.hypot(p1, p2) * radius**2 * np.abs(1.0 + p3 * radius**2 + p4 * radius**4)
+    decentring.plot(radius / pitch, largest / pitch, **style)  # type: ignore[arg-type]
+
+
+def _spread_of_profile(one: Calibration, radius: Floats) -> Floats:
+    """Standard deviation of the radial profile, zero where no covariance is known."""
+    known = one.uncertainty
+    names = [] if known is None else [name for name in known.names if name in PARAMETERS[_RADIAL]]
+    if known is None or not names:
+        return np.zeros_like(radius)
+    bare = np.zeros_like(one.camera.values)
+    slopes = []
+    for name in names:
+        values = bare.copy()
+        values[PARAMETERS.index(name)] = 1.0
+        slopes.append(radial_profile(replace(one.camera, values=values), radius))
+    at = [known.names.index(name) for name in names]
+    jacobian = np.array(slopes)
+    variance = np.einsum("in,ij,jn->n", jacobian, known.covariance[np.ix_(at, at)], jacobian)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def _over_calibrations(calibrations: tuple[Calibration, ...], name: str, axes: Axes) -> None:
+    values, sigmas = [], []
+    for one in calibrations:
+        known = one.uncertainty
+        pitch = float(np.mean(one.camera.pitch))
+        estimated = known is not None and name in known.names
+        sigma = known.sigmas[known.names.index(name)] if known is not None and estimated else 0.0
+        values.append(one.camera.value(name) / pitch)
+        sigmas.append(float(sigma) / pitch)
+    axes.errorbar(
+        range(len(values)), values, yerr=sigmas, fmt="o-", color="#1a1a1a", linewidth=0.8, capsize=3
+    )
+    axes.set_xticks(range(len(values)), [one.id for one in calibrations], rotation=45, fontsize=7)
+    axes.set_title(f"{name}, px, with its standard deviation", fontsize=9)
+    axes.ticklabel_format(axis="y", useOffset=False)
+    axes.tick_params(axis="y", labelsize=7)
+
+
+def _vectors(axes: Axes, camera: Camera, pixels: Floats, field: Floats, title: str) -> None:
+    width, height = camera.size_px
+    longest = max(float(np.linalg.norm(field, axis=1).max()), 1e-12)
+    enlarged = _LONGEST * width / longest
+    axes.quiver(*pixels.T, *(field * enlarged).T, angles="xy", scale_units="xy", scale=1.0, width=0.004)
+    x, y = camera.values[1:3] / np.array(camera.pitch)
+    axes.plot([width / 2.0 - 0.5 + x], [height / 2.0 - 0.5 - y], "+", color="#b03030", markersize=8)
+    axes.set_xlim(0, width)
+    axes.set_ylim(height, 0)
+    axes.set_aspect("equal")
+    axes.set_xticks([])
+    axes.set_yticks([])
+    axes.set_title(f"{title}\nlongest {longest:.3g} px", fontsize=8)
