@@ -4,7 +4,17 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 
-.PHONY: help setup demo demo-dcs460 test quick wheel check bench evidence manual lock clean
+# What the system lacks is installed by its package manager where that is allowed; else it is said.
+define INSTALL
+{ lacking="$(1)"; \
+if command -v apt-get >/dev/null && { [ "$$(id -u)" = 0 ] || { command -v sudo >/dev/null && { [ -t 0 ] || sudo -n true 2>/dev/null; }; }; }; then \
+	[ "$$(id -u)" = 0 ] && as="" || as=sudo; \
+	echo "$$lacking is not installed: apt-get install $$lacking"; \
+	$$as apt-get update -qq && $$as apt-get install -y -qq --no-install-recommends $$lacking; \
+else echo "$$lacking is not installed; on Debian run: sudo apt-get install $$lacking"; exit 1; fi; }
+endef
+
+.PHONY: help engine setup demo demo-dcs460 test quick wheel check bench evidence manual lock clean
 
 help:
 	@echo "make demo    simulate a flight, record it, process it, compare with the truth"
@@ -23,7 +33,7 @@ setup: $(READY)
 
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "photocal needs Python 3.11 or newer; run: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)"; exit 1; }
-	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo "Python lacks venv; on Debian run: apt-get install python3-venv"; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || $(call INSTALL,python3-venv)
 	$(PYTHON) -m venv --clear $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
@@ -31,7 +41,11 @@ $(READY): requirements.lock pyproject.toml
 	$(BIN)/python -m photocal.compiled
 	@touch $(READY)
 
-demo: $(READY)
+# The PPK engine; tests that need it are left out with that reason where it is missing.
+engine:
+	@{ command -v rnx2rtkp && command -v convbin; } >/dev/null || $(call INSTALL,rtklib)
+
+demo: engine $(READY)
 	$(BIN)/python -m photocal.demo
 
 demo-dcs460: $(READY)
