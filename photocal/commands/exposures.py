@@ -69,7 +69,10 @@ def exposures(
     base: Annotated[Path | None, typer.Option(help="RINEX observations of the base.")] = None,
     nav: Annotated[list[str] | None, typer.Option(help="RINEX navigation file; may be repeated.")] = None,
     base_position: Annotated[
-        str | None, typer.Option(help="LAT,LON,H of the base: degrees, ellipsoidal height in metres.")
+        str | None,
+        typer.Option(
+            help="LAT,LON,H of the base: degrees, ellipsoidal height in metres; or a CSRS-PPP or SINEX file."
+        ),
     ] = None,
     base_sigma: Annotated[
         str | None, typer.Option(help="Standard deviations E,N,U of the base's position, metres.")

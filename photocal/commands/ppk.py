@@ -26,7 +26,10 @@ def ppk(
         ),
     ] = None,
     base_position: Annotated[
-        str | None, typer.Option(help="LAT,LON,H of the base: degrees, ellipsoidal height in metres.")
+        str | None,
+        typer.Option(
+            help="LAT,LON,H of the base: degrees, ellipsoidal height in metres; or a CSRS-PPP or SINEX file."
+        ),
     ] = None,
     base_sigma: Annotated[
         str | None, typer.Option(help="Standard deviations E,N,U of the base's position, metres.")

@@ -13,6 +13,7 @@ from drivers.gnsstime import GPS_EPOCH_NS
 from photocal.navigation.engine import Engine, RinexFiles
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk import Inputs, parse_position
+from photocal.navigation.precise_results import PreciseResult, read_precise_result
 from photocal.navigation.receiver_recording import (
     ReceiverRecording,
     pick,
@@ -34,7 +35,7 @@ class Sources:
     log: the flight; may be empty.
     rover, base: RINEX observation files; they go before the links of the log.
     navigation: RINEX navigation files, or ``base`` for the base's own ephemerides.
-    base_position: ``LAT,LON,H``; goes before what the log says.
+    base_position: ``LAT,LON,H``, or the result file of a service; goes before what the log says.
     rover_link, base_link, vehicle_link: links of the logs; no vehicle link: any.
     rover_antenna_m, base_antenna_m: antenna reference point above the mark; None: as the RINEX header has it.
     base_sigma_m (3,): standard deviations of the base's coordinates, east, north, up; goes before what a
@@ -114,10 +115,17 @@ def gather_inputs(sources: Sources, engine: Engine, folder: Path) -> tuple[Input
             if not count_ephemerides(Path(name)):
                 raise IllPosedError("has no ephemerides", where=name, remedy="give a RINEX navigation file")
             navigation.append(Path(name))
-    position, source = _base_position(sources, base_recording)
+    precise = _precise_base(sources)
+    position, source = (
+        _base_position(sources, base_recording)
+        if precise is None
+        else (precise.position_m, f"{sources.base_position}{precise.said}")
+    )
     files = [path for path in navigation if path.exists()]
     sigma = sources.base_sigma_m
-    if sigma is None and sources.base_position is None and base_recording is not None:
+    if sigma is None and precise is not None:
+        sigma = precise.sigma_enu_m
+    elif sigma is None and sources.base_position is None and base_recording is not None:
         sigma = base_recording.position_sigma_m()
     return Inputs(rover, base, files, position, source, sigma, sources.weather), remarks
 
@@ -175,6 +183,12 @@ def _remarks(recording: ReceiverRecording, role: str) -> list[str]:
     if recording.untimed_epochs:
         remarks.append(f"{role}: {recording.untimed_epochs} epochs of week 0 left out")
     return remarks
+
+
+def _precise_base(sources: Sources) -> PreciseResult | None:
+    """Read the base's position where it is that of a file."""
+    given = sources.base_position
+    return None if given is None or "," in given else read_precise_result(Path(given))
 
 
 def _base_position(sources: Sources, recording: ReceiverRecording | None) -> tuple[Floats, str]:

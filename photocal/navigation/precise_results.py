@@ -1,0 +1,119 @@
+"""Positions from services of precise point positioning: CSRS-PPP's summary and SINEX files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from drivers.arrays import Floats
+from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.navigation.trajectory import enu_axes, geodetic
+
+# CSRS-PPP states half widths of 95 % intervals.
+_OF_95 = 1.959964
+
+
+@dataclass(frozen=True)
+class PreciseResult:
+    """One position, earth-centred.
+
+    position_m (3,), covariance_m2 (3, 3): X, Y, Z.
+    frame: as the service names it, "IGS20"; empty where it does not.
+    epoch: of the coordinates, years; NaN where not told.
+    """
+
+    position_m: Floats
+    covariance_m2: Floats
+    frame: str
+    epoch: float
+
+    @property
+    def sigma_enu_m(self) -> Floats:
+        """Standard deviations east, north, up, shape (3,)."""
+        lat, lon, _ = geodetic(self.position_m[None])
+        turn = enu_axes(float(lat[0]), float(lon[0]))
+        return np.asarray(np.sqrt(np.diag(turn @ self.covariance_m2 @ turn.T)))
+
+    @property
+    def said(self) -> str:
+        """Frame and epoch for a person: nothing is transformed to those of the control."""
+        epoch = "" if np.isnan(self.epoch) else f", epoch {self.epoch:.4f}"
+        return f" ({self.frame or 'frame not told'}{epoch})"
+
+
+def read_precise_result(path: Path) -> PreciseResult:
+    """Read the result of a service: the summary (.sum) of CSRS-PPP, or SINEX of a single site.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        When it cannot be read, or is neither.
+    ConfigurationError
+        When a SINEX file has several sites.
+    """
+    try:
+        lines = path.read_text(encoding="latin-1").splitlines()
+    except OSError as refusal:
+        raise InputNotFoundError("cannot be read", where=path, remedy="check name and rights") from refusal
+    try:
+        if any(line.startswith("POS CRD") for line in lines):
+            return _of_csrs(lines)
+        if lines and lines[0].startswith("%=SNX"):
+            return _of_sinex(lines, path)
+    except (ValueError, IndexError, KeyError) as refusal:
+        raise InputMalformedError("is damaged", where=path, remedy="fetch it again") from refusal
+    raise InputMalformedError(
+        "is no result that is known here",
+        where=path,
+        remedy="give the summary (.sum) of CSRS-PPP, the program of IBGE-PPP, a SINEX file, or LAT,LON,H",
+    )
+
+
+def _of_csrs(lines: list[str]) -> PreciseResult:
+    head = next(line for line in lines if line.startswith("POS CRD")).split()
+    rows = {cells[1]: cells for line in lines if (cells := line.split())[:1] == ["POS"]}
+    position = np.array([float(rows[axis][5]) for axis in "XYZ"])
+    # With a transformation to another epoch a second sigma follows, which has its uncertainty.
+    total = any(word.startswith("SIG_TOT") for word in head)
+    sigma, whole, correlation = np.zeros(3), np.zeros(3), np.eye(3)
+    # Latitude and longitude stand in degrees, minutes and seconds.
+    for row, (axis, first) in enumerate((("LAT", 11), ("LON", 11), ("HGT", 7))):
+        cells = rows[axis]
+        sigma[row], whole[row] = (float(cells[first + k * total]) / _OF_95 for k in (0, 1))
+        for column, text in enumerate(cells[first + 1 + total : first + 1 + total + row]):
+            correlation[row, column] = correlation[column, row] = float(text)
+    local = correlation * np.outer(sigma, sigma) + np.diag(whole**2 - sigma**2)
+    lat, lon, _ = geodetic(position[None])
+    north_east_up = enu_axes(float(lat[0]), float(lon[0]))[[1, 0, 2]]
+    covariance = north_east_up.T @ local @ north_east_up
+    return PreciseResult(position, covariance, rows["X"][2], _year(rows["X"][3]))
+
+
+def _of_sinex(lines: list[str], path: Path) -> PreciseResult:
+    first, last = (lines.index(f"{sign}SOLUTION/ESTIMATE") for sign in "+-")
+    sites: dict[str, dict[str, list[str]]] = {}
+    for line in lines[first + 1 : last]:
+        cells = line.split()
+        if len(cells) > 9 and cells[1] in ("STAX", "STAY", "STAZ"):
+            sites.setdefault(cells[2], {})[cells[1]] = cells
+    if len(sites) != 1:
+        raise ConfigurationError(
+            f"has {len(sites)} sites ({', '.join(sorted(sites)) or 'none'})",
+            where=path,
+            remedy="give a file of a single site, or its LAT,LON,H",
+        )
+    (rows,) = sites.values()
+    axes = [rows[f"STA{axis}"] for axis in "XYZ"]
+    sigma = np.array([float(cells[9]) for cells in axes])
+    position = np.array([float(cells[8]) for cells in axes])
+    return PreciseResult(position, np.diag(sigma**2), "", _year(axes[0][5]))
+
+
+def _year(text: str) -> float:
+    """Year of an epoch as both write it: two digits, day of the year, seconds of the day."""
+    year, day, second = (int(part) for part in text.split(":"))
+    year += 1900 if year > 50 else 2000
+    days = 366 if year % 4 == 0 and (year % 100 or year % 400 == 0) else 365
+    return year + (day - 1 + second / 86_400) / days
