@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from drivers.arrays import Floats
 from photocal.analysis.estimates import Estimates, scaled
 from photocal.analysis.significance import f_test
 from photocal.analysis.systematic_errors.extra_parameter import ExtraParameter
@@ -106,11 +107,29 @@ def of_shift(search: Search) -> list[Finding]:
     one = search.shift
     if one is None:
         return []
-    axes = zip("XYZ", one.shift, one.sigma, strict=True)
-    numbers = tuple(f"{axis} {value:+.3f} +- {sigma:.3f} m" for axis, value, sigma in axes)
+    numbers = _by_axis(one.shift, one.sigma)
     worst = int(np.argmax(np.abs(one.shift)))
     size = Size(float(one.shift[worst]), "m", float(one.sigma[worst]))
     return [Finding("datum-shift", "doubtful", "positions", {"numbers": numbers}, ("positions_off",), size)]
+
+
+def of_strips(search: Search) -> list[Finding]:
+    """Describe strips whose positions lie beside those of the others."""
+    return [
+        Finding(
+            "strip-position",
+            "doubtful",
+            f"{one.first}-{one.last}",
+            {"images": float(one.positions), "numbers": _by_axis(one.shift, one.sigma)},
+        )
+        for one in search.strips
+        if one.p_value < LEVEL
+    ]
+
+
+def _by_axis(shift: Floats, sigma: Floats) -> tuple[str, ...]:
+    axes = zip("XYZ", shift, sigma, strict=True)
+    return tuple(f"{axis} {value:+.3f} +- {spread:.3f} m" for axis, value, spread in axes)
 
 
 def of_datum(search: Search) -> list[Finding]:

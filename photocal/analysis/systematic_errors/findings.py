@@ -9,6 +9,7 @@ from photocal.analysis.systematic_errors.camera_findings import (
     of_shift,
     of_sigma,
     of_significance,
+    of_strips,
 )
 from photocal.analysis.systematic_errors.image_findings import of_groups, of_images, of_maps, of_stated
 from photocal.analysis.systematic_errors.search import Search
@@ -19,6 +20,7 @@ def findings(search: Search) -> tuple[Finding, ...]:
     """Turn a search into a list."""
     listed = [of_round(one) for one in search.rounds]
     listed += of_shift(search)
+    listed += of_strips(search)
     listed += of_sigma(search)
     listed += of_bias(search)
     listed += of_significance(search)

@@ -1,4 +1,4 @@
-"""A shift that all observed positions have in common against control: base station, geoid, antenna height."""
+"""A shift that all observed positions, or those of a strip, have in common: base, geoid, ambiguities."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from photocal.analysis.systematic_errors.refit import Fit
 
 # Of a shift, what no other unknown takes up, squared: less is not determined.
 LEFT = 1e-4
+# Strips with fewer positions, or more strips than this, are not looked at one by one.
+LEAST_OF_STRIP, MOST_STRIPS = 3, 60
 # From here on standard deviations are wrong.
 SIGNIFICANCE = 0.001
 
@@ -46,30 +48,21 @@ def position_shift(fit: Fit) -> PositionShift | None:
     network, positions = fit.network, fit.network.positions
     if not len(positions.image) or np.any(network.mounting.sigma[SHIFT]) or _strips_free(network):
         return None
-    at = fit.factored
-    rows = other_equations(at.problem, at.state)["position"]
-    # Rows are whitened position by position: so is the shift.
-    fields = np.linalg.inv(np.linalg.cholesky(positions.covariance)).reshape(-1, 3)
-    counts = np.diff(rows.start)
-    still = np.zeros_like(at.state.points)
-    information = fields.T @ fields
-    whole = information.copy()
-    c_by_shift = np.zeros((len(network.cameras), 3))
-    for k in range(3):
-        right = np.zeros(at.problem.layout.size)
-        np.add.at(right, rows.column, rows.coefficient * np.repeat(rows.weight * fields[:, k], counts))
-        step, _ = full_solution(at.problem, at.normal, right, still)
-        moved = np.add.reduceat(rows.coefficient * step[rows.column], rows.start[:-1])
-        information[:, k] -= fields.T @ (rows.weight * moved)
-        for camera, (parameters, columns) in enumerate(at.problem.layout.camera_columns):
-            c_by_shift[camera, k] = step[columns[parameters == 0]].sum()
-    information = (information + information.T) / 2
+    fields = _whitened(fit)
+    normal = _further(fit, fields)
+    information, slope = normal.information, normal.slope
+    layout = fit.factored.problem.layout
+    c_by_shift = np.array(
+        [
+            normal.steps[:, columns[parameters == 0]].sum(axis=1)
+            for parameters, columns in layout.camera_columns
+        ]
+    )
     stated = np.median(np.sqrt(np.diagonal(positions.covariance, axis1=1, axis2=2)), axis=0)
     group = next(one for one in fit.solution.groups if one.name == "position")
     rest = group.redundancy - 3.0
-    if np.linalg.eigvalsh(np.linalg.solve(whole, information))[0] < LEFT or rest < FEWEST:
+    if np.linalg.eigvalsh(np.linalg.solve(fields.T @ fields, information))[0] < LEFT or rest < FEWEST:
         return PositionShift(np.zeros(3), np.full(3, np.inf), 0.0, 1.0, c_by_shift, stated)
-    slope = fields.T @ (rows.weight * rows.residual)
     shift, covariance = -np.linalg.solve(information, slope), np.linalg.inv(information)
     fall = float(-slope @ shift)
     scale = max(1.0, (group.chi_squared - fall) / rest)
@@ -80,6 +73,75 @@ def position_shift(fit: Fit) -> PositionShift | None:
     if wrong and factor.gain > fall - 2.0 * np.log(fit.solution.observations):
         p_value = 1.0
     return PositionShift(shift, np.sqrt(np.diag(covariance)), fall, p_value, c_by_shift, stated)
+
+
+@dataclass(frozen=True)
+class StripShift:
+    """The positions of one strip against the rest, `PositionShift` of that strip alone; p for all strips."""
+
+    first: str
+    last: str
+    positions: int
+    shift: Floats
+    sigma: Floats
+    p_value: float
+
+
+def strip_shifts(fit: Fit) -> tuple[StripShift, ...]:
+    """Estimate a shift of the positions of each strip; nothing for one strip, or where they are free."""
+    network, positions = fit.network, fit.network.positions
+    strips, count = np.unique(positions.strip, return_counts=True)
+    chosen = strips[count >= LEAST_OF_STRIP]
+    if not 2 <= len(strips) <= MOST_STRIPS or _strips_free(network):
+        return ()
+    fields, found = _whitened(fit), list[StripShift]()
+    group = next(one for one in fit.solution.groups if one.name == "position")
+    if group.redundancy - 3.0 < FEWEST:
+        return ()
+    for strip in chosen.tolist():
+        own = positions.strip == strip
+        masked = fields * np.repeat(own, 3)[:, None]
+        normal = _further(fit, masked)
+        if np.linalg.eigvalsh(np.linalg.solve(masked.T @ masked, normal.information))[0] < LEFT:
+            continue
+        covariance = np.linalg.inv(normal.information)
+        shift = -covariance @ normal.slope
+        left = group.chi_squared + float(normal.slope @ shift)
+        scale = max(1.0, left / (group.redundancy - 3.0))
+        p_value = len(chosen) * _smaller_p(shift, scale * covariance, group.redundancy - 3.0)
+        names = [network.image_names[i] for i in positions.image[own]]
+        sigma = np.sqrt(np.diag(covariance))
+        found.append(StripShift(names[0], names[-1], len(names), shift, sigma, min(1.0, p_value)))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class _Further:
+    """Normal equations of further unknowns of the positions, and how all others follow a unit of each."""
+
+    information: Floats
+    slope: Floats
+    steps: Floats
+
+
+def _whitened(fit: Fit) -> Floats:
+    """Rows of observed positions are whitened position by position: so is a shift, (3 positions, 3)."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(fit.network.positions.covariance)).reshape(-1, 3))
+
+
+def _further(fit: Fit, fields: Floats) -> _Further:
+    """Set up the normal equations of shifts along fields of the whitened positions, all else eliminated."""
+    at = fit.factored
+    rows = other_equations(at.problem, at.state)["position"]
+    counts, still = np.diff(rows.start), np.zeros_like(at.state.points)
+    information, steps = fields.T @ fields, np.zeros((fields.shape[1], at.problem.layout.size))
+    for k, field in enumerate(fields.T):
+        right = np.zeros(at.problem.layout.size)
+        np.add.at(right, rows.column, rows.coefficient * np.repeat(rows.weight * field, counts))
+        steps[k], _ = full_solution(at.problem, at.normal, right, still)
+        moved = np.add.reduceat(rows.coefficient * steps[k][rows.column], rows.start[:-1])
+        information[:, k] -= fields.T @ (rows.weight * moved)
+    return _Further((information + information.T) / 2, fields.T @ (rows.weight * rows.residual), steps)
 
 
 def _smaller_p(shift: Floats, covariance: Floats, freedom: float) -> float:

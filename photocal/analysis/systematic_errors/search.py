@@ -14,7 +14,13 @@ from photocal.analysis.systematic_errors.candidates import Candidate, candidates
 from photocal.analysis.systematic_errors.extra_parameter import ExtraParameter, estimated_amount, judged
 from photocal.analysis.systematic_errors.image_shift import ImageShift, image_shifts
 from photocal.analysis.systematic_errors.jackknife import Jackknife, jackknife
-from photocal.analysis.systematic_errors.position_shift import PositionShift, position_shift, with_free_shift
+from photocal.analysis.systematic_errors.position_shift import (
+    PositionShift,
+    StripShift,
+    position_shift,
+    strip_shifts,
+    with_free_shift,
+)
 from photocal.analysis.systematic_errors.refit import Fit, fit, with_measurements, with_sigmas
 from photocal.analysis.systematic_errors.residual_map import ResidualMap, residual_map
 from photocal.analysis.systematic_errors.variance_components import (
@@ -59,6 +65,7 @@ class Search:
     shift: the same where it is significant; it is then free in `last`.
     sigma: of the image coordinates, at the end.
     groups: each group of observations against its stated standard deviations, at the end.
+    strips: a shift of the positions of each strip, at the end.
     images, axes, cameras: scatter by image, by image axis and by camera, at the end.
     shifts: scale and principal point of each image, at the end.
     maps: for each camera, at the end; None for a camera without rays.
@@ -72,6 +79,7 @@ class Search:
     shift: PositionShift | None
     sigma: AssumedSigma
     groups: tuple[GroupTest, ...]
+    strips: tuple[StripShift, ...]
     images: tuple[VarianceComponent, ...]
     axes: tuple[VarianceComponent, ...]
     cameras: tuple[VarianceComponent, ...]
@@ -113,6 +121,7 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
         shift,
         sigma,
         _groups(last, sigma),
+        strip_shifts(last),
         variance_components(last.network.image_names, both, flat, checked),
         variance_components(("x", "y"), axis, flat, checked),
         variance_components(tuple(one.id for one in last.network.cameras), camera, flat, checked),

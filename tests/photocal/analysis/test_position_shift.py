@@ -10,7 +10,7 @@ import pytest
 from photocal.adjustment.adjust import adjust
 from photocal.analysis.systematic_errors.camera_findings import of_datum
 from photocal.analysis.systematic_errors.findings import findings
-from photocal.analysis.systematic_errors.position_shift import position_shift, with_free_shift
+from photocal.analysis.systematic_errors.position_shift import position_shift, strip_shifts, with_free_shift
 from photocal.analysis.systematic_errors.refit import fit
 from photocal.analysis.systematic_errors.search import search
 from tests.photocal.analysis.aerial import Flight, fly
@@ -74,3 +74,17 @@ def test_c_is_said_to_hang_on_the_height_datum_by_what_a_shift_does_to_it() -> N
 def test_heights_without_control_are_said_to_hang_on_the_positions() -> None:
     first = fit(fly(replace(FLIGHT, control=False), 6).network)
     assert [one.code for one in of_datum(search(first))] == ["heights-on-positions"]
+
+
+def test_a_strip_whose_positions_lie_beside_the_others_is_named_with_its_shift() -> None:
+    network = fly(FLIGHT, 6).network
+    positions = network.positions
+    own = positions.strip == 2
+    moved = replace(positions, values=positions.values + own[:, None] * np.array([0.12, 0.0, 0.0]))
+    listed = [one for one in findings(search(fit(replace(network, positions=moved)))) if not one.small]
+    (told,) = [one for one in listed if one.code == "strip-position"]
+    first, last = (network.image_names[i] for i in positions.image[own][[0, -1]])
+    assert told.subject == f"{first}-{last}"
+    (found,) = [one for one in strip_shifts(fit(replace(network, positions=moved))) if one.first == first]
+    np.testing.assert_allclose(found.shift, [0.12, 0.0, 0.0], atol=4 * found.sigma.max())
+    assert max(found.sigma[:2]) < 0.02
