@@ -36,6 +36,7 @@ POINT_CROSS = ("sXY", "sXZ", "sYZ")
 OBSERVATION_COLUMNS = ("image", "point", "x", "y")
 # Observations between points stand in tables of their plural: distances.csv (m), height_differences.csv (m),
 # azimuths.csv (degrees, from the Y axis towards X).
+CHECK_DISTANCES = "check_distances.csv"
 
 
 def read_block(folder: Path) -> Block:
@@ -67,7 +68,7 @@ def read_block(folder: Path) -> Block:
     readings = setup.observations.readings
     if readings is not None:
         observations, fits = from_readings(folder, readings, cameras, images, observations)
-    relations = _read_relations(folder, points.names)
+    relations, checks = _read_relations(folder, points.names), folder / CHECK_DISTANCES
     tables = ["block.toml", "images.csv", "points.csv", table.name, *(_present(folder))]
     tables += [MARKS, READINGS] if readings is not None else []
     positions = read_positions(
@@ -94,6 +95,7 @@ def read_block(folder: Path) -> Block:
         fits,
         repetition,
         (setup.block.level, setup.block.global_test),
+        read_relations(checks, "distance", points.names) if checks.exists() else NO_RELATIONS,
     )
 
 
@@ -211,9 +213,8 @@ def read_observations(
 
 def _present(folder: Path) -> list[str]:
     """Optional tables that the folder has."""
-    return [
-        f"{name}s.csv" for name in (*RELATIONS, "position", "attitude") if (folder / f"{name}s.csv").exists()
-    ]
+    tables = [f"{name}s.csv" for name in (*RELATIONS, "position", "attitude")]
+    return [name for name in (*tables, CHECK_DISTANCES) if (folder / name).exists()]
 
 
 def read_relations(path: Path, kind: str, points: tuple[str, ...], known: str = "points.csv") -> Relations:

@@ -180,6 +180,7 @@ class Block:
     fiducial_fits : tuple of FiducialFit
         Where the observations were given as readings.
     repetition: how repeated readings agree, where the block has them.
+    check_distances: known distances that take no part, by the index of their points.
     global_test: its level and its kind.
     """
 
@@ -200,6 +201,7 @@ class Block:
     fiducial_fits: tuple[FiducialFit, ...] = ()
     repetition: Repetition | None = None
     global_test: tuple[float, Sided] = (0.95, "two-sided")
+    check_distances: Relations = NO_RELATIONS
 
     def __repr__(self) -> str:
         """Say in one line what it holds."""

@@ -10,7 +10,7 @@ import numpy as np
 from drivers.arrays import Floats
 from photocal.block.model import InputFile
 from photocal.findings.catalogue import Catalogue
-from photocal.findings.digits import decimals_of, fixed, probability, symbol
+from photocal.findings.digits import decimals_of, fixed, probability, significant, symbol
 from photocal.report.check_figures import difference_histograms, difference_map
 from photocal.report.distortion import RADIAL
 from photocal.report.document import Column, Figure, KeyValues, Paragraph, Piece, Section, Table
@@ -167,8 +167,9 @@ def _eop_quality(run: Run, say: Catalogue) -> Table:
 def check_points(title: str, run: Run, say: Catalogue) -> Section:
     """Make the table of check points, or say that there are none."""
     checks, factor = run.result.checks, run.result.scale
+    lengths = [_check_lengths(run, say)] if checks.lengths else []
     if checks.n == 0:
-        return Section(title, (Paragraph(say("checks.none")),))
+        return Section(title, (Paragraph(say("checks.none")), *lengths))
     heads = [(f"Δ{axis}", "mm") for axis in "XYZ"]
     heads += [(say(f"checks.{key}", axis=axis), "mm") for key in ("adjusted", "surveyed") for axis in "XYZ"]
     columns = (Column(say("checks.point"), align="left"), *(Column(*head) for head in heads))
@@ -186,8 +187,36 @@ def check_points(title: str, run: Run, say: Catalogue) -> Section:
     rows.append((say("checks.rmse"), *rmse, *[""] * 6))
     note = say("checks.note", n=checks.n) + (say("checks.scaled") if factor else "")
     return Section(
-        title, (Table(say("checks.table"), columns, tuple(rows), note, dense=True), *_check_figures(run, say))
+        title,
+        (
+            Table(say("checks.table"), columns, tuple(rows), note, dense=True),
+            *lengths,
+            *_check_figures(run, say),
+        ),
     )
+
+
+def _check_lengths(run: Run, say: Catalogue) -> Table:
+    """Known distances that took no part, after VDI/VDE 2634 part 1: the largest error is the figure."""
+    lengths, factor = run.result.checks.lengths, run.result.scale
+    columns = (
+        Column(say("checks.line"), align="left"),
+        *(Column(say(f"checks.{key}"), "mm") for key in ("known", "error", "adjusted_length", "known_sigma")),
+    )
+    rows = [
+        (
+            f"{one.first}–{one.second}",
+            fixed(1e3 * one.known, max(decimals_of(1e3 * one.known_sigma), 0), say.mark),
+            fixed(1e3 * one.error, max(decimals_of(1e3 * max(one.sigma, one.known_sigma)), 0), say.mark),
+            _both(1e3 * one.sigma, factor, say),
+            _both(1e3 * one.known_sigma, None, say),
+        )
+        for one in lengths
+    ]
+    worst = max(lengths, key=lambda one: abs(one.error))
+    largest = significant(1e3 * abs(worst.error), 3, say.mark)
+    note = say("checks.lengths_note", n=len(lengths), largest=largest, line=f"{worst.first}–{worst.second}")
+    return Table(say("checks.lengths"), columns, tuple(rows), note)
 
 
 def _both(sigma: float, factor: float | None, say: Catalogue) -> str:

@@ -10,9 +10,12 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Floats
+from photocal.adjustment.factored import factored
+from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.mounting import BORESIGHT, COMMON, STRIPS
 from photocal.adjustment.snooping import Test, subset
 from photocal.adjustment.solution import Solution, global_test
+from photocal.adjustment.unknowns import XYZ
 from photocal.adjustment.variance_components import Component, rays_by_camera, with_factors
 from photocal.block.model import ROLES, Block, FiducialFit
 from photocal.block.network import NetworkOfBlock, assemble, plane_per_unit
@@ -23,6 +26,7 @@ from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
 from photocal.results.result import (
     AdjustedPoints,
     BlockFacts,
+    CheckLength,
     CheckPoint,
     CheckSummary,
     ComponentFactor,
@@ -74,7 +78,7 @@ def result_of(
         sigma0_squared=factor if np.isfinite(factor) else None,
         global_test=global_test(solution.chi_squared, solution.degrees_of_freedom, *block.global_test),
         groups=solution.groups,
-        checks=_checks(block, assembly, points),
+        checks=_checks(block, assembly, points, solution),
         snooping=snooping,
         mounting=_mounting(block, solution),
         variance_components=tuple(
@@ -184,7 +188,9 @@ def _rejected(block: Block, assembly: NetworkOfBlock) -> tuple[RejectedRay, ...]
     )
 
 
-def _checks(block: Block, assembly: NetworkOfBlock, points: AdjustedPoints) -> CheckSummary:
+def _checks(
+    block: Block, assembly: NetworkOfBlock, points: AdjustedPoints, solution: Solution
+) -> CheckSummary:
     check = block.points.of_role("check")[assembly.points]
     d = points.values[check] - block.points.values[assembly.points[check]]
     rmse = np.sqrt(np.mean(d**2, axis=0)).tolist() if len(d) else [None] * 3
@@ -192,7 +198,34 @@ def _checks(block: Block, assembly: NetworkOfBlock, points: AdjustedPoints) -> C
     stated = [[u if np.isfinite(u) and u > 0.0 else None for u in row] for row in surveyed.tolist()]
     rows = zip(np.flatnonzero(check), d.tolist(), points.sigma[check].tolist(), stated, strict=True)
     found = tuple(CheckPoint(points.names[j], *dj, *sj, *uj) for j, dj, sj, uj in rows)
-    return CheckSummary(len(d), dict(zip("xyz", rmse, strict=True)), found)
+    lengths = _lengths(block, assembly, solution)
+    return CheckSummary(len(d), dict(zip("xyz", rmse, strict=True)), found, lengths)
+
+
+def _lengths(block: Block, assembly: NetworkOfBlock, solution: Solution) -> tuple[CheckLength, ...]:
+    """Held-out distances between points that were measured, with the joint covariance of their ends."""
+    network, asked = assembly.network, block.check_distances
+    place = {name: j for j, name in enumerate(network.point_names)}
+    names = [
+        (block.points.names[i], block.points.names[j]) for i, j in zip(asked.first, asked.second, strict=True)
+    ]
+    known = [k for k, ends in enumerate(names) if all(end in place for end in ends)]
+    if not known:
+        return ()
+    ends = dict.fromkeys(end for k in known for end in names[k])
+    joint = joint_covariance(factored(network, solution.state), [("point", end) for end in ends])
+    found = []
+    for k in known:
+        first, second = names[k]
+        apart = solution.points[place[second]] - solution.points[place[first]]
+        length = float(np.linalg.norm(apart))
+        along = dict(zip(XYZ, apart / length, strict=True))
+        sign = {first: -1.0, second: 1.0}
+        row = np.array([sign.get(one.of, 0.0) * along[one.parameter] for one in joint.unknowns])
+        sigma = float(np.sqrt(max(row @ joint.covariance @ row, 0.0)))
+        error = length - float(asked.values[k])
+        found.append(CheckLength(first, second, float(asked.values[k]), error, sigma, float(asked.sigma[k])))
+    return tuple(found)
 
 
 def observed_residuals(block: Block, assembly: NetworkOfBlock, solution: Solution) -> Floats:

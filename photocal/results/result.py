@@ -68,12 +68,25 @@ class CheckPoint:
 
 
 @dataclass(frozen=True)
+class CheckLength:
+    """A known distance that took no part: its value, adjusted less known, and sigmas of both, m."""
+
+    first: str
+    second: str
+    known: float
+    error: float
+    sigma: float
+    known_sigma: float
+
+
+@dataclass(frozen=True)
 class CheckSummary:
-    """Check points and their root mean square differences, m (none without points)."""
+    """Check points and their root mean square differences, m (none without points); check lengths."""
 
     n: int
     rmse_m: dict[str, float | None]
     points: tuple[CheckPoint, ...] = ()
+    lengths: tuple[CheckLength, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -284,6 +297,10 @@ class Result(Figures):
         if self.checks.n:
             shown = ", ".join(f"{axis} {value * 1000:.1f}" for axis, value in rmse)
             lines.append(f"check points: {self.checks.n}, RMSE {shown} mm")
+        if self.checks.lengths:
+            lengths = self.checks.lengths
+            worst = 1e3 * max(abs(one.error) for one in lengths)
+            lines.append(f"check lengths: {len(lengths)}, largest length measurement error {worst:.2f} mm")
         return "\n".join(lines)
 
     def _sigmas(self, sigma: float) -> str:
