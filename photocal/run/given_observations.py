@@ -45,7 +45,7 @@ def given_block(project: Project, images: Images, without_exposure: Collection[s
     )
     sigma = None if given is None else given.sigma_px
     keys = ObservationKeys(unit="px", axes="pixel", sigma=sigma)
-    seen = read_observations(path, keys, images.names + left_out, points.names)
+    seen, _ = read_observations(path, keys, images.names + left_out, points.names)
     kept = seen.image < len(images.names)
     # Points that the images left out alone made determined go with them.
     before, after = (
