@@ -91,14 +91,15 @@ def test_unfixed_positions_prove_nothing_against_the_base(tmp_path: Path) -> Non
     assert most["base-position"] == "warning"
 
 
-def test_a_rolling_shutter_looks_like_a_zoom(tmp_path: Path) -> None:
+@pytest.mark.parametrize("cause", ["rolling-shutter", "c-drift"])
+def test_a_rolling_shutter_or_a_drift_of_c_looks_like_a_zoom(tmp_path: Path, cause: str) -> None:
     blamed = told("camera-change", "strip-shifts", "control-mistyped")
-    found = gathered(tmp_path, georeferencing=blamed, analysis=told("rolling-shutter"))
+    found = gathered(tmp_path, georeferencing=blamed, analysis=told(cause))
     assert [(one.code, kind(one)) for one in found] == [
         ("control-mistyped", "warning"),
-        ("rolling-shutter", "warning"),
+        (cause, "warning"),
         ("not-judged", "consequence"),
         ("not-judged", "consequence"),
     ]
-    small = told("rolling-shutter", severity="note")
+    small = told(cause, severity="note")
     assert kinds(tmp_path, analysis=small)["camera-change"] == "warning"
