@@ -40,6 +40,8 @@ WRONG_SIGMA = 0.10
 _STEPS, _NEAR = 5, 0.005
 # Candidates count as alike when their displacements are this parallel and their F this close.
 ALIKE = 0.9
+# A step has its place beside its size, the best of several: it must explain so much more than a drift, in F.
+STEP_ADVANTAGE = 6.0
 
 
 @dataclass(frozen=True)
@@ -158,8 +160,9 @@ def _worst(last: Fit, found: tuple[Candidate, ...], done: Callable[[], None]) ->
     worst = max(significant, key=lambda one: one.statistic)
     if worst.candidate.kind == "c-drift":
         steps = steps_of_c(last.network, last.state, last.computed, worst.candidate.camera)
-        tried = (estimated_amount(last, one) for one in steps)
-        worst = max((worst, *(one for one in tried if one)), key=lambda one: one.statistic)
+        tried = [one for step in steps if (one := estimated_amount(last, step)) is not None]
+        best = max(tried, key=lambda one: one.statistic, default=worst)
+        worst = best if best.statistic > worst.statistic + STEP_ADVANTAGE else worst
     alike = tuple(
         one.candidate.name
         for one in significant
