@@ -9,9 +9,9 @@ from dataclasses import replace
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.network import Network
-from photocal.adjustment.normal import prepare
+from photocal.adjustment.normal import Problem, prepare
 from photocal.adjustment.solution import Solution
-from photocal.adjustment.solver import Iteration, minimise
+from photocal.adjustment.solver import Iteration, Minimum, minimise
 from photocal.adjustment.state import State, start_state
 
 
@@ -32,13 +32,20 @@ def adjust(
     NotConvergedError
         When the iteration does not end.
     """
-    start = start_state(network)
     began = time.perf_counter()
-    problem = with_datum(prepare(network), start)
-    if state is not None and state.deviations.shape != start.deviations.shape:
-        state = replace(state, deviations=start.deviations)
-    minimum = minimise(problem, state or start, report)
+    problem, minimum = minimum_of(network, report, state)
     solved = time.perf_counter()
     solution = complete(problem, minimum)
     timing = {"solve": solved - began, "covariance": time.perf_counter() - solved}
     return replace(solution, timing_s=timing)
+
+
+def minimum_of(
+    network: Network, report: Callable[[Iteration], None] | None = None, state: State | None = None
+) -> tuple[Problem, Minimum]:
+    """Adjust a network without its statistics, as `adjust`."""
+    start = start_state(network)
+    problem = with_datum(prepare(network), start)
+    if state is not None and state.deviations.shape != start.deviations.shape:
+        state = replace(state, deviations=start.deviations)
+    return problem, minimise(problem, state or start, report)

@@ -120,7 +120,7 @@ class Network:
 
 
 def own_sigma(network: Network) -> Floats:
-    """Sigmas of each image's own parameters, shape (images, 20); 0 for those it has from its camera."""
+    """Sigmas of each image's own parameters, shape (images, 26); 0 for those it has from its camera."""
     exposures = network.exposures
     cameras = np.array([camera.deviation_sigma for camera in network.cameras]).reshape(-1, len(PARAMETERS))
     sigma = np.zeros((len(exposures.camera), len(OWN)))

@@ -9,9 +9,11 @@ import numpy as np
 from scipy import special
 
 from drivers.errors import IllPosedError, NotConvergedError
-from photocal.adjustment.adjust import adjust
+from photocal.adjustment.adjust import adjust, minimum_of
+from photocal.adjustment.envelope import solve
+from photocal.adjustment.factored import factored
 from photocal.adjustment.network import Network
-from photocal.adjustment.normal import prepare, values_of
+from photocal.adjustment.normal import Problem, prepare, values_of
 from photocal.adjustment.sensitivity import along
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration
@@ -62,53 +64,79 @@ def with_readouts(
     if doubtful and network.exposures.motion is not None:
         freed = _with(network, {k: _freed(network.cameras[k]) for k in doubtful})
         try:
-            found = adjust(freed, report, solution.state)
+            tests = _tested(freed, solution, doubtful)
+            rolling = [k for k, readout in tests.items() if readout.p_value < SIGNIFICANCE]
+            if rolling:
+                rolled = _with(network, {k: freed.cameras[k] for k in rolling})
+                network, solution = rolled, adjust(rolled, report, solution.state)
         except (IllPosedError, NotConvergedError):
             return network, solution, ()
-        tests = {k: readout_of(freed, found, k) for k in doubtful}
-        rolling = {k: freed.cameras[k] for k, readout in tests.items() if readout.p_value < SIGNIFICANCE}
-        tests = {k: replace(readout, estimated=k in rolling) for k, readout in tests.items()}
-        if rolling:
-            network = _with(network, rolling)
-            solution = found if len(rolling) == len(doubtful) else adjust(network, report, found.state)
     estimated = [k for k, camera in enumerate(network.cameras) if camera.estimated[READOUT]]
+    state = solution.state
     for _ in range(ROUNDS):
         # A prior observes the value that is given: that one stays.
         values = {
-            k: float(solution.cameras[k, READOUT])
+            k: float(state.cameras[k, READOUT])
             for k in estimated
             if np.isinf(network.cameras[k].prior_sigma[READOUT])
         }
         if all(abs(v - network.cameras[k].values[READOUT]) <= SETTLED * abs(v) for k, v in values.items()):
             break
-        network = _with(network, {k: _started(network.cameras[k], value) for k, value in values.items()})
-        solution = adjust(network, report, solution.state)
+        network = _with(network, {k: network.cameras[k].changed(readout=v) for k, v in values.items()})
+        state = minimum_of(network, report, state)[1].state
+    if state is not solution.state:
+        solution = adjust(network, report, state)
     tests |= {k: readout_of(network, solution, k) for k in estimated}
     return network, solution, tuple(tests[k] for k in sorted(tests))
 
 
+def _tested(freed: Network, solution: Solution, cameras: list[int]) -> dict[int, Readout]:
+    """Readouts of cameras that are adjusted as global, by the first step of the adjustment that frees them.
+
+    The step and its covariance are the estimate where it is near zero, which is what the test asks.
+    """
+    at = factored(freed, solution.state)
+    step = solve(at.problem.layout.envelope, at.normal.matrix, -at.normal.gradient)
+    tests = {}
+    for k in cameras:
+        column = _column(at.problem, k)
+        unit = np.zeros(at.problem.layout.size)
+        unit[column] = 1.0
+        variance = float(solve(at.problem.layout.envelope, at.normal.matrix, unit)[column])
+        value, sigma = float(step[column]), float(np.sqrt(variance))
+        tests[k] = replace(_judged(at.problem, solution, k, value, sigma), estimated=False)
+    return tests
+
+
 def readout_of(network: Network, solution: Solution, camera: int) -> Readout:
     """What an adjustment found of the readout of a camera that has one as unknown."""
-    own, exposures = network.cameras[camera], network.exposures
     value = float(solution.cameras[camera, READOUT])
     sigma = float(np.sqrt(solution.camera_covariance[camera, READOUT, READOUT]))
-    larger = max(1.0, float(np.sqrt(np.nan_to_num(solution.variance_factor))))
-    problem = prepare(network)
+    return _judged(prepare(network), solution, camera, value, sigma)
+
+
+def _column(problem: Problem, camera: int) -> int:
     positions, columns = problem.layout.camera_columns[camera]
+    return int(columns[positions == READOUT][0])
+
+
+def _judged(problem: Problem, solution: Solution, camera: int, value: float, sigma: float) -> Readout:
+    exposures = problem.network.exposures
+    larger = max(1.0, float(np.sqrt(np.nan_to_num(solution.variance_factor))))
     step = np.zeros(problem.layout.size)
-    step[columns[positions == READOUT]] = value
-    change = np.zeros(network.rays.plane.shape)
+    step[_column(problem, camera)] = value
+    change = np.zeros(problem.network.rays.plane.shape)
     still = np.zeros_like(solution.points)
     along(problem.design, values_of(problem, solution.state), problem.structure, step, still, change)
     mine = exposures.camera == camera
-    of_camera = change[mine[network.rays.image]]
+    of_camera = change[mine[problem.network.rays.image]]
     speed = (
         0.0
         if exposures.motion is None
         else float(np.median(np.linalg.norm(exposures.motion[mine, :3], axis=1)))
     )
     return Readout(
-        own.id,
+        problem.network.cameras[camera].id,
         value,
         sigma,
         float(2 * special.ndtr(-abs(value) / (sigma * larger))),
@@ -122,10 +150,6 @@ def _freed(camera: Camera) -> Camera:
     return replace(
         camera, estimated=camera.estimated | (np.array(PARAMETERS) == "readout"), shutter="rolling"
     )
-
-
-def _started(camera: Camera, readout: float) -> Camera:
-    return camera.with_values(np.where(np.array(PARAMETERS) == "readout", readout, camera.values))
 
 
 def _with(network: Network, changed: dict[int, Camera]) -> Network:

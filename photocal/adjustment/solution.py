@@ -70,8 +70,8 @@ class Solution:
 
     chi_squared: v'Pv at the minimum.
     datum_defect: elements of the datum that inner constraints fixed.
-    cameras (cameras, 14).
-    camera_covariance (cameras, 14, 14): zero for parameters that are held.
+    cameras (cameras, 20).
+    camera_covariance (cameras, 20, 20): zero for parameters that are held.
     exposures (images, 6): omega, phi, kappa in radians, X, Y, Z in m.
     exposure_covariance (images, 6, 6).
     points (points, 3).

@@ -18,7 +18,7 @@ from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles, t
 class State:
     """Values of all unknowns.
 
-    cameras (cameras, 14).
+    cameras (cameras, 20).
     rotation (images, 3, 3): object to camera axes.
     centre (images, 3).
     points (points, 3).
@@ -53,7 +53,7 @@ def lenses(network: Network, state: State) -> Floats:
 
     Returns
     -------
-    ndarray, shape (cameras or images, 20)
+    ndarray, shape (cameras or images, 26)
         At the end the movement during the readout.
     """
     exposures, still = network.exposures, len(OWN) - len(PARAMETERS)

@@ -12,7 +12,7 @@ from photocal.analysis.estimates import Estimates, without
 from photocal.analysis.significance import GROUPS
 from photocal.analysis.stability.calibration import View, sensor_grid, view
 from photocal.analysis.stability.methods import Method, fitted_pose, rotation_misfit
-from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
+from photocal.geometry.camera import Camera, pixel_to_plane
 from photocal.geometry.distortion import undistorted
 
 _ROTATION = Method("ROT", "two principal distances", "equations", 3, False, (rotation_misfit,))
@@ -56,10 +56,10 @@ def effect(camera: Camera, estimates: Estimates, parameters: Iterable[str], pixe
     # Beyond the observations the polynomial may fold: those pixels have no ray to compare.
     pixels = pixels[_has_ray(camera, pixels)]
     full = view(camera, pixels)
-    bare = _with(camera, dict.fromkeys(removed, 0.0))
+    bare = camera.changed(**dict.fromkeys(removed, 0.0))
     remaining, _ = without(estimates, removed)
     followed = dict(zip(remaining.names, remaining.values.tolist(), strict=True))
-    adjusted = _with(camera, followed | dict.fromkeys(removed, 0.0))
+    adjusted = camera.changed(**followed | dict.fromkeys(removed, 0.0))
     alone = left = (np.nan, np.nan)
     if _has_ray(bare, pixels).all():
         alone = _sizes(view(bare, pixels).ideal - full.ideal)
@@ -72,13 +72,6 @@ def _has_ray(camera: Camera, pixels: Floats) -> Flags:
     """Where the distortion of a camera does not fold, (n,)."""
     plane = pixel_to_plane(camera.size_px, camera.pitch, pixels)
     return np.asarray(np.isfinite(undistorted(camera, plane)).all(axis=1))
-
-
-def _with(camera: Camera, changed: dict[str, float]) -> Camera:
-    values = camera.values.copy()
-    for name, value in changed.items():
-        values[PARAMETERS.index(name)] = value
-    return camera.with_values(values)
 
 
 def _difference(full: View, other: View) -> Floats:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 
 from photocal.adjustment.network import Network
 from photocal.analysis.camera_analysis import CameraAnalysis, analyse_camera
+from photocal.analysis.lens_models import LensFit, lens_fits, of_lenses
 from photocal.analysis.method import METHODS, MethodCheck, Shape, check_method, shape
 from photocal.analysis.robust import Robust, bootstrap, sandwich
 from photocal.analysis.systematic_errors.camera_findings import of_datum
@@ -20,6 +22,8 @@ from photocal.findings.finding import Finding
 
 # Of the bootstrap: the same images are drawn again when a certificate is verified.
 SEED = 1
+# Findings of terms that a lens model lacks.
+_TERMS = ("radial", "decentring")
 
 
 @dataclass(frozen=True)
@@ -28,6 +32,7 @@ class Outcome:
 
     findings: hidden errors, worst first.
     search: the figures behind them.
+    lenses: for each camera the models compared, its own first.
     cameras: one for each camera; None for those without estimated parameters.
     shape: geometry of the network.
     methods: each method with its requirements.
@@ -37,6 +42,7 @@ class Outcome:
 
     findings: tuple[Finding, ...]
     search: Search
+    lenses: tuple[tuple[LensFit, ...], ...]
     cameras: tuple[CameraAnalysis | None, ...]
     shape: Shape
     methods: tuple[MethodCheck, ...]
@@ -69,9 +75,20 @@ def analyse_network(
     searched = search(fitted, done)
     geometry = shape(network, fitted.state)
     drawn = bootstrap(fitted, draws, np.random.default_rng(SEED), done) if draws else None
+    # Lenses are compared when that is corrected which is no matter of the lens.
+    of_others = takewhile(lambda one: one.parameter.candidate.kind not in _TERMS, searched.rounds)
+    base = next((one.after for one in reversed(list(of_others))), fitted)
+    fits = tuple(lens_fits(base, k, checks, done) for k in range(len(network.cameras)))
+    listed = findings(searched)
+    suspected = {one.subject for one in listed if one.code in (*_TERMS, "residual-map")}
+    of_lens = [one for one in of_lenses(base, fits) if one.subject in suspected]
+    # A lens that the model cannot hold is no missing term of it.
+    other = {one.subject for one in of_lens}
+    kept = [one for one in listed if one.code not in _TERMS or one.subject not in other]
     return Outcome(
-        (*findings(searched), *of_datum(searched)),
+        (*of_lens, *kept, *of_datum(searched)),
         searched,
+        fits,
         tuple(analyse_camera(fitted, k, checks, alpha, threshold, done) for k in range(len(network.cameras))),
         geometry,
         tuple(check_method(method, geometry) for method in METHODS),

@@ -15,6 +15,7 @@ from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.geometry.camera import (
     MM,
+    MODELS,
     PARAMETERS,
     Affinity,
     AffinityForm,
@@ -67,7 +68,7 @@ class CameraKeys(Table):
     estimate: tuple[str, ...] = ()
     prior_sigma: dict[str, NonNegative] = Field(default={})
     R0: NonNegative = Field(default=0.0, validation_alias=AliasChoices("R0", "reference_radius"))
-    affinity: Affinity = "additive"
+    affinity: Affinity | None = None
     affinity_form: AffinityForm = "fraser"
     distortion_at: DistortionAt = "adjusted"
     shutter: Shutter | None = None
@@ -87,20 +88,26 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
     ConfigurationError
         For unknown parameters, a missing pitch or principal distance, or sigmas that do not fit.
     """
-    place = f"{where}, camera {keys.id}"
+    place, lens = f"{where}, camera {keys.id}", MODELS[keys.model]
     for section, names in (
         ("parameters", list(keys.parameters)),
         ("estimate", list(keys.estimate)),
         ("prior_sigma", list(keys.prior_sigma)),
         ("photo_variant", list(keys.photo_variant)),
     ):
-        unknown = [name for name in names if name not in PARAMETERS]
+        unknown = [name for name in names if name not in lens.names]
         if unknown:
             raise ConfigurationError(
-                f"{section} names {unknown[0]}, which is no camera parameter",
+                f"{section} names {unknown[0]}, which is no parameter of {keys.model}",
                 where=place,
-                remedy=f"use {', '.join(PARAMETERS)}",
+                remedy=f"use {', '.join(lens.names)}",
             )
+    if lens.relative and (keys.R0 or keys.focus or keys.affinity not in (None, "after")):
+        raise ConfigurationError(
+            f"{keys.model} has neither R0 nor focus, and its affinity is after the distortion",
+            where=place,
+            remedy="remove R0, focus and affinity, or take a model of Brown",
+        )
     if not keys.parameters.get("c", 0.0) > 0:
         raise ConfigurationError(
             "the principal distance c is missing or not positive", where=place, remedy="give c in parameters"
@@ -238,6 +245,4 @@ def _focused(keys: CameraKeys, place: str, own: Camera) -> Camera:
 
 
 def _with_radial(own: Camera, one: FocusCalibrationKeys) -> Floats:
-    values = own.values.copy()
-    values[[PARAMETERS.index(name) for name in RADIAL]] = [one.K1, one.K2, one.K3, one.K4]
-    return values
+    return own.changed(K1=one.K1, K2=one.K2, K3=one.K3, K4=one.K4).values

@@ -3,7 +3,8 @@
 Pixels: x right, y down, the centre of the upper-left pixel is (0.5, 0.5), half a pixel more than ours. The
 distortion is added to the normalised projection (`brown-ideal`), camera axes x right, y down, z forward; an
 image has the rotation (quaternion w, x, y, z) and translation from object to camera axes. Written with the
-model FULL_OPENCV, whose k4, k5, k6 are zero. Source: COLMAP documentation, "Output format".
+model FULL_OPENCV, whose k4, k5, k6 are zero but for a `rational` lens, or OPENCV_FISHEYE. Source: COLMAP
+documentation, "Output format" and "Camera models".
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ from photocal.exchange.choices import Choices
 from photocal.exchange.colmap_binary import read_binary_model, write_binary_model
 from photocal.exchange.colmap_content import MODELS, NO_POINT, NUMBERS, Content, Lens, Shot
 from photocal.exchange.colmap_text import read_text_model, write_text_model
-from photocal.exchange.convert import Conversion
 from photocal.exchange.parts import whole_numbers
 from photocal.exchange.pinhole import (
     LARGEST,
@@ -33,13 +33,18 @@ from photocal.exchange.pinhole import (
     to_vision,
 )
 from photocal.exchange.reconstruction import Reconstruction, vision_block
-from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.geometry.camera import PARAMETERS, Camera, Model
+from photocal.geometry.conversion import Conversion
 
 FILES = ("cameras", "images", "points3D")
 
-_WRITTEN = "FULL_OPENCV"
+# What COLMAP has of other lenses.
+_OTHERS: dict[Model, tuple[str, ...]] = {
+    "rational": ("K1", "K2", "K3", "K4", "K5", "K6", "P1", "P2"),
+    "equidistant": ("K1", "K2", "K3", "K4"),
+}
 # Which of our parameters each of COLMAP's makes free.
-_FREES = {"k1": ("K1",), "k2": ("K2",), "k3": ("K3",), "p1": ("P1", "P2"), "fx": ("B1",)}
+_FREES = {f"k{n}": (f"K{n}",) for n in range(1, 7)} | {"p1": ("P1", "P2"), "fx": ("B1",)}
 
 
 def read_colmap(folder: Path) -> Reconstruction:
@@ -83,9 +88,9 @@ def read_colmap(folder: Path) -> Reconstruction:
 
 def write_colmap(folder: Path, given: Reconstruction, *, binary: bool = False) -> tuple[Conversion, ...]:
     """Write a model folder."""
-    made = [to_pinhole(own, "COLMAP") for own in given.cameras]
+    made = [to_pinhole(own, "COLMAP", _OTHERS) for own in given.cameras]
     lenses = [
-        Lens(k, _WRITTEN, pinhole.size_px, _parameters(pinhole))
+        Lens(k, _written(pinhole), pinhole.size_px, _parameters(pinhole))
         for k, (pinhole, _) in enumerate(made, start=1)
     ]
     rotation, translation = to_vision(given.poses)
@@ -117,9 +122,13 @@ def _point_keys(names: tuple[str, ...]) -> Integers:
 
 
 def _parameters(pinhole: Pinhole) -> tuple[float, ...]:
-    """FULL_OPENCV's parameters; the principal point half a pixel further."""
-    head = (pinhole.fx, pinhole.fy, pinhole.cx + 0.5, pinhole.cy + 0.5)
-    return (*head, pinhole.k1, pinhole.k2, pinhole.p1, pinhole.p2, pinhole.k3, 0.0, 0.0, 0.0)
+    """Parameters of the model; the principal point half a pixel further."""
+    names = MODELS[NUMBERS[_written(pinhole)]][1]
+    return tuple(getattr(pinhole, name) + (0.5 if name in ("cx", "cy") else 0.0) for name in names)
+
+
+def _written(pinhole: Pinhole) -> str:
+    return "OPENCV_FISHEYE" if pinhole.fisheye else "FULL_OPENCV"
 
 
 def _errors(given: Reconstruction) -> Floats:
@@ -139,12 +148,6 @@ def _camera(lens: Lens, place: object) -> Camera:
             where=place,
         )
     value = dict(zip(names, lens.parameters, strict=True))
-    if any(value.get(k) for k in ("k4", "k5", "k6")):
-        raise InputMalformedError(
-            f"camera {lens.key} has k4 to k6, for which there is no equivalent",
-            where=place,
-            remedy="use the model OPENCV",
-        )
     f = value.get("f", 0.0)
     pinhole = Pinhole(
         lens.size_px,
@@ -152,10 +155,13 @@ def _camera(lens: Lens, place: object) -> Camera:
         value.get("fy", f),
         value["cx"] - 0.5,
         value["cy"] - 0.5,
-        **{k: value.get(k, 0.0) for k in ("k1", "k2", "k3", "p1", "p2")},
+        **{k: value.get(k, 0.0) for k in ("k1", "k2", "k3", "p1", "p2", "k4", "k5", "k6")},
+        fisheye=lens.model.endswith("FISHEYE"),
     )
     own = from_pinhole(pinhole, str(lens.key), place)
     free = {"c", "x0", "y0"}.union(*(ours for theirs, ours in _FREES.items() if theirs in value))
+    # Without k4 to k6 a FULL_OPENCV lens is Brown's, whose K4 is another.
+    free &= set(own.lens.names) - ({"K4"} if own.model == "brown-ideal" else set())
     return replace(own, estimated=np.array([parameter in free for parameter in PARAMETERS]))
 
 

@@ -14,7 +14,10 @@ MODELS: dict[int, tuple[str, tuple[str, ...]]] = {
     2: ("SIMPLE_RADIAL", ("f", "cx", "cy", "k1")),
     3: ("RADIAL", ("f", "cx", "cy", "k1", "k2")),
     4: ("OPENCV", ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")),
+    5: ("OPENCV_FISHEYE", ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")),
     6: ("FULL_OPENCV", ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")),
+    8: ("SIMPLE_RADIAL_FISHEYE", ("f", "cx", "cy", "k1")),
+    9: ("RADIAL_FISHEYE", ("f", "cx", "cy", "k1", "k2")),
 }
 NUMBERS = {name: number for number, (name, _) in MODELS.items()}
 LARGEST_KEY = 1 << 62

@@ -11,11 +11,11 @@ from drivers.arrays import Floats, Integers
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block, ObjectPoints
 from photocal.exchange.choices import Choices
-from photocal.exchange.convert import Conversion, unbalanced
 from photocal.exchange.dbat_camera import to_dbat
 from photocal.exchange.markup import write_xml
 from photocal.exchange.reconstruction import Reconstruction, as_block
 from photocal.geometry.camera import PARAMETERS, Camera, plane_to_pixel
+from photocal.geometry.conversion import Conversion, unbalanced
 
 CONTROL_FORMAT = "id,x,y,z,sx,sy,sz"
 # Switches of DBAT's estimation, and the parameters that each of them frees.

@@ -19,8 +19,8 @@ from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoun
 if TYPE_CHECKING:
     from photocal.block.model import Block
     from photocal.exchange.choices import Choices
-    from photocal.exchange.convert import Conversion
     from photocal.exchange.reconstruction import Reconstruction
+    from photocal.geometry.conversion import Conversion
 
 Part = Literal["cameras", "orientations", "points", "marks"]
 # cartesian: a block in a reference system is taken to its topocentric frame; own: coordinates as they are;

@@ -20,10 +20,10 @@ from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.exchange.cartesian import to_cartesian, to_wgs84
 from photocal.exchange.choices import Choices, Origin
-from photocal.exchange.convert import Conversion
 from photocal.exchange.markup import write_xml
 from photocal.exchange.pinhole import to_vision
 from photocal.exchange.reconstruction import Reconstruction
+from photocal.geometry.conversion import Conversion
 from photocal.geometry.distortion import undistorted
 
 # Turns local coordinates, shape (n, 3), into longitude, latitude, height.

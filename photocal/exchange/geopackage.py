@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from photocal.exchange.choices import Choices
-from photocal.exchange.convert import Conversion
 from photocal.exchange.geographic import ToGeographic, features, located
 from photocal.exchange.reconstruction import Reconstruction
+from photocal.geometry.conversion import Conversion
 from photocal.geopackage import LOCAL, Feature, Layer, Value, add_layer, add_table, geopackage, wgs84
 
 _SIGMAS = {"sX_m": "DOUBLE", "sY_m": "DOUBLE", "sZ_m": "DOUBLE"}

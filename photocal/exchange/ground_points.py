@@ -21,10 +21,10 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.exchange.choices import Choices
-from photocal.exchange.convert import Conversion
 from photocal.exchange.parts import require_unique
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import Line, number, numbers, read_lines
+from photocal.geometry.conversion import Conversion
 from photocal.geometry.rotation import matrix_from_angles
 
 _CAMERA_TO_BODY = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])

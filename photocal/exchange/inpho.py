@@ -19,11 +19,11 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.exchange.choices import Choices
-from photocal.exchange.convert import Conversion, apart_px
 from photocal.exchange.parts import poses_of_matrices, require_unique
 from photocal.exchange.reconstruction import Reconstruction, orientations_alone
 from photocal.exchange.source import Line, numbers, read_lines
 from photocal.geometry.camera import Camera
+from photocal.geometry.conversion import Conversion, apart_px
 from photocal.geometry.rotation import matrix_from_angles
 
 

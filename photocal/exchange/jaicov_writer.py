@@ -9,11 +9,11 @@ import numpy as np
 
 from drivers.errors import InputMalformedError
 from photocal.exchange.choices import Choices
-from photocal.exchange.convert import Conversion, converted
 from photocal.exchange.jaicov import MM
 from photocal.exchange.parts import whole_numbers
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.camera import Camera, pixel_to_plane
+from photocal.geometry.conversion import Conversion, converted
 
 Row = Sequence[str | float]
 

@@ -8,11 +8,11 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from photocal.exchange.choices import Choices
-from photocal.exchange.convert import Conversion, converted, in_pixels
 from photocal.exchange.markup import write_xml
 from photocal.exchange.pinhole import to_vision
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.camera import Camera
+from photocal.geometry.conversion import Conversion, converted, in_pixels
 
 
 def write_metashape(path: Path, given: Reconstruction) -> tuple[Conversion, ...]:

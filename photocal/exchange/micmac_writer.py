@@ -14,13 +14,13 @@ import numpy as np
 
 from drivers.arrays import Floats
 from photocal.exchange.choices import Choices
-from photocal.exchange.convert import Conversion, converted, in_pixels
 from photocal.exchange.markup import write_xml
 from photocal.exchange.micmac import CONVENTION, read_micmac
 from photocal.exchange.parts import require_file_name
 from photocal.exchange.pinhole import to_vision
 from photocal.exchange.reconstruction import Reconstruction, of_block
 from photocal.geometry.camera import Camera
+from photocal.geometry.conversion import Conversion, converted, in_pixels
 
 FOLDER = "Ori-photocal"
 TERMS = ("K1", "K2", "K3", "K4", "P1", "P2", "B1", "B2")

@@ -2,7 +2,8 @@
 
 Pixels: x right, y down, the centre of the upper-left pixel is (0, 0), as ours. `camera_matrix` has fx, fy,
 cx, cy in px; `distortion_coefficients` are k1, k2, p1, p2, k3 of the normalised projection (`brown-ideal`),
-camera axes x right, y down, z forward. Rational, thin prism and tilted terms must be zero.
+camera axes x right, y down, z forward; with k4, k5, k6 and s1 to s4 it is `rational`. Tilted terms must be
+zero. Four coefficients beside `distortion_model` equidistant or fisheye are of a fisheye (`equidistant`).
 """
 
 from __future__ import annotations
@@ -16,14 +17,19 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.exchange.choices import Choices, file_name
-from photocal.exchange.convert import Conversion
 from photocal.exchange.pinhole import Pinhole, from_pinhole, to_pinhole
 from photocal.exchange.reconstruction import Reconstruction, cameras_alone
 from photocal.exchange.source import files_of, image_size, read_text
-from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.geometry.camera import MODELS, PARAMETERS, Camera, Model
+from photocal.geometry.conversion import Conversion
 
 MATRICES = ("camera_matrix", "cameraMatrix", "K")
 MOST_NUMBERS = 64
+_FISHEYE = ("equidistant", "fisheye")
+_OF_FISHEYE = ("k1", "k2", "k3", "k4")
+_COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")
+_TERMS = ("K1", "K2", "K3", "P1", "P2")
+_OTHERS: dict[Model, tuple[str, ...]] = {name: MODELS[name].terms for name in ("rational", "equidistant")}
 COEFFICIENTS = ("distortion_coefficients", "dist_coeffs", "distCoeffs", "D")
 
 
@@ -43,6 +49,7 @@ def read_opencv(path: Path, camera_id: str = "") -> Camera:
         try:
             matrix = _matrix(storage, MATRICES, path)
             coefficients = np.ravel(_matrix(storage, COEFFICIENTS, path))
+            lens = storage.getNode("distortion_model").string().lower()
             width, height = (float(storage.getNode(f"image_{name}").real()) for name in ("width", "height"))
         finally:
             storage.release()
@@ -52,27 +59,20 @@ def read_opencv(path: Path, camera_id: str = "") -> Camera:
         ) from failure
     if matrix.shape != (3, 3) or matrix[0, 1] or not np.allclose(matrix[2], [0, 0, 1], atol=0):
         raise InputMalformedError("the camera matrix is not fx, 0, cx, 0, fy, cy, 0, 0, 1", where=path)
-    if len(coefficients) < 4 or coefficients[5:].any():
+    fisheye = lens in _FISHEYE
+    names = _OF_FISHEYE if fisheye else _COEFFICIENTS
+    if len(coefficients) < 4 or coefficients[len(names) :].any():
         raise InputMalformedError(
-            "has coefficients beyond k1, k2, p1, p2, k3, for which there is no equivalent",
+            f"has coefficients beyond {', '.join(names)}, for which there is no equivalent",
             where=path,
-            remedy="calibrate with the plain model",
+            remedy="calibrate without tilt",
         )
-    k1, k2, p1, p2, k3 = [*coefficients[:5].tolist(), 0.0][:5]
-    pinhole = Pinhole(
-        image_size(width, height, path),
-        matrix[0, 0],
-        matrix[1, 1],
-        matrix[0, 2],
-        matrix[1, 2],
-        k1,
-        k2,
-        k3,
-        p1,
-        p2,
-    )
+    values = dict(zip(names, coefficients[: len(names)].tolist(), strict=False))
+    focal_and_centre = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
+    size = image_size(width, height, path)
+    pinhole = Pinhole(size, *focal_and_centre, **values, fisheye=fisheye)
     own = from_pinhole(pinhole, camera_id or path.stem, path)
-    free = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2", "B1")
+    free = {"c", "x0", "y0", "B1", *(own.lens.terms if own.lens.relative else _TERMS)}
     return replace(own, estimated=np.array([name in free for name in PARAMETERS]))
 
 
@@ -80,16 +80,19 @@ def write_opencv(path: Path, own: Camera) -> Conversion:
     """Write a calibration."""
     import cv2
 
-    pinhole, conversion = to_pinhole(own, "OpenCV")
+    pinhole, conversion = to_pinhole(own, "OpenCV", _OTHERS)
+    rational = conversion.camera.model == "rational"
+    names = _OF_FISHEYE if pinhole.fisheye else _COEFFICIENTS if rational else _COEFFICIENTS[:5]
     matrix = np.array([[pinhole.fx, 0, pinhole.cx], [0, pinhole.fy, pinhole.cy], [0, 0, 1]], dtype=float)
-    coefficients = np.array([[pinhole.k1, pinhole.k2, pinhole.p1, pinhole.p2, pinhole.k3]])
+    coefficients = np.array([[getattr(pinhole, name) for name in names]])
     kind = cv2.FileStorage_FORMAT_JSON if path.suffix.lower() == ".json" else cv2.FileStorage_FORMAT_YAML
     storage = cv2.FileStorage(path.suffix, cv2.FileStorage_WRITE | cv2.FileStorage_MEMORY | kind)
     storage.write("image_width", pinhole.size_px[0])
     storage.write("image_height", pinhole.size_px[1])
     storage.write("camera_name", own.id)
     storage.write("camera_matrix", matrix)
-    storage.write("distortion_model", "plumb_bob")
+    name = "equidistant" if pinhole.fisheye else "rational_polynomial" if rational else "plumb_bob"
+    storage.write("distortion_model", name)
     storage.write("distortion_coefficients", coefficients)
     storage.write("conversion_rms_px", conversion.rms_px)
     storage.write("conversion_largest_px", conversion.largest_px)

@@ -3,7 +3,8 @@
 Image coordinates are divided by the larger side of the image and counted from its middle, x right, y down
 (a pixel's column is x * size + w/2 - 0.5, so that the centre of the upper-left pixel is (0, 0), as ours).
 The distortion is added to the normalised projection (`brown-ideal`): "perspective" has focal, k1, k2;
-"brown" has focal_x, focal_y, c_x, c_y, k1, k2, k3, p1, p2. Camera axes x right, y down, z forward; a shot
+"brown" has focal_x, focal_y, c_x, c_y, k1, k2, k3, p1, p2. "fisheye" and "fisheye_opencv" are `equidistant`
+with two and four coefficients, written as the latter. Camera axes x right, y down, z forward; a shot
 has the rotation vector and translation from object to camera axes. Object space: east, north, up in m about
 `reference_lla`. Source: OpenSfM documentation, "Geometric models" and "Reconstruction format".
 """
@@ -21,12 +22,12 @@ from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block
 from photocal.exchange.choices import Choices
-from photocal.exchange.convert import Conversion
 from photocal.exchange.json_source import read_json, structured
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, to_pinhole, to_vision
 from photocal.exchange.reconstruction import Reconstruction, vision_block
 from photocal.exchange.source import image_size, number, read_lines
 from photocal.geometry.camera import Camera
+from photocal.geometry.conversion import Conversion
 
 _WHAT = "an OpenSfM file"
 
@@ -100,7 +101,7 @@ def _with_tracks(found: Reconstruction, path: Path) -> Reconstruction:
 
 def write_opensfm(folder: Path, given: Reconstruction) -> tuple[Conversion, ...]:
     """Write cameras.json, reconstruction.json and tracks.csv."""
-    made = [to_pinhole(own, "OpenSfM") for own in given.cameras]
+    made = [to_pinhole(own, "OpenSfM", {"equidistant": ("K1", "K2", "K3", "K4")}) for own in given.cameras]
     names = [own.id for own in given.cameras]
     cameras = {name: _keys(pinhole) for name, (pinhole, _) in zip(names, made, strict=True)}
     rotation, translation = to_vision(given.poses)
@@ -142,41 +143,42 @@ def _keys(pinhole: Pinhole) -> dict[str, Any]:
     width, height = pinhole.size_px
     size = max(pinhole.size_px)
     return {
-        "projection_type": "brown",
+        "projection_type": "fisheye_opencv" if pinhole.fisheye else "brown",
         "width": width,
         "height": height,
         "focal_x": pinhole.fx / size,
         "focal_y": pinhole.fy / size,
         "c_x": (pinhole.cx + 0.5 - width / 2) / size,
         "c_y": (pinhole.cy + 0.5 - height / 2) / size,
-    } | {name: getattr(pinhole, name) for name in ("k1", "k2", "k3", "p1", "p2")}
+    } | {name: getattr(pinhole, name) for name in _terms(pinhole.fisheye)}
+
+
+def _terms(fisheye: bool) -> tuple[str, ...]:
+    return ("k1", "k2", "k3", *(("k4",) if fisheye else ("p1", "p2")))
 
 
 def _camera(name: str, keys: dict[str, Any], path: Path) -> Camera:
     width, height = image_size(float(keys["width"]), float(keys["height"]), path)
     size = max(width, height)
     kind = keys["projection_type"]
-    if kind == "perspective":
+    if kind in ("perspective", "fisheye"):
         f = float(keys["focal"])
         fx, fy, cx, cy = f, f, 0.0, 0.0
-        names = ["k1", "k2"]
-    elif kind == "brown":
+        names: tuple[str, ...] = ("k1", "k2")
+    elif kind in ("brown", "fisheye_opencv"):
         fx, fy, cx, cy = (float(keys[key]) for key in ("focal_x", "focal_y", "c_x", "c_y"))
-        names = ["k1", "k2", "k3", "p1", "p2"]
+        names = _terms(kind != "brown")
     else:
         raise InputMalformedError(
             f"camera {name} is {kind!r}, which has no equivalent",
             where=path,
-            remedy="use brown or perspective",
+            remedy="use brown, perspective, fisheye or fisheye_opencv",
         )
-    distortion = {key: float(keys.get(key, 0.0)) for key in names}
-    pinhole = Pinhole(
-        (width, height),
-        fx * size,
-        fy * size,
-        cx * size + width / 2 - 0.5,
-        cy * size + height / 2 - 0.5,
-        **distortion,
+    values = {key: float(keys.get(key, 0.0)) for key in names}
+    middle = cx * size + width / 2 - 0.5, cy * size + height / 2 - 0.5
+    pinhole = replace(
+        Pinhole((width, height), fx * size, fy * size, *middle, fisheye=kind.startswith("fisheye")),
+        **values,  # type: ignore[arg-type]
     )
     return from_pinhole(pinhole, name, path)
 

@@ -17,10 +17,10 @@ from urllib.parse import quote
 import numpy as np
 
 from photocal.exchange.choices import Choices
-from photocal.exchange.convert import Conversion
 from photocal.exchange.opf import HALF, LOCAL_CRS, VERSION, format_name
 from photocal.exchange.pinhole import Pinhole, require_one_focal_length, to_pinhole
 from photocal.exchange.reconstruction import Reconstruction
+from photocal.geometry.conversion import Conversion
 
 _SPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "photocal")
 _BANDS = (("Red", 0.2126), ("Green", 0.7152), ("Blue", 0.0722))

@@ -16,10 +16,10 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.exchange.choices import Angle, Choices
-from photocal.exchange.convert import Conversion
 from photocal.exchange.parts import poses_of_matrices, require_unique
 from photocal.exchange.reconstruction import Reconstruction, orientations_alone
 from photocal.exchange.source import numbers, read_lines
+from photocal.geometry.conversion import Conversion
 from photocal.geometry.rotation import matrix_from_angles
 
 _CIRCLE: dict[Angle, float] = {"deg": 360.0, "gon": 400.0}

@@ -14,11 +14,11 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.exchange.choices import Choices
-from photocal.exchange.convert import Conversion, converted
 from photocal.exchange.parts import require_file_name, whole_numbers
 from photocal.exchange.photomodeler import control_beside
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.camera import Camera
+from photocal.geometry.conversion import Conversion, converted
 
 # Tolerance and number of iterations of the head; nothing depends on them.
 _HEAD = "0.0005 20"

@@ -3,28 +3,32 @@
 Common to OpenCV, COLMAP, OpenSfM and Pix4D: camera axes x right, y down, z forward; the projection (X/Z, Y/Z)
 is distorted (`brown-ideal`) with k1, k2, k3 and p1, p2 in normalised coordinates,
 x = x' (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x' y' + p2 (r^2 + 2 x'^2), then scaled by fx, fy and moved to
-cx, cy. Here the centre of the upper-left pixel is (0, 0), as in OpenCV and in this project; each format adds
-its own half pixel. Source: Bradski and Kaehler 2008, Learning OpenCV, ch. 11; Brown 1971.
+cx, cy. OpenCV and COLMAP have the models `rational` and `equidistant`, too. Here the centre of the upper-left
+pixel is (0, 0), as in OpenCV and in this project; each format adds its own half pixel. Source: Bradski and
+Kaehler 2008, Learning OpenCV, ch. 11; Brown 1971.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
-from photocal.exchange.convert import Conversion, converted, in_pixels, require_no_skew
-from photocal.geometry.camera import Camera, camera
+from photocal.geometry.camera import MODELS, Camera, Model, camera
+from photocal.geometry.conversion import Conversion, converted, in_pixels, require_no_skew
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 
 # From our camera axes to those of computer vision, and back.
 FLIP = np.diag([1.0, -1.0, -1.0])
 # Beyond every focal length, coefficient and coordinate in use.
 LARGEST = 1e9
-_TERMS = ("K1", "K2", "K3", "P1", "P2", "B1")
+_TERMS = ("K1", "K2", "K3", "P1", "P2")
+# Of the rational lens and its thin prism, and k4 of a fisheye; y is down there.
+_MORE = ("k4", "k5", "k6", "s1", "s2", "s3", "s4")
+_SIGN = {"s3": -1, "s4": -1}
 
 
 @dataclass(frozen=True)
@@ -32,7 +36,7 @@ class Pinhole:
     """Intrinsics as OpenCV has them.
 
     fx, fy, cx, cy: px; the centre of the upper-left pixel is (0, 0).
-    k1, k2, k3, p1, p2: of normalised coordinates.
+    k1, k2, k3, p1, p2, k4, k5, k6, s1, s2, s3, s4: of normalised coordinates; k1 to k4 of a fisheye's angle.
     """
 
     size_px: tuple[int, int]
@@ -45,26 +49,39 @@ class Pinhole:
     k3: float = 0.0
     p1: float = 0.0
     p2: float = 0.0
+    k4: float = 0.0
+    k5: float = 0.0
+    k6: float = 0.0
+    s1: float = 0.0
+    s2: float = 0.0
+    s3: float = 0.0
+    s4: float = 0.0
+    fisheye: bool = False
 
 
 def from_pinhole(given: Pinhole, camera_id: str, place: object) -> Camera:
     """Turn pinhole intrinsics into a camera in px."""
     require_credible((given.fx, given.fy), (given.cx, given.cy), place)
-    require_credible((), (given.k1, given.k2, given.k3, given.p1, given.p2), place)
+    more = tuple(getattr(given, name) for name in _MORE)
+    require_credible((), (given.k1, given.k2, given.k3, given.p1, given.p2, *more), place)
     c = given.fy
+    model: Model = "equidistant" if given.fisheye else "rational" if any(more) else "brown-ideal"
+    size = 1.0 if MODELS[model].relative else c
     values = {
         "c": c,
         "x0": given.cx - (given.size_px[0] - 1) / 2,
         "y0": (given.size_px[1] - 1) / 2 - given.cy,
-        "K1": given.k1 / c**2,
-        "K2": given.k2 / c**4,
-        "K3": given.k3 / c**6,
+        "K1": given.k1 / size**2,
+        "K2": given.k2 / size**4,
+        "K3": given.k3 / size**6,
         # y is up here and down there: p1 and p2 change places, and one its sign.
-        "P1": given.p2 / c,
-        "P2": -given.p1 / c,
+        "P1": given.p2 / size,
+        "P2": -given.p1 / size,
         "B1": given.fx / given.fy - 1,
     }
-    return camera(camera_id, "brown-ideal", "px", given.size_px, (1.0, 1.0), values, affinity="after")
+    # Of Brown's lens these are zero.
+    values |= {n.upper(): _SIGN.get(n, 1) * value for n, value in zip(_MORE, more, strict=True) if value}
+    return camera(camera_id, model, "px", given.size_px, (1.0, 1.0), values, affinity="after")
 
 
 def require_credible(focal_px: Sequence[float], others: Sequence[float], place: object) -> None:
@@ -79,26 +96,39 @@ def require_credible(focal_px: Sequence[float], others: Sequence[float], place: 
             raise InputMalformedError(f"the camera parameter {value:g} is impossible", where=place)
 
 
-def to_pinhole(own: Camera, program: str) -> tuple[Pinhole, Conversion]:
-    """Turn a camera into pinhole intrinsics."""
+def to_pinhole(
+    own: Camera, program: str, others: Mapping[Model, tuple[str, ...]] | None = None
+) -> tuple[Pinhole, Conversion]:
+    """Turn a camera into pinhole intrinsics.
+
+    Parameters
+    ----------
+    others : mapping
+        Models beside `brown-ideal` that the program has, and which of their terms.
+    """
     require_no_skew(own, program)
-    flat = in_pixels(own)
+    flat, others = in_pixels(own), others or {}
+    model: Model = "equidistant" if flat.lens.angular else flat.model
+    terms = others.get(model, _TERMS)
     # A camera without affinity keeps fx = fy.
-    terms = _TERMS if flat.value("B1") else _TERMS[:-1]
-    conversion = converted(flat, "brown-ideal", "after", terms)
+    terms = (*terms, "B1") if flat.value("B1") else terms
+    conversion = converted(flat, model if model in others else "brown-ideal", "after", terms)
     same = conversion.camera
-    c = same.value("c")
+    c, fisheye = same.value("c"), same.lens.angular
+    size = 1.0 if same.lens.relative else c
     return Pinhole(
         same.size_px,
         c * (1 + same.value("B1")),
         c,
         same.value("x0") + (same.size_px[0] - 1) / 2,
         (same.size_px[1] - 1) / 2 - same.value("y0"),
-        same.value("K1") * c**2,
-        same.value("K2") * c**4,
-        same.value("K3") * c**6,
-        -same.value("P2") * c,
-        same.value("P1") * c,
+        same.value("K1") * size**2,
+        same.value("K2") * size**4,
+        same.value("K3") * size**6,
+        -same.value("P2") * size,
+        same.value("P1") * size,
+        **{name: _SIGN.get(name, 1) * same.value(name.upper()) for name in _MORE},
+        fisheye=fisheye,
     ), conversion
 
 

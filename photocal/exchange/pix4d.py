@@ -14,11 +14,11 @@ from pathlib import Path
 
 from drivers.errors import InputMalformedError
 from photocal.exchange.choices import Choices, file_name
-from photocal.exchange.convert import Conversion
 from photocal.exchange.pinhole import Pinhole, from_pinhole, require_one_focal_length, to_pinhole
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import number, read_lines
 from photocal.geometry.camera import Camera
+from photocal.geometry.conversion import Conversion
 
 HEAD = "Pix4D camera calibration file"
 _SENSOR = re.compile(r"#Focal Length mm assuming a sensor width of ([0-9.eE+-]+)x([0-9.eE+-]+)mm")

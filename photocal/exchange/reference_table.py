@@ -19,10 +19,10 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.exchange.choices import Choices
-from photocal.exchange.convert import Conversion
 from photocal.exchange.parts import require_unique
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import number, read_text
+from photocal.geometry.conversion import Conversion
 
 _SYSTEM = "#CoordinateSystem:"
 _COORDINATES = (("x", "easting", "longitude"), ("y", "northing", "latitude"), ("z", "altitude", "height"))

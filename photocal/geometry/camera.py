@@ -11,21 +11,66 @@ from numpy.typing import ArrayLike
 
 from drivers.arrays import Flags, Floats
 
-Model = Literal["brown-observed", "brown-ideal"]
+Model = Literal["brown-observed", "brown-ideal", "rational", "equidistant", "pix4d-fisheye"]
 Affinity = Literal["additive", "before", "after"]
 AffinityForm = Literal["fraser", "canon-elph", "tank"]
 DistortionAt = Literal["adjusted", "measured"]
 Shutter = Literal["global", "rolling", "unknown"]
 ReadoutDirection = Literal["top-to-bottom", "bottom-to-top", "left-to-right", "right-to-left"]
 
-PARAMETERS = ("c", "x0", "y0", "K1", "K2", "K3", "K4", "P1", "P2", "P3", "P4", "B1", "B2", "readout")
+# Those of all lens models, and the readout; which of them a camera has, its model says.
+PARAMETERS = (
+    *("c", "x0", "y0", "K1", "K2", "K3", "K4", "P1", "P2", "P3", "P4", "B1", "B2"),
+    *("K5", "K6", "S1", "S2", "S3", "S4", "readout"),
+)
 # Of one image: how the projection centre moves (m, object axes) and the camera turns (rad, its own axes)
 # while it is read.
 MOTION = ("move_X", "move_Y", "move_Z", "turn_x", "turn_y", "turn_z")
 OWN = PARAMETERS + MOTION
 # Millimetres in a metre: c is given in them, distances in metres.
 MM = 1000.0
-MODELS: tuple[Model, ...] = ("brown-observed", "brown-ideal")
+
+
+@dataclass(frozen=True)
+class LensModel:
+    """A lens model by its coefficients; the formulas are in `geometry.lens`.
+
+    terms: its coefficients beside c, x0, y0, B1, B2.
+    relative: whether they belong to coordinates over c or to angles, and have no unit: such models distort
+        the projection and have the affinity after it. Else to coordinates in the unit of the camera.
+    angular: whether it is a function of the angle off the axis, and holds for more than 90 degrees.
+    """
+
+    terms: tuple[str, ...]
+    relative: bool = False
+    angular: bool = False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All its parameters, in their order."""
+        return tuple(n for n in PARAMETERS if n in {"c", "x0", "y0", *self.terms, "B1", "B2", "readout"})
+
+    def power(self, name: str) -> int:
+        """Power of a length in a parameter: 1 for c, -2 for K1 of Brown's polynomial."""
+        coefficients = {"K1": -2, "K2": -4, "K3": -6, "K4": -8, "P1": -1, "P2": -1, "P3": -2, "P4": -4}
+        return 1 if name in ("c", "x0", "y0") else 0 if self.relative else coefficients.get(name, 0)
+
+    def powers(self) -> Floats:
+        """Power of a length in each of `PARAMETERS`."""
+        return np.array([self.power(name) for name in PARAMETERS], dtype=float)
+
+
+_BROWN = LensModel(("K1", "K2", "K3", "K4", "P1", "P2", "P3", "P4"))
+# The more usual ones first.
+MODELS: dict[Model, LensModel] = {
+    "brown-observed": _BROWN,
+    "brown-ideal": _BROWN,
+    "equidistant": LensModel(("K1", "K2", "K3", "K4"), relative=True, angular=True),
+    "rational": LensModel(
+        ("K1", "K2", "K3", "K4", "K5", "K6", "P1", "P2", "S1", "S2", "S3", "S4"), relative=True
+    ),
+    "pix4d-fisheye": LensModel(("K1", "K2", "K3"), relative=True, angular=True),
+}
 AFFINITIES: tuple[Affinity, ...] = ("additive", "before", "after")
 AFFINITY_FORMS: tuple[AffinityForm, ...] = ("fraser", "canon-elph", "tank")
 
@@ -45,20 +90,20 @@ class Camera:
     ----------
     id : str
         Name within the block.
-    model : {"brown-observed", "brown-ideal"}
-        Where the distortion polynomial is evaluated: at the measured coordinates, which it corrects
-        (photogrammetry), or at the ideal ones, which it distorts (vision).
+    model : one of `MODELS`
+        "brown-observed" and "brown-ideal" have Brown's polynomial, evaluated at the measured coordinates,
+        which it corrects (photogrammetry), or at the ideal ones, which it distorts (vision).
     unit : {"mm", "px"}
         Unit of the image plane and so of c, x0, y0 and, in its powers, of the coefficients.
     size_px : tuple of int
         Width and height of the image.
     pitch : tuple of float
         Size of a pixel in x and y, in `unit`; (1, 1) when the unit is the pixel.
-    values : ndarray, shape (14,)
+    values : ndarray, shape (20,)
         Values in the order of `PARAMETERS`; the readout, from the first line to the last, in seconds.
-    estimated : ndarray of bool, shape (14,)
+    estimated : ndarray of bool, shape (20,)
         Which parameters the adjustment estimates; the others are held.
-    prior_sigma : ndarray, shape (14,)
+    prior_sigma : ndarray, shape (20,)
         Standard deviation of the value as an observation; infinite where it is a start value only.
     reference_radius : float
         R0 of the balanced radial distortion, in `unit`; 0 for the unbalanced form.
@@ -66,19 +111,19 @@ class Camera:
         Where the affinity acts.
     affinity_form : {"fraser", "canon-elph", "tank"}
         Which terms B1 and B2 stand for.
-    deviation_sigma : ndarray, shape (14,)
+    deviation_sigma : ndarray, shape (20,)
         Photo-variant parameters: standard deviation by which the value of each image deviates from that
         of the camera, infinite for one that is free; 0 for block-invariant parameters.
     focus_m : float
         Distance at which the distortion holds, that to which the lens is focused: it then varies with
         the distance of the object; 0 where it is the same at all distances.
-    prior_correlation : ndarray, shape (14, 14), or None
+    prior_correlation : ndarray, shape (20, 20), or None
         Correlations of the values as observations; None when they are independent.
     guessed : bool
         Whether c is a guess: good to start from, and nothing to hold.
-    given : ndarray, shape (14,), or None
+    given : ndarray, shape (20,), or None
         Of adjusted values: what they were before.
-    sigma, correlation : ndarray, shape (14,) and (14, 14), or None
+    sigma, correlation : ndarray, shape (20,) and (14, 14), or None
         Standard deviations of adjusted values and their correlations, 0 for held ones; None before an
         adjustment.
     distortion_at : {"adjusted", "measured"}
@@ -119,6 +164,11 @@ class Camera:
             known = f"+- {self.sigma_of(name):.3g}" if name in self.free and self.sigma is not None else state
             lines.append(f"  {name:<3}{self.value(name):>15.8g}  {known}")
         return "\n".join(lines)
+
+    @property
+    def lens(self) -> LensModel:
+        """What its model is."""
+        return MODELS[self.model]
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -188,8 +238,12 @@ class Camera:
         )
 
     def with_values(self, values: ArrayLike) -> Camera:
-        """Return the same camera with other parameter values, shape (14,)."""
+        """Return the same camera with other parameter values, shape (20,)."""
         return replace(self, values=np.array(values, dtype=float))
+
+    def changed(self, **values: float) -> Camera:
+        """Return the same camera with some values changed by name."""
+        return self.with_values([values.get(n, v) for n, v in zip(PARAMETERS, self.values, strict=True)])
 
 
 def camera(
@@ -203,12 +257,14 @@ def camera(
     estimate: tuple[str, ...] = (),
     prior_sigma: dict[str, float] | None = None,
     reference_radius: float = 0.0,
-    affinity: Affinity = "additive",
+    affinity: Affinity | None = None,
     affinity_form: AffinityForm = "fraser",
     photo_variant: dict[str, float] | None = None,
     focus_m: float = 0.0,
 ) -> Camera:
     """Make a camera from named parameters; those not named are zero and held.
+
+    Without another word the affinity of Brown's models is additive.
 
     Parameters
     ----------
@@ -243,7 +299,7 @@ def camera(
         estimated,
         sigma,
         reference_radius,
-        affinity,
+        affinity or ("after" if MODELS[model].relative else "additive"),
         affinity_form,
         deviation,
         focus_m,

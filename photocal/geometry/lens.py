@@ -1,7 +1,9 @@
 """The lens of one ray: distortion and residual with their derivatives, for every camera model.
 
 This is the only place that knows how the models differ; normal equations, residuals, statistics and
-plots all call it. Coordinates are in the image plane, in the unit of the camera.
+plots all call it. Coordinates are in the image plane, in the unit of the camera. Brown's polynomial stands
+here. Another model is a function that projects points of camera axes, with its derivatives, in a file of its
+own, a line in `bent` and its entry in `camera.MODELS`.
 """
 
 from __future__ import annotations
@@ -11,21 +13,27 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.arrays import Floats
-from photocal.compiled import allocating, inlined
+from photocal.compiled import allocating, compiled, inlined
 from photocal.geometry.camera import AFFINITIES, AFFINITY_MATRICES, MM, MODELS, OWN, PARAMETERS, Camera
+from photocal.geometry.fisheye import equidistant, pix4d_fisheye
+from photocal.geometry.rational import rational
 
-# Parameters of the lens itself; those of the shutter follow.
-COUNT = PARAMETERS.index("readout")
+# Parameters of Brown's lens, and of all lenses; those of the shutter follow.
+BROWN, COUNT = PARAMETERS.index("B2") + 1, PARAMETERS.index("readout")
 # Positions in the parameter vector.
 _C, _X0, _K1, _P1, _B1 = (PARAMETERS.index(name) for name in ("c", "x0", "K1", "P1", "B1"))
-_OBSERVED, _IDEAL = MODELS.index("brown-observed"), MODELS.index("brown-ideal")
-# Code of `brown-observed` with its polynomial at the measured coordinates, errors and all.
-_AT_MEASURED = len(MODELS)
+_CODE = {model: code for code, model in enumerate(MODELS)}
+_IDEAL, _RATIONAL, _EQUIDISTANT = _CODE["brown-ideal"], _CODE["rational"], _CODE["equidistant"]
+# Code of `brown-observed` with its polynomial at the measured coordinates, errors and all; the others follow
+# those of Brown.
+_AT_MEASURED, OTHERS = -1, _IDEAL + 1
 _FOCUS, LINE = 11, 12
 _ADDITIVE, _BEFORE, _AFTER = (AFFINITIES.index(name) for name in ("additive", "before", "after"))
 # Steps towards the computed coordinates; the last one is shorter than this many principal distances, so that
 # what is left is its square.
 _STEPS, _SHORT = 8, 1e-7
+# Newton's steps for a single place or direction; the square of the last one, in principal distances.
+_MOST, _SOLVED = 50, 1e-24
 
 
 def optics(camera: Camera) -> Floats:
@@ -40,7 +48,7 @@ def optics(camera: Camera) -> Floats:
     """
     first, second = AFFINITY_MATRICES[camera.affinity_form]
     observed = camera.model == "brown-observed" and camera.distortion_at == "measured"
-    code = _AT_MEASURED if observed else MODELS.index(camera.model)
+    code = _AT_MEASURED if observed else _CODE[camera.model]
     head = [code, AFFINITIES.index(camera.affinity), camera.reference_radius]
     return np.array(
         [*head, *np.ravel(first), *np.ravel(second), MM * camera.focus_m, *camera.line_slope()], dtype=float
@@ -129,6 +137,45 @@ def polynomial(
     return x * radial + ax * swell, y * radial + ay * swell
 
 
+@compiled
+def bent(
+    cameras: Floats,
+    optics_of: Floats,
+    k: int,
+    x: float,
+    y: float,
+    u: float,
+    v: float,
+    w: float,
+    room: Scratch,
+) -> tuple[float, float]:
+    """Computed minus measured coordinates of a ray through a lens that is not Brown's, see `ray_residual`."""
+    by_q, by_camera = room.by_q, room.by_camera
+    if optics_of[k, 0] == _RATIONAL:
+        sx, sy = rational(cameras, k, u, v, w, by_q, by_camera, room.depth)
+    elif optics_of[k, 0] == _EQUIDISTANT:
+        sx, sy = equidistant(cameras, k, u, v, w, by_q, by_camera, room.depth)
+    else:
+        sx, sy = pix4d_fisheye(cameras, k, u, v, w, by_q, by_camera, room.depth)
+    b1, b2 = cameras[k, _B1], cameras[k, _B1 + 1]
+    m00 = 1.0 + b1 * optics_of[k, 3] + b2 * optics_of[k, 7]
+    m01 = b1 * optics_of[k, 4] + b2 * optics_of[k, 8]
+    m10 = b1 * optics_of[k, 5] + b2 * optics_of[k, 9]
+    m11 = 1.0 + b1 * optics_of[k, 6] + b2 * optics_of[k, 10]
+    for n in range(3):
+        gx, gy = by_q[0, n], by_q[1, n]
+        by_q[0, n], by_q[1, n] = m00 * gx + m01 * gy, m10 * gx + m11 * gy
+    for n in range(COUNT):
+        gx, gy = by_camera[0, n], by_camera[1, n]
+        by_camera[0, n], by_camera[1, n] = m00 * gx + m01 * gy, m10 * gx + m11 * gy
+    for n in range(2):
+        by_camera[0, _X0 + n], by_camera[1, _X0 + n] = 1.0 - n, 1.0 * n
+        at = 3 + 4 * n
+        by_camera[0, _B1 + n] = optics_of[k, at] * sx + optics_of[k, at + 1] * sy
+        by_camera[1, _B1 + n] = optics_of[k, at + 2] * sx + optics_of[k, at + 3] * sy
+    return m00 * sx + m01 * sy + cameras[k, _X0] - x, m10 * sx + m11 * sy + cameras[k, _X0 + 1] - y
+
+
 @inlined
 def ray_residual(
     cameras: Floats,
@@ -141,9 +188,9 @@ def ray_residual(
     w: float,
     room: Scratch,
 ) -> tuple[float, float]:
-    """What a ray misses the model by, and its derivatives: zero where (x, y) are the computed coordinates.
+    """What a ray misses Brown's model by, with derivatives: zero where (x, y) are the computed coordinates.
 
-    cameras (cameras, 14): camera parameters.
+    cameras (cameras, 20): camera parameters.
     optics_of (cameras, 14): from `optics`.
     u, v, w: object point in camera axes, m.
     """
@@ -273,7 +320,7 @@ def image_residual(
     from the measured ones. Least squares of these residuals is the Gauss-Helmert model, whose weight of a
     condition f(x) is (F Q F')^-1 with F = df/dx at the corrected coordinates (Foerstner and Wrobel 2016,
     section 4.8). Where they do not exist, as for the start values of a point far outside, the condition is
-    linear. Parameters as in `ray_residual`, with (x, y) measured.
+    linear. Of `OTHERS` it is `bent`. Parameters as in `ray_residual`, with (x, y) measured.
     """
     by_q, by_camera = room.by_q, room.by_camera
     vx, vy, steps = 0.0, 0.0, 0
@@ -304,7 +351,109 @@ def image_residual(
     for n in range(3):
         gx, gy = by_q[0, n], by_q[1, n]
         by_q[0, n], by_q[1, n] = m00 * gx + m01 * gy, m10 * gx + m11 * gy
-    for n in range(COUNT):
+    for n in range(BROWN):
         gx, gy = by_camera[0, n], by_camera[1, n]
         by_camera[0, n], by_camera[1, n] = m00 * gx + m01 * gy, m10 * gx + m11 * gy
     return vx, vy
+
+
+@inlined
+def recorded(
+    cameras: Floats,
+    optics_of: Floats,
+    k: int,
+    u: float,
+    v: float,
+    w: float,
+    room: Scratch,
+    found: Floats,
+) -> bool:
+    """Find where a camera records a point of camera axes (u, v, w); False where it does not."""
+    by_camera = room.by_camera
+    c, x, y = cameras[k, _C], cameras[k, _X0], cameras[k, _X0 + 1]
+    if w < 0.0:
+        x, y = x - c * u / w, y - c * v / w
+    elif optics_of[k, 0] < OTHERS:
+        return False
+    for _ in range(_MOST):
+        if optics_of[k, 0] >= OTHERS:
+            vx, vy = bent(cameras, optics_of, k, x, y, u, v, w, room)
+        else:
+            vx, vy = ray_residual(cameras, optics_of, k, x, y, u, v, w, room)
+        # The residual depends on x - x0 only: its derivative to x is the negative one to x0.
+        a, b, d, e = by_camera[0, 1], by_camera[0, 2], by_camera[1, 1], by_camera[1, 2]
+        determinant = a * e - b * d
+        sx, sy = (e * vx - b * vy) / determinant, (a * vy - d * vx) / determinant
+        x, y = x + sx, y + sy
+        if sx * sx + sy * sy < _SOLVED * c * c:
+            found[0], found[1] = x, y
+            return bool(determinant > 0.0 and room.depth[0] > 0.0)
+    return False
+
+
+@inlined
+def direction(
+    cameras: Floats,
+    optics_of: Floats,
+    k: int,
+    angular: bool,
+    x: float,
+    y: float,
+    room: Scratch,
+    found: Floats,
+) -> bool:
+    """Find the direction in camera axes of what is recorded at (x, y); False where there is none.
+
+    Newton in the plane of the angles off the axis for a lens that is a function of them, else in the plane
+    of their tangents.
+    """
+    by_q = room.by_q
+    c, focus = cameras[k, _C], optics_of[k, _FOCUS]
+    far = 1.0 if focus == 0.0 else focus / MM
+    e0, e1 = (x - cameras[k, _X0]) / c, (y - cameras[k, _X0 + 1]) / c
+    for _ in range(_MOST):
+        u, v, w = e0, e1, -1.0
+        t00, t01, t11, w0, w1 = 1.0, 0.0, 1.0, 0.0, 0.0
+        if angular:
+            angle = np.sqrt(e0 * e0 + e1 * e1)
+            sinc, cosine = np.sin(angle) / angle if angle > 0.0 else 1.0, np.cos(angle)
+            u, v, w = sinc * e0, sinc * e1, -cosine
+            share = (cosine - sinc) / (angle * angle) if angle > 1e-4 else -1.0 / 3.0
+            t00, t01, t11 = sinc + share * e0 * e0, share * e0 * e1, sinc + share * e1 * e1
+            w0, w1 = sinc * e0, sinc * e1
+        if optics_of[k, 0] >= OTHERS:
+            vx, vy = bent(cameras, optics_of, k, x, y, u, v, w, room)
+        else:
+            vx, vy = ray_residual(cameras, optics_of, k, x, y, far * u, far * v, far * w, room)
+        a = far * (by_q[0, 0] * t00 + by_q[0, 1] * t01 + by_q[0, 2] * w0)
+        b = far * (by_q[0, 0] * t01 + by_q[0, 1] * t11 + by_q[0, 2] * w1)
+        d = far * (by_q[1, 0] * t00 + by_q[1, 1] * t01 + by_q[1, 2] * w0)
+        e = far * (by_q[1, 0] * t01 + by_q[1, 1] * t11 + by_q[1, 2] * w1)
+        determinant = a * e - b * d
+        s0, s1 = (e * vx - b * vy) / determinant, (a * vy - d * vx) / determinant
+        e0, e1 = e0 - s0, e1 - s1
+        if s0 * s0 + s1 * s1 < _SOLVED:
+            found[0], found[1] = u - t00 * s0 - t01 * s1, v - t01 * s0 - t11 * s1
+            found[2] = w - w0 * s0 - w1 * s1
+            return bool(determinant > 0.0)
+    return False
+
+
+@allocating
+def all_recorded(camera: Floats, optics_of: Floats, q: Floats, plane: Floats) -> None:
+    """Find where one camera records points, NaN where it does not."""
+    room, found = scratch(0), np.zeros(2)
+    for n in range(len(q)):
+        plane[n] = np.nan
+        if recorded(camera, optics_of, 0, q[n, 0], q[n, 1], q[n, 2], room, found):
+            plane[n] = found
+
+
+@allocating
+def all_directions(camera: Floats, optics_of: Floats, angular: bool, plane: Floats, q: Floats) -> None:
+    """Find the directions in which one camera sees, NaN where there is none."""
+    room, found = scratch(0), np.zeros(3)
+    for n in range(len(q)):
+        q[n] = np.nan
+        if direction(camera, optics_of, 0, angular, plane[n, 0], plane[n, 1], room, found):
+            q[n] = found

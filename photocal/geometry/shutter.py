@@ -10,7 +10,7 @@ from __future__ import annotations
 from drivers.arrays import Floats
 from photocal.compiled import compiled
 from photocal.geometry.camera import PARAMETERS
-from photocal.geometry.lens import LINE, Scratch, image_residual
+from photocal.geometry.lens import BROWN, LINE, OTHERS, Scratch, bent, image_residual
 
 # Positions of the readout time and of an image's movement among its parameters, and of the given velocity and
 # rate among its optics.
@@ -34,7 +34,7 @@ def rolling_residual(
 ) -> tuple[float, float, float, float, float]:
     """Residual of a ray whose line is that of its computed coordinates, and its derivatives.
 
-    lenses (lenses, 20): parameters of the camera, then V (m, object axes) and W (rad, camera axes).
+    lenses (lenses, 26): parameters of the camera, then V (m, object axes) and W (rad, camera axes).
     optics_of (lenses, 20): from `optics`, then the given velocity (m/s) and rate (rad/s).
     u, v, w: object point in camera axes at the middle of the readout, m.
 
@@ -64,7 +64,10 @@ def rolling_residual(
         qu = pu + first * c0 + second * (r1 * c2 - r2 * c1)
         qv = pv + first * c1 + second * (r2 * c0 - r0 * c2)
         qw = pw + first * c2 + second * (r0 * c1 - r1 * c0)
-        ex, ey = image_residual(lenses, optics_of, k, x, y, qu, qv, qw, room)
+        if optics_of[k, 0] >= OTHERS:
+            ex, ey = bent(lenses, optics_of, k, x, y, qu, qv, qw, room)
+        else:
+            ex, ey = image_residual(lenses, optics_of, k, x, y, qu, qv, qw, room)
         steps += 1
         if steps == 2:
             break
@@ -86,7 +89,7 @@ def rolling_residual(
         along = lx * by_q[0, n] + ly * by_q[1, n]
         by_q[0, n] += speed_x * along
         by_q[1, n] += speed_y * along
-    for n in range(READOUT):
+    for n in range(READOUT if optics_of[k, 0] >= OTHERS else BROWN):
         along = lx * by_camera[0, n] + ly * by_camera[1, n]
         by_camera[0, n] += speed_x * along
         by_camera[1, n] += speed_y * along

@@ -34,8 +34,8 @@ class InteriorSet:
     """One calibration of the block's camera.
 
     camera: values.
-    sigma (13,): standard deviations; NaN where none is known.
-    correlation (14, 14): correlations of the parameters with a sigma; None where they are not known.
+    sigma (20,): standard deviations; NaN where none is known.
+    correlation (20, 20): correlations of the parameters with a sigma; None where they are not known.
     """
 
     name: str

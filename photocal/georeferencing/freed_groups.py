@@ -51,7 +51,7 @@ class Change:
     """Where a second camera begins.
 
     image: its first image.
-    values (13,): its parameters: start values of those that are free.
+    values (20,): its parameters: start values of those that are free.
     """
 
     image: int

@@ -177,7 +177,7 @@ def _misclosure(
 
 
 def camera_variance(camera: Camera) -> Floats:
-    """Variances of the interior orientation as the block states them, shape (13,); 0 where it states none."""
+    """Variances of the interior orientation as the block states them, shape (20,); 0 where it states none."""
     sigma = np.where(np.isfinite(camera.prior_sigma) & camera.estimated, camera.prior_sigma, 0.0)
     return np.asarray(sigma**2)
 

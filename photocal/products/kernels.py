@@ -9,46 +9,9 @@ from numpy.typing import NDArray
 
 from drivers.arrays import Floats, Integers
 from photocal.compiled import allocating, inlined
-from photocal.geometry.lens import Scratch, ray_residual, scratch
+from photocal.geometry.lens import recorded, scratch
 
 NEAREST, BILINEAR, CUBIC = 0, 1, 2
-_STEPS = 30
-
-
-@inlined
-def _recorded(
-    cameras: Floats,
-    optics_of: Floats,
-    limit: float,
-    k: int,
-    u: float,
-    v: float,
-    w: float,
-    room: Scratch,
-    found: Floats,
-) -> bool:
-    """Find where a camera records a point of camera axes (u, v, w); Newton on the ray's own residual."""
-    if w >= 0.0:
-        return False
-    c, x0, y0 = cameras[k, 0], cameras[k, 1], cameras[k, 2]
-    x, y = -c * u / w, -c * v / w
-    if x * x + y * y > limit * limit:
-        return False
-    x, y = x + x0, y + y0
-    by_camera = room.by_camera
-    for _ in range(_STEPS):
-        vx, vy = ray_residual(cameras, optics_of, k, x, y, u, v, w, room)
-        # The residual depends on x - x0 only: its derivative to x is the negative one to x0.
-        a, b, d, e = by_camera[0, 1], by_camera[0, 2], by_camera[1, 1], by_camera[1, 2]
-        determinant = a * e - b * d
-        if determinant <= 0.0:
-            return False
-        sx, sy = (e * vx - b * vy) / determinant, (a * vy - d * vx) / determinant
-        x, y = x + sx, y + sy
-        if sx * sx + sy * sy < 1e-18 * c * c:
-            found[0], found[1] = x, y
-            return True
-    return False
 
 
 @allocating
@@ -93,7 +56,11 @@ def look_up(
             u = rotation[m, 0, 0] * gx + rotation[m, 0, 1] * gy + rotation[m, 0, 2] * gz
             v = rotation[m, 1, 0] * gx + rotation[m, 1, 1] * gy + rotation[m, 1, 2] * gz
             w = rotation[m, 2, 0] * gx + rotation[m, 2, 1] * gy + rotation[m, 2, 2] * gz
-            if not _recorded(cameras, optics_of, limit[k], k, u, v, w, room, found):
+            reach = limit[k] / cameras[k, 0]
+            # Beyond its limit a polynomial may fold what it does not see into the image.
+            if w >= 0.0 or u * u + v * v > reach * reach * w * w:
+                continue
+            if not recorded(cameras, optics_of, k, u, v, w, room, found):
                 continue
             c = found[0] / pitch[k, 0] + (size[k, 0] - 1.0) / 2.0
             r = (size[k, 1] - 1.0) / 2.0 - found[1] / pitch[k, 1]

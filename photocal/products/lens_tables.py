@@ -16,8 +16,8 @@ from photocal.geometry.lens import optics
 class LensTables:
     """Cameras as the kernels take them.
 
-    values (cameras, 14).
-    optics (cameras, 11).
+    values (cameras, 20).
+    optics (cameras, 14).
     pitch, size (cameras, 2).
     limit (cameras,): largest distance of an ideal image point from the principal point that the camera can
         record.

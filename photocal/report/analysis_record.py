@@ -34,6 +34,10 @@ def analysis_record(outcome: Outcome, say: Catalogue) -> dict[str, Any]:
             name: None if one is None else _camera(one, say)
             for name, one in zip(names, outcome.cameras, strict=True)
         },
+        "lens_models": {
+            name: [as_plain(asdict(one)) for one in fits]
+            for name, fits in zip(names, outcome.lenses, strict=True)
+        },
         "observation_sigma": as_plain(asdict(search.sigma)),
         "groups": [as_plain(asdict(one)) for one in search.groups],
         "variance_components": {

@@ -47,9 +47,31 @@ def _camera(k: int, one: CameraAnalysis, outcome: Outcome, say: Catalogue) -> li
         lines.append(f"  {pair} {where}: {say(f'cause.{p.cause}')}")
     lines.append(say("console.components", camera=name))
     lines += [f"  {finding_text(remark, say, plain)}" for remark in one.proposal.findings]
-    return (
-        lines + _left_out(k, one, outcome, say) + _within(k, one, outcome, say) + _jackknife(k, outcome, say)
-    )
+    return [
+        *lines,
+        *_left_out(k, one, outcome, say),
+        *_lenses(k, outcome, say),
+        *_within(k, one, outcome, say),
+        *_jackknife(k, outcome, say),
+    ]
+
+
+def _lenses(k: int, outcome: Outcome, say: Catalogue) -> list[str]:
+    fits, camera = outcome.lenses[k], outcome.search.first.network.cameras[k]
+    lines = [say("console.lenses", camera=camera.id)] if len(fits) > 1 else []
+    for one in fits if len(fits) > 1 else ():
+        text = say(
+            "console.lens",
+            chi=_number(one.chi_squared, say),
+            left_out=_number(one.left_out, say),
+            change=_number(one.change_of_c, say),
+            unit=camera.unit,
+        )
+        if one.check_rmse_m is not None:
+            x, y, z = (_number(1000.0 * v, say) for v in one.check_rmse_m)
+            text += say("console.checks", x=x, y=y, z=z)
+        lines.append(f"  {one.model:<14} {' '.join(one.terms)}: {text}")
+    return lines
 
 
 def _number(value: float, say: Catalogue) -> Number:

@@ -26,7 +26,7 @@ def method(title: str, run: Run, say: Catalogue) -> Section:
     result = run.result
     models = sorted({camera.model for camera in result.cameras.values()})
     texts = [say("method.text"), *(say(f"method.model_{m.removeprefix('brown-')}") for m in models)]
-    pieces: list[Piece] = [Paragraph(" ".join(texts)), Paragraph(_terms(run, say)), _block_facts(run, say)]
+    pieces: list[Piece] = [Paragraph(" ".join([*texts, _terms(run, say)])), _block_facts(run, say)]
     columns = (
         Column(say("method.group"), align="left"),
         Column(say("method.group_n")),
@@ -51,7 +51,9 @@ def method(title: str, run: Run, say: Catalogue) -> Section:
 
 def _terms(run: Run, say: Catalogue) -> str:
     """The polynomial of the distortion with the terms that some camera of the block has."""
-    cameras = run.result.cameras.values()
+    cameras = [camera for camera in run.result.cameras.values() if not camera.lens.relative]
+    if not cameras:
+        return ""
     used = {name for camera in cameras for name in camera.used}
     balanced = any(camera.reference_radius for camera in cameras)
     radial = [

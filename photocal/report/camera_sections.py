@@ -22,20 +22,6 @@ from photocal.report.stored_analysis import Run
 CONFIDENCE = 0.95
 STRONG = 0.9
 
-# The power of the image unit that each parameter carries.
-POWERS = {
-    "c": 1,
-    "x0": 1,
-    "y0": 1,
-    "K1": -2,
-    "K2": -4,
-    "K3": -6,
-    "K4": -8,
-    "P1": -1,
-    "P2": -1,
-    "P3": -2,
-    "P4": -4,
-}
 # Second opinions on standard deviations, see `analysis.robust`.
 OPINIONS = ("sandwich", "bootstrap")
 # Zero is a special value for these; that c differs from zero is no finding.
@@ -168,7 +154,7 @@ def _iop_row(
 ) -> tuple[str, ...]:
     value, sigma, none = camera.value(name), camera.sigma_of(name), say("word.none")
     printed, free = measured(value, sigma, say.mark), name in camera.free
-    own = "s" if name == "readout" else unit_power(camera.unit, POWERS.get(name, 0))
+    own = "s" if name == "readout" else unit_power(camera.unit, camera.lens.power(name))
     unit = power_of_ten(printed.exponent, own) or "1"
     others = (significant(s / 10.0**printed.exponent, 2, say.mark) if free and s else none for s in beside)
     head = (symbol(name), say(f"parameter.{name}"), printed.value)

@@ -117,16 +117,19 @@ def air_base(run: Run, camera_id: str) -> float | None:
 def _record(run: Run, camera_id: str, particulars: Particulars) -> CalibrationRecord:
     camera = run.result.cameras[camera_id]
     prior = dict(zip(PARAMETERS, camera.prior_sigma.tolist(), strict=True))
+    # Coefficients of other lenses are not those of Brown's polynomial, which are judged there.
+    judged = [name for name in PARAMETERS if not camera.lens.relative or name not in camera.lens.terms]
+    free = tuple(name for name in camera.free if name in judged)
     place = sensor_residuals(run, camera_id).place - [camera.value("x0"), camera.value("y0")]
     shape = network_shape(run, camera_id)
     return CalibrationRecord(
         unit=camera.unit,
-        values=dict(zip(PARAMETERS, camera.values.tolist(), strict=True)),
-        sigmas={name: camera.sigma_of(name) for name in camera.free},
+        values={name: camera.value(name) for name in judged},
+        sigmas={name: camera.sigma_of(name) for name in free},
         direction="observed" if camera.model == "brown-observed" else "ideal",
         reference_radius=camera.reference_radius,
-        names=camera.free,
-        correlation=camera.correlation_of(camera.free) if camera.free else None,
+        names=free,
+        correlation=camera.correlation_of(free) if free else None,
         size_px=camera.size_px,
         observed_radius=float(np.hypot(*place.T).max()) if len(place) else None,
         pitch_mm=pixel_size_mm(camera, particulars),

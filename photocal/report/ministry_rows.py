@@ -19,7 +19,6 @@ from photocal.findings.digits import (
 )
 from photocal.geometry.camera import Camera
 from photocal.report.acceptance import verdict
-from photocal.report.camera_sections import POWERS
 from photocal.report.certificate_metadata import Particulars
 from photocal.report.derived_figures import Facts
 from photocal.report.stored_analysis import Run
@@ -181,7 +180,7 @@ def _iop(c: Context) -> Filled:
     unit, scale = ("mm", pixel) if pixel is not None else ("px", 1.0)
     parts = []
     for name in c.camera.free:
-        power = POWERS.get(name, 0)
+        power = c.camera.lens.power(name)
         factor = scale**power
         printed = measured(c.camera.value(name) * factor, c.camera.sigma_of(name) * factor, c.say.mark)
         parts.append(f"{symbol(name)} {_with_sigma(printed)} {unit_power(unit, power)}".rstrip())

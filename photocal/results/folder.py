@@ -125,7 +125,8 @@ def _plain(value: Any) -> Any:
 
 def _camera_json(own: Camera) -> dict[str, Any]:
     parameters = {}
-    for k, name in enumerate(PARAMETERS if own.rolling else PARAMETERS[:-1]):
+    for name in own.lens.names if own.rolling else own.lens.names[:-1]:
+        k = PARAMETERS.index(name)
         prior, deviation = float(own.prior_sigma[k]), float(own.deviation_sigma[k])
         parameters[name] = {
             "value": float(own.values[k]),

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from photocal.adjustment.network import Network
 from photocal.geometry.camera import PARAMETERS, Camera
 
+READOUT = PARAMETERS.index("readout")
+
 Floats = NDArray[np.float64]
 # Real numbers, or complex ones while a derivative is taken.
 Numbers = NDArray[Any]
@@ -63,6 +65,10 @@ def residual(own: Camera, values: Numbers, measured: Numbers, q: Numbers) -> tup
         k1, k2, k3, k4, p1, p2, p3, p4 = values[3:11]
         scaled = [k1 * g**2, k2 * g**4, k3 * g**6, k4 * g**8, p1 * g, p2 * g, p3 * one, p4 * one]
         values = np.array([c * one, x0 * one, y0 * one, *scaled, b1 * one, b2 * one])
+    if own.model not in ("brown-observed", "brown-ideal"):
+        ix, iy = seen_by_other(own.model, values, q)
+        ax, ay = affinity(own.affinity_form, b1, b2, ix, iy)
+        return ix + ax + x0 - measured[0], iy + ay + y0 - measured[1]
     r0, form = own.reference_radius, own.affinity_form
     px, py = -c * q[0] / q[2], -c * q[1] / q[2]
     x, y = measured[0] - x0, measured[1] - y0
@@ -88,6 +94,31 @@ def residual(own: Camera, values: Numbers, measured: Numbers, q: Numbers) -> tup
         ax, ay = affinity(form, b1, b2, ix, iy)
         ix, iy = ix + ax, iy + ay
     return ix - x, iy - y
+
+
+def seen_by_other(model: str, values: Numbers, q: Numbers) -> tuple[Any, Any]:
+    """Projection of the models that are not Brown's: OpenCV's and Pix4D's, y up."""
+    value = dict(zip(PARAMETERS, values, strict=True))
+    c, k = value["c"], [value[f"K{n}"] for n in range(1, 7)]
+    r = np.sqrt(q[0] ** 2 + q[1] ** 2)
+    if model == "rational":
+        x, y = -q[0] / q[2], -q[1] / q[2]
+        r2 = x**2 + y**2
+        over = 1 + k[0] * r2 + k[1] * r2**2 + k[2] * r2**3
+        h = over / (1 + k[3] * r2 + k[4] * r2**2 + k[5] * r2**3)
+        p1, p2 = value["P1"], value["P2"]
+        return (
+            c * (x * h + p1 * (r2 + 2 * x**2) + 2 * p2 * x * y + value["S1"] * r2 + value["S2"] * r2**2),
+            c * (y * h + p2 * (r2 + 2 * y**2) + 2 * p1 * x * y + value["S3"] * r2 + value["S4"] * r2**2),
+        )
+    # Half the angle, for what lies beside the camera: tan(t / 2) = r / (|q| - w).
+    angle = 2 * np.arctan(r / (np.sqrt(r**2 + q[2] ** 2) - q[2]))
+    if model == "equidistant":
+        far = c * (angle + k[0] * angle**3 + k[1] * angle**5 + k[2] * angle**7 + k[3] * angle**9)
+    else:
+        t = 2 / np.pi * angle
+        far = c * np.pi / 2 * (t + k[0] * t**2 + k[1] * t**3 + k[2] * t**4)
+    return far * q[0] / r, far * q[1] / r
 
 
 def exponential(turn: Numbers) -> Numbers:
@@ -162,16 +193,18 @@ def _start(network: Network) -> dict[str, Floats]:
         "exposure": network.exposures.values,
         "point": network.points.values,
         "common": network.mounting.values[None],
-        "deviation": np.zeros((len(network.exposures.values), 20)),
+        "deviation": np.zeros((len(network.exposures.values), len(PARAMETERS) + 6)),
     }
 
 
 def _own_sigma(network: Network) -> Floats:
-    """By how much the 14 parameters of each image and its 6 movements during the readout deviate."""
+    """By how much the parameters of each image and its 6 movements during the readout deviate."""
     rows = []
     for i, k in enumerate(network.exposures.camera):
         own, motion = network.cameras[k], network.exposures.motion_sigma
-        move = np.zeros(6) if motion is None or not own.values[13] else motion[i] * abs(own.values[13])
+        move = (
+            np.zeros(6) if motion is None or not own.values[READOUT] else motion[i] * abs(own.values[READOUT])
+        )
         rows.append(np.concatenate([own.deviation_sigma, move]))
     return np.array(rows)
 
@@ -216,8 +249,8 @@ def _conditions(network: Network, values: dict[str, Numbers], place: Numbers) ->
     seen = np.empty((len(rays.image), 2), dtype=np.result_type(q, place))
     for i, k in enumerate(network.exposures.camera):
         own, mine = network.cameras[k], np.flatnonzero(rays.image == i)
-        lens, there = values["camera"][k] + values["deviation"][i, :14], q[:, mine]
-        if own.estimated[13] or own.values[13]:
+        lens, there = values["camera"][k] + values["deviation"][i, : len(PARAMETERS)], q[:, mine]
+        if own.estimated[READOUT] or own.values[READOUT]:
             there = _rolled(network, values, matrices[i], int(i), place[mine], there)
         seen[mine] = np.column_stack(residual(own, lens, place[mine].T, there))
     return seen
@@ -236,9 +269,9 @@ def _rolled(
         "right-to-left": -place[:, 0] / width,
     }[own.readout_direction]
     given = network.exposures.motion
-    move = values["deviation"][i, 14:]
+    move = values["deviation"][i, len(PARAMETERS) :]
     if given is not None:
-        move = move + given[i] * values["camera"][network.exposures.camera[i], 13]
+        move = move + given[i] * values["camera"][network.exposures.camera[i], READOUT]
     points = [
         exponential(s * move[3:]) @ (one - s * (matrix @ move[:3])) for s, one in zip(later, q.T, strict=True)
     ]

@@ -11,7 +11,7 @@ from photocal.geometry.camera import MOTION, OWN
 # Columns that an image may have: its exterior orientation, and room for parameters of its own. Kernels
 # are compiled for each of them, for loops of a known length are much faster.
 POSE = 6
-WIDTHS = (POSE, POSE + len(MOTION), POSE + len(OWN))
+WIDTHS = (POSE, POSE + len(MOTION), POSE + 20, POSE + len(OWN))
 
 
 class Design(NamedTuple):
@@ -28,7 +28,7 @@ class Design(NamedTuple):
     own, own_count (lenses, n): positions of the parameters of an image's own, the first `own_count` of each
         row.
     optics (lenses, 20): from `lens.optics`, and velocity and rate of the image.
-    active (lenses, 14): positions of the estimated parameters, the first `active_count` of each row.
+    active (lenses, 20): positions of the estimated parameters, the first `active_count` of each row.
     active_count, active_column (lenses,): number of estimated parameters and the first of their columns
         within the border.
     point_column (points,): first column, within the border, of a point that is not eliminated; -1 for all
@@ -61,7 +61,7 @@ class Design(NamedTuple):
 class Values(NamedTuple):
     """What the unknowns are now.
 
-    lenses (lenses, 20): parameters of the camera, and movement of the image during the readout.
+    lenses (lenses, 26): parameters of the camera, and movement of the image during the readout.
     rotation, basis (images, 3, 3): object to camera axes; the turn that each rotation unknown makes.
     centre (images, 3).
     points (points, 3).

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -96,13 +95,12 @@ def _spread_of_profile(one: Calibration, radius: Floats) -> Floats:
     names = [] if known is None else [name for name in known.names if name in PARAMETERS[_RADIAL]]
     if known is None or not names:
         return np.zeros_like(radius)
-    bare = np.zeros_like(one.camera.values)
-    slopes = []
-    for name in names:
-        values = bare.copy()
-        values[PARAMETERS.index(name)] = 1.0
-        slopes.append(radial_profile(replace(one.camera, values=values), radius))
     at = [known.names.index(name) for name in names]
+    slopes = []
+    for name, step in zip(names, np.sqrt(np.diag(known.covariance)[at]).tolist(), strict=True):
+        ends = (one.camera.changed(**{name: one.camera.value(name) + side * step}) for side in (1, -1))
+        more, less = (radial_profile(end, radius) for end in ends)
+        slopes.append((more - less) / (2 * step) if step else np.zeros_like(radius))
     jacobian = np.array(slopes)
     variance = np.einsum("in,ij,jn->n", jacobian, known.covariance[np.ix_(at, at)], jacobian)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))

@@ -88,8 +88,11 @@ def _change_of_c(network: Network, state: State, computed: Floats, camera: int) 
 
 def _of_camera(camera: Camera, plane: Floats) -> list[tuple[str, str, Floats]]:
     zero = np.zeros(len(plane))
-    ideal = camera.model == "brown-ideal"
+    ideal, lens = camera.model == "brown-ideal", camera.lens
     x, y = (undistorted(camera, plane) if ideal else plane - camera.values[1:3]).T
+    # Coefficients without unit: those of coordinates over c.
+    scale = camera.value("c") if lens.relative else 1.0
+    x, y = x / scale, y / scale
     estimated = {name for name, is_so in zip(PARAMETERS, camera.estimated, strict=True) if is_so}
     scale_term, shear_term = ("B2", "B1") if camera.affinity_form == "tank" else ("B1", "B2")
     found = []
@@ -98,13 +101,14 @@ def _of_camera(camera: Camera, plane: Floats) -> list[tuple[str, str, Floats]]:
     if shear_term not in estimated:
         found.append(("shear", "", np.column_stack([plane[:, 1], zero])))
     r2 = x * x + y * y
-    order = next((n for n in (1, 2, 3, 4) if f"K{n}" not in estimated), None)
-    if order is not None:
-        found.append(("radial", f"K{order}", np.column_stack([x, y]) * (r2**order)[:, None]))
-    if "P1" not in estimated:
-        found.append(("decentring", "P1", np.column_stack([r2 + 2 * x * x, 2 * x * y])))
-    if "P2" not in estimated:
-        found.append(("decentring", "P2", np.column_stack([2 * x * y, r2 + 2 * y * y])))
+    orders = (n for n in (1, 2, 3, 4) if f"K{n}" in lens.terms and f"K{n}" not in estimated)
+    if (order := next(orders, None)) is not None:
+        power = order / 2 if camera.model == "pix4d-fisheye" else order
+        found.append(("radial", f"K{order}", scale * np.column_stack([x, y]) * (r2**power)[:, None]))
+    if "P1" in lens.terms and "P1" not in estimated:
+        found.append(("decentring", "P1", scale * np.column_stack([r2 + 2 * x * x, 2 * x * y])))
+    if "P2" in lens.terms and "P2" not in estimated:
+        found.append(("decentring", "P2", scale * np.column_stack([2 * x * y, r2 + 2 * y * y])))
     return found
 
 

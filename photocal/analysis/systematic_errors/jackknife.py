@@ -24,8 +24,8 @@ class Jackknife:
     """Camera parameters with images left out.
 
     left_out: images that were left out together, one entry for each of m adjustments.
-    cameras (m, cameras, 14): parameters without them.
-    standard_error (cameras, 14): jackknife standard error, sqrt((m - 1) / m sum (t_i - mean)^2); NaN when m <
+    cameras (m, cameras, 20): parameters without them.
+    standard_error (cameras, 20): jackknife standard error, sqrt((m - 1) / m sum (t_i - mean)^2); NaN when m <
         3.
     not_possible: images without which the rest is not determined.
     """

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import InputMalformedError
-from photocal.exchange.convert import converted, in_pixels, require_no_skew, unbalanced
 from photocal.exchange.pinhole import from_pinhole, to_pinhole
 from photocal.geometry.camera import Camera, Model, camera, plane_to_pixel
+from photocal.geometry.conversion import converted, in_pixels, require_no_skew, unbalanced
 from photocal.geometry.distortion import projected
 
 RAYS = np.column_stack([*np.random.default_rng(5).uniform(-0.4, 0.4, (2, 200)), -np.ones(200)])

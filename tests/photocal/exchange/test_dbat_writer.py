@@ -58,7 +58,7 @@ def test_what_has_no_place(shared: Path, tmp_path: Path) -> None:
     block = read_dbat(shared / "data" / "dbat-sxb" / "script" / "sxb.xml")
     own = block.cameras[0]
     in_px = camera("a", "brown-observed", "px", own.size_px, (1, 1), {"c": 20000.0})
-    additive = replace(own, affinity="additive").with_values([*own.values[:11], 1e-4, 0])
+    additive = replace(own, affinity="additive").changed(B1=1e-4)
     half = replace(own, estimated=np.array([name == "x0" for name in PARAMETERS]))
     weighted = replace(block.images, sigma=np.full(block.images.sigma.shape, 0.1))
     named = replace(block.points, names=("A", *block.points.names[1:]))

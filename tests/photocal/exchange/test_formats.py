@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError
 from photocal.exchange.choices import Choices
-from photocal.exchange.convert import in_pixels
 from photocal.exchange.formats import FORMATS, Format, export, named, page
 from photocal.exchange.reconstruction import Reconstruction
-from photocal.geometry.camera import Camera, Model, camera
+from photocal.geometry.camera import MODELS, Camera, Model, camera
+from photocal.geometry.conversion import in_pixels
 from photocal.geometry.rotation import matrix_from_angles
 from tests.photocal.exchange.conftest import reconstruction_of
 
@@ -25,7 +25,7 @@ READ = [form for form in FORMATS if form.read is not None]
 SURVEYED = ("metashape", "dbat", "micmac")
 # Formats that leave out the marks of the others.
 FEW_MARKS = ("metashape",)
-TO_RADIUS = np.array([-1, -1, -1, 2, 4, 6, 8, 1, 1, 2, 4, 0, 0, 0], dtype=float)
+TO_RADIUS = -MODELS["brown-ideal"].powers()
 
 unit = st.floats(-1, 1)
 lens = st.tuples(st.floats(0.6, 1.0), *[unit] * 7)

@@ -18,6 +18,7 @@ from photocal.exchange.choices import Origin
 from photocal.exchange.geographic import footprints, topocentric, write_geojson, write_kml
 from photocal.exchange.geopackage import write_geopackage
 from photocal.exchange.reconstruction import Reconstruction
+from photocal.geometry.camera import PARAMETERS
 
 
 def test_topocentric_against_the_textbook() -> None:
@@ -47,7 +48,7 @@ def test_topocentric_against_the_textbook() -> None:
 
 def test_footprint_of_a_vertical_image(vision: Reconstruction) -> None:
     pose = np.array([[0.0, 0.0, 0.0, 10.0, 20.0, 100.0]])
-    own = vision.cameras[0].with_values([1000.0] + [0.0] * 12)
+    own = replace(vision.cameras[0], values=np.eye(len(PARAMETERS))[0] * 1000.0)
     single = replace(vision, cameras=(own,), image_names=("a",), image_camera=np.array([0]), poses=pose)
     # 4608 x 3456 px, c = 1000 px, 100 m above the plane.
     expected = [

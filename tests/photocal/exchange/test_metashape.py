@@ -86,8 +86,8 @@ def test_chunk_transform_and_markers(tmp_path: Path) -> None:
 
 def test_round_trip(tmp_path: Path, vision: Reconstruction) -> None:
     # K4, P3, P4 and a skew: what no other format holds.
-    extra = np.array([0.0] * 6 + [1e-32, 0.0, 0.0, 1e-9, 1e-16, 0.0, 1e-4, 0.0])
-    skewed = replace(vision, cameras=tuple(own.with_values(own.values + extra) for own in vision.cameras))
+    extra = {"K4": 1e-32, "P3": 1e-9, "P4": 1e-16, "B2": 1e-4}
+    skewed = replace(vision, cameras=tuple(own.changed(**extra) for own in vision.cameras))
     assert all(made.largest_px == 0 for made in write_metashape(tmp_path / "c.xml", skewed))
     again = read_metashape(tmp_path / "c.xml").reconstruction
     np.testing.assert_allclose(again.poses, skewed.poses, rtol=1e-9, atol=1e-9)

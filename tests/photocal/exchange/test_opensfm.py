@@ -61,8 +61,8 @@ def test_opensfm_example(shared: Path) -> None:
         ("[]", "no reconstruction"),
         ("[{}]", "not the structure"),
         (
-            '[{"cameras": {"a": {"projection_type": "fisheye", "width": 10, "height": 10}}, "shots": {}}]',
-            "fisheye",
+            '[{"cameras": {"a": {"projection_type": "spherical", "width": 10, "height": 10}}, "shots": {}}]',
+            "spherical",
         ),
         (
             '[{"cameras": {"a": {"projection_type": "brown", "width": 1e12, "height": 10}}, "shots": {}}]',

@@ -42,8 +42,7 @@ def test_round_trip_with_two_cameras(tmp_path: Path) -> None:
 
 
 def test_affinity_goes_into_the_width_of_a_pixel(tmp_path: Path) -> None:
-    values = [*observed_camera().values[:11], 2e-4, 0, 0]
-    own = replace(observed_camera(), affinity="before").with_values(values)
+    own = replace(observed_camera(), affinity="before").changed(B1=2e-4, B2=0.0)
     given = reconstruction_of((own,))
     write_photomodeler(tmp_path / "e.txt", given)
     block = read_photomodeler(tmp_path / "e.txt", tmp_path / "e-control.txt")
@@ -57,7 +56,7 @@ def test_affinity_goes_into_the_width_of_a_pixel(tmp_path: Path) -> None:
 
 
 def test_what_has_no_place(tmp_path: Path, vision: Reconstruction) -> None:
-    skewed = observed_camera().with_values([*observed_camera().values[:12], 1e-4, 0])
+    skewed = observed_camera().changed(B2=1e-4)
     for given, message in (
         (vision, "in mm"),
         (reconstruction_of((skewed,)), "skew"),

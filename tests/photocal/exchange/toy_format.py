@@ -9,8 +9,8 @@ import numpy as np
 
 from photocal.block.model import Block
 from photocal.exchange.choices import Choices
-from photocal.exchange.convert import Conversion
 from photocal.exchange.reconstruction import Reconstruction, vision_block
+from photocal.geometry.conversion import Conversion
 
 
 def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from photocal.geometry.camera import AFFINITIES, AFFINITY_FORMS, MODELS, Affinity, AffinityForm, Model, camera
+from photocal.geometry.camera import AFFINITIES, AFFINITY_FORMS, Affinity, AffinityForm, Model, camera
 from photocal.geometry.distortion import distorted, projected, radial_profile, undistorted
 from tests.photocal import networks, oracle
 
-KINDS = [(m, a, f) for m in MODELS for a in AFFINITIES for f in AFFINITY_FORMS]
+BROWN: tuple[Model, ...] = ("brown-observed", "brown-ideal")
+KINDS = [(m, a, f) for m in BROWN for a in AFFINITIES for f in AFFINITY_FORMS]
 
 
 @pytest.mark.parametrize("kind", KINDS, ids="-".join)
@@ -43,3 +44,5 @@ def test_where_the_polynomial_folds_there_is_no_image() -> None:
 def test_radial_curve_by_hand() -> None:
     own = networks.lens(K1=1e-3, K2=2e-5, K3=0.0, B1=0.3)
     assert radial_profile(own, np.array([0.0, 1.0, 10.0])) == pytest.approx([0, 1e-3 + 2e-5, 1 + 2.0])
+    fisheye = camera("a", "equidistant", "px", (9, 9), (1, 1), {"c": 100.0, "x0": 3.0, "K1": -0.02})
+    assert radial_profile(fisheye, np.array([0.0, 200.0])) == pytest.approx([0, 100 * -0.02 * 2.0**3])

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from photocal.geometry.camera import (
     AFFINITIES,
     AFFINITY_FORMS,
-    MODELS,
     PARAMETERS,
     Affinity,
     AffinityForm,
@@ -26,7 +25,8 @@ from photocal.geometry.lens import optics, ray_residual, scratch
 from tests.photocal import oracle
 
 Floats = NDArray[np.float64]
-KINDS = [(m, a, f) for m in MODELS for a in AFFINITIES for f in AFFINITY_FORMS]
+BROWN: tuple[Model, ...] = ("brown-observed", "brown-ideal")
+KINDS = [(m, a, f) for m in BROWN for a in AFFINITIES for f in AFFINITY_FORMS]
 
 # Magnitudes of strong lenses of about 20 mm; at r = 12 mm each term moves a point by up to a millimetre.
 LARGEST = {

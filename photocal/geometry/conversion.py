@@ -9,14 +9,14 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
-from photocal.geometry.camera import PARAMETERS, Affinity, Camera, Model
+from photocal.geometry.camera import MODELS, PARAMETERS, Affinity, Camera, Model
 from photocal.geometry.distortion import affinity_matrix, distorted, undistorted
 
-# Power of a length in each parameter: c, x0, y0 are lengths; K1 is 1/length^2 ...
-_POWERS = np.array([1, 1, 1, -2, -4, -6, -8, -1, -1, -2, -4, 0, 0, 0], dtype=float)
 _K, _P, _B = slice(3, 7), slice(7, 11), slice(11, 13)
 # Points on a side of the grid over the image at which models are compared.
 GRID = 31
+# A polynomial of Brown that misses a lens by more than this is no equivalent, px.
+NO_EQUIVALENT_PX = 1.0
 
 
 @dataclass(frozen=True)
@@ -37,13 +37,13 @@ def in_pixels(own: Camera) -> Camera:
     if own.unit == "px":
         return own
     width, height = own.pitch
-    stretch = height / width
-    values = own.values * (1 / height) ** _POWERS
+    stretch, powers = height / width, own.lens.powers()
+    values = own.values * (1 / height) ** powers
     affinity = own.affinity
     if abs(stretch - 1) > 1e-12:
         if not own.values[_B].any():
-            affinity = "after" if own.model == "brown-ideal" else "before"
-        possible = "after" if own.model == "brown-ideal" else "before"
+            affinity = "before" if own.model == "brown-observed" else "after"
+        possible = "before" if own.model == "brown-observed" else "after"
         if affinity != possible or own.affinity_form != "fraser":
             raise InputMalformedError(
                 f"camera {own.id} has pixels that are not square and an affinity that acts elsewhere",
@@ -54,7 +54,7 @@ def in_pixels(own: Camera) -> Camera:
             values[_B] = [stretch * (1 + values[11]) - 1, stretch * values[12]]
         else:
             values[11] = (1 + values[11]) / stretch - 1
-    sigma = own.prior_sigma * (1 / height) ** _POWERS
+    sigma = own.prior_sigma * (1 / height) ** powers
     return replace(
         own,
         unit="px",
@@ -93,15 +93,34 @@ def unbalanced(own: Camera) -> Camera:
 def converted(
     own: Camera, model: Model, affinity: Affinity = "after", terms: Sequence[str] | None = None
 ) -> Conversion:
-    """Convert a camera to another model."""
+    """Convert a camera to another model.
+
+    Parameters
+    ----------
+    terms : sequence of str, optional
+        Parameters that may be used beside c, x0, y0; all but P3 and P4 when not given.
+
+    Raises
+    ------
+    InputMalformedError
+        When Brown's polynomial misses another lens by more than a pixel.
+    """
     own = unbalanced(own)
-    allowed = tuple(terms or ("K1", "K2", "K3", "K4", "P1", "P2", "B1", "B2"))
+    allowed = tuple(terms or (n for n in MODELS[model].names[3:-1] if n not in ("P3", "P4")))
     used = {name for name, value in zip(PARAMETERS[3:], own.values[3:], strict=True) if value}
     plain = not own.values[_B].any()
     same = own.affinity_form == "fraser" and (own.affinity == affinity or plain)
-    if same and used <= set(allowed) and (own.model == model or not used):
+    perspective = not own.lens.angular and not MODELS[model].angular
+    if same and used <= set(allowed) and (own.model == model or (perspective and not used)):
         return Conversion(replace(own, model=model, affinity=affinity, affinity_form="fraser"))
-    return _fitted(own, model, affinity, allowed)
+    conversion = _fitted(own, model, affinity, allowed)
+    if own.lens.relative and not MODELS[model].relative and not conversion.largest_px < NO_EQUIVALENT_PX:
+        raise InputMalformedError(
+            f"camera {own.id} has a {own.model} lens, which Brown's polynomial would miss by up to "
+            f"{conversion.largest_px:.3g} px",
+            remedy="export to colmap or opencv, which hold it",
+        )
+    return conversion
 
 
 def apart_px(own: Camera, other: Camera) -> tuple[float, float]:
@@ -110,6 +129,7 @@ def apart_px(own: Camera, other: Camera) -> tuple[float, float]:
     rays = undistorted(own, measured) / own.values[0]
     seen = np.isfinite(rays).all(axis=1)
     apart = np.hypot(*((distorted(other, other.values[0] * rays[seen]) - measured[seen]) / own.pitch).T)
+    apart[np.isnan(apart)] = np.inf
     return float(np.sqrt(np.mean(apart**2))), float(apart.max())
 
 
@@ -131,12 +151,13 @@ def _fitted(own: Camera, model: Model, affinity: Affinity, terms: Sequence[str])
     seen = np.isfinite(rays).all(axis=1)
     measured, rays = measured[seen], rays[seen]
     index = [0, 1, 2, *(PARAMETERS.index(name) for name in terms)]
-    start = np.zeros(len(PARAMETERS))
+    kept = np.isin(PARAMETERS, terms) & (own.model == model)
+    start = np.where(kept, own.values, 0.0)
     start[:3] = own.values[:3]
     target = replace(own, model=model, values=start, affinity=affinity, affinity_form="fraser")
     # Scaled so that each unknown moves the corner of the image by about its own size.
     radius = float(np.hypot(*(size * own.pitch)) / 2)
-    unit = radius ** (_POWERS[index] + 0.0) / np.where(np.arange(len(index)) < 3, radius, 1.0)
+    unit = radius ** MODELS[model].powers()[index] / np.where(np.arange(len(index)) < 3, radius, 1.0)
 
     def filled(unknown: Floats) -> Camera:
         values = start.copy()
@@ -145,9 +166,9 @@ def _fitted(own: Camera, model: Model, affinity: Affinity, terms: Sequence[str])
 
     def miss(unknown: Floats) -> Floats:
         guess = filled(unknown)
-        if model == "brown-ideal":
-            return np.ravel(distorted(guess, guess.values[0] * rays) - measured)
-        return np.ravel(undistorted(guess, measured) - guess.values[0] * rays)
+        if model == "brown-observed":
+            return np.ravel(undistorted(guess, measured) - guess.values[0] * rays)
+        return np.nan_to_num(np.ravel(distorted(guess, guess.values[0] * rays) - measured), nan=radius)
 
     found = least_squares(miss, np.zeros(len(index)), xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac")
     result = filled(found.x)

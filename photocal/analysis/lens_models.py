@@ -1,0 +1,223 @@
+"""Lens models compared: each fitted to the same rays, and judged by images that did not take part."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import IllPosedError, InputMalformedError, NotConvergedError
+from photocal.adjustment.mounting import NO_ATTITUDES, NO_POSITIONS
+from photocal.adjustment.near import Removals
+from photocal.adjustment.network import NO_RELATIONS, Network
+from photocal.adjustment.state import State
+from photocal.analysis.systematic_errors.left_out import Checks
+from photocal.analysis.systematic_errors.refit import Fit, fit, lowest
+from photocal.findings.finding import Figure, Finding, Size
+from photocal.geometry.camera import MODELS, PARAMETERS, Camera, Model
+from photocal.geometry.conversion import converted
+
+Flags = NDArray[np.bool_]
+
+# Images are left out in so many groups of neighbours.
+GROUPS = 6
+# An image tells its pose and something of the lens from this many rays on.
+FEWEST_RAYS = 12
+NEAR = 1e-8
+# A model is better from here on: by how much it lowers v'Pv for each unknown more, and the residuals of the
+# images that were left out. The same lens written otherwise differs by less.
+GAIN, SHARE = 20.0, 0.01
+# Models are alike when Akaike's criterion differs by no more (Burnham and Anderson 2002, section 2.6).
+ALIKE = 4.0
+
+
+@dataclass(frozen=True)
+class LensFit:
+    """One model of the lens of a camera, all others unchanged.
+
+    terms: its estimated coefficients.
+    chi_squared: v'Pv of the whole network.
+    left_out: root mean square of the standardised residuals of images that were left out, oriented on the
+        points and with the lens of the others; NaN where no image could be.
+    change_of_c: c with it less c as adjusted, in the unit of the camera: fisheyes have another.
+    check_rmse_m: of the check points in X, Y, Z.
+    """
+
+    model: Model
+    terms: tuple[str, ...]
+    chi_squared: float
+    left_out: float
+    change_of_c: float
+    check_rmse_m: tuple[float, float, float] | None
+
+
+def lens_fits(fitted: Fit, camera: int, checks: Checks, done: Callable[[], None]) -> tuple[LensFit, ...]:
+    """Fit every model to the rays of one camera; the one that it has comes first, then the better ones.
+
+    A model that the rays do not determine is not listed, and neither is one whose coefficients a prior holds.
+    """
+    own = fitted.network.cameras[camera].with_values(fitted.state.cameras[camera])
+    if not any(name in own.free for name in own.lens.terms) or own.focus_m or own.photo_variant:
+        return ()
+    mine = np.flatnonzero(fitted.network.exposures.camera == camera)
+    groups = [group for group in np.array_split(mine, min(GROUPS, len(mine))) if len(group)]
+    fits = [_judged(fitted, camera, own, groups, checks)]
+    for model in MODELS:
+        try:
+            other = fit(_with_lens(fitted.network, camera, _alternative(own, model)), fitted.state)
+            fits.append(_judged(other, camera, own, groups, checks))
+        except (IllPosedError, NotConvergedError, InputMalformedError):
+            continue
+        finally:
+            done()
+    return fits[0], *sorted(fits[1:], key=lambda one: one.chi_squared)
+
+
+def better_lens(fits: tuple[LensFit, ...]) -> LensFit | None:
+    """Give the model that v'Pv and left-out images prefer to that of a camera; None when there is none."""
+    if not fits:
+        return None
+    given = min((one for one in fits if one.model == fits[0].model), key=lambda one: one.left_out)
+
+    def gain(one: LensFit) -> float:
+        return given.chi_squared - one.chi_squared - GAIN * max(len(one.terms) - len(given.terms), 1)
+
+    others = [one for one in fits if one.model != given.model]
+    better = [one for one in others if gain(one) > 0 and one.left_out < (1 - SHARE) * given.left_out]
+    # Fewer coefficients win, and among as many the more usual model, where they predict as well.
+    best = min((one.left_out for one in better), default=np.inf)
+    alike = [one for one in better if one.left_out < (1 + SHARE) * best]
+    least = min((_akaike(one) for one in alike), default=np.inf)
+    nearly = [one for one in alike if _akaike(one) <= least + ALIKE]
+    return min(nearly, key=lambda one: list(MODELS).index(one.model), default=None)
+
+
+def _akaike(one: LensFit) -> float:
+    return one.chi_squared + 2 * len(one.terms)
+
+
+def of_lenses(fitted: Fit, fits: tuple[tuple[LensFit, ...], ...]) -> list[Finding]:
+    """Name the lenses that fit better than those that cameras have."""
+    listed = []
+    camera_of_ray = fitted.network.exposures.camera[fitted.network.rays.image]
+    for k, (camera, of_camera) in enumerate(zip(fitted.network.cameras, fits, strict=True)):
+        better = better_lens(of_camera)
+        if better is None:
+            continue
+        px = float(np.median(fitted.network.rays.sigma[camera_of_ray == k])) / min(camera.pitch)
+        figures: dict[str, Figure] = {
+            "camera": camera.id,
+            "model": better.model,
+            "names": better.terms,
+            "given": of_camera[0].left_out * px,
+            "found": better.left_out * px,
+            "fall": of_camera[0].chi_squared - better.chi_squared,
+            "shift_c": better.change_of_c,
+            "unit": camera.unit,
+        }
+        size = Size(better.left_out * px, "px", None, better.change_of_c, None, better.left_out * px)
+        listed.append(Finding("lens-model", "doubtful", camera.id, figures, size=size))
+    return listed
+
+
+def _alternative(own: Camera, model: Model) -> Camera:
+    """The same lens as nearly as another model has it, its coefficients free."""
+    affinity = own.affinity if MODELS[model].relative == own.lens.relative else None
+    made = converted(own, model, affinity or ("after" if MODELS[model].relative else "additive")).camera
+    # A prism and powers beyond the fourth are asked for, never assumed.
+    left = ("P3", "P4", "S1", "S2", "S3", "S4")
+    terms = {name for name in MODELS[model].terms if name not in left}
+    kept = {name for name in own.free if name not in own.lens.terms}
+    free = np.array([name in terms | kept for name in PARAMETERS])
+    prior = np.where(np.isin(PARAMETERS, ["x0", "y0", "readout"]), own.prior_sigma, np.inf)
+    return replace(made, estimated=free, prior_sigma=prior, prior_correlation=None)
+
+
+def _with_lens(network: Network, camera: int, own: Camera) -> Network:
+    cameras = tuple(own if k == camera else one for k, one in enumerate(network.cameras))
+    return replace(network, cameras=cameras)
+
+
+def _judged(
+    fitted: Fit, camera: int, own: Camera, groups: list[NDArray[np.int64]], checks: Checks
+) -> LensFit:
+    found = fitted.network.cameras[camera]
+    squares, count = 0.0, 0
+    removals = Removals(fitted.factored.problem, fitted.state)
+    for group in groups:
+        out = np.isin(np.arange(len(fitted.network.image_names)), group)
+        rest = removals.without(out, NEAR)
+        if rest is not None:
+            chi_squared, redundancy = _predicted(fitted, rest.state, out)
+            squares, count = squares + chi_squared, count + redundancy
+    rmse = checks.rmse(fitted.solution.points)
+    return LensFit(
+        found.model,
+        tuple(name for name in found.free if name in found.lens.terms),
+        fitted.solution.chi_squared,
+        float(np.sqrt(squares / count)) if count > 0 else float("nan"),
+        float(fitted.state.cameras[camera, 0]) - own.value("c"),
+        None if rmse is None else (float(rmse[0]), float(rmse[1]), float(rmse[2])),
+    )
+
+
+def _predicted(fitted: Fit, rest: State, out: Flags) -> tuple[float, int]:
+    """V'Pv and redundancy of images oriented on the points, and with the lens, of all the others."""
+    network, rays = fitted.network, fitted.network.rays
+    known = np.bincount(rays.point[~out[rays.image]], minlength=len(network.point_names)) >= 2
+    kept = out[rays.image] & known[rays.point]
+    enough = np.bincount(rays.image[kept], minlength=len(out)) >= FEWEST_RAYS
+    out = out & enough
+    kept &= out[rays.image]
+    if not kept.any():
+        return 0.0, 0
+    seen, point = np.unique(rays.point[kept], return_inverse=True)
+    exposures, count = network.exposures, int(out.sum())
+    own = exposures.motion_sigma is not None
+    alone = replace(
+        network,
+        cameras=tuple(
+            replace(camera.with_values(values), estimated=np.zeros(len(PARAMETERS), dtype=np.bool_))
+            for camera, values in zip(network.cameras, rest.cameras, strict=True)
+        ),
+        exposures=replace(
+            exposures,
+            camera=exposures.camera[out],
+            values=exposures.values[out],
+            sigma=np.full((count, 6), np.inf),
+            motion=exposures.motion[out] if exposures.motion is not None else None,
+            motion_sigma=exposures.motion_sigma[out] if own and exposures.motion_sigma is not None else None,
+        ),
+        points=replace(
+            network.points,
+            values=rest.points[seen],
+            held=np.ones((len(seen), 3), dtype=np.bool_),
+            weight=np.zeros((len(seen), 3, 3)),
+        ),
+        rays=replace(
+            rays,
+            image=(np.cumsum(out) - 1)[rays.image[kept]],
+            point=point.astype(np.int64),
+            plane=rays.plane[kept],
+            sigma=rays.sigma[kept],
+        ),
+        image_names=tuple(name for name, is_out in zip(network.image_names, out, strict=True) if is_out),
+        point_names=tuple(network.point_names[j] for j in seen),
+        relations=NO_RELATIONS,
+        datum_points=None,
+        positions=NO_POSITIONS,
+        attitudes=NO_ATTITUDES,
+    )
+    state = replace(
+        rest,
+        rotation=fitted.state.rotation[out],
+        centre=fitted.state.centre[out],
+        points=rest.points[seen],
+        deviations=fitted.state.deviations[out],
+    )
+    try:
+        return lowest(alone, state, NEAR).chi_squared, 2 * int(kept.sum()) - 6 * count
+    except (IllPosedError, NotConvergedError):
+        return 0.0, 0
