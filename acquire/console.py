@@ -8,7 +8,8 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import typer
 
@@ -82,3 +83,17 @@ def progress(title: str, total: float | None) -> Iterator[Callable[[float], None
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(title, total=total)
         yield lambda amount: bar.advance(task, amount)
+
+
+@dataclass(frozen=True)
+class Check:
+    """What was looked at before work: good, poor (something will be missing or slow) or bad; what helps."""
+
+    part: str
+    state: Literal["good", "poor", "bad"]
+    text: str
+    remedy: str = ""
+
+    def __str__(self) -> str:
+        """Say it in a line."""
+        return f"{self.state:<5} {self.part}: {self.text}" + (f"; {self.remedy}" if self.remedy else "")

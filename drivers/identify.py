@@ -9,6 +9,7 @@ from drivers.arrays import Bytes, Integers
 from drivers.checksums import x25
 from drivers.frames import Batch, Wire
 from drivers.mavlink.dialect import SIGNATURE_BYTES, SIGNED, V2, Dialect
+from drivers.ubx.decode import kind_name as ubx_name
 
 _LONGEST_HEAD, _LEAST_MAVLINK = 16, 8
 
@@ -72,3 +73,19 @@ def _agrees(frame: bytes, kind: int, dialect: Dialect) -> bool:
         return False
     end = len(frame) - 2 - (SIGNATURE_BYTES if frame[0] == V2 and frame[2] & SIGNED else 0)
     return end > 1 and x25(frame[1:end], seed) == frame[end] | frame[end + 1] << 8
+
+
+def kind_name(wire: Wire, kind: int, known: bool, dialect: Dialect) -> str:
+    """Return what the makers of the protocol call a message.
+
+    known: whether the frame agreed with the tables; otherwise its number is given.
+    """
+    if wire == Wire.MAVLINK:
+        return dialect.name(kind) if known else f"unknown {kind}"
+    if wire == Wire.UBX:
+        return ubx_name(kind)
+    if wire == Wire.ULOG:
+        return f"{chr(kind >> 16)} {kind & 0xFFFF}" if kind else "head"
+    if wire == Wire.MRK:
+        return "event"
+    return nmea.kind_name(kind) if wire == Wire.NMEA else str(kind)

@@ -6,9 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from acquire.channels.boot_time import BootTime
 from acquire.channels.decoded import Decoded, Times
-from acquire.channels.log_decoder import LogDecoder, Part
+from acquire.channels.log_decoder import BootTime, LogDecoder, Part
 from acquire.channels.logged import Logged, fix_names
 from acquire.log import foxglove
 from drivers.arrays import Floats, Integers

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from acquire.channels.boot_time import BootTime
 from acquire.channels.decoded import Decoded, Times
-from acquire.channels.log_decoder import LogDecoder, Part
+from acquire.channels.log_decoder import BootTime, LogDecoder, Part
 from acquire.channels.logged import Logged, fix_names
 from drivers.arrays import Floats, Integers
 from drivers.ulog import UlogFormats

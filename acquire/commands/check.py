@@ -33,13 +33,13 @@ def check(
     host, dialect = Host(), ardupilotmega()
     positions = caster_positions(chosen, dialect)
     sources = sources_of(chosen, positions, host.clock_ns)
-    findings = preflight.check(chosen, configuration.parent, sources, positions, seconds, host, dialect)
+    checks = preflight.check(chosen, configuration.parent, sources, positions, seconds, host, dialect)
     answer(
         as_json,
-        lambda: preflight.as_json(findings),
-        lambda: "\n".join(f"{'good' if f.good else 'BAD '}  {f.subject}: {f.seen}" for f in findings),
+        lambda: preflight.as_json(checks),
+        lambda: "\n".join(f"{'good' if c.state == 'good' else 'BAD '}  {c.part}: {c.text}" for c in checks),
     )
-    bad = [finding.subject for finding in findings if not finding.good]
+    bad = [one.part for one in checks if one.state != "good"]
     if bad:
         raise DeviceError(
             f"not ready: {', '.join(bad)}", where=configuration, remedy="see to these before the flight"

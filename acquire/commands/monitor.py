@@ -42,7 +42,7 @@ def monitor(
     Example: `acquire monitor flight.toml --page`
     """
     from acquire.monitor.live import read_all
-    from acquire.monitor.sources import tail_of
+    from acquire.monitor.tail import tail_of
     from acquire.monitor.view_model import view_of
 
     tail = tail_of(source)

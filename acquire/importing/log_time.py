@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from acquire.channels.boot_time import BootTime
+from acquire.channels.log_decoder import BootTime
 from drivers.arrays import Integers
 from drivers.errors import InputMalformedError
 from drivers.frames import Batch

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
-from acquire.channels.boot_time import BootTime, boot_time
 from acquire.channels.decoded import Decoder
+from acquire.channels.log_decoder import BootTime, boot_time
 from acquire.channels.vehicle import VehicleDecoder
 from acquire.importing.log_time import Clock, derived, since_boot, stamped
 from acquire.importing.recording import (

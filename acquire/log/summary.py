@@ -15,10 +15,9 @@ from acquire.log.reader import LogReader, Messages, link_of, read_json
 from acquire.log.records import DAMAGE_ENCODING
 from drivers.arrays import Bytes, Integers
 from drivers.frames import Batch, Wire
-from drivers.identify import batch_of_payloads
+from drivers.identify import batch_of_payloads, kind_name
 from drivers.mavlink.decode import decode, sequences, sources
 from drivers.mavlink.dialect import Dialect
-from drivers.names import kind_name
 
 _ENCODINGS = {wire.encoding: wire for wire in Wire}
 # A pause of a link counts as a gap from here on.

@@ -16,8 +16,6 @@ from acquire.log.records import ARRIVED_HEAD, Channel
 from acquire.recording.alarms import Alarm
 from acquire.recording.caster_position import CasterPosition
 from acquire.recording.configuration import Configuration, Link
-from acquire.recording.corrections import VehicleCorrections, rtcm_frames
-from acquire.recording.dialogue import Dialogue
 from acquire.recording.reader import Arrival
 from acquire.recording.receiver_dialogue import ReceiverDialogue
 from acquire.recording.vehicle_dialogue import VehicleDialogue
@@ -88,8 +86,8 @@ class LinkSession:
         self._source = source
         self._encoding = link.protocol
         self._framer = StreamFramer(wires, dialect)
-        self._dialogue: Dialogue | None = None
-        self._corrections: VehicleCorrections | None = None
+        self._dialogue: VehicleDialogue | ReceiverDialogue | None = None
+        self._vehicle: VehicleDialogue | None = None
         self._sent = 0
         self._received = self._kept = 0
         # Where in the stream each arrival ended, and when it came: as long as a frame may still end in it.
@@ -114,9 +112,8 @@ class LinkSession:
                 ) from unknown
         asked = NAMES if link.vehicle and link.vehicle.parameters else ()
         timesync_s = link.vehicle.timesync_s if link.vehicle else 0.0
-        dialogue = VehicleDialogue(dialect, rates, timesync_s, asked)
-        self._corrections = VehicleCorrections(dialogue)
-        self._dialogue = dialogue if link.vehicle else None
+        self._vehicle = VehicleDialogue(dialect, rates, timesync_s, asked)
+        self._dialogue = self._vehicle if link.vehicle else None
 
     def take(self, arrivals: list[Arrival]) -> Batch:
         """Frame and write bytes that have arrived; each frame has the time of its last byte."""
@@ -173,17 +170,18 @@ class LinkSession:
         """Pass the corrections of a batch on to those who listen."""
         alarms = []
         if self.listeners:
-            for kind, frame in rtcm_frames(batch):
+            for row in np.flatnonzero(batch.wire == Wire.RTCM3).tolist():
+                kind, frame = batch.frame(row).kind, batch.frame(row).data
                 for listener in self.listeners:
                     alarms += listener.receive_correction(kind, frame, clock_ns)
         return alarms
 
     def receive_correction(self, kind: int, frame: bytes, clock_ns: int) -> list[Alarm]:
         """Send a correction to the device of this link."""
-        if self._corrections is None:
+        if self._vehicle is None:
             self.send((frame,), clock_ns, "rtcm3")
             return []
-        frames, words = self._corrections.carry(kind, frame)
+        frames, words = self._vehicle.carry(kind, frame)
         self.send(tuple(frames), clock_ns)
         return [Alarm("device", self.name, words, clock_ns)] if words else []
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from acquire.console import Check
 from acquire.recording.caster_position import CasterPosition
 from acquire.recording.configuration import Configuration, Link
 from acquire.recording.reader import MOST_AT_ONCE, left_behind, start_readers
@@ -34,15 +35,6 @@ _PERIODIC = {"NAV-PVT": NAV_PVT, "RXM-RAWX": RXM_RAWX}
 _GROUND_STATION, _NO_AUTOPILOT = 6, 8
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One line of the preflight: what was looked at, whether it is good, and what was seen."""
-
-    subject: str
-    good: bool
-    seen: str
-
-
 @dataclass
 class _Heard:
     frames: int = 0
@@ -64,7 +56,7 @@ def check(
     seconds: float,
     host: Host,
     dialect: Dialect,
-) -> list[Finding]:
+) -> list[Check]:
     """Listen to all links for a while and judge what was heard."""
     stop = threading.Event()
     framers = {link.name: StreamFramer(wires_of(link.protocol), dialect) for link in configuration.link}
@@ -88,9 +80,9 @@ def check(
     left_behind(readers, 0.5)
     # A port may take a while to open: rates count from the first byte, but over half of the time at least.
     found = [
-        finding
+        seen
         for link in configuration.link
-        for finding in _judge(
+        for seen in _judge(
             link, heard[link.name], min(max(until - heard[link.name].first_s, seconds / 2), seconds)
         )
     ]
@@ -150,12 +142,12 @@ def _hear_receiver(heard: _Heard, batch: Batch, time_ns: int) -> None:
         heard.host_minus_device_s = (time_ns - device_ns) / 1e9
 
 
-def _judge(link: Link, heard: _Heard, seconds: float) -> list[Finding]:
+def _judge(link: Link, heard: _Heard, seconds: float) -> list[Check]:
     name = link.name
     if heard.event and not heard.frames:
-        return [Finding(f"{name}: port", good=False, seen=heard.event)]
+        return [Check(f"{name}: port", "bad", heard.event)]
     found = [
-        Finding(
+        _check(
             f"{name}: frames",
             heard.frames > 0,
             f"{heard.frames / seconds:.1f} per second, {heard.damage_bytes} bytes of damage"
@@ -165,11 +157,11 @@ def _judge(link: Link, heard: _Heard, seconds: float) -> list[Finding]:
     ]
     if link.protocol == "mavlink":
         systems = ", ".join(f"system {s} component {c}" for s, c in sorted(heard.autopilots))
-        found.append(Finding(f"{name}: heartbeat", bool(systems), systems or "no autopilot"))
+        found.append(_check(f"{name}: heartbeat", bool(systems), systems or "no autopilot"))
         for message, wanted in (link.vehicle.rates_hz if link.vehicle else {}).items():
             rate = heard.counts.get(message, 0) / seconds
             found.append(
-                Finding(
+                _check(
                     f"{name}: rate of {message}", rate >= _LEAST_RATE * wanted, f"{rate:.1f} of {wanted:g} Hz"
                 )
             )
@@ -178,17 +170,17 @@ def _judge(link: Link, heard: _Heard, seconds: float) -> list[Finding]:
             wanted = 1000 / link.ublox.rate_ms
             rate = heard.counts.get(message, 0) / seconds
             good = rate >= _LEAST_RATE * wanted
-            found.append(Finding(f"{name}: rate of {message}", good, f"{rate:.1f} of {wanted:g} Hz"))
+            found.append(_check(f"{name}: rate of {message}", good, f"{rate:.1f} of {wanted:g} Hz"))
     if heard.fix or link.protocol == "mavlink" or link.ublox is not None:
-        found.append(Finding(f"{name}: fix", heard.fix_good, heard.fix or "none told"))
+        found.append(_check(f"{name}: fix", heard.fix_good, heard.fix or "none told"))
     if heard.host_minus_device_s is not None:
         offset = heard.host_minus_device_s
         good = abs(offset) <= _CLOCK_LIMIT_S
-        found.append(Finding(f"{name}: clock", good, f"this computer {offset:+.2f} s against the device"))
+        found.append(_check(f"{name}: clock", good, f"this computer {offset:+.2f} s against the device"))
     return found
 
 
-def _disk(configuration: Configuration, base: Path, host: Host) -> list[Finding]:
+def _disk(configuration: Configuration, base: Path, host: Host) -> list[Check]:
     found = []
     for folder in (configuration.recording.output, *configuration.recording.spare):
         place = (base / folder).resolve()
@@ -197,17 +189,18 @@ def _disk(configuration: Configuration, base: Path, host: Host) -> list[Finding]
         try:
             free_mb = host.free_bytes(place) / _MB
         except OSError as failure:
-            found.append(Finding(f"disk {folder}", good=False, seen=failure.strerror or str(failure)))
+            found.append(Check(f"disk {folder}", "bad", failure.strerror or str(failure)))
             continue
         good = free_mb >= configuration.recording.least_free_mb
-        found.append(Finding(f"disk {folder}", good, f"{free_mb:.0f} MB are free"))
+        found.append(_check(f"disk {folder}", good, f"{free_mb:.0f} MB are free"))
     return found
 
 
-def as_json(findings: list[Finding]) -> dict[str, Any]:
-    """Return the findings for programs."""
-    return {
-        "schema": "acquire.check/1",
-        "good": all(finding.good for finding in findings),
-        "findings": [{"subject": f.subject, "good": f.good, "seen": f.seen} for f in findings],
-    }
+def _check(part: str, good: bool, text: str) -> Check:
+    return Check(part, "good" if good else "bad", text)
+
+
+def as_json(checks: list[Check]) -> dict[str, Any]:
+    """Return the checks for programs."""
+    listed = [{"subject": c.part, "good": c.state == "good", "seen": c.text} for c in checks]
+    return {"schema": "acquire.check/1", "good": all(one["good"] for one in listed), "findings": listed}

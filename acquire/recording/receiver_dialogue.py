@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from acquire.recording.dialogue import Said
+from dataclasses import dataclass
+
 from drivers.errors import DeviceError
 from drivers.frames import Batch, Wire
 from drivers.ubx.configure import (
@@ -21,8 +22,17 @@ from drivers.ubx.wire import encode
 _PATIENCE_S, _ATTEMPTS, _LOSSES = 1.0, 4, 2
 
 
+@dataclass(frozen=True)
+class Said:
+    """Bytes for the device and words for the person (an error when it is an alarm)."""
+
+    frames: tuple[bytes, ...] = ()
+    notes: tuple[str, ...] = ()
+    alarms: tuple[str, ...] = ()
+
+
 class ReceiverDialogue:
-    """Configures a receiver and verifies what it has kept; a `Dialogue`.
+    """Configures a receiver and verifies what it has kept.
 
     port: the receiver's port that we are connected to.
     rate_ms: time between measurements, milliseconds.

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from acquire.recording.dialogue import Said
+from acquire.recording.receiver_dialogue import Said
 from drivers.frames import Batch
 from drivers.mavlink.decode import Messages, decode
 from drivers.mavlink.dialect import Dialect
-from drivers.mavlink.encode import encode
+from drivers.mavlink.encode import FRAGMENT_BYTES, FRAGMENTS, encode, fragments
 
 # Not the 255 of a ground station: a failsafe that waits for the pilot's station must not take us for it. For
 # the same reason no heartbeat is sent.
@@ -26,7 +26,7 @@ _RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed
 
 
 class VehicleDialogue:
-    """Asks an autopilot for message rates, one after the other, for parameters and its time; a `Dialogue`.
+    """Asks an autopilot for message rates, parameters and its time, and gives it corrections.
 
     timesync_every_s: time between comparisons of the clocks; 0 for none: then those of the autopilot go
         unanswered, too.
@@ -52,6 +52,8 @@ class VehicleDialogue:
         self._asked_s = 0.0
         self._sequence = 0
         self.refused: dict[str, str] = {}
+        self._carried = 0
+        self._too_long: set[int] = set()
 
     @property
     def finished(self) -> bool:
@@ -85,6 +87,18 @@ class VehicleDialogue:
         )
         self._sequence += 1
         return made
+
+    def carry(self, kind: int, message: bytes) -> tuple[list[bytes], str]:
+        """Return the frames that carry an RTCM message, and words, once for each kind, when none can."""
+        pieces = fragments(message, self._carried)
+        if pieces:
+            self._carried += 1
+            return [self.frame("GPS_RTCM_DATA", piece) for piece in pieces], ""
+        told = kind in self._too_long
+        self._too_long.add(kind)
+        limit = FRAGMENT_BYTES * FRAGMENTS
+        words = f"does not get RTCM {kind}: {len(message)} bytes, at most {limit} can be carried"
+        return [], "" if told else words
 
     def _answer_timesync(self, batch: Batch | None, clock_ns: int) -> list[bytes]:
         """Tell an autopilot that asks the time of our clock; what it asks of others is theirs."""

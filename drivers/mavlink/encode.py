@@ -40,3 +40,27 @@ def encode(
     header = bytes((len(payload), 0, 0, sequence & 0xFF, system, component)) + message.to_bytes(3, "little")
     check = x25(header + payload, dialect.seeds[message])
     return bytes((V2,)) + header + payload + check.to_bytes(2, "little")
+
+
+FRAGMENT_BYTES, FRAGMENTS = 180, 4
+
+
+def fragments(message: bytes, sequence: int) -> list[dict[str, Any]]:
+    """Return the fields of the GPS_RTCM_DATA messages that carry an RTCM message.
+
+    message: A whole RTCM 3 frame.
+    """
+    if len(message) > FRAGMENT_BYTES * FRAGMENTS:
+        return []
+    if len(message) <= FRAGMENT_BYTES:
+        return [_fields((sequence & 31) << 3, message)]
+    pieces = [message[at : at + FRAGMENT_BYTES] for at in range(0, len(message), FRAGMENT_BYTES)]
+    if len(pieces[-1]) == FRAGMENT_BYTES and len(pieces) < FRAGMENTS:
+        # Only a shorter fragment ends the message before the fourth.
+        pieces.append(b"")
+    return [_fields((sequence & 31) << 3 | number << 1 | 1, piece) for number, piece in enumerate(pieces)]
+
+
+def _fields(flags: int, piece: bytes) -> dict[str, Any]:
+    data = np.frombuffer(piece.ljust(FRAGMENT_BYTES, b"\0"), np.uint8)
+    return {"flags": flags, "len": len(piece), "data": data}

@@ -11,13 +11,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
-from acquire.console import answer
+from acquire.console import Check, answer
 from drivers.errors import PhotocalError, ProgramMissingError
 
 OLDEST_PYTHON = (3, 11)
@@ -28,20 +27,6 @@ LEAP_SECONDS_DAYS = 30
 _PROBE_BYTES = 32 << 20
 _INSTALL = "run: python -m pip install 'photocal[process]'"
 _PORTS = ("ttyUSB*", "ttyACM*")
-
-
-@dataclass(frozen=True)
-class Check:
-    """One part of the machine: good, poor (something will be missing or slow) or bad, and what helps."""
-
-    part: str
-    state: Literal["good", "poor", "bad"]
-    text: str
-    remedy: str = ""
-
-    def __str__(self) -> str:
-        """Say it in a line."""
-        return f"{self.state:<5} {self.part}: {self.text}" + (f"; {self.remedy}" if self.remedy else "")
 
 
 def doctor(
@@ -218,7 +203,7 @@ def _grids(crs: str | None) -> Check:
 
 
 def _leap_seconds(today: dt.date) -> Check:
-    from drivers.leap_seconds import installed_leap_seconds
+    from drivers.gnsstime import installed_leap_seconds
 
     expires = installed_leap_seconds().expires
     remedy = "run: python -m pip install --upgrade tzdata"

@@ -104,15 +104,14 @@ def exposures(
     from drivers.errors import ConfigurationError
     from photocal.measurement.match_images import MatchingPlan
     from photocal.navigation.engine import Rtklib
+    from photocal.navigation.exposure_files import write_run
     from photocal.navigation.exposure_report import exposures_text
     from photocal.navigation.exposure_run import Choices, run_exposures
-    from photocal.navigation.exposure_write import write_run
     from photocal.navigation.flight_log import FlightLog
     from photocal.navigation.image_checks import TieMatching
-    from photocal.navigation.ppk_inputs import Sources
+    from photocal.navigation.ppk_inputs import Sources, parse_triple
     from photocal.navigation.rig import Rig
     from photocal.navigation.rig import camera_axes as axes_of
-    from photocal.navigation.triple import parse_triple
 
     if lever_arm is not None:
         raise ConfigurationError(
@@ -155,7 +154,7 @@ def exposures(
 
 def _of_project(path: Path) -> tuple[Choices, str, str | None]:
     """Return the choices, the camera's id and the system of a project."""
-    from photocal.navigation.project_choices import choices_of_project
+    from photocal.navigation.exposure_run import choices_of_project
     from photocal.project import read_project
 
     project = read_project(path)

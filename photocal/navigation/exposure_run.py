@@ -28,19 +28,20 @@ from photocal.navigation.exposure_sources import (
     vehicle_positions,
 )
 from photocal.navigation.exposures import CameraMatch, Exposures, at_camera, at_events, match_images
-from photocal.navigation.host_time import autopilot_time
-from photocal.navigation.image_checks import TieMatching, check_images, check_oriented
+from photocal.navigation.flight_log import FlightLog
+from photocal.navigation.image_checks import TieMatching, check_images, check_oriented, oriented_images
 from photocal.navigation.image_metadata import ImageMetadata, clock_time_s, read_images
 from photocal.navigation.mrk import CameraEventList, listed_in, read_mrk
-from photocal.navigation.oriented_images import oriented_images
 from photocal.navigation.ppk import options_for, process
 from photocal.navigation.ppk_inputs import Sources, gather_inputs
 from photocal.navigation.ppk_report import ppk_figures
 from photocal.navigation.receiver_recording import ReceiverRecording, read_receivers
-from photocal.navigation.rig import Rig
+from photocal.navigation.rig import Rig, rig_of_mounting
 from photocal.navigation.time import HostTime
 from photocal.navigation.trajectory import Trajectory
-from photocal.navigation.vehicle import VehicleTrack, read_vehicle
+from photocal.navigation.troposphere import measured_weather
+from photocal.navigation.vehicle import VehicleTrack, autopilot_time, read_vehicle
+from photocal.project import Project
 
 
 @dataclass(frozen=True)
@@ -254,4 +255,45 @@ def _above_take_off(images: list[ImageMetadata | None]) -> np.ndarray[Any, np.dt
             np.nan if image is None or image.facts is None else image.facts.relative_altitude_m
             for image in images
         ]
+    )
+
+
+def choices_of_project(project: Project) -> Choices:
+    """Return what `[flight]`, `[images]` and `[rig]` ask for.
+
+    Raises
+    ------
+    ConfigurationError
+        Without `[flight]`, or when camera axes are impossible.
+    """
+    flight = project.flight
+    position = flight.base_position
+    sources = Sources(
+        FlightLog(flight.logs),
+        flight.rover_rinex,
+        flight.base_rinex,
+        tuple(map(str, flight.navigation)),
+        None if position is None else ",".join(repr(float(v)) for v in position),
+        flight.rover,
+        flight.base,
+        flight.vehicle,
+        flight.rover_antenna_height_m,
+        flight.base_antenna_height_m,
+        None if flight.base_sigma_m is None else np.array(flight.base_sigma_m),
+        measured_weather(flight.weather),
+    )
+    images = project.contents.images
+    keys = project.contents.rig
+    rig = (
+        Rig()
+        if keys is None
+        else rig_of_mounting(keys.mounting(), np.radians(np.asarray(keys.attitude_sigma_deg, np.float64)))
+    )
+    return Choices(
+        sources,
+        None if images is None else images.folder or images.times,
+        edge=flight.edge,
+        delay_s=flight.delay_s,
+        rig=rig,
+        largest_offset_s=flight.clock_offset_s,
     )

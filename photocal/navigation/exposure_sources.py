@@ -9,8 +9,7 @@ import numpy as np
 from drivers.arrays import Flags
 from drivers.errors import ConfigurationError
 from photocal.navigation.attitude import LINE_OF_SIGHT, Attitudes, at_instants, from_angles, no_attitudes
-from photocal.navigation.boot_events import boot_exposures
-from photocal.navigation.events import Events, logged_exposures, time_marks
+from photocal.navigation.events import Events, boot_exposures, logged_exposures, time_marks
 from photocal.navigation.image_metadata import ImageMetadata, clock_time_s
 from photocal.navigation.interpolation import Placed, interpolate
 from photocal.navigation.mrk import CameraEventList, moved

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.arrays import Flags, Floats, Integers
-from photocal.navigation.engine_output import FIXED, FLOAT, SINGLE, EngineSolution
+from photocal.navigation.engine_output import FIXED, FLOAT, EngineSolution
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import enu_offsets
 
@@ -19,7 +19,8 @@ _RUN_GAP_NS = 3_000_000_000
 _RUN_GAP_EPOCHS = 2.5
 _CODE_SIGMAS = 5.0
 _JUMP_SIGMAS = 5.0
-_WINDOW_NS = 30_000_000_000
+# Separations near an epoch: within so long, or so many epochs of a slow receiver; float errors hold a minute.
+_WINDOW_NS, _WINDOW_EPOCHS, _CORRELATED_NS = 30e9, 6, 60e9
 # Phase multipath of a rover antenna, per component, that the engine's fixed sigmas leave out (Georgiadou and
 # Kleusberg 1988: up to a quarter of the wavelength; 5 mm horizontally is common for patch antennas).
 _FIXED_FLOOR_M = np.array([0.004, 0.004, 0.008])
@@ -194,24 +195,27 @@ def _covariance(combined: EngineSolution, quality: Integers, factor: Floats, sep
     scale = np.ones((len(combined), 3))
     sigma = combined.sigma_m
     floating = quality == FLOAT
-    local = _local_rms(combined.time, separation, floating) / np.sqrt(2)
-    # A float epoch is as uncertain as its directions are apart near it; where only one is there, as uncertain
-    # as the whole flight shows. The engine's own sigmas of combined epochs count the same errors twice.
-    wanted = np.where(np.isfinite(local), np.maximum(local, sigma), sigma * factor)
-    scale[floating] = (wanted / sigma)[floating]
+    # A float epoch is as uncertain as its directions are apart near it. Neighbours share their errors, a
+    # window is worth few separations: the whole flight counts as one more. The engine's own sigmas of
+    # combined epochs count the same errors twice.
+    window_ns = max(_WINDOW_NS, _WINDOW_EPOCHS * float(np.median(np.diff(combined.time.ns))))
+    worth = max(2.0 * window_ns / _CORRELATED_NS, 1.0)
+    local = _local_rms(combined.time, separation, floating, window_ns) / np.sqrt(2)
+    whole = sigma * factor
+    joint = np.where(np.isfinite(local), np.sqrt((worth * local**2 + whole**2) / (worth + 1.0)), whole)
+    scale[floating] = (np.maximum(joint, sigma) / sigma)[floating]
     fixed = quality == FIXED
     scale[fixed] = (np.hypot(sigma, _FIXED_FLOOR_M) / sigma)[fixed]
-    scale[quality == SINGLE] = 1.0
     return np.asarray(combined.covariance_m2 * scale[:, :, None] * scale[:, None, :])
 
 
-def _local_rms(time: GpsTime, separation: Floats, floating: Flags) -> Floats:
+def _local_rms(time: GpsTime, separation: Floats, floating: Flags, window_ns: float) -> Floats:
     known = np.isfinite(separation).all(axis=1) & floating
     squares = np.where(known[:, None], separation**2, 0.0)
     sums = np.vstack([np.zeros(3), np.cumsum(squares, axis=0)])
     count = np.concatenate([[0], np.cumsum(known)])
-    low = np.searchsorted(time.ns, time.ns - _WINDOW_NS)
-    high = np.searchsorted(time.ns, time.ns + _WINDOW_NS, side="right")
+    low = np.searchsorted(time.ns, time.ns - window_ns)
+    high = np.searchsorted(time.ns, time.ns + window_ns, side="right")
     number = (count[high] - count[low])[:, None]
     with np.errstate(invalid="ignore", divide="ignore"):
         rms = np.sqrt((sums[high] - sums[low]) / number)

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
 
 from drivers.errors import PhotocalError
+from photocal.block.table import read_wider_table
 from photocal.findings.finding import Finding, untested
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.match_images import MatchingPlan
+from photocal.measurement.measure_ties import measure_ties
 from photocal.measurement.oriented_ties import Progress
 from photocal.navigation.exposures import Exposures
 from photocal.navigation.image_metadata import ImageMetadata
-from photocal.navigation.oriented_images import oriented_by_ties
 from photocal.navigation.oriented_rotations import boresight_check, compare_with_oriented
 from photocal.navigation.position_check import judge_positions
 from photocal.navigation.rig import Rig
 from photocal.navigation.rotation_check import CODE, rotation_check
+from photocal.results.folder import RESULT, read_result
 
 
 @dataclass(frozen=True)
@@ -53,3 +58,31 @@ def check_images(
     except PhotocalError as refusal:
         return [untested(CODE, "images-not-oriented", {"source": "tie-points", "reason": refusal.what})]
     return check_oriented(oriented, exposures, rig, "tie-points")
+
+
+def oriented_images(folder: Path, images: list[str]) -> OrientedImages:
+    """Read images of a run folder, a block folder, or a table of images with X, Y, Z, omega, phi, kappa."""
+    if (folder / RESULT).is_file():
+        return _in_order(read_result(folder).images, images)
+    path = folder / "images.csv" if folder.is_dir() else folder
+    angles = ("omega", "phi", "kappa")
+    table = read_wider_table(path, ("image", "X", "Y", "Z"))
+    # Without angles the positions serve all the same.
+    values = [np.radians(table.numbers(name, empty=np.nan)) for name in angles]
+    values += [table.numbers(axis) for axis in "XYZ"]
+    names = table.unique_names("image")
+    found = OrientedImages(names, (), np.full(len(names), -1), np.column_stack(values))
+    return _in_order(found, images)
+
+
+def oriented_by_ties(
+    paths: list[Path], images: list[str], plan: MatchingPlan, progress: Progress
+) -> OrientedImages:
+    """Orient images by tie points, see `photocal.measurement.measure_ties`."""
+    block = measure_ties(paths, "images", plan, progress).block
+    made = block.images
+    return _in_order(OrientedImages(made.names, block.cameras, made.camera, made.values), images)
+
+
+def _in_order(found: OrientedImages, images: list[str]) -> OrientedImages:
+    return found.named([name.split(" ")[0] for name in images])

@@ -22,7 +22,6 @@ from photocal.navigation.receiver_recording import (
 )
 from photocal.navigation.rinex import count_ephemerides, read_observation_file
 from photocal.navigation.time import GpsTime
-from photocal.navigation.triple import parse_triple
 from photocal.navigation.troposphere import Weather, parse_weather
 
 NAV_OF_BASE = "base"
@@ -201,3 +200,20 @@ def _base_position(sources: Sources, recording: ReceiverRecording | None) -> tup
             remedy="give --base-position LAT,LON,H (ellipsoidal height)",
         )
     return found
+
+
+def parse_triple(text: str, option: str) -> Floats:
+    """Return three numbers.
+
+    Raises
+    ------
+    ConfigurationError
+        When they are not three finite numbers.
+    """
+    try:
+        values = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        values = np.empty(0)
+    if values.shape != (3,) or not np.isfinite(values).all():
+        raise ConfigurationError(f"{text!r} is not three numbers", where=option, remedy="give A,B,C")
+    return values

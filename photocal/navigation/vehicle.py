@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.channels.mounting import Mounting
+from acquire.channels.mounting import Mounting, mounting_of
+from acquire.log.reader import read_json
 from drivers.arrays import Flags, Floats, Integers
 from drivers.frames import Wire
+from drivers.gnsstime import SECOND_NS
 from drivers.identify import batch_of_payloads
 from drivers.mavlink.decode import decode
 from drivers.mavlink.dialect import ardupilotmega
@@ -21,7 +23,6 @@ from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.time import GpsTime, HostTime, UtcTime
 from photocal.navigation.time_sync import TimeSync
 from photocal.navigation.vehicle_clocks import VehicleClocks, vehicle_clocks
-from photocal.navigation.vehicle_topics import decoded_attitude, decoded_positions, told_mounting
 
 _STRAY_NS = 5_000_000_000
 _MILLISECOND_NS = 1_000_000
@@ -219,3 +220,78 @@ def _strays(device: Integers) -> Flags:
     padded = np.concatenate([device[:1].repeat(2), device, device[-1:].repeat(2)])
     windows = np.lib.stride_tricks.sliding_window_view(padded, 5)
     return np.asarray(np.abs(device - np.median(windows, axis=1).astype(np.int64)) > _STRAY_NS)
+
+
+def decoded_positions(log: FlightLog, link: str) -> tuple[Integers, Integers, Floats]:
+    """Return the positions in `/<link>/position`, or where there are none in `/gnss/<link>/fix`."""
+    found = _fixes(log, f"/{link}/position")
+    return found if len(found[0]) else _fixes(log, f"/gnss/{link}/fix")
+
+
+def _fixes(log: FlightLog, topic: str) -> tuple[Integers, Integers, Floats]:
+    from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
+
+    stamps, logged, places = [], [], []
+    for messages in log.topic(topic):
+        for payload, log_ns in zip(messages.payloads, messages.log_ns.tolist(), strict=True):
+            fix = LocationFix.FromString(payload)
+            stamps.append(fix.timestamp.seconds * SECOND_NS + fix.timestamp.nanos)
+            logged.append(log_ns)
+            places.append((fix.latitude, fix.longitude, fix.altitude))
+    utc, first = np.unique(np.array(stamps, np.int64), return_index=True)
+    return utc, np.array(logged, np.int64)[first], np.array(places).reshape(-1, 3)[first]
+
+
+def decoded_attitude(log: FlightLog, link: str) -> AttitudeTrack | None:
+    """Return the rotations in `/<link>/attitude`: body (forward, right, down) to north, east, down."""
+    from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+
+    stamps, turns, source = [], [], ""
+    for messages in log.topic(f"/{link}/attitude"):
+        source = messages.channel.metadata.get("source", "attitude")
+        for payload in messages.payloads:
+            found = FrameTransform.FromString(payload)
+            stamps.append(found.timestamp.seconds * SECOND_NS + found.timestamp.nanos)
+            q = found.rotation
+            turns.append((q.w, q.x, q.y, q.z))
+    wxyz = np.array(turns).reshape(-1, 4)
+    sound = np.abs(np.linalg.norm(wxyz, axis=1) - 1) < 0.01
+    if not sound.any():
+        return None
+    utc, first = np.unique(np.array(stamps, np.int64)[sound], return_index=True)
+    return AttitudeTrack(UtcTime(utc).to_gps(), rotations_of_quaternions(wxyz[sound][first]), source)
+
+
+def told_mounting(log: FlightLog, link: str) -> Mounting:
+    """Return what the autopilot's parameters in `/<link>/parameter` tell of its mounting."""
+    parameters: dict[str, float] = {}
+    for messages in log.topic(f"/{link}/parameter"):
+        for payload in messages.payloads:
+            told = read_json(bytes(payload), log.paths[0])
+            if isinstance(told.get("value"), int | float):
+                parameters[str(told.get("name"))] = float(told["value"])
+    return mounting_of(parameters)
+
+
+def autopilot_time(track: VehicleTrack, host: HostTime) -> tuple[GpsTime, Floats]:
+    """Return the autopilot's time at moments of the recording computer's clock, and its sigma (s).
+
+    By TIMESYNC exchanges where there are some. Else: between two messages that arrived around a moment the
+    autopilot's clock is taken to run evenly: so an uneven playback does no harm beyond the distance of the
+    messages.
+    """
+    if track.sync is not None and track.clock is not None and not track.sync.host_of_boot.played_back:
+        boot, sigma = track.sync.boot(host.ns)
+        utc, more = track.clock.utc(boot, host.ns)
+        return UtcTime(utc).to_gps(), np.hypot(sigma, more)
+    arrival = track.position_host.ns
+    order = np.argsort(arrival, kind="stable")
+    arrival, device = arrival[order], track.position_time.ns[order]
+    after = np.clip(np.searchsorted(arrival, host.ns, side="right"), 1, max(len(arrival) - 1, 1))
+    before = after - 1
+    span = np.maximum(arrival[after] - arrival[before], 1)
+    share = (host.ns - arrival[before]) / span
+    step = device[after] - device[before]
+    time = device[before] + np.rint(share * step).astype(np.int64)
+    inside = (host.ns >= arrival[0]) & (host.ns <= arrival[-1])
+    return GpsTime(time), np.where(inside, np.abs(step) / 4e9, np.inf)

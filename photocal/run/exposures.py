@@ -48,8 +48,7 @@ def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
         write_geo_txt,
     )
     from photocal.navigation.exposure_plot import plot_exposures
-    from photocal.navigation.exposure_run import place_exposures
-    from photocal.navigation.project_choices import choices_of_project
+    from photocal.navigation.exposure_run import choices_of_project, place_exposures
     from photocal.run.antenna_tables import write_attitudes, write_positions
     from photocal.run.trajectory_file import kept_trajectory
 

@@ -21,7 +21,7 @@ from photocal.measurement.maker_camera import StatedCamera, stated_camera
 from photocal.measurement.marks_files import named_after
 from photocal.measurement.start_camera import group_cameras
 from photocal.navigation.flight_log import FlightLog
-from photocal.navigation.vehicle_topics import told_mounting
+from photocal.navigation.vehicle import told_mounting
 from photocal.project_tables import ASKED
 from photocal.run.folder_survey import ASSUMED_M, Found, Survey, survey
 

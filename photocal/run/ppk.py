@@ -40,10 +40,10 @@ def _make(project: Project, folder: Path, show: Progress) -> None:
     import tempfile
 
     from photocal.navigation.engine import Rtklib
+    from photocal.navigation.exposure_run import choices_of_project
     from photocal.navigation.ppk import options_for, process
     from photocal.navigation.ppk_inputs import gather_inputs
     from photocal.navigation.ppk_report import plot_ppk, ppk_figures
-    from photocal.navigation.project_choices import choices_of_project
     from photocal.navigation.trajectory import write_trajectory
     from photocal.run.trajectory_file import keep_trajectory
 

@@ -6,7 +6,7 @@ import datetime as dt
 
 import pytest
 
-from drivers.leap_seconds import installed_leap_seconds, parse_leap_seconds
+from drivers.gnsstime import installed_leap_seconds, parse_leap_seconds
 
 
 def test_the_installed_table() -> None:

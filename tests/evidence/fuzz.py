@@ -22,10 +22,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.channels.boot_time import BootTime
 from acquire.channels.dataflash import DataflashDecoder
 from acquire.channels.decoded import Decoder
 from acquire.channels.event_list import EventListDecoder
+from acquire.channels.log_decoder import BootTime
 from acquire.channels.receiver import ReceiverDecoder
 from acquire.channels.ulog import UlogDecoder
 from acquire.channels.vehicle import VehicleDecoder

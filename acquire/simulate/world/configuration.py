@@ -10,8 +10,16 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, FiniteFloat, PositiveFloat, ValidationError, model_validator
 
 from acquire.checked_toml import Table, parse_toml
-from acquire.simulate.world.faults import Fault, FaultSizes
-from acquire.simulate.world.sections import NonNegative, Pair, PositiveSigmas, Share, Sigmas, Triple
+from acquire.simulate.world.faults import (
+    Fault,
+    FaultSizes,
+    NonNegative,
+    Pair,
+    PositiveSigmas,
+    Share,
+    Sigmas,
+    Triple,
+)
 from drivers.errors import ConfigurationError, InputNotFoundError
 
 # Flights that are known by name.

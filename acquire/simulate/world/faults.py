@@ -8,7 +8,13 @@ from typing import Annotated
 from pydantic import Field, FiniteFloat, PositiveFloat
 
 from acquire.checked_toml import Table
-from acquire.simulate.world.sections import Triple
+
+Pair = tuple[FiniteFloat, FiniteFloat]
+Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+NonNegative = Annotated[FiniteFloat, Field(ge=0)]
+Sigmas = tuple[NonNegative, NonNegative, NonNegative]
+PositiveSigmas = tuple[PositiveFloat, PositiveFloat, PositiveFloat]
+Share = Annotated[float, Field(ge=0, lt=1)]
 
 
 class Fault(StrEnum):

@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from acquire.simulate.world import camera_clock
 from acquire.simulate.world.observations import kept_images
 from acquire.simulate.world.render import make_scene, render
 from acquire.simulate.world.telemetry import LABEL, make_filter
-from acquire.simulate.world.world import World
+from acquire.simulate.world.world import World, picture_stamps
 from drivers.arrays import Bytes, Floats
 
 MAKER = "simulated"
@@ -38,7 +37,7 @@ def write_pictures(world: World, folder: Path, advance: Callable[[float], None])
     scene = make_scene(world)
     # Made before the threads ask for it all at once.
     _ = scene.directions
-    stamps, names = camera_clock.stamps(world), world.exposures.names
+    stamps, names = picture_stamps(world), world.exposures.names
     view = make_filter(world)
     places, _ = view.place(world.exposures.event_s)
     angles = np.degrees(view.angles(world.exposures.event_s))

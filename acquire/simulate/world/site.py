@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from acquire.simulate.world import camera_clock
 from acquire.simulate.world.block_folder import write_block, write_observations
 from acquire.simulate.world.configuration import Configuration, Level
 from acquire.simulate.world.observations import kept_images, observe
@@ -17,7 +16,7 @@ from acquire.simulate.world.streams import Streams, make_streams
 from acquire.simulate.world.tables import write_table
 from acquire.simulate.world.truth import write_truth
 from acquire.simulate.world.wires import telemetry_log
-from acquire.simulate.world.world import World, make_world
+from acquire.simulate.world.world import World, make_world, picture_stamps
 
 Advance = Callable[[float], None]
 
@@ -60,7 +59,7 @@ def write_streams(world: World, streams: Streams, folder: Path) -> None:
 
 def write_times(world: World, path: Path) -> None:
     """Write `times.csv`: the names of pictures and what the camera's clock said."""
-    pairs = zip(world.exposures.names, camera_clock.stamps(world), kept_images(world).tolist(), strict=True)
+    pairs = zip(world.exposures.names, picture_stamps(world), kept_images(world).tolist(), strict=True)
     rows = [(name, stamp.isoformat(timespec="milliseconds")) for name, stamp, kept in pairs if kept]
     names, taken = zip(*rows, strict=True)
     write_table(path, {"image": ("", names), "taken": ("", taken)})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -146,3 +147,15 @@ def _require_room(configuration: Configuration, terrain: Terrain) -> None:
             where="[[plan.pass]]",
             remedy=f"fly at least {top + LEAST_ABOVE_GROUND_M:.0f} m above the origin, or take less relief_m",
         )
+
+
+def picture_stamps(world: World) -> list[dt.datetime]:
+    """Give the time that the camera writes into each picture: offset, drift, jitter, cut to milliseconds."""
+    given, random = world.configuration.pictures, world.random("pictures")
+    event = world.exposures.event_s
+    jitter = np.abs(random.standard_normal(len(event))) * given.clock_jitter_s
+    told = event * (1 + given.clock_drift_ppm * 1e-6) + given.clock_offset_s + jitter
+    unit_s = 1e-3 if given.subseconds else 1.0
+    start = world.configuration.place.start_utc.astimezone(dt.UTC).replace(tzinfo=None)
+    whole = np.floor(told / unit_s).astype(int).tolist()
+    return [start + dt.timedelta(seconds=count * unit_s) for count in whole]

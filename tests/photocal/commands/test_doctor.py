@@ -17,9 +17,10 @@ import numba
 import pytest
 from typer.testing import CliRunner
 
+from acquire.console import Check
 from photocal.cli import app
 from photocal.commands import doctor
-from photocal.commands.doctor import Check, examine
+from photocal.commands.doctor import examine
 
 Patch = pytest.MonkeyPatch
 

@@ -25,8 +25,7 @@ from photocal.navigation.interpolation import Placed
 from photocal.navigation.rig import Rig, rig_of_mounting
 from photocal.navigation.time import GpsTime, UtcTime
 from photocal.navigation.trajectory import enu_offsets
-from photocal.navigation.vehicle import read_vehicle
-from photocal.navigation.vehicle_topics import decoded_attitude, decoded_positions
+from photocal.navigation.vehicle import decoded_attitude, decoded_positions, read_vehicle
 from tests.photocal.conftest import Answer
 from tests.photocal.navigation.conftest import ImportLog, Run
 

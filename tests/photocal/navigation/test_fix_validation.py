@@ -67,3 +67,30 @@ def test_it_is_told_which_direction_had_the_fix() -> None:
     assert (judged.directions[:, 0] == FLOAT).all()
     assert (judged.directions[:5, 1] == 0).all()
     assert (judged.directions[5:, 1] == FIXED).all()
+
+
+@pytest.mark.parametrize("interval_s", [1.0, 15.0, 60.0])
+def test_float_sigmas_hold_for_errors_that_last(interval_s: float) -> None:
+    """Errors of both directions keep for a minute (one metre, 5 mm claimed): the sigmas say so."""
+    keep = np.exp(-interval_s / 60.0)
+    normalised = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        errors = rng.normal(0.0, 1.0, (2, 60, 3))
+        for k in range(1, 60):
+            errors[:, k] = keep * errors[:, k - 1] + np.sqrt(1 - keep**2) * errors[:, k]
+        base = still(interval_s, 60, FLOAT)
+        forward, backward, combined = (
+            replace(
+                base,
+                lat_deg=45.0 + e[:, 1] / 111_130,
+                lon_deg=9.0 + e[:, 0] / 78_850,
+                height_m=100.0 + e[:, 2],
+            )
+            for e in (*errors, errors.mean(axis=0))
+        )
+        judged = judge(combined, forward, backward, base, 3.0)
+        normalised.append(errors.mean(axis=0) / judged.solution.sigma_m)
+    rms = np.sqrt(np.mean(np.concatenate(normalised) ** 2, axis=0))
+    assert (rms < 1.5).all()
+    assert (rms > 0.5).all()

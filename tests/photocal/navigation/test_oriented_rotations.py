@@ -17,8 +17,8 @@ from photocal.navigation.attitude import from_angles
 from photocal.navigation.events import Events
 from photocal.navigation.exposure_run import Choices, place_exposures
 from photocal.navigation.exposures import Exposures, at_events, orientations
+from photocal.navigation.image_checks import oriented_images
 from photocal.navigation.interpolation import Placed
-from photocal.navigation.oriented_images import oriented_images
 from photocal.navigation.oriented_rotations import boresight_check, compare_with_oriented
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.rig import Rig

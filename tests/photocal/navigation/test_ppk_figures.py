@@ -49,7 +49,7 @@ def test_float_epochs_are_as_good_as_they_claim(static_run: Run, moving_run: Run
         normalised = (found.error_m / found.sigma_m)[~found.fixed]
         assert len(normalised) > 40
         rms = np.sqrt(np.mean(normalised**2, axis=0))
-        assert (rms < 3).all()
+        assert (rms < 2).all()
         # Nor are they hidden behind sigmas that say nothing.
         assert (rms > 0.2).all()
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputMalformedError
+from photocal.navigation.exposure_run import choices_of_project
 from photocal.navigation.image_metadata import read_images
-from photocal.navigation.project_choices import choices_of_project
 from photocal.navigation.troposphere import Weather
 from photocal.project import read_project
 

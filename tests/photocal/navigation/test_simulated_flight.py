@@ -13,8 +13,13 @@ import pytest
 from photocal.findings.finding import Finding
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.exposure_report import exposures_text
-from photocal.navigation.exposure_run import Choices, ExposureRun, place_exposures, run_exposures
-from photocal.navigation.project_choices import choices_of_project
+from photocal.navigation.exposure_run import (
+    Choices,
+    ExposureRun,
+    choices_of_project,
+    place_exposures,
+    run_exposures,
+)
 from photocal.project import read_project
 from tests.photocal.findings.english import english
 from tests.photocal.navigation.conftest import needs_engine

@@ -16,15 +16,14 @@ from acquire.simulate.autopilot import Autopilot
 from drivers.frames import Wire
 from drivers.framing import StreamFramer
 from drivers.mavlink.dialect import ardupilotmega
-from photocal.navigation.boot_events import boot_exposures
 from photocal.navigation.device_clocks import ComparedClocks, device_by_arrival
+from photocal.navigation.events import boot_exposures
 from photocal.navigation.exposure_sources import events_of
 from photocal.navigation.flight_log import FlightLog
-from photocal.navigation.host_time import autopilot_time
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.time import HostTime, UtcTime
 from photocal.navigation.time_sync import time_sync
-from photocal.navigation.vehicle import read_vehicle
+from photocal.navigation.vehicle import autopilot_time, read_vehicle
 
 Integers = NDArray[np.int64]
 SECOND = 1_000_000_000

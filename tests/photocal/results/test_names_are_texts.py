@@ -19,7 +19,7 @@ from photocal.exchange.choices import Choices, Origin
 from photocal.exchange.formats import FORMATS, export, read_foreign_block
 from photocal.exchange.reconstruction import Reconstruction, of_result
 from photocal.measurement.block_files import write_block
-from photocal.navigation.oriented_images import oriented_images
+from photocal.navigation.image_checks import oriented_images
 from photocal.results.folder import read_result, write_result
 from photocal.results.result import Result
 

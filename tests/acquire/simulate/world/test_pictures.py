@@ -11,11 +11,11 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from acquire.simulate.world import camera_clock
 from acquire.simulate.world.exposures import Pose
 from acquire.simulate.world.observe import seen, seen_rolling
 from acquire.simulate.world.plates import dictionary_of
 from acquire.simulate.world.render import make_scene, render
+from acquire.simulate.world.world import picture_stamps
 from tests.acquire.simulate.world.conftest import Flight
 
 Floats = NDArray[np.float64]
@@ -110,7 +110,7 @@ def test_two_pictures_show_the_same_ground(small: Flight) -> None:
 
 def test_exif_and_xmp_are_read_by_pillow(small: Flight) -> None:
     world = small.world
-    stamps = camera_clock.stamps(world)
+    stamps = picture_stamps(world)
     for name, stamp in zip(world.exposures.names, stamps, strict=True):
         with Image.open(small.folder / "site/images" / name) as image:
             assert image.size == (1024, 768)
