@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from drivers.arrays import Integers
 from drivers.frames import Batch, Wire, gather
 from drivers.gnsstime import gps_to_utc_ns, week_to_ns
-from drivers.logged import Records
-from drivers.records import NOTHING, WAIT, RecordFramer
+from drivers.logged import NOTHING, WAIT, RecordFramer, Records
 
 HEAD = b"\xa3\x95"
 HEAD_BYTES = 3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -88,3 +89,119 @@ def batch_of_rows(
         known=np.ones(len(table), bool),
         damage=lost,
     )
+
+
+# What an examination answers besides a length.
+NOTHING, WAIT = 0, -1
+
+
+class RecordFramer(ABC):
+    """Finds the records of a log; a `Framer`.
+
+    A record is taken where its head can be meant and another one, or the end, follows. One that is followed
+    by damage is taken unless a record that is followed properly begins inside it: then bytes are missing in
+    it. After damage only records that are followed properly are taken.
+    """
+
+    stamped = False
+    wire: Wire
+
+    def __init__(self) -> None:
+        self._pending = b""
+        self._offset = 0
+        self._cut = 0
+        # Whether the byte before the pending ones belongs to no record.
+        self._after_damage = False
+
+    @property
+    def cut(self) -> int:
+        """Number of bytes of a record that the end of the log cut off; 0 until `close`."""
+        return self._cut
+
+    def feed(self, data: bytes) -> Batch:
+        """Take the next bytes of the log and return the records that are complete."""
+        self._pending += data
+        return self._take(closed=False)
+
+    def close(self) -> Batch:
+        """Return what is left when the log has ended."""
+        whole = self._examine(self._pending, 0) == WAIT
+        rest = len(self._pending)
+        batch = self._take(closed=True)
+        self._cut = rest if whole and rest and not len(batch) else 0
+        return batch
+
+    @abstractmethod
+    def _examine(self, data: bytes, at: int) -> int:
+        """Return the length of the record that begins at a place, `NOTHING` or `WAIT`."""
+
+    @abstractmethod
+    def _next(self, data: bytes, at: int) -> int:
+        """Return the next place from `at` on where a record may begin; the end of the data if none."""
+
+    @abstractmethod
+    def _learn(self, data: bytes, at: int) -> int:
+        """Take note of a record that was taken; return its kind."""
+
+    def _take(self, closed: bool) -> Batch:
+        data, end = self._pending, len(self._pending)
+        rows: list[tuple[int, int, int]] = []
+        damage: list[tuple[int, int]] = []
+        at = clean = 0
+        while at < end:
+            length = self._believed(data, at, closed, sure=self._after_damage)
+            if length == WAIT:
+                break
+            if length == NOTHING:
+                self._after_damage = True
+                at = self._next(data, at + 1)
+                continue
+            self._after_damage = False
+            if at > clean:
+                damage.append((clean, at - clean))
+            rows.append((at, length, self._learn(data, at)))
+            at += length
+            clean = at
+        if at > clean:
+            damage.append((clean, at - clean))
+        batch = batch_of_rows(self.wire, data[:at], self._offset, rows, damage)
+        self._pending = data[at:]
+        self._offset += at
+        return batch
+
+    def _believed(self, data: bytes, at: int, closed: bool, *, sure: bool) -> int:
+        length = self._closed_examine(data, at, closed)
+        if length <= 0:
+            return length
+        follows = self._follows(data, at + length, closed)
+        if follows == WAIT:
+            return WAIT
+        if follows:
+            return length
+        if sure:
+            return NOTHING
+        inside = self._next(data, at + 1)
+        while inside < at + length:
+            found = self._closed_examine(data, inside, closed)
+            followed = self._follows(data, inside + found, closed) if found > 0 else found
+            if followed == WAIT:
+                return WAIT
+            if followed:
+                return NOTHING
+            inside = self._next(data, inside + 1)
+        return length
+
+    def _closed_examine(self, data: bytes, at: int, closed: bool) -> int:
+        length = self._examine(data, at)
+        return NOTHING if closed and length == WAIT else length
+
+    def _follows(self, data: bytes, at: int, closed: bool) -> int:
+        """Return 1 where a record or the end follows, `NOTHING` or `WAIT`."""
+        if at == len(data):
+            return 1 if closed else WAIT
+        length = self._head(data, at)
+        return NOTHING if closed and length == WAIT else length
+
+    def _head(self, data: bytes, at: int) -> int:
+        """Return 1 where the head of a record begins, `NOTHING` or `WAIT`."""
+        return min(self._examine(data, at), 1)

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from drivers.arrays import Integers
 from drivers.frames import Batch, Wire, gather
-from drivers.logged import Records
-from drivers.records import NOTHING, WAIT, RecordFramer
+from drivers.logged import NOTHING, WAIT, RecordFramer, Records
 
 MAGIC = b"ULog\x01\x12\x35"
 FILE_HEAD_BYTES, HEAD_BYTES = 16, 3

@@ -20,8 +20,7 @@ def export(
 
     Example: `acquire export flight.mcap --link vehicle -o flight.tlog`
     """
-    from acquire.log.replay import choose_link
-    from acquire.log.tlog_export import export_tlog
+    from acquire.log.replay import choose_link, export_tlog
 
     name = choose_link(log, link)
     count = export_tlog(log, name, output)

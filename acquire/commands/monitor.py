@@ -41,8 +41,7 @@ def monitor(
 
     Example: `acquire monitor flight.toml --page`
     """
-    from acquire.monitor.live import read_all
-    from acquire.monitor.tail import tail_of
+    from acquire.monitor.tail import read_all, tail_of
     from acquire.monitor.view_model import view_of
 
     tail = tail_of(source)
@@ -61,7 +60,7 @@ def monitor(
 
 def _show(tail: Tail, address: str | None, mute: bool, listen: Callable[[list[Messages]], None]) -> None:
     """Show a recording until Ctrl-C, on a page or here."""
-    from acquire.monitor.live import follow
+    from acquire.monitor.tail import follow
     from acquire.operating_system import stopped_by_signals
 
     stop = stopped_by_signals()
@@ -84,7 +83,7 @@ def _in_terminal(
     from rich.live import Live
 
     from acquire.monitor.chart import layers
-    from acquire.monitor.live import follow, read_all
+    from acquire.monitor.tail import follow, read_all
     from acquire.monitor.terminal import render
     from acquire.monitor.view_model import view_of
 

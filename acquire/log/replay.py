@@ -10,8 +10,10 @@ import numpy as np
 
 from acquire.log.reader import LogReader, Messages, link_of
 from acquire.log.records import DAMAGE_ENCODING
+from acquire.outputs import output_file
 from acquire.transports.sinks import Sink
 from drivers.errors import ConfigurationError, InputMalformedError
+from drivers.mavlink.dialect import V1, V2
 
 
 @dataclass(frozen=True)
@@ -109,3 +111,31 @@ def raw_frames(path: Path, link: str) -> Iterator[tuple[int, bytes]]:
 def _is_raw(part: Messages) -> bool:
     channel = part.channel
     return channel.schema is None and channel.encoding != DAMAGE_ENCODING and channel.topic.endswith("/raw")
+
+
+_STARTS = (V1, V2)
+
+
+def export_tlog(path: Path, link: str, output: Path) -> int:
+    """Write the frames of a link as a telemetry log: each after its time of receipt.
+
+    Raises
+    ------
+    InputMalformedError
+        When the link carries other frames than MAVLink.
+    OutputError
+        When the output cannot be written.
+    """
+    count = 0
+    with output_file(output) as aside, aside.open("wb") as stream:
+        for time_ns, frame in raw_frames(path, link):
+            if frame[0] not in _STARTS:
+                raise InputMalformedError(
+                    f"the link {link!r} carries no MAVLink",
+                    where=path,
+                    remedy="name the vehicle's with --link",
+                )
+            # Whole microseconds, big-endian: what ground stations write.
+            stream.write((time_ns // 1000).to_bytes(8, "big") + frame)
+            count += 1
+    return count

@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from acquire.channels.decoded import SECOND_NS
-from acquire.monitor.disk_status import bytes_per_s
 from acquire.monitor.exposures import Exposures, numbers
 from acquire.monitor.fixes import (
     DEAD_CORRECTION_S,
@@ -17,7 +16,7 @@ from acquire.monitor.fixes import (
     correction_age_s,
 )
 from acquire.monitor.state import Alarm, Battery, Link, Receiver, State
-from acquire.monitor.traffic import RATE_OVER_S
+from acquire.monitor.traffic import RATE_OVER_S, bytes_per_s
 from acquire.monitor.vehicle import Vehicle
 
 SCHEMA = "acquire.monitor/1"

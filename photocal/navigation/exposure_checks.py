@@ -15,8 +15,7 @@ from photocal.navigation.exposures import Exposures, at_camera
 from photocal.navigation.image_metadata import ImageMetadata
 from photocal.navigation.interpolation import interpolate
 from photocal.navigation.mrk import CameraEventList
-from photocal.navigation.position_check import judge_positions
-from photocal.navigation.position_comparison import PositionPairs, compare_positions
+from photocal.navigation.position_comparison import PositionPairs, compare_positions, judge_positions
 from photocal.navigation.receiver_recording import ReceiverRecording
 from photocal.navigation.rig import Rig, check_mounting
 from photocal.navigation.time import leap_seconds

@@ -16,10 +16,9 @@ from photocal.measurement.measure_ties import measure_ties
 from photocal.measurement.oriented_ties import Progress
 from photocal.navigation.exposures import Exposures
 from photocal.navigation.image_metadata import ImageMetadata
-from photocal.navigation.oriented_rotations import boresight_check, compare_with_oriented
-from photocal.navigation.position_check import judge_positions
+from photocal.navigation.position_comparison import judge_positions
 from photocal.navigation.rig import Rig
-from photocal.navigation.rotation_check import CODE, rotation_check
+from photocal.navigation.rotation_check import CODE, boresight_check, compare_with_oriented, rotation_check
 from photocal.results.folder import RESULT, read_result
 
 

@@ -21,8 +21,7 @@ from photocal.navigation.attitude import AttitudeTrack, rotations_of_quaternions
 from photocal.navigation.device_clocks import AutopilotClock, ComparedClocks
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.time import GpsTime, HostTime, UtcTime
-from photocal.navigation.time_sync import TimeSync
-from photocal.navigation.vehicle_clocks import VehicleClocks, vehicle_clocks
+from photocal.navigation.time_sync import TimeSync, VehicleClocks, vehicle_clocks
 
 _STRAY_NS = 5_000_000_000
 _MILLISECOND_NS = 1_000_000

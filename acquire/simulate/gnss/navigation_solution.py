@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquire.simulate.gnss.geometry import axes
-from acquire.simulate.gnss.noise import correlated
-from acquire.simulate.gnss.observations import Observations
+from acquire.simulate.gnss.observations import Observations, correlated
 from drivers.arrays import Floats, Integers
 from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS, WEEK_S
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from acquire.simulate.world.camera import Camera
 from acquire.simulate.world.exposures import TO_OPENCV, Pose, pose_at
-from acquire.simulate.world.observe import row_time, seen_rolling
+from acquire.simulate.world.observations import row_time, seen_rolling
 from acquire.simulate.world.plates import SAMPLES, Plate, make_plate
 from acquire.simulate.world.texture import Ground, paint
 from acquire.simulate.world.world import STREAMS, World

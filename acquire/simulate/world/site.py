@@ -12,10 +12,9 @@ from acquire.simulate.world.block_folder import write_block, write_observations
 from acquire.simulate.world.configuration import Configuration, Level
 from acquire.simulate.world.observations import kept_images, observe
 from acquire.simulate.world.project_file import write_particulars, write_project
-from acquire.simulate.world.streams import Streams, make_streams
+from acquire.simulate.world.streams import Streams, make_streams, telemetry_log
 from acquire.simulate.world.tables import write_table
 from acquire.simulate.world.truth import write_truth
-from acquire.simulate.world.wires import telemetry_log
 from acquire.simulate.world.world import World, make_world, picture_stamps
 
 Advance = Callable[[float], None]

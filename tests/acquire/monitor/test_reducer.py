@@ -22,11 +22,11 @@ from acquire.importing.importer import import_recordings
 from acquire.log.reader import LogReader, Messages
 from acquire.log.records import Channel
 from acquire.monitor.chart import layers
-from acquire.monitor.disk_status import looked
 from acquire.monitor.reducer import state_after
 from acquire.monitor.state import Look, State
 from acquire.monitor.terminal import render
 from acquire.monitor.track import LONGEST, Track, extended, place_at
+from acquire.monitor.traffic import looked
 from acquire.monitor.view_model import Word, view_of
 from acquire.recording.alarms import ALARM
 from drivers.mavlink.dialect import ardupilotmega

@@ -13,9 +13,8 @@ import pytest
 
 from acquire.log.records import Channel
 from acquire.log.writer import LogWriter
-from acquire.monitor.live import follow
 from acquire.monitor.state import State
-from acquire.monitor.tail import Tail, tail_of
+from acquire.monitor.tail import Tail, follow, tail_of
 from acquire.recording.files import Limits, LogFiles
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from tests.acquire.live import until

@@ -15,8 +15,7 @@ import pytest
 
 from acquire.simulate.world.configuration import FLIGHTS, read_configuration
 from acquire.simulate.world.exposures import antenna_velocity, omega_phi_kappa
-from acquire.simulate.world.observations import observe
-from acquire.simulate.world.observe import seen
+from acquire.simulate.world.observations import observe, seen
 from acquire.simulate.world.world import World, make_world
 from photocal.block.motion import strips
 from photocal.geometry.camera import camera

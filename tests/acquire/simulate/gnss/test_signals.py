@@ -9,7 +9,7 @@ import pytest
 
 from acquire.simulate.gnss.atmosphere import Atmosphere, Sight
 from acquire.simulate.gnss.ephemeris import Field
-from acquire.simulate.gnss.noise import correlated, thermal
+from acquire.simulate.gnss.observations import correlated, thermal
 from acquire.simulate.gnss.settings import ReceiverModel, SkySettings
 from acquire.simulate.gnss.signals import E5BQ, L1CA, L2CL
 from tests.acquire.simulate.gnss.flights import Floats, gps_ns

@@ -16,8 +16,7 @@ import pyubx2
 from pymavlink import mavutil
 
 from acquire.simulate.world import telemetry
-from acquire.simulate.world.streams import make_streams
-from acquire.simulate.world.wires import carry
+from acquire.simulate.world.streams import carry, make_streams
 from acquire.simulate.world.world import World, make_world
 from tests.acquire.simulate.world.conftest import Flight, configured
 
@@ -114,7 +113,7 @@ def test_losses_and_damage_on_the_wires() -> None:
 
 
 def test_a_lossy_link_is_imported_with_its_damage(acquire: Acquire, tmp_path: Path) -> None:
-    from acquire.simulate.world.wires import telemetry_log
+    from acquire.simulate.world.streams import telemetry_log
 
     given = configured("small", wires={"vehicle_loss": 0.02, "vehicle_damage": 0.02})
     streams = make_streams(make_world(given))
