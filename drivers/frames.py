@@ -142,18 +142,3 @@ def gather(data: bytes, start: Integers, length: Integers, row: np.dtype[Any]) -
         flat = rows.view(np.uint8).reshape(len(rows), width)
         flat[np.arange(width) >= length[:, None]] = 0
     return rows.view(row)
-
-
-def batch_of(frames: list[Frame]) -> Batch:
-    """Put single frames together to a batch that the decoders take; offsets are renumbered from 0."""
-    length = np.array([len(f.data) for f in frames], np.int64)
-    return Batch(
-        data=b"".join(f.data for f in frames),
-        base=0,
-        start=np.cumsum(length) - length,
-        length=length,
-        wire=np.array([f.wire for f in frames], np.uint8),
-        kind=np.array([f.kind for f in frames], np.int64),
-        known=np.array([f.known for f in frames], bool),
-        damage=np.empty((0, 2), np.int64),
-    )

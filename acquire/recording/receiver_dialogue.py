@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from drivers.errors import DeviceError
 from drivers.frames import Batch, Wire
+from drivers.ubx import encode
 from drivers.ubx.configure import (
     CFG_MSG,
     CFG_RATE,
@@ -17,7 +18,6 @@ from drivers.ubx.configure import (
     read_version,
     steps,
 )
-from drivers.ubx.wire import encode
 
 _PATIENCE_S, _ATTEMPTS, _LOSSES = 1.0, 4, 2
 

@@ -129,19 +129,6 @@ class PtySink:
             view = view[os.write(self._descriptor, view) :]
 
 
-class MemorySink:
-    """Keeps the frames: the twin for tests."""
-
-    lost = 0
-
-    def __init__(self) -> None:
-        self.frames: list[bytes] = []
-
-    def send(self, frame: bytes) -> None:
-        """Keep one frame."""
-        self.frames.append(frame)
-
-
 @contextmanager
 def open_sink(url: str) -> Iterator[tuple[Sink, str]]:
     """Open where a stream is to be sent.

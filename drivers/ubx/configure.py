@@ -15,7 +15,6 @@ from drivers.ubx.decode import ACK_ACK, ACK_NAK, NAV_PVT, RXM_RAWX, RXM_SFRBX, T
 
 MON_VER, CFG_MSG, CFG_RATE, CFG_VALSET, CFG_VALGET = 0x0A04, 0x0601, 0x0608, 0x068A, 0x068B
 MESSAGES = {"NAV-PVT": NAV_PVT, "RXM-RAWX": RXM_RAWX, "RXM-SFRBX": RXM_SFRBX, "TIM-TM2": TIM_TM2}
-PORTS = ("i2c", "uart1", "uart2", "usb", "spi")
 
 _RAM = 1
 

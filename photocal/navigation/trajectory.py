@@ -66,13 +66,6 @@ def covariance_cells(covariance_m2: Floats) -> list[str]:
     return [f"{v:.5f}" for v in (*np.sqrt(np.diag(c)), *roots)]
 
 
-def covariance_of_cells(cells: list[float]) -> Floats:
-    """Return the covariance matrix, the inverse of `covariance_cells`."""
-    se, sn, su, sen, seu, snu = cells
-    en, eu, nu = (np.sign(v) * v**2 for v in (sen, seu, snu))
-    return np.array([[se**2, en, eu], [en, sn**2, nu], [eu, nu, su**2]])
-
-
 def write_trajectory(path: Path, trajectory: Trajectory) -> None:
     """Write the trajectory as CSV with `COLUMNS`."""
     with path.open("w", newline="", encoding="utf-8") as stream:

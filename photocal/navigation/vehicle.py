@@ -70,11 +70,6 @@ class VehicleTrack:
     sync: TimeSync | None = None
     mounting: Mounting = field(default_factory=lambda: Mounting(()))
 
-    @property
-    def attitude_time(self) -> GpsTime:
-        """Times of the attitudes."""
-        return GpsTime(np.empty(0, np.int64)) if self.attitude is None else self.attitude.time
-
 
 @dataclass
 class _Received:

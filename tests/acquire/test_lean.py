@@ -23,7 +23,7 @@ from acquire.recording.configuration import Configuration
 from acquire.recording.recorder import record
 from drivers.mavlink.dialect import ardupilotmega
 from drivers.mavlink.encode import encode
-from drivers.ubx.wire import encode as ubx
+from drivers.ubx import encode as ubx
 
 folder = Path(sys.argv[1])
 FRAMES = 300

@@ -20,10 +20,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers import rtcm3
+from drivers import rtcm3, ubx
 from drivers.mavlink.dialect import ardupilotmega
 from drivers.mavlink.encode import encode
-from drivers.ubx import wire as ubx
 
 pytestmark = pytest.mark.benchmark(group="recording")
 

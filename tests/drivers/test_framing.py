@@ -14,14 +14,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers import nmea, rtcm3
+from drivers import nmea, rtcm3, ubx
 from drivers.checksums import x25
 from drivers.frames import Batch, Frame, Wire
 from drivers.framing import GNSS, StreamFramer
 from drivers.identify import kind_name
 from drivers.mavlink.dialect import ardupilotmega
 from drivers.mavlink.encode import encode as encode_mavlink
-from drivers.ubx import wire as ubx
 
 Scanner = Callable[[bytes], list[tuple[str, int, int]]]
 DIALECT = ardupilotmega()

@@ -28,9 +28,9 @@ from acquire.log.replay import raw_frames
 from acquire.recording.configuration import Configuration
 from acquire.recording.recorder import record
 from acquire.transports.of_link import source_of_link
+from drivers import ubx
 from drivers.frames import Wire
 from drivers.framing import GNSS, StreamFramer
-from drivers.ubx import wire as ubx
 from tests.acquire.live import Recorder, free_port, is_bound, until
 from tests.acquire.recording.hanging import DeadPort, FailingPort, HangingServer
 

@@ -29,7 +29,7 @@ from acquire.channels.log_decoder import BootTime
 from acquire.channels.receiver import ReceiverDecoder
 from acquire.channels.ulog import UlogDecoder
 from acquire.channels.vehicle import VehicleDecoder
-from drivers import nmea, rtcm3
+from drivers import nmea, rtcm3, ubx
 from drivers.dataflash import DataflashFramer
 from drivers.frames import Batch, Framer, Wire
 from drivers.framing import GNSS, StreamFramer
@@ -38,7 +38,6 @@ from drivers.mavlink.encode import encode as encode_mavlink
 from drivers.mrk import MrkFramer
 from drivers.tlog import TlogFramer
 from drivers.ubx import decode as ubx_decode
-from drivers.ubx import wire as ubx
 from drivers.ulog import UlogFramer
 from tests.drivers.conftest import _nmea, _rtcm3, _ubx
 

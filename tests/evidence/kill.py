@@ -24,8 +24,8 @@ import numpy as np
 from mcap.reader import make_reader
 
 from acquire.log.recovery import recover
+from drivers import ubx
 from drivers.errors import InputMalformedError
-from drivers.ubx import wire as ubx
 
 KILLS = 200
 AT_ONCE = 4

@@ -12,9 +12,8 @@ from acquire.simulate.gnss.msm import observation_messages
 from acquire.simulate.gnss.navigation_solution import OwnPosition
 from acquire.simulate.gnss.session import Session
 from acquire.simulate.gnss.time_marks import Events
-from drivers import rtcm3
+from drivers import rtcm3, ubx
 from drivers.arrays import Integers
-from drivers.ubx import wire as ubx
 
 Timed = tuple[int, bytes]
 

@@ -21,10 +21,10 @@ from acquire.log.writer import LogWriter
 from acquire.monitor.reducer import state_after
 from acquire.monitor.state import State
 from acquire.monitor.view_model import view_of
+from drivers import ubx
 from drivers.errors import PhotocalError
 from drivers.mavlink.dialect import ardupilotmega
 from drivers.mavlink.encode import encode
-from drivers.ubx import wire as ubx
 from photocal.navigation.events import logged_exposures
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.receiver_recording import read_receivers

@@ -13,8 +13,7 @@ import pytest
 from pymavlink import mavutil
 
 from acquire.importing.importer import import_recordings
-from drivers import nmea
-from drivers.ubx import wire as ubx
+from drivers import nmea, ubx
 from tests.acquire.live import Process, free_port, is_bound, until
 from tests.simulated import PLANS, fly
 

@@ -20,7 +20,7 @@ from pymavlink import mavutil
 
 from acquire.importing.importer import import_recordings
 from acquire.log.replay import replay
-from acquire.transports.sinks import MemorySink, open_sink
+from acquire.transports.sinks import open_sink
 from tests.acquire.live import PATIENCE_S, Process, Recorder, await_frame, frames_in
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]
@@ -33,6 +33,19 @@ def log(tmp_path_factory: pytest.TempPathFactory, demo_flight: bytes) -> Path:
     source.write_bytes(demo_flight)
     import_recordings([], [source], made, lambda _: None)
     return made
+
+
+class MemorySink:
+    """Keeps the frames: the twin of a sink."""
+
+    lost = 0
+
+    def __init__(self) -> None:
+        self.frames: list[bytes] = []
+
+    def send(self, frame: bytes) -> None:
+        """Keep one frame."""
+        self.frames.append(frame)
 
 
 def frames_of(data: bytes) -> list[bytes]:

@@ -26,8 +26,8 @@ from acquire.recording.reader import MOST_AT_ONCE, Arrival, Inbox, read_link
 from acquire.recording.recorder import record
 from acquire.transports.of_link import source_of_link
 from acquire.transports.sources import LinkLostError, SerialSource, TcpSource, UdpSource
+from drivers import ubx
 from drivers.mavlink.dialect import ardupilotmega
-from drivers.ubx import wire as ubx
 from tests.acquire.live import PATIENCE_S, Recorder, frames_in, free_port, is_bound, until
 from tests.acquire.recording.hanging import DeadPort, FailingPort, HangingServer
 from tests.acquire.scripted import Script, configured, run, said

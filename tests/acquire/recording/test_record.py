@@ -21,7 +21,7 @@ from mcap.reader import make_reader
 from acquire.log.recovery import recover
 from acquire.recording.reader import Arrival, Inbox, read_link
 from acquire.transports.sources import LinkLostError
-from drivers.ubx import wire as ubx
+from drivers import ubx
 from tests.acquire.live import Recorder, await_frame, frames_in, free_port, is_bound, until
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from acquire.recording.alarms import ClockWatch, SilenceWatch
 from acquire.recording.recorder import Host
-from drivers import rtcm3
-from drivers.ubx import wire as ubx
+from drivers import rtcm3, ubx
 from tests.acquire.live import frames_in
 from tests.acquire.scripted import Script, configured, messages, run, said
 

@@ -10,8 +10,8 @@ import pytest
 from mcap.reader import make_reader
 
 from acquire.recording.configuration import Configuration, read_configuration
+from drivers import ubx
 from drivers.errors import ConfigurationError
-from drivers.ubx import wire as ubx
 from tests.acquire.scripted import Script, configured, run
 
 

@@ -19,11 +19,10 @@ from acquire.simulate.receiver import Receiver
 from acquire.simulate.serve import on_pty, on_udp
 from acquire.transports.of_link import source_of_link
 from acquire.transports.sources import Source
-from drivers import rtcm3
+from drivers import rtcm3, ubx
 from drivers.frames import Wire
 from drivers.framing import StreamFramer
 from drivers.mavlink.dialect import ardupilotmega
-from drivers.ubx import wire as ubx
 from tests.acquire.live import free_port
 from tests.acquire.scripted import Script, configured, messages, run, said
 

@@ -7,10 +7,10 @@ import socket
 import struct
 from pathlib import Path
 
+from drivers import ubx
 from drivers.frames import Wire
 from drivers.framing import StreamFramer
 from drivers.ubx import decode as ubx_decode
-from drivers.ubx import wire as ubx
 from photocal.navigation.flight_log import FlightLog
 from tests.acquire.live import Recorder, await_frame, free_port, is_bound, until
 

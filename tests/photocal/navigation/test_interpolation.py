@@ -13,7 +13,6 @@ from photocal.navigation.receiver_recording import read_receivers
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import (
     Trajectory,
-    covariance_of_cells,
     enu_axes,
     enu_offsets,
     geocentric,
@@ -23,6 +22,13 @@ from tests.photocal.navigation.conftest import Run
 
 ORIGIN = np.array([53.28, -8.98, 90.0])
 Floats = NDArray[np.float64]
+
+
+def covariance_of_cells(cells: list[float]) -> Floats:
+    """Return the covariance matrix, the inverse of `covariance_cells`."""
+    se, sn, su, sen, seu, snu = cells
+    en, eu, nu = (np.sign(v) * v**2 for v in (sen, seu, snu))
+    return np.array([[se**2, en, eu], [en, sn**2, nu], [eu, nu, su**2]])
 
 
 def path_of(local: Floats, velocity: Floats, seconds: Floats, sigma: float = 0.01) -> Trajectory:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from drivers.frames import Frame, Wire
-from drivers.ubx.wire import encode
+from drivers.ubx import encode
 from tests.photocal.conftest import Answer
 from tests.photocal.navigation.conftest import ImportLog, Run, frames_of, needs_engine
 
