@@ -94,7 +94,7 @@ def require_determined(
     distance = np.linalg.norm(state.points - first, axis=1)
     spread = np.sqrt(np.trace(point_covariance, axis1=1, axis2=2))
     lost = np.flatnonzero(~(spread < LOST_POINT * distance))
-    if len(lost) and not _only_the_datum_is_weak(problem, state):
+    if len(lost) and not only_the_datum_is_weak(problem, state):
         explain_singular(problem, state, SUSPECT)
         some = ", ".join(problem.network.point_names[j] for j in lost[:5])
         raise IllPosedError(
@@ -113,7 +113,7 @@ def require_determined(
             )
 
 
-def _only_the_datum_is_weak(problem: Problem, state: State) -> bool:
+def only_the_datum_is_weak(problem: Problem, state: State) -> bool:
     """Whether all that is uncertain is where the whole lies: rays do not mind, and the shape is known."""
     normal = normal_equations(problem, state)
     if len(_parallel(problem, normal, SUSPECT.parallel)):

@@ -18,7 +18,14 @@ from photocal.adjustment.normal import (
     diagonal_addresses,
     normal_equations,
 )
-from photocal.adjustment.rank import SINGULAR, SUSPECT, Limits, explain_singular, weakest_pivot
+from photocal.adjustment.rank import (
+    SINGULAR,
+    SUSPECT,
+    Limits,
+    explain_singular,
+    only_the_datum_is_weak,
+    weakest_pivot,
+)
 from photocal.adjustment.state import State, moved_exposures, round_the_middle
 from photocal.adjustment.unknowns import unknowns
 
@@ -32,6 +39,9 @@ ROUNDING = 1e-6
 ITERATIONS = 50
 # Where the iteration comes to no end, a step this short (sigmas) is none.
 NEARLY = 0.01
+# A step that would gain no more than this share of v'Pv, and gains nothing, is too long for a valley that
+# bends (a precise block that something imprecise holds in space): parts of it are tried before damping.
+VALLEY, LEAST_SHARE = 0.01, 0.02
 # Below this share of a diagonal element that remains after elimination, rounding decides.
 SINGULAR_PIVOT = 1e-13
 
@@ -80,19 +90,20 @@ def minimise(
     NotConvergedError
         When the iteration does not end.
     """
-    damping, decrement, steps = 0.0, np.inf, list[Iteration]()
+    damping, decrement, share, steps = 0.0, np.inf, 1.0, list[Iteration]()
     start = state
     normal = normal_equations(problem, state)
     while len(steps) < ITERATIONS:
         step = reduced_step(problem, normal, damping)
         if step is None and damping == 0.0 and decrement < ROUNDING:
             explain_singular(problem, state)
+        along_a_valley = False
         if step is not None:
-            moved, step_decrement = moved_by(problem, state, normal, step)
+            moved, step_decrement = moved_by(problem, state, normal, share * step)
             calmer = damping / 10 if damping > 1e-6 and step_decrement >= ROUNDING else 0.0
             trial = normal_equations(problem, moved, calmer, normal.kept)
             lower = trial.chi_squared < normal.chi_squared
-            if lower or step_decrement < ROUNDING:
+            if lower or (step_decrement < ROUNDING and share == 1.0):
                 # Steps shrink at a steady rate: the next one tells how far the minimum still is.
                 shrinking = min(1.0, step_decrement / decrement) if steps else 1.0
                 left = step_decrement * shrinking
@@ -100,11 +111,16 @@ def minimise(
                 steps.append(Iteration(len(steps) + 1, normal.chi_squared, decrement, damping))
                 if report:
                     report(steps[-1])
-                if damping == 0.0 and ((decrement < SHORT * near and left < near) or not lower):
+                whole, last = damping == 0.0 and share == 1.0, decrement < SHORT * near and left < near
+                if whole and (last or not lower):
                     return _released(problem, Minimum(state, normal, tuple(steps)), start)
-                damping = calmer
+                damping, share = calmer, min(1.0, 4 * share)
                 continue
-        damping = 10 * damping if damping else 1e-3
+            along_a_valley = ROUNDING < step_decrement < VALLEY * normal.chi_squared
+        if along_a_valley and share > LEAST_SHARE:
+            share /= 4
+        else:
+            damping, share = 10 * damping if damping else 1e-3, 1.0
         if damping > 1e8:
             return _released(problem, _ended(problem, state, steps, SINGULAR), start)
         normal = normal_equations(problem, state, damping, normal.kept)
@@ -119,7 +135,8 @@ def _ended(problem: Problem, state: State, steps: list[Iteration], limits: Limit
     decrement = np.inf if step is None else moved_by(problem, state, normal, step)[1]
     if decrement < NEARLY**2:
         return Minimum(state, normal_equations(problem, state), tuple(steps))
-    explain_singular(problem, state, limits)
+    if limits == SINGULAR or not only_the_datum_is_weak(problem, state):
+        explain_singular(problem, state, limits)
     moving = ""
     if step is not None:
         named = unknowns(problem)

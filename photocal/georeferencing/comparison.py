@@ -169,7 +169,12 @@ def _calibration(block: Block) -> tuple[SystematicErrors | None, Separation | No
     if not len(mounted.positions.image) or block.datum == "free":
         return None, None
     try:
-        return systematic_errors(mounted), separation(mounted)
+        apart = separation(mounted)
+        if not len(block.positions.image):
+            # Positions that images state have no lever arm that could be told from anything.
+            groups = tuple(g for g in apart.groups if not all("lever_arm" in name for name in g))
+            apart = replace(apart, groups=groups)
+        return systematic_errors(mounted), apart
     except PhotocalError:
         # The integrated method has failed for the same reason, which is said there.
         return None, None

@@ -49,12 +49,17 @@ def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
 
 def _refused(check: BlockCheck) -> list[Finding]:
     """Name the methods that the block does not allow; what it was never meant for is no fault."""
-    without = not check.block.points.of_role("control").any()
+    block = check.block
+    without = not block.points.of_role("control").any()
+    places, angles = (np.isfinite(block.images.sigma[:, own]).any() for own in (slice(3, 6), slice(3)))
+    positions, attitudes = places or len(block.positions.image), angles or len(block.attitudes.image)
+    meant = {"direct": positions and attitudes, "integrated": positions or attitudes, "indirect": True}
     return [
         Finding("no-control", "note")
         if method == "indirect" and without
         else Finding("method-refused", "doubtful", method, {"method": method, "reason": reason})
         for method, reason in check.refused
+        if meant[method]
     ]
 
 

@@ -13,22 +13,18 @@ from drivers.errors import ConfigurationError
 from photocal.findings.finding import Finding
 from photocal.findings.texts import told
 from photocal.measurement.control_files import ControlMarks, in_map_system, read_control_marks
-from photocal.measurement.georeferenced import map_places
 from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.image_places import map_places
 from photocal.measurement.maker_camera import stated_camera
 from photocal.measurement.marks import with_marks
 from photocal.measurement.marks_files import named_after
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.measure_ties import TieBlock, sight, stated_footprints, tie_record
-from photocal.measurement.oriented_ties import Progress, orient_ties
-from photocal.measurement.project_block import (
-    FEWEST_CONTROL,
-    OTHER_SURFACE_M,
-    findings_of_marks,
-    suspected_marks,
-)
+from photocal.measurement.oriented_ties import FEWEST_CONTROL, Progress, orient_ties
+from photocal.measurement.project_block import OTHER_SURFACE_M, findings_of_marks, suspected_marks
 from photocal.measurement.start_block import start_block
 from photocal.measurement.start_camera import NO_LENS, GivenLens
+from photocal.measurement.tie_block import marked_control
 
 
 def measure_gcp(
@@ -72,8 +68,7 @@ def measure_gcp(
         points=given.points,
     )
     start, unknown = with_marks(start, named_after(given.marks, sizes))
-    marked = np.unique(start.observations.point[start.points.of_role("control")[start.observations.point]])
-    if len(marked) >= FEWEST_CONTROL:
+    if len(marked_control(start)) >= FEWEST_CONTROL:
         known = np.isfinite(start.images.sigma[:, 5])
         start.images.sigma[known, 5] = OTHER_SURFACE_M
     found = orient_ties(start, sighted.sources, sighted.tracks, sighted.pairs, plan.processes, progress)

@@ -13,8 +13,8 @@ from drivers.arrays import Floats, Integers
 from drivers.errors import InputNotFoundError, PhotocalError
 from photocal.block.model import Block
 from photocal.findings.texts import told
-from photocal.measurement.geographic import local_places
 from photocal.measurement.image_facts import ImageFacts, read_facts
+from photocal.measurement.image_places import local_places
 from photocal.measurement.left_out import explained
 from photocal.measurement.maker_camera import stated_camera
 from photocal.measurement.match_images import MatchingPlan, detect_all, match_all

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,14 +15,13 @@ from photocal.block.model import Block
 from photocal.block.network import block_frame
 from photocal.findings.finding import Finding
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.measurement.placing import oriented
+from photocal.measurement.placing import oriented, position_sigmas, softened
 from photocal.measurement.ray_sigmas import GROSS
 from photocal.measurement.refine import HALF, Source, refine
 from photocal.measurement.start_block import without_images
 from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, pixel_residuals
-from photocal.measurement.tie_block import with_ties
+from photocal.measurement.tie_block import intersected, marked_control, misses, views_of, with_ties
 from photocal.measurement.tracks import Tracks, of_images, spaced, thin, without_twins
-from photocal.measurement.views import intersected, misses, views_of
 from photocal.tasks.workers import Workers
 
 # A title and an amount of work give a context in which the work done is told.
@@ -38,12 +37,18 @@ FEWEST_TIES = 12
 ENOUGH_STRONG = 30
 # Tracks that cannot be placed to so many pixels by the first orientation are mismatches.
 FIRST_MISS_PX = 8.0
+# With so many marked control points positions do not place a block.
+FEWEST_CONTROL = 3
+# Times that positions are judged anew, while their sigmas become less than this share.
+_ROUNDS, _LESS = 6, 0.7
 # Patches that are matched are so wide; the errors of nearer neighbours were found to be alike by 0.1 to 0.4.
 PATCH_PX = 2.0 * HALF - 1.0
 # Matched patches nearer than this show one place.
 TWIN_PX = 4.0
 # Sigmas of tie points come from their own residuals: they test nothing.
 ESTIMATED = Finding("sigmas-from-residuals", "note")
+# Nothing says how the block lies.
+NOT_PLACED = Finding("block-not-placed", "doubtful")
 
 
 @dataclass(frozen=True)
@@ -86,6 +91,7 @@ class First:
 
 def first_orientation(start: Block, tracks: Tracks) -> First:
     """Orient a block by tracks of features."""
+    names, sigma = start.images.names, start.images.sigma
     start, tracks, kept, left_out = _connected(start, tracks)
     sizes = _sizes(start)
     placed = oriented(start, _strong(tracks, sizes, FIRST_IN_A_CELL))
@@ -93,9 +99,55 @@ def first_orientation(start: Block, tracks: Tracks) -> First:
     left_out += [{"image": name, "reason": why, "code": "not-joined"} for name, why in named if why]
     reached = np.array([not reason for reason in placed.reasons])
     start, tracks = without_images(placed.block, ~reached), of_images(tracks, reached)
+    stated = dict(zip(names, sigma, strict=True))
     first = adjust_ties(start, placed.poses[reached], _strong(tracks, sizes[reached], FIRST_IN_A_CELL))
+    first = _by_positions(first, stated)
     holds = np.isin(start.images.names, first.start.images.names)
-    return First(first, kept[reached][holds], (*left_out, *first.left_out), placed.findings)
+    findings = [*placed.findings, *_of_positions(first, stated)]
+    if first.start.datum == "free" != start.datum:
+        findings.append(NOT_PLACED)
+    return First(first, kept[reached][holds], (*left_out, *first.left_out), tuple(findings))
+
+
+def _by_positions(adjusted: Adjusted, stated: Mapping[str, Floats]) -> Adjusted:
+    """Adjusted anew while the positions, which now hold the block from bending, are borne out better.
+
+    A block of rays alone bends by far more than good positions are wrong: what these miss by beside it says
+    nothing about them.
+    """
+    for _ in range(_ROUNDS):
+        images = adjusted.start.images
+        if adjusted.start.datum == "free":
+            break
+        as_stated = replace(images, sigma=np.array([stated[name] for name in images.names]))
+        better = softened(as_stated, adjusted.values, shifted=_controlled(adjusted.start))
+        with np.errstate(invalid="ignore"):
+            change = better.sigma[:, 3:] / images.sigma[:, 3:]
+        if not (np.isfinite(better.sigma) != np.isfinite(images.sigma)).any() and not (change < _LESS).any():
+            break
+        start = replace(adjusted.start, images=replace(images, sigma=better.sigma))
+        try:
+            again = adjust_ties(start, adjusted.values, adjusted.tracks)
+        except PhotocalError:
+            break
+        if again.start.datum == "free":
+            break
+        left_out = (*adjusted.left_out, *again.left_out)
+        adjusted = replace(again, rejected=adjusted.rejected + again.rejected, left_out=left_out)
+    return adjusted
+
+
+def _controlled(block: Block) -> bool:
+    """Whether marked control points place a block without its positions."""
+    return len(marked_control(block)) >= FEWEST_CONTROL
+
+
+def _of_positions(adjusted: Adjusted, stated: Mapping[str, Floats]) -> list[Finding]:
+    images = adjusted.start.images
+    if adjusted.start.datum == "free":
+        return []
+    as_stated = replace(images, sigma=np.array([stated[name] for name in images.names]))
+    return position_sigmas(as_stated, adjusted.values, shifted=_controlled(adjusted.start))[2]
 
 
 def orient_ties(

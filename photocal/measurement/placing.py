@@ -43,6 +43,8 @@ LEVEL = 0.2
 # A position that misses by so many sigmas is wrong; positions that miss by so many all together are worse
 # than was assumed.
 WRONG_POSITION, WORSE_POSITIONS = 6.0, 2.0
+# Median of what positions of the stated sigmas miss by, over these.
+USUAL_RATIO = 0.89
 # Images of a model that is joined to another by positions alone, and how well these turn it (rad).
 FEWEST_JOINED, JOINED_TURN = 4, 0.05
 
@@ -92,9 +94,6 @@ def oriented(block: Block, tracks: Tracks) -> Placed:
     if not determined:
         block = replace(block, datum="free", images=_unobserved(block))
         findings.append(Finding("block-not-placed", "doubtful"))
-    elif block.datum == "control":
-        block, more_findings = _with_borne_out_positions(block, model, move, given)
-        findings += more_findings
     model = _moved(model, move)
     unreached = "its tie points do not orient it to the other images"
     reasons = np.where(model.oriented, "", unreached).astype(object)
@@ -111,7 +110,10 @@ def oriented(block: Block, tracks: Tracks) -> Placed:
     # What was known of an image before is better than nothing.
     complete = lost & np.isfinite(given).all(axis=1) & determined
     poses[complete], reasons[complete] = given[complete], ""
-    return Placed(block, given_poses(frame, poses), tuple(reasons), tuple(findings))
+    poses = given_poses(frame, poses)
+    if determined and block.datum == "control":
+        block = replace(block, images=softened(block.images, poses, shifted=False))
+    return Placed(block, poses, tuple(reasons), tuple(findings))
 
 
 def _rays(block: Block) -> Rays:
@@ -231,25 +233,52 @@ def _unobserved(block: Block) -> Images:
     return replace(block.images, sigma=np.full_like(block.images.sigma, np.inf))
 
 
-def _with_borne_out_positions(
-    block: Block, model: Model, move: Similarity, given: Floats
-) -> tuple[Block, list[Finding]]:
-    """Block without positions that are wrong, the sigmas of the others as large as their misses."""
-    sigma = block.images.sigma.copy()
-    observed = model.oriented & np.isfinite(sigma[:, 3:]).all(axis=1) & (sigma[:, 3:] > 0).all(axis=1)
+def position_sigmas(images: Images, values: Floats, *, shifted: bool) -> tuple[Floats, Floats, list[Finding]]:
+    """How well positions are borne out by images that were oriented without or with them.
+
+    Parameters
+    ----------
+    images : Images
+        With positions and the sigmas that were stated.
+    values : ndarray, shape (images, 6)
+        Exterior orientations in the same frame; NaN where unknown.
+    shifted : bool
+        Whether something better places the block, so that what all positions have in common is no scatter.
+
+    Returns
+    -------
+    sigma : ndarray, shape (images, 6)
+        As stated where the rays bear it out; larger where all are worse; infinite where one is wrong.
+    shift : ndarray, shape (3,)
+        What all positions are off by, m.
+    findings : list of Finding
+    """
+    sigma, shift = images.sigma.copy(), np.zeros(3)
+    own = sigma[:, 3:]
+    observed = np.isfinite(values[:, 3]) & np.isfinite(own).all(axis=1) & (own > 0).all(axis=1)
     if observed.sum() < FEWEST_JOINED:
-        return block, []
-    miss = move.applied(model.centre[observed]) - given[observed, 3:]
-    ratio = np.linalg.norm(miss / sigma[observed, 3:], axis=1) / np.sqrt(3)
-    factor = max(1.0, float(np.median(ratio)) / 0.9)
+        return sigma, shift, []
+    miss = values[observed, 3:] - images.values[observed, 3:]
+    if shifted:
+        shift = np.median(miss, axis=0)
+        miss = miss - shift
+    ratio = np.linalg.norm(miss / own[observed], axis=1) / np.sqrt(3)
+    factor = max(1.0, float(np.median(ratio)) / USUAL_RATIO)
     wrong = ratio > WRONG_POSITION * factor
     findings = [
-        Finding("position-off", "doubtful", block.images.names[k], {"off_m": float(np.linalg.norm(miss[j]))})
+        Finding("position-off", "doubtful", images.names[k], {"off_m": float(np.linalg.norm(miss[j]))})
         for j, k in enumerate(np.flatnonzero(observed))
         if wrong[j]
     ]
-    sigma[np.flatnonzero(observed)[wrong], 3:] = np.inf
     if factor > WORSE_POSITIONS:
         findings.append(Finding("positions-worse", "doubtful", figures={"factor": factor}))
         sigma[:, 3:] *= factor
-    return replace(block, images=replace(block.images, sigma=sigma)), findings
+    sigma[np.flatnonzero(observed)[wrong], 3:] = np.inf
+    return sigma, shift, findings
+
+
+def softened(images: Images, values: Floats, *, shifted: bool) -> Images:
+    """Images whose positions weigh as much as they fit: what bends a block is not drawn straight at once."""
+    sigma, shift, _ = position_sigmas(images, values, shifted=shifted)
+    sigma[:, 3:] = np.hypot(sigma[:, 3:], np.abs(shift))
+    return replace(images, sigma=np.where(images.sigma == 0, 0.0, sigma))

@@ -13,9 +13,8 @@ from photocal.block.model import ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.measurement.cache import Arrays, array_key, cached, combined_key
-from photocal.measurement.centre import measurable
+from photocal.measurement.centre import ground_bend, measurable
 from photocal.measurement.coded_targets import COMMON_PX
-from photocal.measurement.eccentricity import ground_bend
 from photocal.measurement.image_file import read_grey
 from photocal.measurement.orientation import Orientation
 from photocal.measurement.prediction import predict

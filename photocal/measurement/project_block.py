@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,15 +15,15 @@ from drivers.errors import ConfigurationError, InputNotFoundError, PhotocalError
 from photocal.block.folder import read_points
 from photocal.block.model import Block, Images, ObjectPoints
 from photocal.exchange.parts import Mark
-from photocal.findings.finding import Finding
+from photocal.findings.finding import Figure, Finding
 from photocal.findings.texts import told
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
 from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.rotation import matrix_from_angles
-from photocal.measurement.georeferenced import map_places
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import list_images
+from photocal.measurement.image_places import map_places
 from photocal.measurement.marks import read_marks, with_marks
 from photocal.measurement.marks_files import read_any_marks
 from photocal.measurement.match_images import MatchingPlan
@@ -36,8 +36,9 @@ from photocal.measurement.measure_ties import (
     tie_record,
 )
 from photocal.measurement.orientation import Orientation
-from photocal.measurement.oriented_ties import Progress, figures, orient_ties
+from photocal.measurement.oriented_ties import FEWEST_CONTROL, Progress, figures, orient_ties
 from photocal.measurement.pair_selection import Footprints, footprints
+from photocal.measurement.placing import position_sigmas
 from photocal.measurement.project_targets import targets_of_project
 from photocal.measurement.ray_sigmas import GROSS
 from photocal.measurement.released import camera_figures
@@ -49,14 +50,17 @@ from photocal.measurement.start_block import (
     without_images,
 )
 from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, pixel_residuals
-from photocal.measurement.tie_block import place, with_ties
+from photocal.measurement.tie_block import marked_control, place, with_ties
 from photocal.project import Project
 
 # While gross errors are sought these are held: a level block determines them only with precise positions,
 # which the measurement does not use.
 HELD = ("c", "x0", "y0")
-# With so many control points heights of the images are hardly needed; they may count from another surface.
-FEWEST_CONTROL, OTHER_SURFACE_M = 3, 50.0
+# A principal distance that leaves its given value by so many prior sigmas is not that of the lens: what the
+# model lacks (a rolling shutter above all) went into it.
+CREDIBLE_SIGMAS = 4.0
+# With enough control points heights of the images are hardly needed; they may count from another surface.
+OTHER_SURFACE_M = 50.0
 
 
 def measure_project(
@@ -110,13 +114,13 @@ def measure_project(
     )
     found = targets_of_project(project, sighted.sources, exposures, control, plan.processes, progress)
     block, unknown = with_marks(block, (*by_hand, *found.marks))
-    if not len(_marked_control(block)) and not np.isfinite(given.values[:, 3:]).all(axis=1).any():
+    if not len(marked_control(block)) and not np.isfinite(given.values[:, 3:]).all(axis=1).any():
         if project.crs != "local" or control.of_role("control").any():
             raise _nowhere(project.name)
         block = replace(block, datum="free")
     soft = _softened(block)
     oriented = orient_ties(soft, sighted.sources, sighted.tracks, sighted.pairs, plan.processes, progress)
-    released = _released(oriented.adjusted, block)
+    released, block, more = _released(oriented.adjusted, block)
     suspects = suspected_marks(released, control)
     record = {
         **tie_record(sighted, oriented),
@@ -136,7 +140,8 @@ def measure_project(
         **told(
             [
                 *found.findings,
-                *oriented.findings,
+                *(one for one in oriented.findings if not _expected_of_c(one, project.cameras)),
+                *more,
                 *findings_of_marks(
                     unknown, found.strangers, suspects, (*oriented.left_out, *released.left_out)
                 ),
@@ -191,12 +196,6 @@ def _position_sigma(project: Project, facts: Sequence[ImageFacts]) -> Floats:
     if given == "free":
         return np.full((len(facts), 3), np.inf)
     return position_sigma(facts, given or POSITION_SIGMA_M)
-
-
-def _marked_control(block: Block) -> Integers:
-    """Control points that some image shows."""
-    seen = block.observations.point
-    return np.unique(seen[block.points.of_role("control")[seen]])
 
 
 def _footprints(
@@ -255,7 +254,7 @@ def _nowhere(name: str) -> InputNotFoundError:
 def _softened(block: Block) -> Block:
     """Block for finding gross errors: positions without sigma are loosely observed, c is held."""
     known: Flags = np.asarray(np.isfinite(block.images.values[:, 3:]).all(axis=1))
-    marked = _marked_control(block)
+    marked = marked_control(block)
     loosely = (
         *POSITION_SIGMA_M[:2],
         OTHER_SURFACE_M if len(marked) >= FEWEST_CONTROL else POSITION_SIGMA_M[2],
@@ -268,18 +267,59 @@ def _softened(block: Block) -> Block:
     return replace(block, cameras=cameras, images=replace(block.images, sigma=sigma))
 
 
-def _released(held: Adjusted, block: Block) -> Adjusted:
-    """Adjust once more with all parameters that the project estimates.
+def _released(held: Adjusted, block: Block) -> tuple[Adjusted, Block, list[Finding]]:
+    """Adjust once more with all parameters that the project estimates and the block bears.
 
     Only now the residuals are those of the measurements: a principal point that is held wrongly would go
-    into the sigmas. The exterior orientation of it is not used, for c may drift with the heights.
+    into the sigmas. The exterior orientation of it is not used, for c may drift with the heights. What runs
+    away, or leaves all that is known of it beforehand, is held as it was given.
     """
-    given = {own.id: own for own in block.cameras}
-    cameras = tuple(
-        replace(own, estimated=given[own.id].estimated, prior_sigma=given[own.id].prior_sigma)
-        for own in held.start.cameras
-    )
-    return adjust_ties(replace(held.start, cameras=cameras), held.values, held.tracks)
+    asked = {own.id: own for own in block.cameras}
+    refusal: dict[str, Figure] = {}
+    for held_here in ((), HELD, PARAMETERS):
+        free = np.array([name not in held_here for name in PARAMETERS])
+        cameras = tuple(
+            replace(
+                own,
+                estimated=asked[own.id].estimated & free,
+                prior_sigma=asked[own.id].prior_sigma,
+                values=np.where(free, own.values, asked[own.id].values),
+            )
+            for own in held.start.cameras
+        )
+        released = adjust_ties(replace(held.start, cameras=cameras), held.values, held.tracks)
+        why = _not_borne(released, asked, cameras)
+        if not why or held_here == PARAMETERS:
+            break
+        refusal = refusal or why
+    kept = tuple(replace(own, estimated=own.estimated & free) for own in block.cameras)
+    findings = []
+    for own, before in zip(kept, block.cameras, strict=True):
+        gone = before.estimated & ~own.estimated
+        if gone.any():
+            names = tuple(n for n, lost in zip(PARAMETERS, gone, strict=True) if lost)
+            clause = "would-become" if "value" in refusal else "run-away"
+            findings.append(
+                Finding("camera-held", "doubtful", own.id, {"names": names, **refusal}, (clause,))
+            )
+    return released, replace(block, cameras=kept), findings
+
+
+def _not_borne(
+    released: Adjusted, given: Mapping[str, Camera], wanted: Sequence[Camera]
+) -> dict[str, Figure]:
+    """What shows that a block does not bear the parameters that were to be estimated; empty when it does."""
+    wanted = [own for own in wanted if own.id in {camera.id for camera in released.start.cameras}]
+    for own, used in zip(wanted, released.assembly.network.cameras, strict=True):
+        if (own.estimated & ~used.estimated).any():
+            return {"camera": own.id}
+    for camera in released.start.cameras:
+        first = given[camera.id]
+        away, prior = abs(camera.value("c") - first.value("c")), float(first.prior_sigma[0])
+        if camera.estimated[0] and away > (CREDIBLE_SIGMAS * prior if np.isfinite(prior) else np.inf):
+            given_c = first.value("c")
+            return {"camera": camera.id, "value": camera.value("c"), "given": given_c, "unit": camera.unit}
+    return {}
 
 
 def _restored(held: Adjusted, released: Adjusted, block: Block) -> Block:
@@ -287,7 +327,10 @@ def _restored(held: Adjusted, released: Adjusted, block: Block) -> Block:
     names = released.block.images.names
     bare = without_images(block, ~np.isin(block.images.names, names))
     kept = np.isin(held.block.images.names, names)
-    borne = np.where(np.isfinite(bare.images.sigma), released.start.images.sigma, np.inf)
+    borne = np.full_like(bare.images.sigma, np.inf)
+    if released.start.datum != "free":
+        shifted = len(marked_control(block)) >= FEWEST_CONTROL
+        borne = position_sigmas(bare.images, released.values, shifted=shifted)[0]
     bare = replace(bare, datum=released.start.datum, images=replace(bare.images, sigma=borne))
     poses = np.where(np.isfinite(borne), bare.images.values, held.values[kept])
     oriented = without_images(held.start, ~kept)
@@ -296,6 +339,15 @@ def _restored(held: Adjusted, released: Adjusted, block: Block) -> Block:
     sigma = released.block.observations.sigma[len(bare.observations.image) :, 0]
     bare = replace(bare, images=replace(bare.images, values=poses))
     return with_ties(bare, released.tracks, values, sigma)
+
+
+def _expected_of_c(finding: Finding, cameras: Sequence[Camera]) -> bool:
+    """Whether it tells of a principal distance no more than that it is estimated, as the project asks."""
+    if finding.code != "c-refuted-by-rays":
+        return False
+    own = next(camera for camera in cameras if camera.id == finding.subject)
+    change = abs(finding.figures["value"] - finding.figures["given"])
+    return bool(own.estimated[0]) and change <= CREDIBLE_SIGMAS * float(own.prior_sigma[0])
 
 
 def _marked(adjusted: Adjusted, control: ObjectPoints) -> int:

@@ -13,12 +13,12 @@ from photocal.adjustment.datum import with_datum
 from photocal.adjustment.normal import prepare
 from photocal.adjustment.snooping import ray_fit, robust_state
 from photocal.adjustment.solution import Solution
-from photocal.adjustment.state import start_state
+from photocal.adjustment.state import State, start_state
 from photocal.block.model import Block, Images
 from photocal.block.network import NetworkOfBlock, assemble
 from photocal.geometry.camera import Camera
-from photocal.geometry.oriented_images import given_poses
-from photocal.geometry.rotation import angles_from_matrix
+from photocal.geometry.oriented_images import given_poses, local_poses
+from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.measurement.ray_sigmas import GROSS, ray_sigmas
 from photocal.measurement.start_block import without_images
 from photocal.measurement.tie_block import START_GROSS, fitting, place, with_ties
@@ -117,14 +117,16 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
     """Adjust a block with tie points; rays that do not fit and images without hold are taken out."""
     total = len(tracks.track)
     ties, block = _Ties(start, poses, tracks, np.ones(total)).held()
-    ties, block = ties.some(fitting(block)[len(ties.start.observations.image) :]).held()
+    as_oriented = replace(block, images=replace(block.images, values=ties.poses))
+    ties, block = ties.some(fitting(as_oriented)[len(ties.start.observations.image) :]).held()
     for round_ in range(_ROUNDS):
         # Gross errors first: they must not go into the camera.
         try:
-            start, assembly, solution = _solved(ties.start, block, held=round_ == 0)
+            start, assembly, solution = _solved(ties.start, block, ties.poses, held=round_ == 0)
         except (IllPosedError, NotConvergedError):
+            # Of a datum that positions hold loosely few gross errors make a valley without an end.
             ties, block = _robustly(ties, block).held()
-            start, assembly, solution = _solved(ties.start, block, held=round_ == 0)
+            start, assembly, solution = _solved_at_last(ties.start, block, ties.poses, held=round_ == 0)
         ties = replace(ties, start=start, poses=given_exposures(assembly, solution)[0])
         size, redundancy = _by_ray(assembly, solution)
         own = slice(len(start.observations.image), None)
@@ -135,7 +137,7 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
         ties, block = replace(ties, sigma=sigma).some(good).held()
         if round_ and good.all():
             break
-    start, assembly, solution = _solved(ties.start, block, held=False)
+    start, assembly, solution = _solved_at_last(ties.start, block, ties.poses, held=False)
     values = given_exposures(assembly, solution)[0]
     points = block.points.values.copy()
     tie = assembly.points >= len(start.points.names)
@@ -156,36 +158,52 @@ def _kept(start: Block, poses: Floats) -> Images:
     return replace(images, values=np.where(np.isfinite(images.sigma), images.values, poses))
 
 
-def _solved(start: Block, block: Block, *, held: bool) -> tuple[Block, NetworkOfBlock, Solution]:
-    """Adjust, and give the cameras their new values; where the block does not bear them they are held.
+Solved = tuple[Block, NetworkOfBlock, Solution]
 
-    Where positions and control do not bear the datum, the block is adjusted free.
-    """
-    cameras = _held(start.cameras) if held else start.cameras
-    ways = [(start.cameras, cameras, start.datum), (_held(start.cameras), _held(cameras), start.datum)]
-    ways.append((start.cameras, cameras, "free"))
-    ways.append((_held(start.cameras), _held(cameras), "free"))
-    for number, (after, cameras, datum) in enumerate(ways, start=1):
-        if datum == "free":
-            images = replace(block.images, sigma=np.full_like(block.images.sigma, np.inf))
-            block, start = replace(block, datum="free", images=images), replace(start, datum="free")
-            start = replace(start, images=replace(start.images, sigma=images.sigma))
-        assembly = assemble(replace(block, cameras=cameras))
-        try:
-            solution = adjust(assembly.network)
-        except (IllPosedError, NotConvergedError):
-            if number == len(ways):
-                raise
-            continue
-        better = tuple(own.with_values(v) for own, v in zip(after, solution.cameras, strict=True))
-        return replace(start, cameras=better), assembly, solution
-    raise AssertionError
+
+def _solved(start: Block, block: Block, poses: Floats, *, held: bool) -> Solved:
+    """Adjust, and give the cameras their new values; where the block does not bear them they are held."""
+    try:
+        return _solved_with(start, block, poses, _held(start.cameras) if held else start.cameras)
+    except (IllPosedError, NotConvergedError):
+        if not any(own.estimated.any() for own in start.cameras):
+            raise
+        start = start if held else replace(start, cameras=_held(start.cameras))
+        return _solved_with(start, block, poses, _held(start.cameras))
+
+
+def _solved_with(start: Block, block: Block, poses: Floats, cameras: tuple[Camera, ...]) -> Solved:
+    assembly = assemble(replace(block, cameras=cameras))
+    solution = adjust(assembly.network, state=_state(assembly, poses))
+    better = tuple(own.with_values(v) for own, v in zip(start.cameras, solution.cameras, strict=True))
+    return replace(start, cameras=better), assembly, solution
+
+
+def _state(assembly: NetworkOfBlock, poses: Floats) -> State:
+    """Start where the rays meet: positions and angles that were observed may be far from there."""
+    local = local_poses(assembly.frame, poses)
+    return replace(
+        start_state(assembly.network), rotation=matrix_from_angles(local[:, :3]), centre=local[:, 3:]
+    )
+
+
+def _solved_at_last(start: Block, block: Block, poses: Floats, *, held: bool) -> Solved:
+    """Adjust; where positions and control do not bear the datum, the block is adjusted free."""
+    try:
+        return _solved(start, block, poses, held=held)
+    except (IllPosedError, NotConvergedError):
+        return _solved(_free(start), _free(block), poses, held=held)
+
+
+def _free(block: Block) -> Block:
+    images = replace(block.images, sigma=np.full_like(block.images.sigma, np.inf))
+    return replace(block, datum="free", images=images)
 
 
 def _robustly(ties: _Ties, block: Block) -> _Ties:
     """Ties without the rays that a robust adjustment leaves far off, at its poses."""
     assembly = assemble(replace(block, cameras=_held(block.cameras)))
-    start = start_state(assembly.network)
+    start = _state(assembly, ties.poses)
     problem = with_datum(prepare(assembly.network), start)
     state = robust_state(problem, start)
     fit = np.empty(len(assembly.rays))

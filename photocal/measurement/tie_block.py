@@ -6,14 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats
+from drivers.arrays import Flags, Floats, Integers
+from photocal.adjustment.intersection import intersect
 from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.network import block_frame, observed_plane
 from photocal.geometry.distortion import undistorted
-from photocal.geometry.oriented_images import given_places
+from photocal.geometry.frames import Frame
+from photocal.geometry.oriented_images import OrientedImages, given_places, local_poses
 from photocal.geometry.resection import ray_residuals
 from photocal.measurement.tracks import Tracks
-from photocal.measurement.views import intersected, spread, views_of
 
 TIE = ROLES.index("tie")
 # At the start, when the camera is not calibrated, a ray is wrong when its residual exceeds so many medians.
@@ -43,6 +44,12 @@ def with_ties(block: Block, tracks: Tracks, values: Floats, sigma: Floats) -> Bl
             sigma=np.vstack([seen.sigma, np.column_stack([sigma, sigma])]),
         ),
     )
+
+
+def marked_control(block: Block) -> Integers:
+    """Control points that some image shows."""
+    seen = block.observations.point
+    return np.unique(seen[block.points.of_role("control")[seen]])
 
 
 def place(block: Block, tracks: Tracks, least_spread: float = LEAST_SPREAD) -> Floats:
@@ -80,3 +87,47 @@ def fitting(block: Block) -> Flags:
     typical = np.nanmedian(np.where(np.isfinite(miss) & tie, miss, np.nan))
     with np.errstate(invalid="ignore"):
         return np.asarray(miss <= START_GROSS * typical)
+
+
+def intersected(views: OrientedImages, tracks: Tracks) -> Floats:
+    """Points where the rays of tracks come closest, local, shape (tracks.count, 3); NaN where they do not."""
+    ideal, c = views.ideal(tracks.image, tracks.pixels)
+    return intersect(
+        tracks.track, tracks.count, views.station[tracks.image], views.rotation[tracks.image], ideal, c
+    )
+
+
+def misses(views: OrientedImages, tracks: Tracks, points: Floats) -> Floats:
+    """Distance of each ray from where its image should show its point, px; NaN where it cannot."""
+    return np.asarray(
+        np.hypot(*(views.project(tracks.image, points[tracks.track]) - tracks.pixels).T), dtype=np.float64
+    )
+
+
+def spread(views: OrientedImages, tracks: Tracks, points: Floats) -> Floats:
+    """Largest angle of a point's rays from their mean, rad, shape (tracks.count,).
+
+    Parameters
+    ----------
+    points : ndarray, shape (tracks.count, 3)
+
+    Returns
+    -------
+    ndarray
+        NaN for points without coordinates.
+    """
+    towards = views.station[tracks.image] - points[tracks.track]
+    towards = towards / np.linalg.norm(towards, axis=1)[:, None]
+    mean = np.column_stack([np.bincount(tracks.track, towards[:, k], tracks.count) for k in range(3)])
+    mean = mean / np.linalg.norm(mean, axis=1)[:, None]
+    # The chord keeps small angles exact.
+    chord = np.linalg.norm(towards - mean[tracks.track], axis=1)
+    angle = np.zeros(tracks.count)
+    np.maximum.at(angle, tracks.track, 2 * np.arcsin(np.minimum(chord / 2, 1)))
+    return angle
+
+
+def views_of(block: Block, frame: Frame) -> OrientedImages:
+    """Give a block's images at their present values in a local frame; NaN where they are not oriented."""
+    images = block.images
+    return OrientedImages(images.names, block.cameras, images.camera, local_poses(frame, images.values))

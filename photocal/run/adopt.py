@@ -29,8 +29,8 @@ from photocal.measurement.block_files import write_block
 from photocal.measurement.control_files import in_map_system, read_control_marks
 from photocal.measurement.marks import with_marks
 from photocal.measurement.marks_files import named_after
+from photocal.measurement.tie_block import intersected, views_of
 from photocal.measurement.tracks import Tracks
-from photocal.measurement.views import intersected, views_of
 from photocal.results.adjusted import result_of
 from photocal.results.adjusting import adjust_block, adjusted
 from photocal.results.result import Result

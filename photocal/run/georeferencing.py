@@ -38,10 +38,12 @@ def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
     from photocal.accuracy.standard import Question, parse_scale
     from photocal.accuracy.standard_file import SHIPPED, load_standard
     from photocal.block.folder import read_block
-    from photocal.georeferencing.as_json import to_json
+    from photocal.findings.texts import told
+    from photocal.georeferencing.as_json import SCHEMA, to_json
     from photocal.georeferencing.comparison import check_block
     from photocal.georeferencing.methods import METHODS
     from photocal.georeferencing.output import write_check
+    from photocal.measurement.oriented_ties import NOT_PLACED
 
     asked = project.contents.judgement
     question = Question(
@@ -54,6 +56,11 @@ def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
     )
     standards = tuple(load_standard(name) for name in asked.standards or SHIPPED)
     block = read_block(source)
+    if block.datum != "control":
+        # Nothing can be judged in a relative block; that is no failure.
+        with_nothing = {"schema": SCHEMA, "block": block.name, "methods": {}, "refused": []}
+        (folder / FIGURES).write_text(json.dumps({**with_nothing, **told([NOT_PLACED])}, indent=1) + "\n")
+        return
     with show("three georeferencings", len(METHODS) + 2) as done:
         result = check_block(
             block, standards, question, done=lambda _: done(1), calibration=own_calibration(block)

@@ -30,7 +30,7 @@ NAME = "project.toml"
 CODE_LEVEL_M, OTHER_SURFACE_M = (1.5, 1.5, 3.0), 50.0
 # Fewer points leave the block turned, or without scale.
 FEWEST_CONTROL = 3
-_ESTIMATE = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
+_ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2")
 
 
 @dataclass(frozen=True)
@@ -312,7 +312,7 @@ def _zone_of(placed: Sequence[ImageFacts]) -> str:
 
 def _system_of(points: ObjectPoints, placed: Sequence[ImageFacts]) -> str:
     """The zone of the pictures, when the control points lie among them in it; else empty."""
-    from photocal.measurement.georeferenced import map_places
+    from photocal.measurement.image_places import map_places
 
     zone = _zone_of(placed)
     try:

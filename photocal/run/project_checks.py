@@ -20,12 +20,12 @@ from photocal.block.network import block_frame
 from photocal.exchange.parts import PointEntry, object_points
 from photocal.geometry.oriented_images import given_places
 from photocal.measurement.control_files import ControlMarks, in_map_system
-from photocal.measurement.georeferenced import map_places
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import list_images
+from photocal.measurement.image_places import map_places
 from photocal.measurement.project_block import control_points
+from photocal.measurement.tie_block import intersected, views_of
 from photocal.measurement.tracks import Tracks
-from photocal.measurement.views import intersected, views_of
 from photocal.project import Project
 
 # How far control may lie from a base station, and from what pictures say of their place.

@@ -184,7 +184,8 @@ def _calibration_lines(figures: dict[str, Any]) -> Iterator[str]:
 
 
 def _check_lines(methods: dict[str, Any]) -> Iterator[str]:
-    yield _line("check points", "RMSE in X, Y, Z / predicted with the survey's own sigma, mm")
+    if any(one["n"] for one in methods.values()):
+        yield _line("check points", "RMSE in X, Y, Z / predicted with the survey's own sigma, mm")
     for name, one in methods.items():
         if one["n"]:
             cells = ", ".join(

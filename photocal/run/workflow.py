@@ -9,8 +9,7 @@ from pathlib import Path
 from drivers.errors import ConfigurationError, PhotocalError
 from photocal.project import Project
 from photocal.run.block import block_stage, given_block_stage
-from photocal.run.calibration import analysis_stage, calibration_stage
-from photocal.run.certificate import certificate_stage
+from photocal.run.calibration import analysis_stage, calibration_stage, certificate_stage
 from photocal.run.digests import Digests
 from photocal.run.exposures import exposures_stage
 from photocal.run.folders import alone

@@ -25,7 +25,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from drivers.errors import PhotocalError
-from photocal.measurement.geographic import local_places
+from photocal.measurement.image_places import local_places
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.measure_ties import Sighted, sight, stated_footprints
 from photocal.measurement.oriented_ties import first_orientation

@@ -17,8 +17,7 @@ from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.block.model import ROLES
 from photocal.exchange.parts import Mark
-from photocal.measurement.centre import measurable
-from photocal.measurement.eccentricity import ground_bend
+from photocal.measurement.centre import ground_bend, measurable
 from photocal.measurement.image_file import Grey, read_grey
 from photocal.measurement.marking.adjustment import Adjusted, adjust_marks
 from photocal.measurement.marking.scene import Picture, Scene

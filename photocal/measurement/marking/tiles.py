@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING
 
 from acquire.outputs import output_file
 from drivers.errors import InputNotFoundError
-from photocal.measurement.cache import content_key
+from photocal.measurement.cache import content_key, sweep, touch
 from photocal.measurement.image_file import as_eight_bit, as_stored, opened, read_grey
-from photocal.measurement.marking.kept import sweep, touch
 
 if TYPE_CHECKING:
     from PIL.Image import Image

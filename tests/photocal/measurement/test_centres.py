@@ -12,8 +12,7 @@ from scipy import stats
 from photocal.geometry.camera import camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.rotation import matrix_from_angles
-from photocal.measurement.centre import Centre
-from photocal.measurement.eccentricity import ground_bend
+from photocal.measurement.centre import Centre, ground_bend
 from photocal.measurement.line_targets import cross_centre, saddle_centre
 from photocal.measurement.patterns import flattened
 from photocal.measurement.round_targets import disc_centre, ring_centre

@@ -16,8 +16,8 @@ from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.compile import compile_kernels
 from photocal.measurement.patch_kernel import match_patches
 from photocal.measurement.refine import Source, refine
+from photocal.measurement.tie_block import intersected, misses
 from photocal.measurement.tracks import Tracks, of_images, without_twins
-from photocal.measurement.views import intersected, misses
 
 Floats = NDArray[np.float64]
 SIZE = 420
