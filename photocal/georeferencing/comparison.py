@@ -170,7 +170,7 @@ def _calibration(block: Block) -> tuple[SystematicErrors | None, Separation | No
         return None, None
     try:
         apart = separation(mounted)
-        if not len(block.positions.image):
+        if apart is not None and not len(block.positions.image):
             # Positions that images state have no lever arm that could be told from anything.
             groups = tuple(g for g in apart.groups if not all("lever_arm" in name for name in g))
             apart = replace(apart, groups=groups)

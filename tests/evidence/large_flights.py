@@ -16,6 +16,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -189,7 +190,7 @@ def drawn(flight: Flight) -> tuple[Block, Tracks, Floats]:
     images = Images(names, np.zeros(count, dtype=np.int64), values, sigma)
     start = replace(true_camera(flight.c_start * C, 0.0))
     start = start.with_values(np.where(np.arange(len(start.values)) == 0, start.values, 0.0))
-    datum = "control" if known.sum() >= 3 else "free"
+    datum: Literal["control", "free"] = "control" if known.sum() >= 3 else "free"
     return (
         Block(flight.name, "local", "", datum, (), (start,), images, NO_POINTS, NO_OBSERVATIONS, ()),
         tracks,

@@ -54,7 +54,7 @@ def _strip(places: Floats, rng: np.random.Generator) -> Tracks:
     )
     track, image = np.repeat(np.arange(1200), count), np.tile(np.arange(count), 1200)
     pixels = views.project(image, ground[track]) + rng.normal(0, 0.5, (len(track), 2))
-    inside = ((pixels > 0) & (pixels < np.array(LENS.size_px) - 1)).all(axis=1)
+    inside = np.asarray(((pixels > 0) & (pixels < np.array(LENS.size_px) - 1)).all(axis=1))
     return Tracks(track, image, pixels, np.ones(len(track))).some(inside)
 
 
