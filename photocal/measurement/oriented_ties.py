@@ -17,7 +17,7 @@ from photocal.findings.finding import Finding
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.placing import oriented, position_sigmas, softened
 from photocal.measurement.ray_sigmas import GROSS
-from photocal.measurement.refine import HALF, Source, refine
+from photocal.measurement.refine import HALF, Source, refine_reduced
 from photocal.measurement.start_block import without_images
 from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, pixel_residuals
 from photocal.measurement.tie_block import intersected, marked_control, misses, views_of, with_ties
@@ -35,8 +35,9 @@ CELLS, FIRST_IN_A_CELL, MATCHED_IN_A_CELL, IN_A_CELL = 20, 1, 20, 3
 FEWEST_TIES = 12
 # Images with fewer points of three and more rays also take those of two.
 ENOUGH_STRONG = 30
-# Tracks that cannot be placed to so many pixels by the first orientation are mismatches.
-FIRST_MISS_PX = 8.0
+# Tracks that cannot be placed to so many pixels by the first orientation are mismatches, in images of the
+# usual length; larger than so much they are matched in reduced ones first.
+FIRST_MISS_PX, USUAL_PX, LARGE_PX = 8.0, 4000.0, 8400.0
 # With so many marked control points positions do not place a block.
 FEWEST_CONTROL = 3
 # Times that positions are judged anew, while their sigmas become less than this share.
@@ -168,21 +169,32 @@ def orient_ties(
         raise UnorientedError(refusal.what, remedy=refusal.remedy, block=block) from refusal
     kept = np.isin(np.arange(len(names)), first.kept)
     tracks, sizes = of_images(tracks, kept), _sizes(first.adjusted.start)
-    views = _views(first.adjusted)
-    tracks, points = _placed(views, thin(tracks, sizes, CELLS, MATCHED_IN_A_CELL))
+    tracks = thin(tracks, sizes, CELLS, MATCHED_IN_A_CELL)
     partners = _partners(pairs, first.kept, len(names))
     chosen = [sources[k] for k in first.kept]
-    with progress("matching tie points precisely", 2 * len(chosen)) as done:
-        matched = refine(chosen, views, tracks, points, partners, processes, done)
-    matched, final = without_twins(matched, TWIN_PX), first.adjusted
     left_out, findings = list(first.left_out), [*first.findings, ESTIMATED]
-    try:
-        final = adjust_ties(final.start, final.values, _strong(spaced(matched, PATCH_PX), sizes, IN_A_CELL))
+    final, matched = first.adjusted, tracks
+    for level in _levels(float(sizes.max())):
+        views = _views(final)
+        tracks, points = _placed(views, tracks, FIRST_MISS_PX * max(1.0, float(sizes.max()) / USUAL_PX))
+        with progress("matching tie points precisely", 2 * len(chosen)) as done:
+            matched = refine_reduced(chosen, views, tracks, points, partners, processes, done, level)
+        matched = without_twins(matched, TWIN_PX)
+        before = final.start.images.names
+        try:
+            final = adjust_ties(
+                final.start, final.values, _strong(spaced(matched, PATCH_PX), sizes, IN_A_CELL)
+            )
+        except PhotocalError as refusal:
+            matched = final.tracks
+            findings.append(Finding("matches-not-adjusted", "doubtful", refusal.what))
+            break
         left_out += final.left_out
-        matched = of_images(matched, np.isin(first.adjusted.start.images.names, final.start.images.names))
-    except PhotocalError as refusal:
-        matched = final.tracks
-        findings.append(Finding("matches-not-adjusted", "doubtful", refusal.what))
+        stay = np.isin(before, final.start.images.names)
+        matched, sizes = of_images(matched, stay), sizes[stay]
+        chosen = [source for source, good in zip(chosen, stay, strict=True) if good]
+        partners = [(np.cumsum(stay) - 1)[p[stay[p]]] for p, good in zip(partners, stay, strict=True) if good]
+        tracks = matched
     return Oriented(final, _verified(final, matched), tuple(left_out), tuple(findings))
 
 
@@ -232,11 +244,17 @@ def _views(adjusted: Adjusted) -> OrientedImages:
     return views_of(block, block_frame(adjusted.block))
 
 
-def _placed(views: OrientedImages, tracks: Tracks) -> tuple[Tracks, Floats]:
+def _levels(longest_px: float) -> tuple[int, ...]:
+    """How often images are halved, pass after pass, so that each finds what the one before has left."""
+    coarse = int(np.ceil(np.log2(longest_px / USUAL_PX)))
+    return (coarse, 0) if longest_px > LARGE_PX else (0,)
+
+
+def _placed(views: OrientedImages, tracks: Tracks, most_px: float) -> tuple[Tracks, Floats]:
     """Tracks whose rays meet, and where."""
     points = intersected(views, tracks)
     with np.errstate(invalid="ignore"):
-        tracks = tracks.some(misses(views, tracks, points) < FIRST_MISS_PX)
+        tracks = tracks.some(misses(views, tracks, points) < most_px)
     points = intersected(views, tracks)
     met: Flags = np.asarray(np.isfinite(points).all(axis=1))
     return tracks.some(met[tracks.track]), points[met]

@@ -8,7 +8,7 @@ squares on the full images: the rays become precise, and rays that the features 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,7 @@ from photocal.tasks.workers import Workers, run_tasks
 Floats32 = NDArray[np.float32]
 
 # Raised whenever the meaning of cached results changes.
-VERSION = 1
+VERSION = 2
 # Patches of 21 x 21 pixels: their outermost ring serves the derivatives.
 HALF = 11
 # Before matching, images are smoothed: aliasing would bias the places.
@@ -41,11 +41,12 @@ _BORDER_PX = 2
 
 @dataclass(frozen=True)
 class Source:
-    """An image, the digest of its content, and where results are kept."""
+    """An image, the digest of its content, where results are kept, and how many times it is halved."""
 
     path: Path
     key: str
     cache: Path
+    level: int = 0
 
 
 @dataclass(frozen=True)
@@ -93,6 +94,42 @@ def refine(
         done(1)
     kept = np.flatnonzero(inside)
     return _joined(found, kept, own[kept], middle[kept], tracks.conflicts)
+
+
+def refine_reduced(
+    sources: Sequence[Source],
+    views: OrientedImages,
+    tracks: Tracks,
+    points: Floats,
+    partners: Sequence[Integers],
+    processes: Workers,
+    done: Callable[[float], None],
+    level: int,
+) -> Tracks:
+    """Measure tracks in images that are halved so many times, where their places are not known well enough.
+
+    Features of very large images are found in reduced ones: in the stored pixels they are off by more than
+    matching reaches.
+    """
+    if not level:
+        return refine(sources, views, tracks, points, partners, processes, done)
+    sizes = [own.size_px for own in views.cameras]
+    small = [_halved(size, level) for size in sizes]
+    zoom = np.array([(w / v, h / u) for (w, h), (v, u) in zip(sizes, small, strict=True)])
+    cameras = tuple(
+        replace(own, size_px=size, pitch=(own.pitch[0] * x, own.pitch[1] * y))
+        for own, size, (x, y) in zip(views.cameras, small, zoom.tolist(), strict=True)
+    )
+    factor = zoom[views.camera]
+    reduced = replace(tracks, pixels=(tracks.pixels + 0.5) / factor[tracks.image] - 0.5)
+    halved = [replace(source, level=level) for source in sources]
+    found = refine(halved, replace(views, cameras=cameras), reduced, points, partners, processes, done)
+    back = factor[found.image]
+    return replace(found, pixels=(found.pixels + 0.5) * back - 0.5, scale=found.scale * back.mean(axis=1))
+
+
+def _halved(size: tuple[int, int], level: int) -> tuple[int, int]:
+    return max(1, round(size[0] / 2**level)), max(1, round(size[1] / 2**level))
 
 
 @dataclass(frozen=True)
@@ -186,10 +223,13 @@ def _inside(place: Floats, size: Floats) -> Flags:
     return np.asarray(((place >= border) & (place <= size - 1 - border)).all(axis=1))
 
 
-def _smoothed(path: Path) -> Floats32:
+def _smoothed(source: Source) -> Floats32:
     import cv2
 
-    eight = as_eight_bit(read_grey(path)).astype(np.float32)
+    eight = as_eight_bit(read_grey(source.path)).astype(np.float32)
+    if source.level:
+        height, width = eight.shape
+        eight = cv2.resize(eight, _halved((width, height), source.level), interpolation=cv2.INTER_AREA)
     return np.asarray(cv2.GaussianBlur(eight, (0, 0), SMOOTHING_PX), dtype=np.float32)
 
 
@@ -201,10 +241,10 @@ def _cut_patches(task: tuple[Source, Floats]) -> Floats32:
     column, row = middle.astype(np.int64).T
 
     def make() -> Arrays:
-        image = _smoothed(source.path)
+        image = _smoothed(source)
         return {"patches": image[row[:, None, None] + side[None, :, None], column[:, None, None] + side]}
 
-    key = combined_key(VERSION, "patches", source.key, array_key(middle))
+    key = combined_key(VERSION, "patches", source.key, source.level, array_key(middle))
     return np.asarray(cached(source.cache, key, ("patches",), make)["patches"], dtype=np.float32)
 
 
@@ -214,9 +254,11 @@ def _match_image(task: tuple[Source, _Rays, Floats32]) -> _Found:
         return _Found.none()
 
     def make() -> Arrays:
-        return _matched(_smoothed(source.path), rays, patches)
+        return _matched(_smoothed(source), rays, patches)
 
-    key = combined_key(VERSION, "matched", source.key, array_key(rays.place, rays.affinity, patches))
+    key = combined_key(
+        VERSION, "matched", source.key, source.level, array_key(rays.place, rays.affinity, patches)
+    )
     held = cached(source.cache, key, ("index", "pixels", "sigma"), make)
     index = held["index"]
     return _Found(rays.track[index], rays.image[index], held["pixels"], held["sigma"])
