@@ -111,10 +111,14 @@ class Images(Table):
     position_sigma_m : (float, float, float), "free" or None
         Without a flight: east, north, up, of positions whose pictures do not state it; "free" takes them as
         start values only, None assumes what a receiver without corrections reaches.
+    positions : Path or None
+        Without a flight: a `Timestamp.MRK`, geo.txt or reference table whose positions go before those of the
+        pictures.
     """
 
     folder: Beside | None = None
     times: Beside | None = None
+    positions: Beside | None = None
     position_sigma_m: Sigmas | Literal["free"] | None = None
 
     @model_validator(mode="after")

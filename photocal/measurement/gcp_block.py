@@ -54,7 +54,7 @@ def measure_gcp(
             where=control_file,
             remedy="give --height ellipsoidal or --height orthometric",
         )
-    sighted = sight(paths, plan, progress, stated_footprints, lens)
+    sighted = sight(paths, plan, progress, stated_footprints, lens.of)
     sizes = {own.name: own.size_px for own in sighted.facts}
     given = read_control_marks(control_file, sigma_m, sizes)
     crs, height = system

@@ -82,7 +82,7 @@ def measure_ties(
     PhotocalError
         When too few images can be read, or their tie points do not orient them.
     """
-    sighted = sight(paths, plan, progress, stated_footprints, lens)
+    sighted = sight(paths, plan, progress, stated_footprints, lens.of)
     places, origin = local_places(sighted.facts)
     start = start_block(sighted.facts, places, name)
     found = orient_ties(start, sighted.sources, sighted.tracks, sighted.pairs, plan.processes, progress)
@@ -105,9 +105,11 @@ def sight(
     plan: MatchingPlan,
     progress: Progress,
     looking: Callable[[Sequence[ImageFacts]], Footprints],
-    lens: GivenLens = NO_LENS,
+    given: Callable[[ImageFacts], ImageFacts],
 ) -> Sighted:
     """Find features in images, match them and join the matches to tracks.
+
+    given: what is known better of an image than it states.
 
     Raises
     ------
@@ -119,7 +121,7 @@ def sight(
         keys, reasons = detect_all(readable, plan, done)
     good = [k for k, reason in enumerate(reasons) if not reason]
     left_out += [{"image": readable[k].name, "reason": r} for k, r in enumerate(reasons) if r]
-    facts, keys = [lens.of(facts[k]) for k in good], tuple(keys[k] for k in good)
+    facts, keys = [given(facts[k]) for k in good], tuple(keys[k] for k in good)
     if len(facts) < 2:
         raise InputNotFoundError(
             f"{len(facts)} of {len(paths)} images can be used",

@@ -39,6 +39,7 @@ from photocal.measurement.orientation import Orientation
 from photocal.measurement.oriented_ties import FEWEST_CONTROL, Progress, figures, orient_ties
 from photocal.measurement.pair_selection import Footprints, footprints
 from photocal.measurement.placing import position_sigmas
+from photocal.measurement.position_files import Given, read_positions
 from photocal.measurement.project_targets import targets_of_project
 from photocal.measurement.ray_sigmas import GROSS
 from photocal.measurement.released import camera_figures
@@ -49,6 +50,7 @@ from photocal.measurement.start_block import (
     position_sigma,
     without_images,
 )
+from photocal.measurement.start_camera import NO_LENS
 from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, pixel_residuals
 from photocal.measurement.tie_block import marked_control, place, with_ties
 from photocal.project import Project
@@ -97,7 +99,9 @@ def measure_project(
     if starts is None and project.crs == "local" and unmarked and control.of_role("control").any():
         raise _nowhere(project.name)
     looking = stated_footprints if starts is None else partial(_footprints, project, starts, control)
-    sighted = sight(list_images(project.picture_folder), plan, progress, looking)
+    paths = list_images(project.picture_folder)
+    known = better_known(project, [path.name for path in paths])
+    sighted = sight(paths, plan, progress, looking, known)
     sighted, camera = _with_cameras(sighted, project.cameras, starts)
     given = _starts(project, sighted.facts, camera, starts)
     block = Block(
@@ -182,6 +186,12 @@ def _starts(project: Project, facts: Sequence[ImageFacts], camera: Integers, sta
         rows = np.array([place.get(own.name, -1) for own in facts])
         values[rows >= 0], sigma[rows >= 0] = starts.values[rows[rows >= 0]], starts.sigma[rows[rows >= 0]]
     return Images(tuple(own.name for own in facts), camera, values, sigma)
+
+
+def better_known(project: Project, names: Sequence[str]) -> Given:
+    """What a project's table of positions says in place of the pictures."""
+    path = project.images.positions
+    return NO_LENS.of if path is None else read_positions(path, names)
 
 
 def control_points(project: Project) -> ObjectPoints:

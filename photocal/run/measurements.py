@@ -25,6 +25,8 @@ def measurements_stage(project: Project, exposures: Path | None) -> Stage:
         inputs["observations"] = given.observations
     else:
         inputs |= pictures_of(project)
+        if project.images.positions is not None:
+            inputs["positions"] = project.images.positions
         if control.marks is not None and control.marks.exists():
             inputs["marks"] = control.marks
     settings = {

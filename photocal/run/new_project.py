@@ -184,7 +184,7 @@ class _Text:
         for path in seen.raw_logs:
             self.missing.append(f"{self._beside(path)} is a raw log: acquire import takes several into one")
         for path in seen.events:
-            self.found.append(f"list of exposures {self._beside(path)}: import it with its RINEX files")
+            self.found.append(f"list of exposures {self._beside(path)}: with RINEX files, acquire import")
         if not seen.logs:
             return
         self.found.append(f"{len(seen.logs)} flight log(s)")
@@ -217,6 +217,8 @@ class _Text:
         yield ""
         yield f"[images]  # {said}"
         yield f"folder = {_quoted(self._beside(self.pictures))}"
+        if len(self.seen.events) == 1 and not self.seen.logs and stated < count:
+            yield f"positions = {_quoted(self._beside(self.seen.events[0]))}  # with their sigmas"
         if self.seen.logs or not self.placed or self.crs == "local":
             return
         if stated < len(self.placed):

@@ -23,7 +23,7 @@ from photocal.measurement.control_files import ControlMarks, in_map_system
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import list_images
 from photocal.measurement.image_places import map_places
-from photocal.measurement.project_block import control_points
+from photocal.measurement.project_block import better_known, control_points
 from photocal.measurement.tie_block import intersected, views_of
 from photocal.measurement.tracks import Tracks
 from photocal.project import Project
@@ -88,9 +88,11 @@ def facts_of_pictures(project: Project, most: int | None = _PICTURES) -> list[Im
     if images is None or images.folder is None:
         return []
     facts = []
-    for path in list_images(images.folder)[:most]:
+    paths = list_images(images.folder)
+    known = better_known(project, [path.name for path in paths])
+    for path in paths[:most]:
         try:
-            facts.append(read_facts(path))
+            facts.append(known(read_facts(path)))
         except PhotocalError:
             continue
     return facts

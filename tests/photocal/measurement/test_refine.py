@@ -15,7 +15,7 @@ from photocal.geometry.camera import camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.compile import compile_kernels
 from photocal.measurement.patch_kernel import match_patches
-from photocal.measurement.refine import Source, refine
+from photocal.measurement.refine import Source, refine, refine_reduced
 from photocal.measurement.tie_block import intersected, misses
 from photocal.measurement.tracks import Tracks, of_images, without_twins
 
@@ -134,6 +134,27 @@ def test_tracks_become_precise_and_find_their_other_images(tmp_path: Path) -> No
     miss = misses(views, precise, intersected(views, precise))
     before = misses(views, rough, intersected(views, rough))
     assert np.sqrt(np.mean(miss**2)) < 0.06 < 0.2 < np.sqrt(np.mean(before**2))
+
+
+def test_rays_farther_off_than_matching_reaches_are_found_in_reduced_pictures(tmp_path: Path) -> None:
+    """Features of very large pictures are off by many stored pixels: here 5 px, in pictures halved twice."""
+    places = np.array([[-4.0, 0, 40], [0, 1.0, 40], [4.0, 0, 41]])
+    views = _views(places, np.radians([0.0, 180.0, 0.0]))
+    sources = _pictures(views, tmp_path)
+    rng = np.random.default_rng(2)
+    truth = np.column_stack([rng.uniform(-6, 6, (60, 2)), np.zeros(60)])
+    track, image = np.repeat(np.arange(60), 3), np.tile(np.arange(3), 60)
+    exact = views.project(image, truth[track])
+    rough = Tracks(track, image, exact + rng.normal(0, 5.0, exact.shape), np.ones(180))
+    partners = [np.array([j for j in range(3) if j != k]) for k in range(3)]
+    points = intersected(views, rough)
+    tracks = [
+        refine_reduced(sources, views, rough, points, partners, 1, lambda _: None, level) for level in (0, 2)
+    ]
+    full, reduced = (np.mean(one.rays[: one.count] == 3) * one.count / 60 for one in tracks)
+    assert full < 0.5 < 0.8 < reduced
+    miss = misses(views, tracks[1], intersected(views, tracks[1]))
+    assert np.sqrt(np.mean(miss**2)) < 0.5
 
 
 def test_setup_compiles_what_the_matching_calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

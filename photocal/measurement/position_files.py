@@ -1,0 +1,116 @@
+"""Positions of pictures that stand in a table beside them: an event list, geo.txt, a reference table."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from drivers.errors import InputMalformedError
+from drivers.mrk import COLUMNS, parse_event
+from photocal.exchange.ground_points import read_geo
+from photocal.exchange.reference_table import read_references
+from photocal.exchange.source import read_text
+from photocal.measurement.image_facts import ImageFacts
+
+Given = Callable[[ImageFacts], ImageFacts]
+
+# Longitude, latitude (deg), height and three sigmas (east, north, up), m.
+_Place = tuple[float, float, float, float, float, float]
+
+
+def read_positions(path: Path, names: Sequence[str]) -> Given:
+    """Read positions; what is given puts that of a picture in place of its own.
+
+    A table names the pictures, with their suffix or without. The events of a `Timestamp.MRK` list go to the
+    pictures whose names carry their numbers, or in their order when there are as many.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        Also when no picture has a position in it.
+    """
+    if path.suffix.lower() == ".mrk":
+        places = _of_events(path, names)
+    elif read_text(path).lstrip().startswith(("#Label", "#CoordinateSystem")):
+        crs, rows = read_references(path)
+        places = _in_degrees(crs, {row.label: (*row.xyz, *row.accuracy) for row in rows}, path)
+    else:
+        crs, positions = read_geo(path)
+        listed = {
+            one.image: (*one.xyz, one.accuracy_m[0], one.accuracy_m[0], one.accuracy_m[1])
+            for one in positions
+        }
+        places = _in_degrees(crs, listed, path)
+    if not any(_of(name, places) for name in names):
+        first = next(iter(places), "nothing")
+        raise InputMalformedError(
+            f"has none of the {len(names)} pictures (it has {first}, the first is {min(names, default='')})",
+            where=path,
+            remedy="name the pictures as their files",
+        )
+    return lambda facts: _placed(facts, _of(facts.name, places))
+
+
+def _of(name: str, places: Mapping[str, _Place]) -> _Place | None:
+    return places.get(name) or places.get(Path(name).stem)
+
+
+def _placed(facts: ImageFacts, place: _Place | None) -> ImageFacts:
+    if place is None:
+        return facts
+    longitude, latitude, height, *sigma = place
+    return replace(
+        facts,
+        longitude_deg=longitude,
+        latitude_deg=latitude,
+        altitude_m=height,
+        position_sigma_m=(sigma[0], sigma[1], sigma[2]),
+        altitude_kind="table",
+    )
+
+
+def _of_events(path: Path, names: Sequence[str]) -> dict[str, _Place]:
+    events = [dict(zip(COLUMNS, row, strict=True)) for line in read_text(path).splitlines()
+              if (row := parse_event(line)) is not None]  # fmt: skip
+    if not events:
+        raise InputMalformedError("has no events", where=path, remedy="is it a Timestamp.MRK file?")
+    numbers = {int(event["number"]): event for event in events}
+    by_name = {name: numbers.get(k) for name in names for k in _numbers(name) if k in numbers}
+    if not by_name and len(names) == len(events):
+        by_name = dict(zip(sorted(names), events, strict=True))
+    keys = ("longitude_deg", "latitude_deg", "height_m", "sigma_east_m", "sigma_north_m", "sigma_up_m")
+    found: dict[str, _Place] = {}
+    for name, event in by_name.items():
+        if event is not None:
+            longitude, latitude, height, east, north, up = (event[key] for key in keys)
+            found[name] = (longitude, latitude, height, east, north, up)
+    return found
+
+
+def _numbers(name: str) -> list[int]:
+    """Numbers of four digits in a name: cameras count so."""
+    return [int(text) for text in re.findall(r"(?<!\d)\d{4}(?!\d)", Path(name).stem)]
+
+
+def _in_degrees(crs: str, listed: Mapping[str, tuple[float, ...]], path: Path) -> dict[str, _Place]:
+    """The same with longitude and latitude; heights as they are."""
+    from pyproj import CRS, Transformer
+    from pyproj.exceptions import ProjError
+
+    if not crs:
+        raise InputMalformedError(
+            "does not name its system", where=path, remedy="EPSG:4326 on the first line"
+        )
+    values = np.array(list(listed.values()), dtype=float).reshape(-1, 6)
+    try:
+        system = CRS.from_user_input(crs)
+        level = system.sub_crs_list[0] if system.is_compound else system
+        way = Transformer.from_crs(level.to_2d(), "EPSG:4326", always_xy=True)
+        values[:, 0], values[:, 1] = way.transform(values[:, 0], values[:, 1], errcheck=True)
+    except ProjError as refusal:
+        raise InputMalformedError(f"its system {crs} cannot be used ({refusal})", where=path) from refusal
+    return {name: tuple(row) for name, row in zip(listed, values.tolist(), strict=True)}
