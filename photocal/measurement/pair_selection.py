@@ -57,22 +57,39 @@ def footprints(
 
 
 def select_pairs(seen: Footprints, count: int) -> tuple[Integers, Rule]:
-    """Choose the pairs of images to match."""
-    if not np.isfinite(seen.centre).all():
-        if count <= ALL_UP_TO:
-            return np.column_stack(np.triu_indices(count, 1)).astype(np.int64), "all"
-        first = np.repeat(np.arange(count), SEQUENCE)
-        second = first + np.tile(np.arange(1, SEQUENCE + 1), count)
-        return np.column_stack([first, second])[second < count], "sequence"
+    """Choose the pairs of images to match.
+
+    Few images of which nobody knows where they were taken go with all; many, with those before and after.
+    """
+    placed = np.isfinite(seen.centre).all(axis=1)
+    lost = np.flatnonzero(~placed)
+    if len(lost) and count <= ALL_UP_TO:
+        return np.column_stack(np.triu_indices(count, 1)).astype(np.int64), "all"
+    span = count if len(lost) <= ALL_UP_TO else SEQUENCE
+    near = np.arange(-span, span + 1)
+    first = np.repeat(lost, len(near))
+    second = first + np.tile(near, len(lost))
+    good = (second >= 0) & (second < count) & (second != first)
+    pairs = [np.column_stack([first, second])[good]]
+    rule: Rule = "sequence"
+    if placed.sum() >= 2:
+        some, rule = _near(seen, np.flatnonzero(placed))
+        pairs.append(some)
+    return np.unique(np.sort(np.concatenate(pairs), axis=1), axis=0).astype(np.int64), rule
+
+
+def _near(seen: Footprints, rows: Integers) -> tuple[Integers, Rule]:
+    """Pairs of neighbours, of those whose footprints overlap where these are known."""
     from scipy.spatial import KDTree
 
-    partners = min(count, MOST_PARTNERS + 1)
-    found = KDTree(seen.centre).query(seen.centre, k=partners)
-    distance, other = (np.reshape(part, (count, -1)) for part in found)
-    first = np.broadcast_to(np.arange(count)[:, None], other.shape)
-    near = first != other
-    known = bool(np.isfinite(seen.radius).all())
-    if known:
-        near &= distance < USEFUL * (seen.radius[first] + seen.radius[other])
-    pairs = np.sort(np.column_stack([first[near], other[near]]), axis=1)
-    return np.unique(pairs, axis=0).astype(np.int64), "footprints" if known else "neighbours"
+    partners = min(len(rows), MOST_PARTNERS + 1)
+    found = KDTree(seen.centre[rows]).query(seen.centre[rows], k=partners)
+    distance, other = (np.reshape(part, (len(rows), -1)) for part in found)
+    first = np.broadcast_to(np.arange(len(rows))[:, None], other.shape)
+    near, radius = first != other, seen.radius[rows]
+    # Where a height is not known the nearest go together, however far.
+    known = np.isfinite(radius[first] + radius[other])
+    with np.errstate(invalid="ignore"):
+        near &= ~known | (distance < USEFUL * (radius[first] + radius[other]))
+    pairs = np.column_stack([rows[first[near]], rows[other[near]]])
+    return pairs, "footprints" if known.all() else "neighbours"

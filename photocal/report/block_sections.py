@@ -77,11 +77,10 @@ def _terms(run: Run, say: Catalogue) -> str:
 def _block_facts(run: Run, say: Catalogue) -> KeyValues:
     result = run.result
     roles = Counter(run.result.points.role)
-    datum = (
-        say(f"method.datum_{result.block.datum}")
-        if result.block.datum in ("control", "free")
-        else result.block.datum
-    )
+    kind = result.block.datum
+    if kind == "control" and not roles.get("control"):
+        kind = "positions"
+    datum = say(f"method.datum_{kind}") if kind in ("control", "positions", "free") else kind
     rows = [
         (say("title.block"), result.block.name),
         (say("method.datum"), datum),

@@ -207,6 +207,17 @@ def test_pairs_without_exposures() -> None:
     assert len(pairs) < 12 * 200
 
 
+def test_one_image_without_a_position_takes_that_of_no_other() -> None:
+    """A hundred in a row, one lost: it goes with all, the others with their neighbours as before."""
+    centre = np.column_stack([np.arange(100) * 10.0, np.zeros(100)])
+    centre[40] = np.nan
+    pairs, rule = select_pairs(Footprints(centre, np.full(100, 20.0)), 100)
+    assert rule == "footprints"
+    lost = (pairs == 40).any(axis=1)
+    assert lost.sum() == 99
+    assert np.ptp(pairs[~lost], axis=1).max() <= 4
+
+
 def test_an_oblique_view_looks_ahead() -> None:
     seen = footprints(
         np.zeros((1, 2)),
