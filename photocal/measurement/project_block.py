@@ -58,6 +58,8 @@ from photocal.project import Project
 # While gross errors are sought these are held: a level block determines them only with precise positions,
 # which the measurement does not use.
 HELD = ("c", "x0", "y0")
+# What is held, step by step, where a block does not bear all that its project estimates.
+HOLDING: tuple[tuple[str, ...], ...] = ((), HELD, PARAMETERS)
 # A principal distance that leaves its given value by so many prior sigmas is not that of the lens: what the
 # model lacks (a rolling shutter above all) went into it.
 CREDIBLE_SIGMAS = 4.0
@@ -124,7 +126,8 @@ def measure_project(
         block = replace(block, datum="free")
     soft = _softened(block)
     oriented = orient_ties(soft, sighted.sources, sighted.tracks, sighted.pairs, plan.processes, progress)
-    released, block, more = _released(oriented.adjusted, block)
+    # Positions of a flight log come later, and with them what determines c.
+    released, block, more = _released(oriented.adjusted, block, HOLDING if starts is None else ((),))
     suspects = suspected_marks(released, control)
     record = {
         **tie_record(sighted, oriented),
@@ -277,7 +280,9 @@ def _softened(block: Block) -> Block:
     return replace(block, cameras=cameras, images=replace(block.images, sigma=sigma))
 
 
-def _released(held: Adjusted, block: Block) -> tuple[Adjusted, Block, list[Finding]]:
+def _released(
+    held: Adjusted, block: Block, holding: Sequence[Sequence[str]]
+) -> tuple[Adjusted, Block, list[Finding]]:
     """Adjust once more with all parameters that the project estimates and the block bears.
 
     Only now the residuals are those of the measurements: a principal point that is held wrongly would go
@@ -286,7 +291,7 @@ def _released(held: Adjusted, block: Block) -> tuple[Adjusted, Block, list[Findi
     """
     asked = {own.id: own for own in block.cameras}
     refusal: dict[str, Figure] = {}
-    for held_here in ((), HELD, PARAMETERS):
+    for held_here in holding:
         free = np.array([name not in held_here for name in PARAMETERS])
         cameras = tuple(
             replace(
@@ -299,7 +304,7 @@ def _released(held: Adjusted, block: Block) -> tuple[Adjusted, Block, list[Findi
         )
         released = adjust_ties(replace(held.start, cameras=cameras), held.values, held.tracks)
         why = _not_borne(released, asked, cameras)
-        if not why or held_here == PARAMETERS:
+        if not why or held_here == holding[-1]:
             break
         refusal = refusal or why
     kept = tuple(replace(own, estimated=own.estimated & free) for own in block.cameras)
