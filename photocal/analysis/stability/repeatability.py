@@ -105,7 +105,7 @@ def between_flights(x: Floats, variance: Floats, design: Floats) -> float:
     """Give the variance between flights that makes the weighted sum of squares its expectation."""
     from scipy.optimize import brentq
 
-    freedom = len(x) - design.shape[1]
+    freedom = len(x) - len(design.T)
 
     def excess(between: float) -> float:
         values, _ = _fitted(x, variance + between, design)
@@ -121,7 +121,7 @@ def between_flights(x: Floats, variance: Floats, design: Floats) -> float:
 
 def _fitted(x: Floats, variance: Floats, design: Floats) -> tuple[Floats, Floats]:
     normal = design.T @ (design / variance[:, None])
-    covariance = np.linalg.inv(normal)
+    covariance: Floats = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     return covariance @ (design.T @ (x / variance)), covariance
 
 
