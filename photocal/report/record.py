@@ -44,11 +44,11 @@ def record(
     say: language of the technical report's texts.
     """
     result = {key: value for key, value in result_json(run.result).items() if key in RESULT_KEYS}
-    known = tuple(facts(run, name, particulars) for name in run.result.cameras)
+    known = {name: facts(run, name, particulars) for name in run.result.cameras}
     return {
         "schema": SCHEMA,
         "number": certificate_number(run, particulars, told),
-        "verdict": finding_json(overall(run, known, told), say),
+        "verdict": finding_json(overall(run, tuple(known.values()), told), say),
         "date": particulars.date.isoformat(),
         "language": say.language,
         "particulars": particulars.model_dump(mode="json", exclude={"date"}),
@@ -57,10 +57,9 @@ def record(
         # Where the block lay is nobody's concern: the certificate carries its inputs.
         "result": {**result, "block": {**result["block"], "source": ""}},
         "exposures": _exposures(run),
-        "cameras": {name: _camera(run, facts(run, name, particulars)) for name in run.result.cameras},
+        "cameras": {name: _camera(run, of) for name, of in known.items()},
         "technical_reports": {
-            name: _report(Context(run, particulars, facts(run, name, particulars), say))
-            for name in run.result.cameras
+            name: _report(Context(run, particulars, of, say)) for name, of in known.items()
         },
         "analysis": None if run.analysis is None else dataclasses.asdict(run.analysis),
         "run_files": [dataclasses.asdict(file) for file in run.files],

@@ -200,7 +200,7 @@ def test_factor_is_given_and_not_applied(invented_run: Run) -> None:
     text = html(certificate(invented_run, Particulars(date=DAY), catalogue("en")))
     assert "3412.50" in text
     assert "0.42" in text
-    assert "was not applied" in text
+    assert "refer to the a priori variance" in text
     assert "1.0551" in text
 
 
