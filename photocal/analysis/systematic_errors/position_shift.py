@@ -63,7 +63,8 @@ def position_shift(fit: Fit) -> PositionShift | None:
     rest = group.redundancy - 3.0
     if np.linalg.eigvalsh(np.linalg.solve(fields.T @ fields, information))[0] < LEFT or rest < FEWEST:
         return PositionShift(np.zeros(3), np.full(3, np.inf), 0.0, 1.0, c_by_shift, stated)
-    shift, covariance = -np.linalg.solve(information, slope), np.linalg.inv(information)
+    covariance: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    shift = -covariance @ slope
     fall = float(-slope @ shift)
     scale = max(1.0, (group.chi_squared - fall) / rest)
     p_value = _smaller_p(shift, scale * covariance, rest)
@@ -104,7 +105,7 @@ def strip_shifts(fit: Fit) -> tuple[StripShift, ...]:
         normal = _further(fit, masked)
         if np.linalg.eigvalsh(np.linalg.solve(masked.T @ masked, normal.information))[0] < LEFT:
             continue
-        covariance = np.linalg.inv(normal.information)
+        covariance: Floats = np.asarray(np.linalg.inv(normal.information), dtype=np.float64)
         shift = -covariance @ normal.slope
         left = group.chi_squared + float(normal.slope @ shift)
         scale = max(1.0, left / (group.redundancy - 3.0))
