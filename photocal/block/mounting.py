@@ -24,7 +24,7 @@ from photocal.adjustment.mounting import (
 from photocal.adjustment.network import covariance_matrices
 from photocal.block.setup import MountingKeys
 from photocal.block.table import Table, known_rows, read_table, refuse
-from photocal.geometry.body import object_to_body
+from photocal.geometry.rotation import object_to_body
 
 POSITION_COLUMNS = ("image", "X", "Y", "Z", "sX", "sY", "sZ")
 POSITION_EXTRAS = ("sXY", "sXZ", "sYZ", "vX", "vY", "vZ", "strip", "time_s")

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from drivers.arrays import Flags, Floats
-from photocal.geometry.body import object_to_body
+from photocal.geometry.rotation import object_to_body
 from photocal.navigation.interpolation import LARGEST_GAP_S, local_mean_square
 from photocal.navigation.time import GpsTime
 

@@ -16,7 +16,7 @@ from drivers.gnsstime import SECOND_NS
 from drivers.identify import batch_of_payloads
 from drivers.mavlink.decode import decode
 from drivers.mavlink.dialect import ardupilotmega
-from photocal.geometry.body import object_to_body
+from photocal.geometry.rotation import object_to_body
 from photocal.navigation.attitude import AttitudeTrack, rotations_of_quaternions
 from photocal.navigation.device_clocks import AutopilotClock, ComparedClocks
 from photocal.navigation.flight_log import FlightLog

@@ -13,6 +13,7 @@ from photocal.adjustment.network import Network
 from photocal.geometry.camera import (
     AFFINITIES,
     AFFINITY_FORMS,
+    MODELS,
     PARAMETERS,
     Affinity,
     AffinityForm,
@@ -65,7 +66,10 @@ def same(network: Network, tolerance: float = 1e-5, defect: int = 0) -> None:
         given = plain.cameras[k, n] if n < len(PARAMETERS) else 0.0
         if n >= len(PARAMETERS):
             assert network.exposures.motion is not None
-            given = plain.cameras[k, 13] * network.exposures.motion[image, n - len(PARAMETERS)]
+            given = (
+                plain.cameras[k, PARAMETERS.index("readout")]
+                * network.exposures.motion[image, n - len(PARAMETERS)]
+            )
         assert own.values[row] == pytest.approx(given + plain.deviations[image, n], abs=2e-3 * sigma)
         assert own.deviation_sigma[row] == pytest.approx(sigma, rel=tolerance)
         if n < len(PARAMETERS):
@@ -98,7 +102,7 @@ def test_large_errors_inside_the_polynomial() -> None:
 def test_all_parameters_with_priors() -> None:
     prior = {"K3": 1e-9, "K4": 1e-12, "P3": 1e-2, "P4": 1e-4, "x0": 0.05, "c": 0.1}
     # But for the readout: images that stand still tell nothing of it.
-    own = networks.lens(estimate=PARAMETERS[:-1], prior_sigma=prior)
+    own = networks.lens(estimate=MODELS["brown-observed"].names[:-1], prior_sigma=prior)
     # P3 and P4 multiply P1 and P2: the last 1e-4 sigma of the iteration shows in the covariance.
     same(networks.observe(networks.convergent((own,), images=5, points=14), np.random.default_rng(4)), 2e-4)
 

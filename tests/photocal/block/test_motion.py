@@ -16,7 +16,7 @@ from photocal.block.camera_setup import CameraKeys, make_camera
 from photocal.block.folder import read_block
 from photocal.block.motion import motion_of, velocity_of_neighbours
 from photocal.block.network import assemble
-from photocal.geometry.body import object_to_body
+from photocal.geometry.rotation import object_to_body
 from photocal.results.adjusting import adjust_block
 from tests.photocal import blocks
 
