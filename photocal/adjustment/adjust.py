@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
+from photocal.adjustment.factored import factorised
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import Problem, prepare
 from photocal.adjustment.solution import Solution
@@ -35,7 +36,7 @@ def adjust(
     began = time.perf_counter()
     problem, minimum = minimum_of(network, report, state)
     solved = time.perf_counter()
-    solution = complete(problem, minimum)
+    solution = complete(factorised(problem, minimum), minimum.iterations)
     timing = {"solve": solved - began, "covariance": time.perf_counter() - solved}
     return replace(solution, timing_s=timing)
 

@@ -2,42 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from drivers.arrays import Floats, Integers
-from photocal.adjustment.datum import correction
-from photocal.adjustment.envelope import factorise, selected_inverse
+from photocal.adjustment.envelope import selected_inverse
 from photocal.adjustment.equations import Equations
+from photocal.adjustment.factored import Factored
 from photocal.adjustment.kernels.data import Structure
 from photocal.adjustment.kernels.ray import element_address
 from photocal.adjustment.kernels.statistics import statistics
 from photocal.adjustment.network import own_parameters
 from photocal.adjustment.normal import Problem, other_equations, values_of
-from photocal.adjustment.rank import explain_singular, require_determined
+from photocal.adjustment.rank import require_determined
 from photocal.adjustment.solution import Group, PhotoVariant, Solution
-from photocal.adjustment.solver import Minimum
+from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import State, lenses, turn_basis
 from photocal.compiled import compiled
 from photocal.geometry.camera import OWN, PARAMETERS
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
 
 
-def complete(problem: Problem, minimum: Minimum) -> Solution:
-    """Give the minimum its statistics.
-
-    Raises
-    ------
-    IllPosedError
-        When the normal equations are singular at the minimum.
-    """
-    network, state, structure = problem.network, minimum.state, problem.structure
-    normal = minimum.normal
-    # The factor takes the place of the matrix; only a free network needs both.
-    bare = replace(normal, matrix=normal.matrix.copy()) if len(problem.stiffened) else normal
-    if factorise(problem.layout.envelope, normal.matrix) >= 0:
-        explain_singular(problem, state)
+def complete(at: Factored, iterations: tuple[Iteration, ...]) -> Solution:
+    """Give the minimum its statistics."""
+    problem, state, normal = at.problem, at.state, at.normal
+    network, structure = problem.network, problem.structure
     inverse = selected_inverse(problem.layout.envelope, normal.matrix)
     point_covariance = np.zeros((len(state.points), 3, 3))
     residuals, redundancy = np.zeros((2, *network.rays.plane.shape))
@@ -58,16 +46,15 @@ def complete(problem: Problem, minimum: Minimum) -> Solution:
     eliminated = problem.design.point_column < 0
     camera_covariance = _camera_covariance(problem, inverse)
     own = blocks(problem.layout.image_columns, structure, inverse)
-    if len(problem.stiffened):
-        transform = correction(problem, normal, bare, state)
-        columns = problem.layout.image_columns
-        own = transform.applied(own, transform.moves[columns], transform.spread[columns])
-        point_covariance = transform.applied(point_covariance, transform.point_moves, transform.point_spread)
+    datum, columns = at.datum, problem.layout.image_columns
+    if datum is not None:
+        own = datum.applied(own, datum.moves[columns], datum.spread[columns])
+        point_covariance = datum.applied(point_covariance, datum.point_moves, datum.point_spread)
     unknowns = int(np.sum(~problem.held) + np.sum(~network.points.held[eliminated]))
     require_determined(problem, state, point_covariance, camera_covariance)
     angles = angles_from_matrix(state.rotation)
     return Solution(
-        minimum.iterations,
+        iterations,
         normal.chi_squared,
         observations,
         unknowns,
@@ -76,7 +63,7 @@ def complete(problem: Problem, minimum: Minimum) -> Solution:
         state.cameras,
         camera_covariance,
         np.hstack([angles, state.centre]),
-        _exposure_covariance(problem, minimum, own, angles),
+        _exposure_covariance(problem, state, own, angles),
         state.points,
         point_covariance,
         residuals,
@@ -181,12 +168,12 @@ def _photo_variant(problem: Problem, state: State, inverse: Floats) -> PhotoVari
     )
 
 
-def _exposure_covariance(problem: Problem, minimum: Minimum, own: Floats, angles: Floats) -> Floats:
+def _exposure_covariance(problem: Problem, state: State, own: Floats, angles: Floats) -> Floats:
     """Covariance of the angles and coordinates from that of the rotation unknowns and coordinates."""
     free = problem.network.exposures.sigma != 0
     own = own * free[:, :, None] * free[:, None, :]
     jacobian = np.broadcast_to(np.eye(6), own.shape).copy()
-    basis = turn_basis(problem.network, minimum.state)
+    basis = turn_basis(problem.network, state)
     jacobian[:, :3, :3] = np.linalg.solve(turn_per_angle(angles), basis)
     covariance = jacobian @ own @ np.swapaxes(jacobian, 1, 2)
     # Rounding leaves traces where the transformation crosses a held angle.

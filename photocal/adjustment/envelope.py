@@ -59,13 +59,14 @@ class Envelope:
         return np.zeros(int(self.offset[-1]))
 
 
-def envelope(reach: Integers, block: int, border: int) -> Envelope:
+def envelope(reach: Integers, block: int, border: int, columns: int = PANEL) -> Envelope:
     """Make the structure from how far down each block of columns reaches.
 
     reach (blocks,): one past the last row that is not zero in the columns of each block.
+    columns: of a panel; rounded to whole blocks.
     """
     band = len(reach) * block
-    panel = max(PANEL // block, 1) * block
+    panel = max(columns // block, 1) * block
     starts = np.arange(0, band, panel)
     # The factor fills each row from its first entry on: no panel may end before an earlier one.
     running = np.maximum.accumulate(reach) if band else reach

@@ -12,6 +12,7 @@ from photocal.adjustment.envelope import factorise
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import Normal, Problem, normal_equations, prepare
 from photocal.adjustment.rank import explain_singular
+from photocal.adjustment.solver import Minimum
 from photocal.adjustment.state import State
 
 
@@ -38,9 +39,21 @@ def factored(network: Network, state: State) -> Factored:
         When they are singular.
     """
     problem = with_datum(prepare(network), state)
-    normal = normal_equations(problem, state)
+    return factorised(problem, Minimum(state, normal_equations(problem, state), ()))
+
+
+def factorised(problem: Problem, minimum: Minimum) -> Factored:
+    """Factorise the normal equations of a minimum in their place.
+
+    Raises
+    ------
+    IllPosedError
+        When they are singular.
+    """
+    state, normal = minimum.state, minimum.normal
+    # Only a free network needs both, the matrix and its factor.
     bare = replace(normal, matrix=normal.matrix.copy()) if len(problem.stiffened) else normal
-    if factorise(problem.layout.envelope, normal.matrix) >= 0:
+    if not minimum.factored and factorise(problem.layout.envelope, normal.matrix) >= 0:
         explain_singular(problem, state)
     datum = correction(problem, normal, bare, state) if len(problem.stiffened) else None
     return Factored(problem, state, normal, datum)

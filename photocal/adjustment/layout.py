@@ -30,7 +30,7 @@ class Layout:
     common_columns (k,): column of each common value of the mounting; -1 for those that are no unknowns.
     kept_points (m,): points that are not eliminated because observations relate them to others.
     point_columns (m, 3): their columns.
-    envelope: structure of the matrix.
+    envelope, strips: structure of the matrix, and of the same with a panel for each image.
     size: number of columns.
     width: columns of each image, one of `WIDTHS`.
     """
@@ -42,6 +42,7 @@ class Layout:
     kept_points: Integers
     point_columns: Integers
     envelope: Envelope
+    strips: Envelope
     size: int
     width: int
 
@@ -81,7 +82,7 @@ def layout(network: Network, ray_start: Integers) -> Layout:
     sorted_together = together[order][:, order]
     last = count - 1 - np.argmax(sorted_together[:, ::-1], axis=1) if count else np.zeros(0, dtype=np.int64)
     last = np.maximum(last, np.arange(count))
-    structure = envelope(width * (last + 1), width, column - width * count)
+    reach, border = width * (last + 1), column - width * count
     return Layout(
         image_columns,
         own_columns,
@@ -89,7 +90,8 @@ def layout(network: Network, ray_start: Integers) -> Layout:
         common_columns,
         kept_points,
         point_columns,
-        structure,
+        envelope(reach, width, border),
+        envelope(reach, width, border, width),
         column,
         width,
     )

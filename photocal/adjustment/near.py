@@ -6,7 +6,8 @@ Steps with that factor (chord steps) end where an adjustment anew ends; their le
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,17 +17,18 @@ from drivers.errors import NotConvergedError
 from photocal.adjustment.datum import full_solution
 from photocal.adjustment.equations import Equations, add_equations
 from photocal.adjustment.factored import Factored, factored
-from photocal.adjustment.kernels.data import Design, Eliminated
-from photocal.adjustment.kernels.elimination import accumulate
-from photocal.adjustment.kernels.residuals import evaluate
+from photocal.adjustment.kernels.data import Design
 from photocal.adjustment.normal import (
     Normal,
     Problem,
+    add_rays,
     diagonal_addresses,
+    eliminated,
     other_equations,
+    pieces_of,
     values_of,
 )
-from photocal.adjustment.sensitivity import across
+from photocal.adjustment.sensitivity import pulls
 from photocal.adjustment.solver import ROUNDING, moved_by, reduced_step
 from photocal.adjustment.state import State, moved_exposures
 
@@ -48,22 +50,20 @@ class Near:
 def gradient(problem: Problem, state: State, equations: list[Equations]) -> tuple[float, Floats, Floats]:
     """Sum of v'Pv, and half its derivatives to the unknowns of the reduced system and to the points."""
     design, structure, layout = problem.design, problem.structure, problem.layout
-    residuals, depth = np.empty_like(design.plane), np.empty(len(design.plane))
-    values = values_of(problem, state)
-    evaluate(design, values, residuals, depth)
-    if not np.all(depth[design.weight[:, 0] > 0.0] > 0.0):
+    threads = len(design.pieces) - 1
+    totals, reduced, points = np.zeros(threads), np.zeros((threads, layout.size)), np.zeros_like(state.points)
+    pulls(design, values_of(problem, state), structure, totals, reduced, points)
+    if not np.all(np.isfinite(totals)):
         raise NotConvergedError("a point came to lie behind a camera", remedy="look at the start values")
-    reduced, points = np.zeros((len(design.pieces) - 1, layout.size)), np.zeros_like(state.points)
-    across(design, values, structure, residuals, reduced, points)
     off = state.points - design.prior_points
     pull = np.einsum("nab,nb->na", design.prior_weight, off)
     points += pull * design.point_free
     total = reduced.sum(axis=0)
     total[layout.point_columns] += points[layout.kept_points]
-    chi_squared = float(np.sum(design.weight * residuals**2) + np.sum(off * pull))
+    chi_squared = float(totals.sum() + np.sum(off * pull))
     for rows in equations:
-        pulls = np.repeat(rows.weight * rows.residual, np.diff(rows.start))
-        np.add.at(total, rows.column, rows.coefficient * pulls)
+        weighted = np.repeat(rows.weight * rows.residual, np.diff(rows.start))
+        np.add.at(total, rows.column, rows.coefficient * weighted)
         chi_squared += rows.chi_squared()
     total[problem.held] = 0.0
     return chi_squared, total, points
@@ -75,10 +75,10 @@ def chords(
     state: State,
     near: float,
     equations: Callable[[State], list[Equations]],
+    before: float,
     hold: tuple[int, Floats, Floats] | None = None,
 ) -> Near:
-    """Step to a minimum with a factor that is given."""
-    before = np.inf
+    """Step to a minimum with a factor that is given, after a step of squared length `before`."""
     for _ in range(STEPS):
         chi_squared, reduced, points = gradient(problem, state, equations(state))
         step, moved = full_solution(problem, normal, -reduced, -points)
@@ -93,7 +93,7 @@ def chords(
             break
         state = _moved(problem, state, step, moved)
         # Steps shrink at a steady rate: the next one tells how far the minimum still is.
-        left = length * min(1.0, length / before) if np.isfinite(before) else length
+        left = length * min(1.0, length / before)
         if left < near:
             return Near(state, chi_squared - length, max(left, 0.0))
         before = length
@@ -113,12 +113,13 @@ def with_held(at: Factored, column: int, change: float, near: float) -> Near:
 
     along = _column(at, column)
     share = change / along[0][column]
-    start = _moved(at.problem, at.state, share * along[0], share * along[1])
+    start, length = _moved(at.problem, at.state, share * along[0], share * along[1]), share * change
     try:
-        return chords(at.problem, at.normal, start, near, equations, (column, *along))
+        return chords(at.problem, at.normal, start, near, equations, length, (column, *along))
     except NotConvergedError:
         there = factored(at.problem.network, start)
-        return chords(there.problem, there.normal, start, near, equations, (column, *_column(there, column)))
+        hold = (column, *_column(there, column))
+        return chords(there.problem, there.normal, start, near, equations, length, hold)
 
 
 def _column(at: Factored, column: int) -> tuple[Floats, Floats]:
@@ -143,7 +144,9 @@ class Removals:
     def __init__(self, problem: Problem, state: State) -> None:
         self._problem, self._state = problem, state
         design = problem.design
-        self._matrix, self._gradient, self._kept, singular = _rays(problem, design, state.points, state)
+        self._kept = eliminated(problem, len(design.ray_image), len(state.points))
+        self._matrix, values = problem.layout.envelope.zeros(), values_of(problem, state)
+        self._gradient, _, singular = add_rays(problem, design, values, self._kept, self._matrix)
         self._determined = not singular.any()
         weighted = np.diagonal(design.prior_weight, axis1=1, axis2=2) > 0
         self._known = (weighted | (design.point_free == 0.0)).any(axis=1)
@@ -157,30 +160,31 @@ class Removals:
         columns[own[own >= 0]] = True
         if not self._determined or columns[problem.stiffened].any():
             return None
-        design, normal, singular = self._downdated(out)
-        if singular:
-            return None
-        held = problem.held | columns
-        changed = replace(problem, design=design, held=held)
+        with self._downdated(out) as (design, normal, singular):
+            if singular:
+                return None
+            held = problem.held | columns
+            changed = replace(problem, design=design, held=held)
 
-        def equations(state: State) -> list[Equations]:
-            return [_untouched(rows, columns) for rows in other_equations(problem, state).values()]
+            def equations(state: State) -> list[Equations]:
+                return [_untouched(rows, columns) for rows in other_equations(problem, state).values()]
 
-        for rows in equations(state):
-            add_equations(*rows, problem.structure, normal.matrix, normal.gradient)
-        diagonal = diagonal_addresses(problem)
-        normal.matrix[diagonal[held]] = 1.0
-        normal.matrix[diagonal[problem.stiffened]] *= 2.0
-        step = reduced_step(changed, normal, 0.0)
-        if step is None:
-            return None
-        moved, _ = moved_by(changed, state, normal, step)
-        try:
-            return chords(changed, normal, moved, near, equations)
-        except NotConvergedError:
-            return None
+            for rows in equations(state):
+                add_equations(*rows, problem.structure, normal.matrix, normal.gradient)
+            diagonal = diagonal_addresses(problem)
+            normal.matrix[diagonal[held]] = 1.0
+            normal.matrix[diagonal[problem.stiffened]] *= 2.0
+            step = reduced_step(changed, normal, 0.0)
+            if step is None:
+                return None
+            moved, length = moved_by(changed, state, normal, step)
+            try:
+                return chords(changed, normal, moved, near, equations, length)
+            except NotConvergedError:
+                return None
 
-    def _downdated(self, out: Flags) -> tuple[Design, Normal, bool]:
+    @contextmanager
+    def _downdated(self, out: Flags) -> Iterator[tuple[Design, Normal, bool]]:
         """Rays and normal equations without images, and whether a point is then not determined."""
         problem, state = self._problem, self._state
         network, design = problem.network, problem.design
@@ -192,9 +196,14 @@ class Removals:
         weight = design.weight.copy()
         weight[dropped | lost[network.rays.point]] = 0.0
         mine, points = affected[network.rays.point], np.flatnonzero(affected)
+        ray_start = np.concatenate([[0], np.cumsum(np.diff(design.ray_start)[points])])
+        order, pieces, spans, reach = pieces_of(problem.layout, ray_start, design.ray_image[mine])
         part = design._replace(
-            pieces=np.array([0, len(points)]),
-            ray_start=np.concatenate([[0], np.cumsum(np.diff(design.ray_start)[points])]),
+            order=order,
+            pieces=pieces,
+            spans=spans,
+            reach=reach,
+            ray_start=ray_start,
             ray_image=design.ray_image[mine],
             plane=design.plane[mine],
             weight=design.weight[mine],
@@ -203,41 +212,23 @@ class Removals:
             prior_points=design.prior_points[points],
             prior_weight=design.prior_weight[points],
         )
-        matrix, gradient, _, _ = _rays(problem, part, state.points[points], state)
-        less = part._replace(weight=weight[mine])
-        less_matrix, less_gradient, kept, singular = _rays(problem, less, state.points[points], state)
-        merged = Eliminated(*(array.copy() for array in self._kept))
-        merged.mixed[mine] = kept.mixed
-        for whole, own in zip(merged[1:], kept[1:], strict=True):
-            whole[points] = own
-        normal = Normal(
-            self._matrix - matrix + less_matrix,
-            self._gradient - gradient + less_gradient,
-            0.0,
-            np.zeros(0, dtype=np.int64),
-            merged,
-        )
-        return design._replace(weight=weight), normal, bool((singular & ~lost[points]).any())
-
-
-def _rays(
-    problem: Problem, design: Design, points: Floats, state: State
-) -> tuple[Floats, Floats, Eliminated, Flags]:
-    """Reduced normal equations of rays and weighted points alone."""
-    structure, where = problem.structure, problem.layout
-    threads, count = len(design.pieces) - 1, len(points)
-    kept = Eliminated(
-        np.zeros((len(design.ray_image), 3, where.width)),
-        np.zeros((count, 3, structure.lens)),
-        np.zeros((count, 3, 3)),
-        np.zeros((count, 3)),
-    )
-    matrices = np.zeros((threads, int(structure.offset[-1])))
-    gradients, totals = np.zeros((threads, where.size)), np.zeros(threads)
-    singular = np.zeros(count, dtype=np.bool_)
-    values = values_of(problem, state)._replace(points=np.ascontiguousarray(points))
-    accumulate(design, values, structure, 0.0, matrices, gradients, totals, kept, singular)
-    return matrices.sum(axis=0), gradients.sum(axis=0), kept, singular
+        values = values_of(problem, state)._replace(points=np.ascontiguousarray(state.points[points]))
+        kept = eliminated(problem, len(part.ray_image), len(points))
+        matrix = self._matrix.copy()
+        less, _, _ = add_rays(problem, part, values, kept, matrix, -1.0)
+        part = part._replace(weight=weight[mine])
+        more, _, singular = add_rays(problem, part, values, kept, matrix)
+        gradient = self._gradient + less + more
+        normal = Normal(matrix, gradient, 0.0, np.zeros(0, dtype=np.int64), self._kept)
+        places = (mine, points, points, points)
+        before = [whole[place] for whole, place in zip(self._kept, places, strict=True)]
+        try:
+            for whole, place, own in zip(self._kept, places, kept, strict=True):
+                whole[place] = own
+            yield design._replace(weight=weight), normal, bool((singular & ~lost[points]).any())
+        finally:
+            for whole, place, own in zip(self._kept, places, before, strict=True):
+                whole[place] = own
 
 
 def _untouched(rows: Equations, columns: Flags) -> Equations:

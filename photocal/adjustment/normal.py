@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.equations import Equations, add_equations
 from photocal.adjustment.kernels.data import WIDTHS, Design, Eliminated, Structure, Values
-from photocal.adjustment.kernels.elimination import accumulate
+from photocal.adjustment.kernels.elimination import accumulate, join
 from photocal.adjustment.layout import Layout, layout
 from photocal.adjustment.network import Network, own_parameters
 from photocal.adjustment.observations import (
@@ -24,13 +24,16 @@ from photocal.adjustment.state import State, lens_by_image, lenses, turn_basis
 from photocal.geometry.camera import MOTION, PARAMETERS
 from photocal.geometry.lens import optics
 
-RAYS_PER_THREAD = 4000
+# Pieces of work: as many as threads can be of use, but none so small that threads only wait for each other,
+# and no more elements of borders than this for all of them.
+PIECES, RAYS_IN_PIECE, BORDERS = 16, 10_000, 4_000_000
 
 
 @dataclass(frozen=True)
 class Problem:
     """A network made ready for the kernels.
 
+    structure, strips: of the reduced matrix, and with a panel for each image, as pieces of points fill it.
     held (layout.size,): columns of the reduced system that are no unknowns.
     stiffened: columns that carry the datum of a free network, see `datum.with_datum`.
     """
@@ -39,6 +42,7 @@ class Problem:
     layout: Layout
     design: Design
     structure: Structure
+    strips: Structure
     held: Flags
     stiffened: Integers
 
@@ -79,13 +83,12 @@ def prepare(network: Network) -> Problem:
     count = np.array([len(positions) for positions, _ in where.camera_columns], dtype=np.int64)
     point_column = np.full(len(points.values), -1)
     point_column[where.kept_points] = where.point_columns[:, 0] - where.envelope.band
-    # Threads only wait for each other in small networks.
-    threads = min(numba.get_num_threads(), 1 + len(rays.image) // RAYS_PER_THREAD)
-    shares = np.linspace(0, len(rays.image), threads + 1)
-    pieces = np.searchsorted(ray_start, shares)
-    pieces[0], pieces[-1] = 0, len(points.values)
+    order, pieces, spans, reach = pieces_of(where, ray_start, rays.image)
     arrays = Design(
+        order=order,
         pieces=pieces,
+        spans=spans,
+        reach=reach,
         ray_start=ray_start,
         ray_image=rays.image,
         plane=rays.plane,
@@ -109,22 +112,42 @@ def prepare(network: Network) -> Problem:
     design = Design(
         *(np.ascontiguousarray(a, dtype=np.int64 if a.dtype.kind == "i" else float) for a in arrays)
     )
-    envelope = where.envelope
-    structure = Structure(
-        envelope.panel,
-        envelope.last,
-        envelope.width,
-        envelope.offset,
-        envelope.band,
-        envelope.border,
-        int(count.sum()),
+    structure, strips = (
+        Structure(one.panel, one.last, one.width, one.offset, one.band, one.border, int(count.sum()))
+        for one in (where.envelope, where.strips)
     )
     held = np.zeros(where.size, dtype=np.bool_)
     held[: where.envelope.band] = True
     held[where.image_columns[exposures.sigma != 0]] = False
     held[where.own_columns[where.own_columns >= 0]] = False
     held[where.point_columns[points.held[where.kept_points]]] = True
-    return Problem(network, where, design, structure, held, np.zeros(0, dtype=np.int64))
+    return Problem(network, where, design, structure, strips, held, np.zeros(0, dtype=np.int64))
+
+
+def pieces_of(
+    where: Layout, ray_start: Integers, ray_image: Integers
+) -> tuple[Integers, Integers, Integers, Integers]:
+    """Order of the points, pieces of it and of the points, and what images the former reach, see `Design`."""
+    strip = where.image_columns[ray_image, 0] // where.width
+    point = np.repeat(np.arange(len(ray_start) - 1), np.diff(ray_start))
+    seen = np.diff(ray_start) > 0
+    first, last = np.full(len(seen), len(where.image_columns)), np.zeros(len(seen), dtype=np.int64)
+    np.minimum.at(first, point, strip)
+    np.maximum.at(last, point, strip + 1)
+    order = np.lexsort((last, first))
+    rays = np.concatenate([[0], np.cumsum(np.diff(ray_start)[order])])
+    most = min(PIECES, 1 + BORDERS // max(where.envelope.border, 1) ** 2)
+    count = min(most, 1 + len(ray_image) // RAYS_IN_PIECE)
+    shares = np.linspace(0, len(ray_image), count + 1)
+    pieces, spans = (np.searchsorted(starts, shares) for starts in (rays, ray_start))
+    for bounds in (pieces, spans):
+        bounds[0], bounds[-1] = 0, len(seen)
+    reach = np.zeros((count, 2), dtype=np.int64)
+    for piece, (begin, end) in enumerate(itertools.pairwise(pieces)):
+        mine = order[begin:end][seen[order[begin:end]]]
+        if len(mine):
+            reach[piece] = first[mine].min(), last[mine].max()
+    return order, pieces, spans, reach
 
 
 def values_of(problem: Problem, state: State) -> Values:
@@ -151,27 +174,58 @@ def other_equations(problem: Problem, state: State) -> dict[str, Equations]:
     }
 
 
+def eliminated(problem: Problem, rays: int, points: int) -> Eliminated:
+    """Make room for what elimination leaves of some rays and points."""
+    return Eliminated(
+        np.empty((rays, 3, problem.layout.width)),
+        np.empty((points, 3, problem.structure.lens)),
+        np.empty((points, 3, 3)),
+        np.empty((points, 3)),
+    )
+
+
+def add_rays(
+    problem: Problem,
+    design: Design,
+    values: Values,
+    kept: Eliminated,
+    matrix: Floats,
+    sign: float = 1.0,
+    damping: float = 0.0,
+) -> tuple[Floats, float, Flags]:
+    """Add the reduced normal equations of rays and weighted points alone to a matrix, or take them off.
+
+    Returns
+    -------
+    gradient : ndarray, shape (layout.size,)
+    chi_squared : float
+    singular : ndarray of bool, shape (points,)
+        Points that their rays do not determine.
+    """
+    structure, strips = problem.structure, problem.strips
+    first, last = design.reach.T
+    start = np.zeros(len(first) + 1, dtype=np.int64)
+    start[1:] = np.cumsum(strips.offset[last] - strips.offset[first] + structure.border**2)
+    room = np.zeros(int(start[-1]))
+    gradients, totals = np.zeros((len(first), problem.layout.size)), np.zeros(len(first))
+    singular = np.zeros(len(design.point_free), dtype=np.bool_)
+    accumulate(design, values, strips, damping, start, room, gradients, totals, kept, singular)
+    join(design, strips, structure, start, room, sign, matrix)
+    own = matrix[structure.offset[-2] :]
+    for end in start[1:].tolist():
+        own += sign * room[end - len(own) : end]
+    return sign * gradients.sum(axis=0), float(totals.sum()), singular
+
+
 def normal_equations(
     problem: Problem, state: State, damping: float = 0.0, room: Eliminated | None = None
 ) -> Normal:
     """Set up the reduced normal equations at a state."""
-    design, structure, where = problem.design, problem.structure, problem.layout
-    threads, points = len(design.pieces) - 1, len(design.point_free)
-    kept = room or Eliminated(
-        np.empty((len(design.ray_image), 3, where.width)),
-        np.empty((points, 3, structure.lens)),
-        np.empty((points, 3, 3)),
-        np.empty((points, 3)),
-    )
-    matrices = np.zeros((threads, int(structure.offset[-1])))
-    gradients, totals = np.zeros((threads, where.size)), np.zeros(threads)
-    singular = np.zeros(points, dtype=np.bool_)
+    design, structure = problem.design, problem.structure
+    kept = room or eliminated(problem, len(design.ray_image), len(design.point_free))
+    matrix = np.zeros(int(structure.offset[-1]))
     values = values_of(problem, state)
-    accumulate(design, values, structure, damping, matrices, gradients, totals, kept, singular)
-    matrix, gradient, total = matrices[0], gradients[0], float(totals.sum())
-    for more, gradient_more in zip(matrices[1:], gradients[1:], strict=True):
-        matrix += more
-        gradient += gradient_more
+    gradient, total, singular = add_rays(problem, design, values, kept, matrix, damping=damping)
     for equations in other_equations(problem, state).values():
         add_equations(*equations, structure, matrix, gradient)
         total += equations.chi_squared()

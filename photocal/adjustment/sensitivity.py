@@ -9,7 +9,7 @@ from drivers.arrays import Floats
 from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns
 from photocal.adjustment.kernels.ray import ray_rows
 from photocal.adjustment.kernels.statistics import gather, most_rays
-from photocal.compiled import compiled, compiled_parallel
+from photocal.compiled import compiled, compiled_parallel, inlined
 from photocal.geometry.lens import Scratch, scratch
 
 
@@ -24,8 +24,8 @@ def along_piece(
     change: Floats,
     room: Scratch,
 ) -> None:
-    """Changes of one thread's rays, see `along`."""
-    for j in range(design.pieces[piece], design.pieces[piece + 1]):
+    """Changes of one piece's rays, see `along`."""
+    for j in range(design.spans[piece], design.spans[piece + 1]):
         for r in range(design.ray_start[j], design.ray_start[j + 1]):
             i = design.ray_image[r]
             k = design.image_lens[i]
@@ -56,6 +56,33 @@ def along(
         along_piece(design, values, structure, piece, step, point_step, change, scratch(columns(design)))
 
 
+@inlined
+def add_pull(
+    design: Design,
+    structure: Structure,
+    r: int,
+    i: int,
+    j: int,
+    dx: float,
+    dy: float,
+    room: Scratch,
+    reduced: Floats,
+    points: Floats,
+) -> None:
+    """Add what a change of ray r, whose derivatives are in the scratch room, gives to a right-hand side."""
+    by_image, by_point, by_camera = room.by_image, room.by_point, room.by_camera
+    k = design.image_lens[i]
+    px, py = design.weight[r, 0] * dx, design.weight[r, 1] * dy
+    column, border = design.image_column[i], structure.band + design.active_column[k]
+    for b in range(columns(design)):
+        reduced[column + b] += by_image[0, b] * px + by_image[1, b] * py
+    for b in range(3):
+        points[j, b] += by_point[0, b] * px + by_point[1, b] * py
+    for s in range(design.active_count[k]):
+        n = design.active[k, s]
+        reduced[border + s] += by_camera[0, n] * px + by_camera[1, n] * py
+
+
 @compiled
 def across_piece(
     design: Design,
@@ -67,24 +94,14 @@ def across_piece(
     reduced: Floats,
     points: Floats,
 ) -> None:
-    """What one thread's rays give to the right-hand side, see `across`."""
-    by_image, by_point, by_camera = room.by_image, room.by_point, room.by_camera
-    for j in range(design.pieces[piece], design.pieces[piece + 1]):
+    """What one piece's rays give to the right-hand side, see `across`."""
+    for j in range(design.spans[piece], design.spans[piece + 1]):
         for r in range(design.ray_start[j], design.ray_start[j + 1]):
-            if change[r, 0] == 0.0 and change[r, 1] == 0.0:
-                continue
-            i = design.ray_image[r]
-            k = design.image_lens[i]
-            ray_rows(design, values, r, i, j, room)
-            px, py = design.weight[r, 0] * change[r, 0], design.weight[r, 1] * change[r, 1]
-            column, border = design.image_column[i], structure.band + design.active_column[k]
-            for b in range(columns(design)):
-                reduced[piece, column + b] += by_image[0, b] * px + by_image[1, b] * py
-            for b in range(3):
-                points[j, b] += by_point[0, b] * px + by_point[1, b] * py
-            for s in range(design.active_count[k]):
-                n = design.active[k, s]
-                reduced[piece, border + s] += by_camera[0, n] * px + by_camera[1, n] * py
+            dx, dy = change[r, 0], change[r, 1]
+            if dx != 0.0 or dy != 0.0:
+                i = design.ray_image[r]
+                ray_rows(design, values, r, i, j, room)
+                add_pull(design, structure, r, i, j, dx, dy, room, reduced, points)
 
 
 @compiled_parallel
@@ -93,7 +110,42 @@ def across(
 ) -> None:
     """Right-hand side A'P d of the normal equations for a change d of all image coordinates."""
     for piece in numba.prange(len(design.pieces) - 1):
-        across_piece(design, values, structure, piece, change, scratch(columns(design)), reduced, points)
+        room = scratch(columns(design))
+        across_piece(design, values, structure, piece, change, room, reduced[piece], points)
+
+
+@compiled
+def pulls_piece(
+    design: Design,
+    values: Values,
+    structure: Structure,
+    piece: int,
+    room: Scratch,
+    reduced: Floats,
+    points: Floats,
+) -> float:
+    """What the residuals of one piece's rays give, see `pulls`."""
+    total = 0.0
+    for j in range(design.spans[piece], design.spans[piece + 1]):
+        for r in range(design.ray_start[j], design.ray_start[j + 1]):
+            if design.weight[r, 0] > 0.0 or design.weight[r, 1] > 0.0:
+                i = design.ray_image[r]
+                vx, vy = ray_rows(design, values, r, i, j, room)
+                total += design.weight[r, 0] * vx * vx + design.weight[r, 1] * vy * vy
+                if not room.depth[0] > 0.0:
+                    total = np.inf
+                add_pull(design, structure, r, i, j, vx, vy, room, reduced, points)
+    return total
+
+
+@compiled_parallel
+def pulls(
+    design: Design, values: Values, structure: Structure, totals: Floats, reduced: Floats, points: Floats
+) -> None:
+    """Right-hand side A'P v of the normal equations and v'Pv, infinite for a point behind a camera."""
+    for piece in numba.prange(len(design.pieces) - 1):
+        room = scratch(columns(design))
+        totals[piece] = pulls_piece(design, values, structure, piece, room, reduced[piece], points)
 
 
 @compiled
@@ -162,8 +214,9 @@ def point_effects_piece(
     local: Floats,
     own: Floats,
 ) -> None:
-    """Effects of one thread's rays, see `point_effects`."""
-    for j in range(design.pieces[piece], design.pieces[piece + 1]):
+    """Effects of one piece's rays, see `point_effects`."""
+    for nth in range(design.pieces[piece], design.pieces[piece + 1]):
+        j = design.order[nth]
         begin, end = design.ray_start[j], design.ray_start[j + 1]
         m = gather(design, structure, j, inverse, local)
         cross_covariance(design, structure, j, kept, local, m, mixed, cross)

@@ -20,6 +20,7 @@ from drivers.arrays import Flags, Floats, Integers
 from drivers.errors import NotConvergedError
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
+from photocal.adjustment.factored import factorised
 from photocal.adjustment.kernels.residuals import evaluate
 from photocal.adjustment.network import Network, Points, Rays
 from photocal.adjustment.normal import Problem, normal_equations, other_equations, prepare, values_of
@@ -78,7 +79,8 @@ def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None
         part, rays, points = subset(network, accepted)
         own = replace(state, points=state.points[points])
         problem = with_datum(prepare(part), own)
-        solution = complete(problem, minimise(problem, own, report))
+        minimum = minimise(problem, own, report)
+        solution = complete(factorised(problem, minimum), minimum.iterations)
         moved = state.points.copy()
         moved[points] = solution.points
         state = replace(solution.state, points=moved)

@@ -36,6 +36,8 @@ CONVERGED = 1e-12
 SHORT = 1e4
 # A step this short that no longer lowers the sum of squares shows that rounding is reached.
 ROUNDING = 1e-6
+# After one this short the normal equations are those from before it.
+NEGLIGIBLE = 1e-12
 ITERATIONS = 50
 # Where the iteration comes to no end, a step this short (sigmas) is none.
 NEARLY = 0.01
@@ -66,11 +68,13 @@ class Minimum:
     """Where the iteration ended.
 
     normal: normal equations there, without damping.
+    factored: whether their matrix is the Cholesky factor already.
     """
 
     state: State
     normal: Normal
     iterations: tuple[Iteration, ...]
+    factored: bool = False
 
 
 def minimise(
@@ -100,19 +104,26 @@ def minimise(
         along_a_valley = False
         if step is not None:
             moved, step_decrement = moved_by(problem, state, normal, share * step)
+            # Steps shrink at a steady rate: the next one tells how far the minimum still is.
+            shrinking = min(1.0, step_decrement / decrement) if steps else 1.0
+            left, whole = step_decrement * shrinking, damping == 0.0 and share == 1.0
+            last = whole and step_decrement < SHORT * near and left < near
+            if last and step_decrement < NEGLIGIBLE and not len(problem.stiffened):
+                # Over so short a step the normal equations do not change by what shows in any figure.
+                normal = replace(normal, chi_squared=normal.chi_squared - step_decrement)
+                steps.append(Iteration(len(steps) + 1, normal.chi_squared, step_decrement, damping))
+                if report:
+                    report(steps[-1])
+                return Minimum(moved, normal, tuple(steps), factored=True)
             calmer = damping / 10 if damping > 1e-6 and step_decrement >= ROUNDING else 0.0
             trial = normal_equations(problem, moved, calmer, normal.kept)
             lower = trial.chi_squared < normal.chi_squared
             if lower or (step_decrement < ROUNDING and share == 1.0):
-                # Steps shrink at a steady rate: the next one tells how far the minimum still is.
-                shrinking = min(1.0, step_decrement / decrement) if steps else 1.0
-                left = step_decrement * shrinking
                 state, normal, decrement = moved, trial, step_decrement
                 steps.append(Iteration(len(steps) + 1, normal.chi_squared, decrement, damping))
                 if report:
                     report(steps[-1])
-                whole, last = damping == 0.0 and share == 1.0, decrement < SHORT * near and left < near
-                if whole and (last or not lower):
+                if last or (whole and not lower):
                     return _released(problem, Minimum(state, normal, tuple(steps)), start)
                 damping, share = calmer, min(1.0, 4 * share)
                 continue

@@ -9,12 +9,15 @@ from itertools import takewhile
 import numpy as np
 
 from photocal.adjustment.network import Network
+from photocal.adjustment.state import State
 from photocal.analysis.camera_analysis import CameraAnalysis, analyse_camera
 from photocal.analysis.lens_models import LensFit, lens_fits, of_lenses
 from photocal.analysis.method import METHODS, MethodCheck, Shape, check_method, shape
 from photocal.analysis.robust import Robust, bootstrap, sandwich
 from photocal.analysis.systematic_errors.camera_findings import of_datum
 from photocal.analysis.systematic_errors.findings import findings
+from photocal.analysis.systematic_errors.image_shift import MOST_JOINT
+from photocal.analysis.systematic_errors.jackknife import GROUPS, MOST_REMOVALS
 from photocal.analysis.systematic_errors.left_out import Checks
 from photocal.analysis.systematic_errors.refit import fit
 from photocal.analysis.systematic_errors.search import Search, search
@@ -56,8 +59,9 @@ def analyse_network(
     checks: Checks,
     alpha: float,
     threshold: float,
-    done: Callable[[], None] = lambda: None,
+    done: Callable[[float], None] = lambda _: None,
     draws: int = 0,
+    start: State | None = None,
 ) -> Outcome:
     """Adjust a network and analyse it.
 
@@ -65,20 +69,33 @@ def analyse_network(
     ----------
     draws : int
         Of the bootstrap over images: as many more adjustments.
+    start : State, optional
+        Where the minimum is known to be near.
+    done : callable
+        Gets the share of the work that was done since it was called last.
 
     Raises
     ------
     IllPosedError, NotConvergedError
         As the adjustment does.
     """
-    fitted = fit(network)
-    searched = search(fitted, done)
+    left, share = 1.0, 1.0 / (_steps(network) + draws)
+
+    def step() -> None:
+        nonlocal left
+        # Each error that is found makes more of them.
+        now = min(share, left / 2)
+        left -= now
+        done(now)
+
+    fitted = fit(network, start)
+    searched = search(fitted, step)
     geometry = shape(network, fitted.state)
-    drawn = bootstrap(fitted, draws, np.random.default_rng(SEED), done) if draws else None
+    drawn = bootstrap(fitted, draws, np.random.default_rng(SEED), step) if draws else None
     # Lenses are compared when that is corrected which is no matter of the lens.
     of_others = takewhile(lambda one: one.parameter.candidate.kind not in _TERMS, searched.rounds)
     base = next((one.after for one in reversed(list(of_others))), fitted)
-    fits = tuple(lens_fits(base, k, checks, done) for k in range(len(network.cameras)))
+    fits = tuple(lens_fits(base, k, checks, step) for k in range(len(network.cameras)))
     listed = findings(searched)
     suspected = {one.subject for one in listed if one.code in (*_TERMS, "residual-map")}
     of_lens = [one for one in of_lenses(base, fits) if one.subject in suspected]
@@ -89,10 +106,18 @@ def analyse_network(
         (*of_lens, *kept, *of_datum(searched)),
         searched,
         fits,
-        tuple(analyse_camera(fitted, k, checks, alpha, threshold, done) for k in range(len(network.cameras))),
+        tuple(analyse_camera(fitted, k, checks, alpha, threshold, step) for k in range(len(network.cameras))),
         geometry,
         tuple(check_method(method, geometry) for method in METHODS),
         Robust(sandwich(fitted), drawn, draws),
         alpha,
         threshold,
     )
+
+
+def _steps(network: Network) -> int:
+    """Pieces of work of an analysis that finds nothing."""
+    images = len(network.image_names)
+    removals = images if images <= MOST_REMOVALS else GROUPS
+    parameters = sum(len(camera.free) for camera in network.cameras)
+    return removals + min(images, MOST_JOINT) + 2 * parameters + 3 * len(network.cameras)

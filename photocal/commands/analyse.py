@@ -67,6 +67,6 @@ def analyse(
         sets = analyse_published(run, matrix, set_name, degrees_of_freedom, alpha, correlation)
         answer(as_json, lambda: published_record(sets), lambda: published_text(sets, say))
         return
-    with progress("adjusting again", None) as advance:
-        outcome = analyse_run(run, block, alpha, correlation, lambda: advance(1), say, bootstrap)
+    with progress("adjusting again", 1.0) as advance:
+        outcome = analyse_run(run, block, alpha, correlation, advance, say, bootstrap)
     answer(as_json, lambda: analysis_record(outcome, say), lambda: analysis_text(outcome, say))

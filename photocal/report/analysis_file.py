@@ -22,7 +22,7 @@ from photocal.georeferencing.direct import direct_orientation
 from photocal.georeferencing.local import in_local_frame
 from photocal.report.analysis_record import analysis_record, as_plain
 from photocal.report.stored_analysis import ANALYSIS, ExteriorDifference
-from photocal.results.adjusted import network_of
+from photocal.results.adjusted import network_of, state_of
 from photocal.results.folder import RESULT, read_result
 from photocal.results.origin import block_of_run, digest
 from photocal.results.result import Result
@@ -36,7 +36,7 @@ def analyse_run(
     block: Path | None = None,
     alpha: float = ALPHA,
     threshold: float = THRESHOLD,
-    done: Callable[[], None] = lambda: None,
+    done: Callable[[float], None] = lambda _: None,
     say: Catalogue | None = None,
     draws: int = 0,
 ) -> Outcome:
@@ -46,6 +46,8 @@ def analyse_run(
         when not given.
     draws : int
         Of the bootstrap over images.
+    done : callable
+        Gets the share of the work that was done since it was called last.
 
     Raises
     ------
@@ -56,7 +58,8 @@ def analyse_run(
     source = block_of_run(folder, result, block, Path.cwd())
     read = read_any_block(source.path)
     assembly = network_of(read, result)
-    outcome = analyse_network(assembly.network, _checks(read, assembly), alpha, threshold, done, draws)
+    checks, start = _checks(read, assembly), state_of(assembly, result)
+    outcome = analyse_network(assembly.network, checks, alpha, threshold, done, draws, start)
     difference = exterior_difference(read, result)
     content = {
         **analysis_record(outcome, say or catalogue("en")),

@@ -49,7 +49,7 @@ def repeated(
         if analysis is not None:
             asked = analysis["alpha"], analysis["correlation_threshold"]
             draws = analysis.get("bootstrap_draws", 0)
-            analyse_run(aside / "run", copied.path, *asked, done, draws=draws)
+            analyse_run(aside / "run", copied.path, *asked, lambda _: done(), draws=draws)
         return read_run(aside / "run")
 
 

@@ -15,14 +15,15 @@ from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.mounting import BORESIGHT, COMMON, STRIPS
 from photocal.adjustment.snooping import Test, subset
 from photocal.adjustment.solution import Solution, global_test
+from photocal.adjustment.state import State, start_state
 from photocal.adjustment.unknowns import XYZ
 from photocal.adjustment.variance_components import Component, rays_by_camera, with_factors
 from photocal.block.model import ROLES, Block, FiducialFit
 from photocal.block.network import NetworkOfBlock, assemble, plane_per_unit
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.frames import nearest_rotation
-from photocal.geometry.oriented_images import OrientedImages
-from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
+from photocal.geometry.oriented_images import OrientedImages, local_poses
+from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles, turn_per_angle
 from photocal.results.result import (
     AdjustedPoints,
     BlockFacts,
@@ -129,6 +130,24 @@ def network_of(block: Block, result: Result) -> NetworkOfBlock:
     factors = {one.name: one.factor for one in result.variance_components}
     network = with_factors(assembly.network, rays_by_camera(assembly.network), factors)
     return replace(assembly, network=network)
+
+
+def state_of(assembly: NetworkOfBlock, result: Result) -> State | None:
+    """State to adjust a network anew from: that of its result; None where start values make the datum."""
+    network = assembly.network
+    if network.datum_points is not None:
+        return None
+    image = {name: k for k, name in enumerate(result.images.names)}
+    point = {name: k for k, name in enumerate(result.points.names)}
+    poses = local_poses(assembly.frame, result.images.values[[image[name] for name in network.image_names]])
+    points = result.points.values[[point[name] for name in network.point_names]]
+    return replace(
+        start_state(network),
+        cameras=np.array([result.cameras[own.id].values for own in network.cameras]),
+        rotation=matrix_from_angles(poses[:, :3]),
+        centre=np.ascontiguousarray(poses[:, 3:]),
+        points=np.ascontiguousarray(assembly.frame.to_local(points)),
+    )
 
 
 def _with_shutter(camera: Camera, found: Camera) -> Camera:

@@ -34,8 +34,8 @@ def analysis_stage(block: Path, calibration: Path) -> Stage:
         shutil.copytree(
             calibration, folder, dirs_exist_ok=True, ignore=lambda *_: [RECORD], copy_function=shutil.copyfile
         )
-        with show("analysis", None) as done:
-            analyse_run(folder, block, done=lambda: done(1))
+        with show("analysis", 1.0) as done:
+            analyse_run(folder, block, done=done)
 
     return Stage("analysis", "hidden errors, significance, correlations", make, after=(block, calibration))
 

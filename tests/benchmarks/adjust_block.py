@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.covariance import complete
+from photocal.adjustment.factored import factorised
 from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
 from photocal.adjustment.normal import prepare
 from photocal.adjustment.solver import minimise
@@ -83,7 +84,8 @@ def measure(network: Network, repeat: int) -> dict[str, object]:
         problem = prepare(network)
         minimum = minimise(problem, start_state(network))
         solved = time.perf_counter()
-        solution = complete(problem, minimum)
+        at = factorised(problem, minimum)
+        solution = complete(at, minimum.iterations)
         covariance.append(time.perf_counter() - solved)
         solve.append(solved - began)
     steps = len(minimum.iterations)

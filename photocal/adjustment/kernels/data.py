@@ -17,7 +17,12 @@ WIDTHS = (POSE, POSE + len(MOTION), POSE + 20, POSE + len(OWN))
 class Design(NamedTuple):
     """What stays the same while the unknowns change; arrays that kernels read.
 
-    pieces (threads + 1,): first point of each thread's piece.
+    order (points,): points that the same images see stand close together, as their elements of the matrix do.
+    pieces (pieces + 1,): first of each piece's points, in that order. Pieces are what threads work on; they
+        do not depend on the number of threads: sums have the same digits with any.
+    spans (pieces + 1,): the same for work that touches no matrix, in the order of the points themselves.
+    reach (pieces, 2): first image, in the order of their columns, that a piece's points touch, and one past
+        the last.
     ray_start (points + 1,): first ray of each point.
     ray_image (rays,).
     plane, weight (rays, 2): measured coordinates and their weights 1 / sigma^2.
@@ -37,7 +42,10 @@ class Design(NamedTuple):
     prior_points, prior_weight (points, 3): observed coordinates and their weights.
     """
 
+    order: Integers
     pieces: Integers
+    spans: Integers
+    reach: Integers
     ray_start: Integers
     ray_image: Integers
     plane: Floats

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
-from drivers.arrays import Flags, Floats
+from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns
 from photocal.adjustment.kernels.ray import inverse3, ray_rows
 from photocal.compiled import compiled, compiled_parallel, inlined
 from photocal.geometry.lens import Scratch, scratch
+
+
+class Place(NamedTuple):
+    """Where a piece's values stand: the first of its strips, as if none were before it; its border."""
+
+    base: int
+    border: int
 
 
 @inlined
@@ -38,12 +47,14 @@ def own_block(design: Design, values: Values, j: int, block: Floats, side: Float
 def add_ray(
     design: Design,
     structure: Structure,
+    place: Place,
     r: int,
     i: int,
     j: int,
     vx: float,
     vy: float,
     room: Scratch,
+    lens: Floats,
     matrix: Floats,
     gradient: Floats,
     kept: Eliminated,
@@ -52,47 +63,47 @@ def add_ray(
 ) -> None:
     """Add one ray to the normal equations of its exposure, camera and point."""
     by_image, by_point, by_camera = room.by_image, room.by_point, room.by_camera
-    panel, band, border, width = structure.panel, structure.band, structure.border, structure.width
+    border, width = structure.border, columns(design)
     k = design.image_lens[i]
     px, py = design.weight[r, 0], design.weight[r, 1]
     column = design.image_column[i]
-    home = column // panel
-    top = home * panel
-    step = width[home]
-    corner = structure.offset[home] + (column - top) * step + column - top
-    foot = structure.offset[home] + (structure.last[home] - top) * step + column - top
-    for a in range(columns(design)):
+    corner = place.base + structure.offset[column // width]
+    at, count = design.active_column[k], design.active_count[k]
+    foot = corner + (structure.last[column // width] - column + at) * width
+    for s in range(count):
+        lens[0, s] = by_camera[0, design.active[k, s]]
+        lens[1, s] = by_camera[1, design.active[k, s]]
+    for a in range(width):
         ax, ay = px * by_image[0, a], py * by_image[1, a]
         gradient[column + a] += ax * vx + ay * vy
-        for b in range(a + 1):
-            matrix[corner + a * step + b] += ax * by_image[0, b] + ay * by_image[1, b]
+        for b in range(width):
+            matrix[corner + a * width + b] += ax * by_image[0, b] + ay * by_image[1, b]
+    for s in range(count):
+        cx, cy = px * lens[0, s], py * lens[1, s]
+        for b in range(width):
+            matrix[foot + s * width + b] += cx * by_image[0, b] + cy * by_image[1, b]
     for a in range(3):
         ax, ay = px * by_point[0, a], py * by_point[1, a]
         side[a] += ax * vx + ay * vy
+        for b in range(width):
+            kept.mixed[r, a, b] = ax * by_image[0, b] + ay * by_image[1, b]
         for b in range(3):
             block[a, b] += ax * by_point[0, b] + ay * by_point[1, b]
-        for b in range(columns(design)):
-            kept.mixed[r, a, b] = ax * by_image[0, b] + ay * by_image[1, b]
-    at = design.active_column[k]
-    own = structure.offset[len(width) - 1] + at * (border + 1)
-    for s in range(design.active_count[k]):
-        n = design.active[k, s]
-        cx, cy = px * by_camera[0, n], py * by_camera[1, n]
-        gradient[band + at + s] += cx * vx + cy * vy
-        row = foot + (at + s) * step
-        for b in range(columns(design)):
-            matrix[row + b] += cx * by_image[0, b] + cy * by_image[1, b]
-        for b in range(3):
-            kept.mixed_border[j, b, at + s] += cx * by_point[0, b] + cy * by_point[1, b]
-        row = own + s * border
+        for s in range(count):
+            kept.mixed_border[j, a, at + s] += ax * lens[0, s] + ay * lens[1, s]
+    own = place.border + at * (border + 1)
+    for s in range(count):
+        cx, cy = px * lens[0, s], py * lens[1, s]
+        gradient[structure.band + at + s] += cx * vx + cy * vy
         for b in range(s + 1):
-            matrix[row + b] += cx * by_camera[0, design.active[k, b]] + cy * by_camera[1, design.active[k, b]]
+            matrix[own + s * border + b] += cx * lens[0, b] + cy * lens[1, b]
 
 
 @inlined
 def eliminate(
     design: Design,
     structure: Structure,
+    place: Place,
     j: int,
     matrix: Floats,
     gradient: Floats,
@@ -101,55 +112,50 @@ def eliminate(
     scaled_border: Floats,
 ) -> None:
     """Subtract what the point's own unknowns explain from the normal equations of what sees it."""
-    panel, band, border, width = structure.panel, structure.band, structure.border, structure.width
-    lens = structure.lens
-    mixed, mixed_border, inverse, side = kept.mixed, kept.mixed_border, kept.inverse, kept.gradient
+    border, lens, width = structure.border, structure.lens, columns(design)
+    mixed, mixed_border, inverse, side = kept.mixed, kept.mixed_border[j], kept.inverse[j], kept.gradient
     begin, end = design.ray_start[j], design.ray_start[j + 1]
     g0, g1, g2 = side[j, 0], side[j, 1], side[j, 2]
     for a in range(3):
         for s in range(lens):
             scaled_border[a, s] = (
-                inverse[j, a, 0] * mixed_border[j, 0, s]
-                + inverse[j, a, 1] * mixed_border[j, 1, s]
-                + inverse[j, a, 2] * mixed_border[j, 2, s]
+                inverse[a, 0] * mixed_border[0, s]
+                + inverse[a, 1] * mixed_border[1, s]
+                + inverse[a, 2] * mixed_border[2, s]
             )
-    own = structure.offset[len(width) - 1]
     for s in range(lens):
-        gradient[band + s] -= scaled_border[0, s] * g0 + scaled_border[1, s] * g1 + scaled_border[2, s] * g2
-        m0, m1, m2 = mixed_border[j, 0, s], mixed_border[j, 1, s], mixed_border[j, 2, s]
-        row = own + s * border
+        gradient[structure.band + s] -= (
+            scaled_border[0, s] * g0 + scaled_border[1, s] * g1 + scaled_border[2, s] * g2
+        )
+        m0, m1, m2 = mixed_border[0, s], mixed_border[1, s], mixed_border[2, s]
+        row = place.border + s * border
         for t in range(s + 1):
             matrix[row + t] -= m0 * scaled_border[0, t] + m1 * scaled_border[1, t] + m2 * scaled_border[2, t]
     for r in range(begin, end):
         column = design.image_column[design.ray_image[r]]
+        corner = place.base + structure.offset[column // width]
+        foot = corner + (structure.last[column // width] - column) * width
         for a in range(3):
-            for b in range(columns(design)):
+            for b in range(width):
                 scaled[a, b] = (
-                    inverse[j, a, 0] * mixed[r, 0, b]
-                    + inverse[j, a, 1] * mixed[r, 1, b]
-                    + inverse[j, a, 2] * mixed[r, 2, b]
+                    inverse[a, 0] * mixed[r, 0, b]
+                    + inverse[a, 1] * mixed[r, 1, b]
+                    + inverse[a, 2] * mixed[r, 2, b]
                 )
-        for b in range(columns(design)):
+        for b in range(width):
             gradient[column + b] -= scaled[0, b] * g0 + scaled[1, b] * g1 + scaled[2, b] * g2
-        home = column // panel
-        top = home * panel
-        step = width[home]
-        foot = structure.offset[home] + (structure.last[home] - top) * step + column - top
         for s in range(lens):
-            m0, m1, m2 = mixed_border[j, 0, s], mixed_border[j, 1, s], mixed_border[j, 2, s]
-            row = foot + s * step
-            for b in range(columns(design)):
-                matrix[row + b] -= m0 * scaled[0, b] + m1 * scaled[1, b] + m2 * scaled[2, b]
-        start = structure.offset[home] + column - top
+            m0, m1, m2 = mixed_border[0, s], mixed_border[1, s], mixed_border[2, s]
+            for b in range(width):
+                matrix[foot + s * width + b] -= m0 * scaled[0, b] + m1 * scaled[1, b] + m2 * scaled[2, b]
         for t in range(begin, end):
             other = design.image_column[design.ray_image[t]]
             if other < column:
                 continue
-            corner = start + (other - top) * step
-            for a in range(columns(design)):
+            for a in range(width):
                 m0, m1, m2 = mixed[t, 0, a], mixed[t, 1, a], mixed[t, 2, a]
-                row = corner + a * step
-                for b in range(columns(design)):
+                row = corner + (other - column + a) * width
+                for b in range(width):
                     matrix[row + b] -= m0 * scaled[0, b] + m1 * scaled[1, b] + m2 * scaled[2, b]
 
 
@@ -157,6 +163,7 @@ def eliminate(
 def retain(
     design: Design,
     structure: Structure,
+    place: Place,
     j: int,
     block: Floats,
     matrix: Floats,
@@ -164,12 +171,11 @@ def retain(
     kept: Eliminated,
 ) -> None:
     """Add the normal equations of a point that stays among the unknowns of the border."""
-    panel, band, border, width = structure.panel, structure.band, structure.border, structure.width
+    border, width = structure.border, columns(design)
     at = design.point_column[j]
-    own = structure.offset[len(width) - 1]
     for a in range(3):
-        row = own + (at + a) * border
-        gradient[band + at + a] += kept.gradient[j, a]
+        row = place.border + (at + a) * border
+        gradient[structure.band + at + a] += kept.gradient[j, a]
         for b in range(a + 1):
             matrix[row + at + b] += block[a, b]
         # The cameras' columns come before those of the points.
@@ -177,10 +183,9 @@ def retain(
             matrix[row + s] += kept.mixed_border[j, a, s]
         for r in range(design.ray_start[j], design.ray_start[j + 1]):
             column = design.image_column[design.ray_image[r]]
-            home = column // panel
-            top = home * panel
-            foot = structure.offset[home] + (structure.last[home] - top + at + a) * width[home] + column - top
-            for b in range(columns(design)):
+            corner = place.base + structure.offset[column // width]
+            foot = corner + (structure.last[column // width] - column + at + a) * width
+            for b in range(width):
                 matrix[foot + b] += kept.mixed[r, a, b]
         for b in range(3):
             kept.inverse[j, a, b] = 0.0
@@ -193,19 +198,22 @@ def accumulate_piece(
     structure: Structure,
     damping: float,
     piece: int,
+    place: Place,
     matrix: Floats,
     gradient: Floats,
     kept: Eliminated,
     singular: Flags,
     room: Scratch,
+    lens: Floats,
     block: Floats,
     side: Floats,
     scaled: Floats,
     scaled_border: Floats,
 ) -> float:
-    """Normal equations of one thread's points; returns their v'Pv, infinite for a point behind a camera."""
+    """Normal equations of one piece's points; returns their v'Pv, infinite for a point behind a camera."""
     total = 0.0
-    for j in range(design.pieces[piece], design.pieces[piece + 1]):
+    for nth in range(design.pieces[piece], design.pieces[piece + 1]):
+        j = design.order[nth]
         total += own_block(design, values, j, block, side)
         for a in range(3):
             for s in range(structure.lens):
@@ -216,18 +224,20 @@ def accumulate_piece(
             total += design.weight[r, 0] * vx * vx + design.weight[r, 1] * vy * vy
             if not room.depth[0] > 0.0:
                 total = np.inf
-            add_ray(design, structure, r, i, j, vx, vy, room, matrix, gradient, kept, block, side)
+            add_ray(
+                design, structure, place, r, i, j, vx, vy, room, lens, matrix, gradient, kept, block, side
+            )
         for a in range(3):
             kept.gradient[j, a] = side[a]
         if design.point_column[j] >= 0:
-            retain(design, structure, j, block, matrix, gradient, kept)
+            retain(design, structure, place, j, block, matrix, gradient, kept)
             singular[j] = False
             continue
         for a in range(3):
             block[a, a] *= 1.0 + damping
         singular[j] = not inverse3(block, kept.inverse, j)
         if not singular[j]:
-            eliminate(design, structure, j, matrix, gradient, kept, scaled, scaled_border)
+            eliminate(design, structure, place, j, matrix, gradient, kept, scaled, scaled_border)
     return total
 
 
@@ -237,15 +247,17 @@ def accumulate(
     values: Values,
     structure: Structure,
     damping: float,
-    matrices: Floats,
+    start: Integers,
+    matrix: Floats,
     gradients: Floats,
     totals: Floats,
     kept: Eliminated,
     singular: Flags,
 ) -> None:
-    """Normal equations of the rays and of the weighted points, reduced to images and border.
+    """Normal equations of the rays and of the weighted points, reduced to images and border, piece by piece.
 
     damping: relative addition to the diagonal of each point's own block (Marquardt 1963).
+    start (pieces + 1,): where each piece's strips begin in `matrix`; its border stands at their end.
     singular (points,): receives the points that their rays do not determine.
     """
     for piece in numba.prange(len(design.pieces) - 1):
@@ -255,13 +267,67 @@ def accumulate(
             structure,
             damping,
             piece,
-            matrices[piece],
+            Place(
+                start[piece] - structure.offset[design.reach[piece, 0]],
+                start[piece + 1] - structure.border**2,
+            ),
+            matrix,
             gradients[piece],
             kept,
             singular,
             scratch(columns(design)),
+            np.zeros((2, max(structure.lens, 1))),
             np.zeros((3, 3)),
             np.zeros(3),
             np.zeros((3, columns(design))),
             np.zeros((3, max(structure.lens, 1))),
         )
+
+
+@compiled
+def join_strip(
+    design: Design,
+    strips: Structure,
+    structure: Structure,
+    start: Integers,
+    pieces: Floats,
+    sign: float,
+    strip: int,
+    matrix: Floats,
+) -> None:
+    """Add what the pieces have given to the columns of one image, see `join`."""
+    wide, border = columns(design), structure.border
+    column, rows = strip * wide, strips.last[strip] - strip * wide
+    home = column // structure.panel
+    top, step = home * structure.panel, structure.width[home]
+    corner = structure.offset[home] + (column - top) * step + column - top
+    foot = structure.offset[home] + (structure.last[home] - top) * step + column - top
+    for piece in range(len(design.reach)):
+        if strip < design.reach[piece, 0] or strip >= design.reach[piece, 1]:
+            continue
+        at = start[piece] - strips.offset[design.reach[piece, 0]] + strips.offset[strip]
+        for row in range(rows + border):
+            to = corner + row * step if row < rows else foot + (row - rows) * step
+            for b in range(wide):
+                matrix[to + b] += sign * pieces[at + row * wide + b]
+
+
+@compiled_parallel
+def join(
+    design: Design,
+    strips: Structure,
+    structure: Structure,
+    start: Integers,
+    pieces: Floats,
+    sign: float,
+    matrix: Floats,
+) -> None:
+    """Add what the pieces have given, in their order, to the reduced matrix.
+
+    Parameters
+    ----------
+    strips : Structure
+        Of the pieces' values: a panel for each image.
+    """
+    for strip in numba.prange(len(strips.last)):
+        join_strip(design, strips, structure, start, pieces, sign, strip, matrix)

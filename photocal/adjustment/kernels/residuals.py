@@ -15,8 +15,8 @@ from photocal.geometry.lens import Scratch, scratch
 def evaluate_piece(
     design: Design, values: Values, piece: int, room: Scratch, residuals: Floats, depth: Floats
 ) -> None:
-    """Residuals of one thread's points, see `evaluate`."""
-    for j in range(design.pieces[piece], design.pieces[piece + 1]):
+    """Residuals of one piece's points, see `evaluate`."""
+    for j in range(design.spans[piece], design.spans[piece + 1]):
         for r in range(design.ray_start[j], design.ray_start[j + 1]):
             residuals[r, 0], residuals[r, 1] = ray_rows(design, values, r, design.ray_image[r], j, room)
             depth[r] = room.depth[0]

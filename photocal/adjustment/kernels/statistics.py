@@ -14,9 +14,10 @@ from photocal.geometry.lens import Scratch, scratch
 
 @compiled
 def most_rays(design: Design, piece: int) -> int:
-    """Largest number of rays of a point among one thread's points, at least 1."""
+    """Largest number of rays of a point among one piece's points, at least 1."""
     most = 1
-    for j in range(design.pieces[piece], design.pieces[piece + 1]):
+    for nth in range(design.pieces[piece], design.pieces[piece + 1]):
+        j = design.order[nth]
         most = max(most, design.ray_start[j + 1] - design.ray_start[j])
     return most
 
@@ -77,8 +78,9 @@ def statistics_piece(
     row: Floats,
     cov: Floats,
 ) -> None:
-    """Statistics of one thread's points, see `statistics`."""
-    for j in range(design.pieces[piece], design.pieces[piece + 1]):
+    """Statistics of one piece's points, see `statistics`."""
+    for nth in range(design.pieces[piece], design.pieces[piece + 1]):
+        j = design.order[nth]
         begin, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
         edge = columns(design) * n
         m = gather(design, structure, j, inverse, local)

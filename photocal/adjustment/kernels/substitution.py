@@ -13,9 +13,9 @@ from photocal.compiled import compiled, compiled_parallel
 def back_substitute_piece(
     design: Design, structure: Structure, step: Floats, kept: Eliminated, piece: int, points: Floats
 ) -> float:
-    """Move one thread's points; returns g'V^-1 g, see `back_substitute`."""
+    """Move one piece's points; returns g'V^-1 g, see `back_substitute`."""
     decrease, band = 0.0, structure.band
-    for j in range(design.pieces[piece], design.pieces[piece + 1]):
+    for j in range(design.spans[piece], design.spans[piece + 1]):
         g0, g1, g2 = kept.gradient[j, 0], kept.gradient[j, 1], kept.gradient[j, 2]
         c0, c1, c2 = g0, g1, g2
         for r in range(design.ray_start[j], design.ray_start[j + 1]):

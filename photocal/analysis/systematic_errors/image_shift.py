@@ -123,8 +123,9 @@ def screened_shifts(fit: Fit, variance_factor: float) -> tuple[ImageShift, ...]:
     shapes = _own_geometry(fit.computed)
     images = len(network.image_names)
     found = []
-    for i, name in enumerate(network.image_names):
-        mine = rays.image == i
+    by_image = np.argsort(rays.image, kind="stable")
+    groups = np.split(by_image, np.searchsorted(rays.image[by_image], np.arange(1, images)))
+    for i, (name, mine) in enumerate(zip(network.image_names, groups, strict=True)):
         weight = 1.0 / rays.sigma[mine].ravel()
         if len(weight) < 12:
             continue

@@ -10,11 +10,11 @@ import numpy as np
 from drivers.arrays import Floats, Integers
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.near import Near, with_held
-from photocal.analysis.systematic_errors.refit import Fit, Lowest, lowest
+from photocal.analysis.systematic_errors.refit import Fit, lowest
 from photocal.geometry.camera import PARAMETERS
 
-# Left of each adjustment, see `minimise`: some 1e-5 standard deviations.
-NEAR = 1e-10
+# Left of each adjustment, see `minimise`: some 3e-4 standard deviations.
+NEAR = 1e-7
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class LeftOut:
     check_rmse_m: Floats | None
 
 
-def without_parameter(fit: Fit, camera: int, parameter: int) -> Lowest | Near:
+def without_parameter(fit: Fit, camera: int, parameter: int) -> Near:
     """Find the minimum with a parameter at zero: near the one with it, or from anew."""
     own, current = fit.network.cameras[camera], fit.state.cameras
     if not np.isfinite(own.prior_sigma[parameter]):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -12,8 +11,9 @@ from numpy.typing import NDArray
 from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
-from photocal.adjustment.factored import Factored, factored
+from photocal.adjustment.factored import Factored, factorised
 from photocal.adjustment.mounting import Attitudes, Positions
+from photocal.adjustment.near import Near
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import prepare
 from photocal.adjustment.solution import Solution
@@ -30,33 +30,18 @@ class Fit:
     network: what was adjusted.
     state: values of all unknowns there.
     solution: with its statistics.
+    factored: the normal equations there.
     """
 
     network: Network
     state: State
     solution: Solution
+    factored: Factored
 
     @property
     def computed(self) -> Floats:
         """Image coordinates as the unknowns give them."""
         return self.network.rays.plane + self.solution.residuals
-
-    @cached_property
-    def factored(self) -> Factored:
-        """The normal equations at the minimum."""
-        return factored(self.network, self.state)
-
-
-@dataclass(frozen=True)
-class Lowest:
-    """The minimum of a network, without statistics.
-
-    state: values of all unknowns there.
-    chi_squared: sum of v'Pv.
-    """
-
-    state: State
-    chi_squared: float
 
 
 def fit(network: Network, state: State | None = None) -> Fit:
@@ -72,13 +57,14 @@ def fit(network: Network, state: State | None = None) -> Fit:
     start = start_state(network) if state is None else state
     problem = with_datum(prepare(network), start)
     minimum = minimise(problem, start)
-    return Fit(network, minimum.state, complete(problem, minimum))
+    at = factorised(problem, minimum)
+    return Fit(network, minimum.state, complete(at, minimum.iterations), at)
 
 
-def lowest(network: Network, state: State, near: float = CONVERGED) -> Lowest:
+def lowest(network: Network, state: State, near: float = CONVERGED) -> Near:
     """Adjust a network without statistics."""
     minimum = minimise(with_datum(prepare(network), state), state, near=near)
-    return Lowest(minimum.state, minimum.iterations[-1].chi_squared)
+    return Near(minimum.state, minimum.iterations[-1].chi_squared, near)
 
 
 def with_measurements(network: Network, plane: Floats) -> Network:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numba
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from photocal.adjustment import normal
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.network import Network
+from photocal.adjustment.normal import prepare
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from tests.photocal import networks
 
@@ -142,3 +145,23 @@ def test_positions_far_poorer_than_the_block_is_large_say_where_it_lies_and_no_m
     assert weak.chi_squared == pytest.approx(free.chi_squared, rel=1e-5)
     assert weak.cameras == pytest.approx(free.cameras, rel=1e-5, abs=1e-9)
     assert np.sqrt(np.trace(weak.point_covariance, axis1=1, axis2=2)).min() > 10.0
+
+
+def test_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pieces of work do not depend on how many threads share them: every digit is the same."""
+    monkeypatch.setattr(normal, "RAYS_IN_PIECE", 10)
+    before, found = numba.get_num_threads(), []
+    try:
+        for threads in {1, before}:
+            numba.set_num_threads(threads)
+            found.append(adjust(network()))
+    finally:
+        numba.set_num_threads(before)
+    one, other = found[0], found[-1]
+    assert len(prepare(network()).design.pieces) > 5
+    for name in ("chi_squared", "cameras", "camera_covariance", "exposures", "points", "redundancy"):
+        assert np.array_equal(getattr(one, name), getattr(other, name)), name
+    monkeypatch.undo()
+    whole = adjust(network())
+    assert one.chi_squared == pytest.approx(whole.chi_squared, rel=1e-10)
+    assert one.redundancy == pytest.approx(whole.redundancy, rel=1e-8, abs=1e-10)

@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drivers.errors import NotConvergedError
 from photocal.adjustment.near import Removals
 from photocal.analysis.outcome import analyse_network
+from photocal.analysis.systematic_errors import left_out
 from photocal.analysis.systematic_errors.left_out import Checks, without_parameter
 from photocal.analysis.systematic_errors.refit import Fit, fit, lowest, without_images
 from photocal.geometry.camera import PARAMETERS
@@ -49,6 +51,40 @@ def test_a_parameter_at_zero_is_a_parameter_never_estimated(flown: Fit, name: st
     sigma = np.sqrt(np.diag(flown.solution.camera_covariance[0]))
     assert (np.abs(nearby.state.cameras[0] - anew.state.cameras[0]) <= 1e-3 * sigma).all()
     assert nearby.chi_squared == pytest.approx(anew.chi_squared, abs=1e-4)
+
+
+def test_an_analysis_is_that_of_the_long_way(flown: Fit, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Findings, jackknife and significance, when each image and parameter left out is adjusted anew."""
+    checks = Checks(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+
+    def refused(*_: object) -> None:
+        raise NotConvergedError("asked for the long way")
+
+    short = analyse_network(flown.network, checks, 0.1, 0.8, start=flown.state)
+    monkeypatch.setattr(Removals, "without", lambda *_: None)
+    monkeypatch.setattr(left_out, "with_held", refused)
+    long = analyse_network(flown.network, checks, 0.1, 0.8)
+    assert [(one.code, one.subject) for one in short.findings] == [
+        (one.code, one.subject) for one in long.findings
+    ]
+    sigma = np.sqrt(np.diag(flown.solution.camera_covariance[0]))
+    for one, other in zip(
+        (short.search.jackknife_first, short.search.jackknife_last),
+        (long.search.jackknife_first, long.search.jackknife_last),
+        strict=True,
+    ):
+        assert (np.abs(one.cameras - other.cameras) <= 1e-3 * sigma).all()
+        assert (np.abs(one.standard_error - other.standard_error) <= 1e-3 * sigma).all()
+    (one, other) = short.cameras[0], long.cameras[0]
+    assert one is not None
+    assert other is not None
+    assert [test.statistic for test in one.tests] == pytest.approx(
+        [test.statistic for test in other.tests], rel=1e-6
+    )
+    for near, anew in zip(one.left_out, other.left_out, strict=True):
+        assert near.parameter == anew.parameter
+        assert abs(near.c - anew.c) <= 1e-3 * sigma[0]
+        assert near.chi_squared == pytest.approx(anew.chi_squared, abs=1e-4)
 
 
 def test_analysis_grows_with_the_block() -> None:
