@@ -6,6 +6,7 @@ import atexit
 import gc
 import json
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,6 +15,9 @@ from typing import Any, Literal
 import typer
 
 from drivers.errors import PhotocalError, ProgramMissingError
+
+# Into a file, or to a program that reads along, a line of progress is written so often.
+LINE_EVERY_S = 10.0
 
 
 def application(help_text: str) -> typer.Typer:
@@ -65,15 +69,36 @@ def answer(as_json: bool, figures: Callable[[], Any], text: Callable[[], str]) -
         typer.echo("\n".join(map(printable, text().split("\n"))))
 
 
+class _Lines:
+    """A line now and then: what is done of a piece of work, and the time left."""
+
+    def __init__(self, title: str, total: float | None) -> None:
+        self._title, self._total, self._done = title, total, 0.0
+        self._began = self._told = time.monotonic()
+
+    def advance(self, amount: float) -> None:
+        """Count what was done since the last call."""
+        self._done += amount
+        now = time.monotonic()
+        if now - self._told < LINE_EVERY_S:
+            return
+        self._told, elapsed = now, now - self._began
+        line = f"{self._title}: {elapsed:.0f} s"
+        if self._total and self._done:
+            left = elapsed * (self._total / self._done - 1)
+            line = f"{self._title}: {self._done / self._total:.0%}, {max(left, 0):.0f} s left"
+        print(line, file=sys.stderr, flush=True)
+
+
 @contextmanager
 def progress(title: str, total: float | None) -> Iterator[Callable[[float], None]]:
-    """Show a progress bar on standard error while a longer piece of work runs.
+    """Show on standard error how far a longer piece of work is: a bar, or a line now and then into a file.
 
     total: the amount of work, in any unit; None when it is not known.
     """
     if not sys.stderr.isatty():
-        # Nobody looks: the import of the bar would cost more than many a piece of work.
-        yield lambda _: None
+        # The import of the bar would cost more than many a piece of work.
+        yield _Lines(title, total).advance
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn

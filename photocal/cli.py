@@ -11,6 +11,7 @@ from photocal.commands import (
     certificate,
     check,
     compare,
+    debrief,
     doctor,
     export,
     exposures,
@@ -34,6 +35,7 @@ from photocal.commands import (
 app = application("From flight log, images and control points to a calibrated camera and its certificate.")
 app.command()(new.new)
 app.command()(run.run)
+app.command()(debrief.debrief)
 app.command()(mark.mark)
 app.command()(measure.measure)
 app.command()(targets.targets)

@@ -28,6 +28,9 @@ def monitor(
         str,
         typer.Option(help="HOST:PORT of the page. Beyond this computer the page demands a token."),
     ] = "127.0.0.1:8740",
+    debrief: Annotated[
+        Path | None, typer.Option(help="File that `photocal debrief` writes: the page shows it.")
+    ] = None,
     foxglove: Annotated[
         bool, typer.Option("--foxglove", help="Also serve the channels to Foxglove, with a token.")
     ] = False,
@@ -53,12 +56,18 @@ def monitor(
 
         with serving_foxglove(read_address(foxglove_address)) as (listen, url):
             typer.echo(f"Foxglove: open a connection to {url}", err=True)
-            _show(tail, address if page else None, mute, listen)
+            _show(tail, address if page else None, mute, listen, debrief)
     else:
-        _show(tail, address if page else None, mute, lambda _: None)
+        _show(tail, address if page else None, mute, lambda _: None, debrief)
 
 
-def _show(tail: Tail, address: str | None, mute: bool, listen: Callable[[list[Messages]], None]) -> None:
+def _show(
+    tail: Tail,
+    address: str | None,
+    mute: bool,
+    listen: Callable[[list[Messages]], None],
+    debrief: Path | None,
+) -> None:
     """Show a recording until Ctrl-C, on a page or here."""
     from acquire.monitor.tail import follow
     from acquire.operating_system import stopped_by_signals
@@ -70,7 +79,7 @@ def _show(tail: Tail, address: str | None, mute: bool, listen: Callable[[list[Me
     from acquire.monitor.page import Latest, application
     from acquire.web import read_address, serving
 
-    latest = Latest(lambda: tail.path.parent if tail.path else None)
+    latest = Latest(lambda: tail.path.parent if tail.path else None, debrief)
     with serving(application(latest), read_address(address)) as url:
         typer.echo(f"open {url}")
         follow(tail, latest.publish, stop, listen)

@@ -19,6 +19,7 @@ const feed = {
       show(view);
       alarms.take(view);
     }));
+    this.source.addEventListener("debrief", (event) => this.take(() => debrief(JSON.parse(event.data))));
     this.source.addEventListener("chart", (event) => this.take(() => map.take(JSON.parse(event.data))));
     // A source that failed is closed: the watch below opens the next one.
     this.source.addEventListener("error", () => this.source.close());
@@ -45,6 +46,18 @@ const feed = {
     alarms.remind(now);
   },
 };
+
+// What a debrief of the pictures has written, in its own words.
+function debrief(told) {
+  const box = $("debrief");
+  box.hidden = !told.verdict;
+  box.querySelector("p").textContent = told.verdict ?? "";
+  box.querySelector("ul").replaceChildren(...(told.findings ?? []).map((text) => {
+    const item = document.createElement("li");
+    item.textContent = text;
+    return item;
+  }));
+}
 
 $("sound").addEventListener("click", () => sound.toggle());
 $("heard").addEventListener("click", () => alarms.confirm());

@@ -29,13 +29,16 @@ _POLL_S = 0.1
 # Seven decimals of a degree are a centimetre.
 _DECIMALS = 7
 _LONGEST_REQUEST = 20
+# Findings of a debrief that ask nothing of the crew.
+_PASSED = ("passed", "untested", "note")
 
 
 class Latest:
     """The newest state, between the thread that makes states and those who show them."""
 
-    def __init__(self, folder: Callable[[], Path | None] = lambda: None) -> None:
+    def __init__(self, folder: Callable[[], Path | None] = lambda: None, debrief: Path | None = None) -> None:
         self.number = 0
+        self._debrief = debrief
         self.state = State()
         self._folder = folder
         self._flight = ""
@@ -70,6 +73,17 @@ class Latest:
             # A log on a disk that cannot be written is shown all the same.
             with contextlib.suppress(OSError):
                 path.write_text(str(self._heard_ns), encoding="ascii")
+
+    def debrief(self) -> dict[str, Any]:
+        """What a debrief has written: verdict and findings in words; empty while there is none."""
+        if self._debrief is None:
+            return {}
+        try:
+            content = json.loads(self._debrief.read_text(encoding="utf-8"))
+            told = [one["text"] for one in content["findings"] if one["severity"] not in _PASSED]
+            return {"verdict": content["verdict"]["text"], "findings": told}
+        except (OSError, ValueError, LookupError, TypeError):
+            return {}
 
     def _kept_ns(self, flight: str) -> int:
         path = self._path(flight)
@@ -106,7 +120,7 @@ def application(latest: Latest) -> Starlette:
 
 async def _events(latest: Latest) -> AsyncIterator[str]:
     """Yield the state each time that it was renewed; of the map only what is new for this reader."""
-    seen = 0
+    seen, told = 0, dict[str, Any]()
     drawn: dict[tuple[str, str], tuple[str, int]] = {}
     while True:
         if latest.number == seen:
@@ -115,6 +129,10 @@ async def _events(latest: Latest) -> AsyncIterator[str]:
         seen, state = latest.number, latest.state
         yield _event("view", {**view_of(state).as_json(), "heard": latest.heard()})
         yield _event("chart", _news(state, drawn))
+        debrief = latest.debrief()
+        if debrief != told:
+            told = debrief
+            yield _event("debrief", told)
 
 
 def _news(state: State, drawn: dict[tuple[str, str], tuple[str, int]]) -> list[dict[str, Any]]:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import time
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from acquire.outputs import output_file
 from drivers.errors import InputNotFoundError
 from photocal.run.digests import Digests
 from photocal.run.folders import RECORD, publish, replaced_folder, sweep
 from photocal.run.source import program
 
+_TOLD_EVERY_S = 1.0
 Progress = Callable[[str, float | None], AbstractContextManager[Callable[[float], None]]]
 
 
@@ -53,6 +56,32 @@ class StageResult:
     kept: bool
     seconds: float
     foreign: tuple[str, ...] = ()
+
+
+def written(progress: Progress, file: Path) -> Progress:
+    """Show progress and write it, about once a second, as JSON: title, share and seconds left where known."""
+
+    @contextmanager
+    def shown(title: str, total: float | None) -> Iterator[Callable[[float], None]]:
+        began, done, last = time.monotonic(), 0.0, -math.inf
+
+        def advance(amount: float) -> None:
+            nonlocal done, last
+            tell(amount)
+            done, now = done + amount, time.monotonic()
+            if now - last < _TOLD_EVERY_S:
+                return
+            last, share = now, done / total if total else None
+            left = (now - began) * (1 / share - 1) if share else None
+            content = {"title": title, "share": share, "left_s": left, "elapsed_s": now - began}
+            with output_file(file) as aside:
+                aside.write_text(json.dumps(content) + "\n", encoding="utf-8")
+
+        with progress(title, total) as tell:
+            advance(0.0)
+            yield advance
+
+    return shown
 
 
 def update_stage(

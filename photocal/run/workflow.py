@@ -17,9 +17,11 @@ from photocal.run.georeferencing import georeferencing_stage
 from photocal.run.measurements import measurements_stage
 from photocal.run.ppk import ppk_stage
 from photocal.run.project_checks import check_project, explained
-from photocal.run.stage import Progress, Stage, StageResult, made_in, update_stage
+from photocal.run.stage import Progress, Stage, StageResult, made_in, update_stage, written
 
 _MEMORY = ".digests.json"
+# In the work folder while a run works: how far it is.
+PROGRESS = "progress.json"
 
 
 def stages(project: Project, day: dt.date) -> tuple[Stage, ...]:
@@ -75,6 +77,7 @@ def run_project(
     check_project(project)
     with alone(project.output):
         digests = Digests(project.output / _MEMORY, again=rehash)
+        shown = written(progress, project.output / PROGRESS)
         made: list[StageResult] = []
         missing: set[Path] = set()
         failure: PhotocalError | None = None
@@ -83,7 +86,7 @@ def run_project(
                 try:
                     if missing.isdisjoint(stage.after):
                         made.append(
-                            update_stage(stage, project.output, digests, progress, again=stage.name == again)
+                            update_stage(stage, project.output, digests, shown, again=stage.name == again)
                         )
                         told(made[-1])
                         continue
@@ -91,6 +94,7 @@ def run_project(
                     failure = failure or refusal
                 missing.add(made_in(project.output) / stage.name)
         finally:
+            (project.output / PROGRESS).unlink(missing_ok=True)
             digests.keep()
     if failure is not None:
         raise explained(project, failure) from failure

@@ -88,7 +88,7 @@ BOXES = (
     Box("transports", "serial, UDP, TCP, NTRIP", ("acquire.transports",), 176, 190, 6),
     Box("drivers", "bytes to messages and back; no file, no clock", ("drivers",), 20, 1140, 8, "1"),
     Box("commands · api", "what a person types", (*_typed("photocal"), "photocal.api"), 560, 600, 0),
-    Box("run", "the stages of a project, kept by content", ("photocal.run",), 560, 370, 1),
+    Box("run · debrief", "stages, kept by content", ("photocal.run", "photocal.debrief"), 560, 370, 1),
     Box("navigation", "PPK, exposures", ("photocal.navigation",), 560, 150, 2, "4"),
     Box("report", "certificate, verification", ("photocal.report",), 780, 230, 2, "9"),
     Box("products", "orthophotos", ("photocal.products",), 1020, 66, 2),

@@ -31,6 +31,7 @@ MORE = {
     "photocal analyse": ("guide/certificate",),
     "photocal certificate": ("guide/certificate",),
     "photocal check": ("georeferencing-check", "guide/processing"),
+    "photocal debrief": ("project-file",),
     "photocal export": ("exchange",),
     "photocal exposures": ("exposures", "guide/hardware"),
     "photocal mark": ("marking", "guide/processing"),

@@ -6,6 +6,7 @@ Waiting times are generous for busy machines; how fast the page is stands in doc
 from __future__ import annotations
 
 import contextlib
+import json
 import re
 import subprocess
 import time
@@ -43,7 +44,8 @@ def field(folder: Path) -> Iterator[Field]:
 
 @pytest.fixture(scope="module")
 def server(field: Field, folder: Path, monitor: Monitor, port: int) -> subprocess.Popen[str]:
-    process, line = monitor(folder, "--page", "--address", f"127.0.0.1:{port}")
+    file = str(folder / "debrief.json")
+    process, line = monitor(folder, "--page", "--address", f"127.0.0.1:{port}", "--debrief", file)
     assert line == f"open http://127.0.0.1:{port}/"
     return process
 
@@ -98,6 +100,21 @@ def test_the_state_of_all_links_is_there(page: Page, field: Field) -> None:
         "picture vehicle",
         "station base",
     ]
+
+
+def test_a_debrief_stands_on_the_page_as_soon_as_it_is_written(page: Page, folder: Path) -> None:
+    box = page.locator("#debrief")
+    expect(box).to_be_hidden()
+    findings = [
+        {"severity": "grave", "text": "Strip 4: <b>fly</b> it again."},
+        {"severity": "passed", "text": "c is as in the last certificate."},
+    ]
+    content = {"verdict": {"text": "Do not leave."}, "findings": findings}
+    (folder / "debrief.json").write_text(json.dumps(content), encoding="utf-8")
+    expect(box.locator("p")).to_have_text("Do not leave.")
+    expect(box.locator("li")).to_have_text(["Strip 4: <b>fly</b> it again."])
+    (folder / "debrief.json").unlink()
+    expect(box).to_be_hidden()
 
 
 def test_a_lost_fix_is_said_in_words_and_colour_and_told_until_it_is_heard(page: Page, field: Field) -> None:

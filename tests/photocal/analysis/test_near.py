@@ -75,13 +75,13 @@ def test_an_analysis_is_that_of_the_long_way(flown: Fit, monkeypatch: pytest.Mon
     ):
         assert (np.abs(one.cameras - other.cameras) <= 1e-3 * sigma).all()
         assert (np.abs(one.standard_error - other.standard_error) <= 1e-3 * sigma).all()
-    (one, other) = short.cameras[0], long.cameras[0]
-    assert one is not None
-    assert other is not None
-    assert [test.statistic for test in one.tests] == pytest.approx(
-        [test.statistic for test in other.tests], rel=1e-6
+    quick, slow = short.cameras[0], long.cameras[0]
+    assert quick is not None
+    assert slow is not None
+    assert [test.statistic for test in quick.tests] == pytest.approx(
+        [test.statistic for test in slow.tests], rel=1e-6
     )
-    for near, anew in zip(one.left_out, other.left_out, strict=True):
+    for near, anew in zip(quick.left_out, slow.left_out, strict=True):
         assert near.parameter == anew.parameter
         assert abs(near.c - anew.c) <= 1e-3 * sigma[0]
         assert near.chi_squared == pytest.approx(anew.chi_squared, abs=1e-4)

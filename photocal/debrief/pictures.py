@@ -1,0 +1,179 @@
+"""What each picture shows: whether it is sharp and well exposed, and its features at reduced size."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import PhotocalError
+from photocal.findings.finding import Finding
+from photocal.measurement.cache import Arrays, cached, combined_key, content_key
+from photocal.measurement.features import FeatureSettings, detect
+from photocal.measurement.image_facts import ImageFacts, read_facts
+from photocal.measurement.image_file import as_eight_bit, read_grey
+from photocal.measurement.match_images import FEATURES, MatchingPlan
+from photocal.tasks.workers import run_tasks
+
+# Enough for overlap, orientation and a first calibration; a tenth of the time of the features for the map.
+QUICK = FeatureSettings(most=2500, longest_px=1200)
+_LOOK, _NAMES = 1, ("figures", "pixels", "scale", "descriptors")
+# Tiles in which sharpness is looked for, px and number along each side.
+_TILE, _TILES = 384, 3
+_PLAIN = 4.0
+# A picture whose edges are softer than the flight's usual ones by this much, and by so many deviations.
+_SOFTER, _DEVIATIONS = 1.35, 6.0
+# Grey values at which nothing is told apart, share of the picture, and the least range of the rest.
+_WHITE, _BLACK, _SHARE, _RANGE = 250, 5, 0.2, 40.0
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a picture shows.
+
+    Attributes
+    ----------
+    facts : ImageFacts or None
+        None of a file that cannot be read; `refusal` then says why.
+    key : str
+        Of its features in the cache.
+    softness : float
+        Width of what is seen, in the direction where it is largest, about px: it grows with blur, hardly with
+        what is pictured.
+    white, black, range : float
+        Share of pixels without detail, and grey values between the 2nd and the 98th percentile.
+    """
+
+    path: Path
+    facts: ImageFacts | None
+    refusal: str = ""
+    key: str = ""
+    softness: float = np.nan
+    white: float = np.nan
+    black: float = np.nan
+    range: float = np.nan
+
+
+def look_at(paths: Sequence[Path], plan: MatchingPlan, done: Callable[[float], None]) -> list[Look]:
+    """Look at each picture once; what was looked at before is kept by its content."""
+    looks = []
+    for look in run_tasks(_look, ((path, plan) for path in paths), plan.processes):
+        looks.append(look)
+        done(1)
+    return looks
+
+
+def _look(task: tuple[Path, MatchingPlan]) -> Look:
+    path, plan = task
+
+    def make() -> Arrays:
+        grey = as_eight_bit(read_grey(path))
+        found = detect(grey, plan.features)
+        figures = np.array([_softness(grey), *_exposure(grey)])
+        return {
+            "figures": figures,
+            "pixels": found.pixels,
+            "scale": found.scale,
+            "descriptors": found.descriptors,
+        }
+
+    try:
+        facts = read_facts(path)
+        key = combined_key(FEATURES, _LOOK, content_key(path), plan.features)
+        figures = cached(plan.cache, key, _NAMES, make)["figures"]
+    except PhotocalError as refusal:
+        return Look(path, None, refusal.what)
+    return Look(path, facts, "", key, *figures.tolist())
+
+
+def _softness(grey: NDArray[np.uint8]) -> float:
+    """Inverse of the usual spatial frequency in the direction where it is lowest, median over tiles.
+
+    A wave of frequency w has differences over one and two pixels with the ratio of squares 2 (1 + cos w), of
+    which tan^2(w/2) follows.
+    """
+    height, width = grey.shape
+    found = []
+    for row in np.linspace(0, max(height - _TILE, 0), _TILES).astype(int):
+        for column in np.linspace(0, max(width - _TILE, 0), _TILES).astype(int):
+            tile = grey[row : row + _TILE, column : column + _TILE].astype(np.float32)
+            # Tiles without detail show noise, not edges.
+            if tile.std() < _PLAIN:
+                continue
+            lowest = np.inf
+            for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+                near, far = (_difference(tile, n * down, n * right) for n in (1, 2))
+                length = float(np.hypot(down, right))
+                lowest = min(lowest, max(4 * near / max(far, 1e-6) - 1, 1e-6) / length**2)
+            found.append(lowest**-0.5)
+    return float(np.median(found)) if found else np.nan
+
+
+def _difference(tile: NDArray[np.float32], down: int, right: int) -> float:
+    rows, columns = tile.shape
+    here = tile[: rows - down, max(0, -right) : columns - max(0, right)]
+    there = tile[down:, max(0, right) : columns - max(0, -right)]
+    return float(np.mean((here - there) ** 2))
+
+
+def _exposure(grey: NDArray[np.uint8]) -> tuple[float, float, float]:
+    few = grey[::4, ::4]
+    low, high = np.quantile(few, [0.02, 0.98])
+    return float(np.mean(few >= _WHITE)), float(np.mean(few <= _BLACK)), float(high - low)
+
+
+def picture_findings(looks: Sequence[Look]) -> list[Finding]:
+    """Name pictures that cannot be read, are blurred, badly exposed, or of another camera or lens setting."""
+    readable = [look for look in looks if look.facts is not None]
+    groups = {
+        "pictures-unreadable": [look for look in looks if look.facts is None],
+        "pictures-blurred": _blurred(readable),
+        "pictures-too-bright": [one for one in readable if one.white > _SHARE],
+        "pictures-too-dark": [
+            one for one in readable if one.white <= _SHARE and (one.black > 0.5 or one.range < _RANGE)
+        ],
+    }
+    findings = [_about(code, group, len(looks)) for code, group in groups.items() if group]
+    own = readable
+    for code, told in (("pictures-of-other-camera", _camera), ("lens-changed", _lens)):
+        usual = _usual([told(one) for one in own])
+        others = [one for one in own if told(one) != usual]
+        own = [one for one in own if told(one) == usual]
+        if others:
+            findings.append(_about(code, others, len(looks), told(others[0]), usual))
+    return findings
+
+
+def _about(code: str, group: Sequence[Look], of: int, told: str = "", usual: str = "") -> Finding:
+    names = tuple(look.path.name for look in group)
+    reason = next((look.refusal for look in group if look.refusal), "")
+    figures = {"n": float(len(names)), "all": float(of), "images": names, "reason": reason}
+    return Finding(code, "doubtful", figures={**figures, "told": told, "usual": usual})
+
+
+def _blurred(looks: Sequence[Look]) -> list[Look]:
+    softness = np.log([one.softness for one in looks])
+    known = np.isfinite(softness)
+    if known.sum() < 5:
+        return []
+    middle = float(np.median(softness[known]))
+    spread = 1.4826 * float(np.median(np.abs(softness[known] - middle)))
+    limit = middle + max(np.log(_SOFTER), _DEVIATIONS * spread)
+    return [one for one, own in zip(looks, softness, strict=True) if own > limit]
+
+
+def _camera(look: Look) -> str:
+    facts = look.facts
+    told = () if facts is None else (facts.make, facts.model, facts.serial, "x".join(map(str, facts.size_px)))
+    return " ".join(part for part in told if part)
+
+
+def _lens(look: Look) -> str:
+    return "" if look.facts is None else f"{look.facts.focal_mm:g} mm"
+
+
+def _usual(told: Sequence[str]) -> str:
+    return max(told, key=told.count, default="")

@@ -1,0 +1,231 @@
+"""The debrief: everything that can be said of a flight while its crew still stands in the field."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from acquire.operating_system import cache_folder
+from acquire.outputs import output_file
+from drivers.errors import PhotocalError
+from photocal.debrief.coverage import Coverage, coverage, coverage_findings
+from photocal.debrief.pictures import QUICK, Look, look_at, picture_findings
+from photocal.debrief.quick import Quick, quick_findings, with_positions
+from photocal.findings.catalogue import Catalogue, catalogue
+from photocal.findings.finding import Finding, Severity, untested
+from photocal.findings.texts import finding_json, finding_text, findings_of
+from photocal.geometry.camera import Camera
+from photocal.measurement.image_file import list_images
+from photocal.measurement.maker_camera import stated_camera
+from photocal.measurement.match_images import MatchingPlan
+from photocal.navigation.exposure_run import ExposureRun
+from photocal.navigation.rig import Rig
+from photocal.project import Project
+from photocal.run.exposures import exposures_of
+from photocal.run.folders import alone
+from photocal.run.stage import Progress
+from photocal.tasks.workers import Workers
+
+SCHEMA, FILE = "photocal.debrief/1", "debrief.json"
+# More exposures without fixed ambiguities than this are worth a line; from here on the flight is.
+_MAY_FLOAT, _TOO_MANY = 0.1, 0.33
+# Of the pictures that have no exposure: they are of another flight.
+_WRONG_CARD = 0.5
+# A flight lower than this over its take-off says nothing of the ground.
+_LOW_M = 5.0
+# What says that something must be flown again, and what the crew must look at before it leaves.
+AGAIN, LOOK = ("refused", "grave"), ("doubtful", "consequence")
+_ORDER = (*AGAIN, *LOOK, "note", "passed", "untested")
+
+
+@dataclass(frozen=True)
+class Debrief:
+    """What is known of a flight.
+
+    Attributes
+    ----------
+    verdict : Finding
+        Complete, to be looked at, or to be flown again.
+    findings : tuple of Finding
+        What it rests on, the worst first.
+    exposures : ExposureRun or None
+        None where they could not be told.
+    """
+
+    verdict: Finding
+    findings: tuple[Finding, ...]
+    looks: tuple[Look, ...]
+    exposures: ExposureRun | None
+    flown: Coverage | None
+    quick: Quick | None
+
+
+def debrief(project: Project, processes: Workers, progress: Progress, last: Sequence[Camera] = ()) -> Debrief:
+    """Judge a flight by its logs and pictures, as far as they are there; what is done is not done again.
+
+    Parameters
+    ----------
+    last : sequence of Camera
+        Of the last certificate, to hold the first calibration against.
+    """
+    with alone(project.output):
+        paths = list_images(project.picture_folder)
+        plan = MatchingPlan(cache_folder(), processes, QUICK)
+        findings, run = list[Finding](), None
+        try:
+            run, rig, refusal_of_ppk = exposures_of(project, progress)
+            if refusal_of_ppk:
+                findings.append(Finding("no-ppk", "grave", figures={"reason": refusal_of_ppk}))
+        except PhotocalError as refusal:
+            findings.append(Finding("exposures-unknown", "grave", figures={"reason": str(refusal)}))
+        with progress("looking at pictures", len(paths)) as done:
+            looks = look_at(paths, plan, done)
+        findings += picture_findings(looks)
+        bad = {name for one in findings for name in one.figures.get("images", ())}
+        good = [look for look in looks if look.path.name not in bad and look.facts is not None]
+        flown = None
+        if run is not None:
+            findings += _exposure_findings(run, len(paths))
+            flown, told = _covered(run, rig, good)
+            findings += told
+        quick = None
+        if len(good) >= 3:
+            facts = [one.facts for one in good if one.facts is not None]
+            if run is not None:
+                facts = with_positions(facts, run.exposures)
+            quick, told = quick_findings(facts, [one.key for one in good], last, plan, progress)
+            findings += told
+        findings.sort(key=lambda one: _ORDER.index(one.severity))
+        made = Debrief(_verdict(findings), tuple(findings), tuple(looks), run, flown, quick)
+        with output_file(project.output / FILE) as aside:
+            aside.write_text(
+                json.dumps(debrief_json(made), indent=1, allow_nan=False) + "\n", encoding="utf-8"
+            )
+        return made
+
+
+def _exposure_findings(run: ExposureRun, pictures: int) -> list[Finding]:
+    """What the exposures say by themselves: partners, positions and their state, attitudes."""
+    findings = [one for one in findings_of(run.figures["findings"], Path(FILE)) if not one.small]
+    strangers = [one for one in findings if one.code == "images-without-event"]
+    lonely = sum(one.figures["n"] for one in strangers)
+    if lonely > _WRONG_CARD * pictures:
+        figures = {"n": lonely, "all": float(pictures)}
+        findings = [one for one in findings if one not in strangers]
+        findings.append(Finding("wrong-card", "grave", figures=figures))
+    placed = run.exposures.placed
+    status, there = placed.status[placed.placed], int(placed.placed.sum())
+    loose = int((status != "fixed").sum())
+    if run.trajectory is not None and loose > _MAY_FLOAT * there:
+        counts = {name: float((status == name).sum()) for name in ("fixed", "float", "single")}
+        severity: Severity = "grave" if loose > _TOO_MANY * there else "doubtful"
+        findings.append(Finding("positions-not-fixed", severity, figures={**counts, "all": float(there)}))
+    return findings
+
+
+def _covered(run: ExposureRun, rig: Rig, good: Sequence[Look]) -> tuple[Coverage | None, list[Finding]]:
+    exposures, facts = run.exposures, next((one.facts for one in good if one.facts is not None), None)
+    ground = _ground(run)
+    if facts is None or ground is None or exposures.placed.placed.sum() < 3:
+        return None, [untested("coverage-hole", "no-ground-height")]
+    names = {one.path.name for one in good}
+    usable = np.array([any(name in names for name in own.split()) for own in exposures.image])
+    if usable.sum() < 2:
+        return None, []
+    camera = stated_camera("", facts).camera
+    flown = coverage(exposures, usable, rig, camera, ground)
+    return flown, coverage_findings(flown, exposures)
+
+
+def _ground(run: ExposureRun) -> float | None:
+    """Height of the ground below the flight, of the kind of the exposures' heights; None where nothing tells.
+
+    Of the take-off: by the height above it that pictures state, or where the trajectory stood still.
+    """
+    heights, above = run.exposures.placed.height_m, run.exposures.above_take_off_m
+    if above is not None and np.isfinite(heights - above).any():
+        return float(np.nanmedian(heights - above))
+    if run.trajectory is None:
+        return None
+    lowest = float(np.quantile(run.trajectory.height_m, 0.02))
+    return lowest if np.nanmin(heights) - lowest > _LOW_M else None
+
+
+def _verdict(findings: Sequence[Finding]) -> Finding:
+    """Complete, to be looked at, or to be flown again."""
+    again = tuple(dict.fromkeys(one.code for one in findings if one.severity in AGAIN))
+    look = tuple(dict.fromkeys(one.code for one in findings if one.severity in LOOK))
+    figures = {"n": float(len(again or look)), "codes": again or look}
+    if again:
+        return Finding("fly-again", "grave", figures=figures)
+    return (
+        Finding("flight-to-look-at", "doubtful", figures=figures)
+        if look
+        else Finding("flight-complete", "passed")
+    )
+
+
+def debrief_json(made: Debrief) -> dict[str, Any]:
+    """A debrief as a JSON value; pages show it as it stands."""
+    say = catalogue("en")
+    content: dict[str, Any] = {
+        "schema": SCHEMA,
+        "verdict": finding_json(made.verdict, say),
+        "findings": [finding_json(one, say) for one in made.findings],
+        "pictures": [_picture(look) for look in made.looks],
+        "exposures": [] if made.exposures is None else _exposures(made.exposures, made.flown),
+        "coverage": None,
+        "quick": None,
+    }
+    if made.flown is not None:
+        overlap = made.flown.block.forward[np.isfinite(made.flown.block.forward)]
+        content["coverage"] = {
+            "area_m2": made.flown.area_m2,
+            "hole_m2": made.flown.hole_m2,
+            "holes_deg": made.flown.holes_deg.tolist(),
+            "overlap_median": float(np.median(overlap)) if len(overlap) else None,
+        }
+    if made.quick is not None:
+        content["quick"] = {"joined": made.quick.joined, "cameras": made.quick.cameras}
+    return content
+
+
+def _picture(look: Look) -> dict[str, Any]:
+    figures = {name: getattr(look, name) for name in ("softness", "white", "black", "range")}
+    return {"image": look.path.name, **{name: v if np.isfinite(v) else None for name, v in figures.items()}}
+
+
+def _exposures(run: ExposureRun, flown: Coverage | None) -> list[dict[str, Any]]:
+    placed, listed = run.exposures.placed, []
+    strip = {} if flown is None else dict(zip(flown.rows.tolist(), flown.strip.tolist(), strict=True))
+    for k, name in enumerate(run.exposures.image):
+        there = bool(placed.placed[k])
+        listed.append(
+            {
+                "event": int(run.exposures.number[k]),
+                "image": name or None,
+                "place_deg": [float(placed.lat_deg[k]), float(placed.lon_deg[k])] if there else None,
+                "state": str(placed.status[k]) if there else None,
+                "strip": strip[k] + 1 if k in strip else None,
+            }
+        )
+    return listed
+
+
+def debrief_text(made: Debrief, say: Catalogue) -> str:
+    """A debrief in words."""
+    lines = [finding_text(made.verdict, say)]
+    lines += [f"- {finding_text(one, say)}" for one in made.findings if one.severity != "passed"]
+    readable = sum(look.facts is not None for look in made.looks)
+    joined = "" if made.quick is None else say("debrief.joined", n=made.quick.joined)
+    lines.append(say("debrief.pictures", n=readable, all=len(made.looks)) + joined)
+    for own in () if made.quick is None else made.quick.cameras:
+        if own["released"] is not None:
+            c, sigma = own["released"]["c"], own["released"]["sigma"]
+            lines.append(say("debrief.camera", camera=own["camera"], c=c, sigma=sigma, unit=own["unit"]))
+    return "\n".join(lines)

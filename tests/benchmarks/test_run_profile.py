@@ -1,0 +1,90 @@
+"""A whole run of a simulated flight with pictures, stage by stage: seconds and peak memory.
+
+PHOTOCAL_BENCH_PICTURES names about how many pictures there are (default "40"; "40 300"). Figures go to
+.benchmarks/run.json.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from photocal.project import read_project
+from photocal.run.workflow import stages
+from tests.benchmarks.test_engine_speed import RESULTS, ROOT
+
+PICTURES = [int(size) for size in os.environ.get("PHOTOCAL_BENCH_PICTURES", "40").split()]
+# Of the flight that is known as "survey", on 70 m by 67 m.
+KNOWN, PLAN = 42, "survey"
+
+pytestmark = pytest.mark.timeout(14400)
+
+
+def photocal(*arguments: str) -> tuple[float, float]:
+    """Seconds by the clock and peak memory in MiB of a command and the largest of its processes."""
+    began = time.perf_counter()
+    process = subprocess.Popen([sys.executable, "-m", *arguments], cwd=ROOT, stdout=subprocess.DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    assert status == 0, arguments
+    return time.perf_counter() - began, usage.ru_maxrss / 1024
+
+
+def fly(pictures: int, folder: Path) -> Path:
+    """Simulate and import a flight over as much ground as so many pictures need."""
+    from acquire.importing.importer import import_recordings
+    from acquire.simulate.world.configuration import FLIGHTS, read_configuration
+    from acquire.simulate.world.site import simulate_flight
+
+    plan = read_configuration(FLIGHTS / f"{PLAN}.toml").plan
+    wider = math.sqrt(pictures / KNOWN)
+    corners = [(east * wider, north * wider) for east, north in plan.area_m]
+    wide = plan.model_dump(by_alias=True, exclude_unset=True) | {"area_m": corners}
+    simulate_flight(read_configuration(FLIGHTS / f"{PLAN}.toml", {"plan": wide}), folder, lambda _: None)
+    site = folder / "site"
+    streams = [(link, path) for link in ("vehicle", "rover", "base") for path in site.glob(f"{link}.*")]
+    import_recordings(streams, [], site / "flight.mcap", lambda _: None)
+    return site / "project.toml"
+
+
+@pytest.mark.parametrize("pictures", PICTURES)
+def test_profile_of_a_run(
+    pictures: int,
+    tmp_path: Path,
+    benchmark: Any,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Debrief, then every stage of the run, each as a process of its own."""
+    path = fly(pictures, tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    figures = {"debrief": photocal("photocal", "debrief", str(path))}
+    named = [stage.name for stage in stages(read_project(path), _day())]
+
+    def whole() -> None:
+        for name in named:
+            figures[name] = photocal("photocal", "run", str(path), "--until", name)
+
+    benchmark.pedantic(whole, rounds=1)
+    RESULTS.mkdir(exist_ok=True)
+    file = RESULTS / "run.json"
+    known = json.loads(file.read_text()) if file.exists() else {}
+    known[str(pictures)] = {name: {"seconds": s, "peak_mib": m} for name, (s, m) in figures.items()}
+    file.write_text(json.dumps(known, indent=1) + "\n")
+    with capsys.disabled():
+        print(f"\n{pictures} pictures (with the start of each process)")
+        for name, (seconds, peak) in figures.items():
+            print(f"{name:16} {seconds:8.1f} s {peak:8.0f} MiB")
+
+
+def _day() -> Any:
+    import datetime as dt
+
+    return dt.datetime.now().astimezone().date()

@@ -1,0 +1,191 @@
+"""Faults injected into a simulated flight with pictures: each is named, and nothing else."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image, ImageFilter
+
+from acquire.console import progress
+from acquire.importing.importer import import_recordings
+from acquire.simulate.world.configuration import FLIGHTS, read_configuration
+from acquire.simulate.world.site import simulate_flight
+from photocal.debrief import pictures
+from photocal.debrief.verdict import Debrief, debrief, debrief_json
+from photocal.exchange.pinhole import Pinhole, from_pinhole
+from photocal.geometry.camera import Camera
+from photocal.measurement import match_images
+from photocal.project import read_project
+
+SIZE, FOCAL = (640, 480), 471.4
+LENS = {"size_px": SIZE, "pitch_mm": 0.01872, "fx": FOCAL, "fy": FOCAL, "cx": 321.4, "cy": 238.1}
+_FOCAL_MM, _EXIF, _SERIAL, _TAKEN, _BOTH = 0x920A, 0x8769, 0xA431, 0x9003, 0x9004
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What is kept of pictures and pairs is kept for these tests alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Site of a flight of ten pictures in two strips."""
+    folder = tmp_path_factory.mktemp("flight")
+    known = read_configuration(FLIGHTS / "small.toml").camera.model_dump(exclude_unset=True)
+    given = read_configuration(FLIGHTS / "small.toml", {"camera": {**known, **LENS}})
+    simulate_flight(given, folder, lambda _: None)
+    site = folder / "site"
+    _import(site, ("vehicle", "rover", "base"))
+    return site
+
+
+def _import(site: Path, links: tuple[str, ...]) -> None:
+    (site / "flight.mcap").unlink(missing_ok=True)
+    found = [(link, path) for link in links for path in site.glob(f"{link}.*")]
+    import_recordings(found, [], site / "flight.mcap", lambda _: None)
+
+
+@pytest.fixture
+def site(flown: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(flown, tmp_path / "site"))
+
+
+def last(c: float = FOCAL) -> Camera:
+    """Camera of the last certificate: the true one, or another."""
+    true = from_pinhole(
+        Pinhole(SIZE, c, c, 321.4, 238.1, -0.0412, 0.0236, -0.0061, 0.00042, -0.00031), "sim-0", "truth"
+    )
+    return replace(true, sigma=np.where(true.values == c, 0.02, 0.0))
+
+
+def judged(site: Path, camera: Camera | None = None) -> Debrief:
+    return debrief(read_project(site / "project.toml"), 1, progress, () if camera is None else (camera,))
+
+
+def codes(made: Debrief) -> set[str]:
+    return {one.code for one in made.findings if not one.small}
+
+
+def edited(
+    path: Path, change: Callable[[Image.Image], Image.Image], exif: dict[int, Any] | None = None
+) -> None:
+    """Write a picture again with other pixels or tags."""
+    with Image.open(path) as image:
+        tags, xmp = image.getexif(), image.info.get("xmp", b"")
+        made = change(image.convert("RGB"))
+    tags.get_ifd(_EXIF).update(exif or {})
+    made.save(path, "JPEG", quality=92, exif=tags, xmp=xmp)
+
+
+def smeared(image: Image.Image) -> Image.Image:
+    """Moved by four pixels while the shutter was open."""
+    return image.filter(ImageFilter.Kernel((5, 5), [0] * 10 + [1] * 5 + [0] * 10))
+
+
+def names(site: Path) -> list[Path]:
+    return sorted((site / "images").iterdir())
+
+
+def test_a_clean_flight_is_complete(flown: Path) -> None:
+    made = judged(flown, last())
+    assert codes(made) == set()
+    assert made.verdict.code == "flight-complete"
+    content = json.loads((flown / "work" / "debrief.json").read_text(encoding="utf-8"))
+    assert content == json.loads(json.dumps(debrief_json(made)))
+    assert len(content["exposures"]) == len(content["pictures"]) == 10
+    assert {one["state"] for one in content["exposures"]} == {"fixed"}
+    assert {one["strip"] for one in content["exposures"]} == {1, 2}
+
+
+def test_a_picture_that_comes_in_costs_that_picture(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The card is still being read: what was looked at, and the pairs that were matched, are kept."""
+    done: list[str] = []
+
+    def counted(name: str, module: Any) -> None:
+        function = getattr(module, name)
+
+        def call(*given: Any) -> Any:
+            done.append(name)
+            return function(*given)
+
+        monkeypatch.setattr(module, name, call)
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(site / "cache"))
+    path = names(site)[-1]
+    late = path.rename(site / path.name)
+    codes(judged(site))
+    counted("detect", pictures)
+    counted("match", match_images)
+    late.rename(path)
+    assert codes(judged(site)) == set()
+    assert done.count("detect") == 1
+    assert 1 <= done.count("match") <= len(names(site)) - 1
+    done.clear()
+    judged(site)
+    assert not done
+
+
+def test_bad_pictures_are_named(site: Path) -> None:
+    paths = names(site)
+    edited(paths[0], smeared)
+    edited(paths[4], lambda image: image.point(lambda grey: min(255, 3 * grey)))
+    edited(paths[5], lambda image: image.point(lambda grey: grey // 6))
+    paths[9].write_bytes(paths[9].read_bytes()[:3000])
+    made = judged(site)
+    found = {one.code: one.figures.get("images") for one in made.findings if not one.small}
+    assert found["pictures-blurred"] == (paths[0].name,)
+    assert found["pictures-too-bright"] == (paths[4].name,)
+    assert found["pictures-too-dark"] == (paths[5].name,)
+    assert found["pictures-unreadable"] == (paths[9].name,)
+    assert made.verdict.code != "flight-complete"
+
+
+def test_another_camera_and_another_zoom_are_named(site: Path) -> None:
+    paths = names(site)
+    edited(paths[0], lambda image: image, {_SERIAL: "9999"})
+    edited(paths[9], lambda image: image, {_FOCAL_MM: 12.3})
+    found = {one.code: one.figures.get("images") for one in judged(site).findings if not one.small}
+    assert found["pictures-of-other-camera"] == (paths[0].name,)
+    assert found["lens-changed"] == (paths[9].name,)
+
+
+def test_missing_pictures_name_the_strip_to_fly_again(site: Path) -> None:
+    for path in names(site)[6:8]:
+        path.unlink()
+    made = judged(site)
+    assert {"events-without-image", "strip-gap"} <= codes(made)
+    assert [one.subject for one in made.findings if one.code == "strip-gap"] == ["2"]
+    assert made.verdict.code == "fly-again"
+
+
+def test_the_card_of_another_flight_is_named(site: Path) -> None:
+    for path in names(site):
+        day = {_TAKEN: "2025:06:12 08:00:00", _BOTH: "2025:06:12 08:00:00"}
+        edited(path, lambda image: image, day)
+    assert codes(judged(site)) & {"wrong-card", "exposures-unknown"}
+
+
+def test_a_lens_that_has_changed_is_named(flown: Path) -> None:
+    made = judged(flown, last(FOCAL * 1.01))
+    assert codes(made) == {"c-changed"}
+    (found,) = [one for one in made.findings if one.code == "c-changed"]
+    assert found.figures["percent"] == pytest.approx(-1.0, abs=0.3)
+
+
+def test_a_base_that_did_not_run_and_telemetry_that_ended_are_named(site: Path) -> None:
+    log = next(site.glob("vehicle.*"))
+    log.write_bytes(log.read_bytes()[: int(0.6 * log.stat().st_size)])
+    _import(site, ("vehicle", "rover"))
+    found = codes(judged(site))
+    assert "no-ppk" in found
+    assert found & {"telemetry-gap", "exposure-not-placed"}
