@@ -24,6 +24,8 @@ TERMS = (
 # Figures that are phrases of the catalogue with what is put into them, "code first second".
 PHRASES = {"alike": "candidate", "slips": "slip", "changes": "change"}
 PHRASES |= {"lever": "lever", "exchanged": "lever"}
+# A parameter of the camera model in a subject; names of points and images have digits, too.
+_TERM = re.compile(r"\b(?:[KPB][1-4]|[xy]0)\b")
 # Longer lists of points and images end with a number.
 _NAMED = 8
 
@@ -43,7 +45,9 @@ def finding_text(finding: Finding, say: Catalogue, name: Callable[[str], str] = 
     """
     figures = {key: _figure(key, value, say, name) for key, value in finding.figures.items()}
     key = f"subject.{finding.subject}"
-    figures["subject"] = say(key) if key in say.messages else name(finding.subject)
+    figures["subject"] = (
+        say(key) if key in say.messages else _TERM.sub(lambda term: name(term[0]), finding.subject)
+    )
     try:
         text = say(_head(finding), **figures)
         text += "".join(say(f"clause.{clause}", **figures) for clause in finding.clauses)

@@ -119,8 +119,15 @@ def processed(task: Task) -> Processed:
         folder = project.parent / "work" / "certificate"
         record = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
         page = html.unescape((folder / "certificate.html").read_text(encoding="utf-8"))
-        texts = "\n".join(f"{one['code']}: {one['text']}" for one in record["warnings"])
-        return Processed(summary_text(figures), *_codes(told), (texts, page))
+        return Processed(summary_text(figures), *_codes(told), forms(record, page))
+
+
+def forms(record: dict[str, Any], page: str) -> tuple[str, str]:
+    """What the certificate says with the codes of the faults: in its JSON, and in words on its page."""
+    said = [(one["code"], one["text"]) for one in record["warnings"]]
+    shown = [(code, text) for code, text in said if text in page]
+    in_json, on_page = ("\n".join(f"{code}: {text}" for code, text in one) for one in (said, shown))
+    return in_json, on_page
 
 
 def _codes(told: list[tuple[str, str]]) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -107,3 +107,10 @@ def test_a_finding_of_another_version_says_what_to_do() -> None:
 
 def test_numbers_have_the_mark_of_the_language() -> None:
     assert f"{Number(1.5, ','):.2f}" == "1,50"
+
+
+def test_digits_in_names_of_points_are_no_indices() -> None:
+    say = catalogue("en")
+    control = Finding("image", "note", "GCP07", {"name": "GCP07", "relative": 2.0, "px": 1.0}, ("amount",))
+    assert "GCP07" in finding_text(control, say)
+    assert "K₁" in finding_text(Finding("not_significant", "note", "K1", {"t": 0.3}), say)
