@@ -81,6 +81,7 @@ def from_pinhole(given: Pinhole, camera_id: str, place: object) -> Camera:
     }
     # Of Brown's lens these are zero.
     values |= {n.upper(): _SIGN.get(n, 1) * value for n, value in zip(_MORE, more, strict=True) if value}
+    values = {name: value for name, value in values.items() if name in MODELS[model].names}
     return camera(camera_id, model, "px", given.size_px, (1.0, 1.0), values, affinity="after")
 
 
