@@ -56,12 +56,8 @@ def read_tables(path: Path) -> dict[str, Any]:
 def read_toml(path: Path, model: type[Content], context: dict[str, Any] | None = None) -> Content:
     """Read a TOML file and check it.
 
-    Raises
-    ------
-    InputNotFoundError
-        When there is no such file.
-    ConfigurationError
-        For what is not TOML, an unknown key, a missing one, or an impossible value.
+    raises InputNotFoundError: when there is no such file.
+    raises ConfigurationError: for what is not TOML, an unknown key, a missing one, or an impossible value.
     """
     return checked_tables(read_tables(path), model, path, context)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import gc
 import json
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -14,7 +15,7 @@ from typing import Any, Literal
 
 import typer
 
-from drivers.errors import PhotocalError, ProgramMissingError
+from drivers.errors import ConfigurationError, PhotocalError, ProgramMissingError
 
 # Into a file, or to a program that reads along, a line of progress is written so often.
 LINE_EVERY_S = 10.0
@@ -59,6 +60,20 @@ def run(app: typer.Typer) -> None:
         # The reader of our output went away (`| head`): nothing is left to say.
         sys.stderr.close()
         sys.exit(0)
+
+
+def numbers_of(text: str, option: str, form: str) -> list[float]:
+    """Numbers with commas between them, as an option takes them; `form` names each, and their unit.
+
+    raises ConfigurationError: when they are not as many finite numbers.
+    """
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != form.partition(":")[0].count(",") + 1 or not all(map(math.isfinite, values)):
+        raise ConfigurationError(f"{text!r} is not {form}", where=option, remedy="write it so")
+    return values
 
 
 def answer(as_json: bool, figures: Callable[[], Any], text: Callable[[], str]) -> None:

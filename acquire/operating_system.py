@@ -102,10 +102,7 @@ else:
 def private_folder(folder: Path) -> Path:
     """Make a folder that only this user can open; one of somebody else is refused.
 
-    Raises
-    ------
-    OutputError
-        When it cannot be made, belongs to another user or stands open to others.
+    raises OutputError: when it cannot be made, belongs to another user or stands open to others.
     """
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)

@@ -17,10 +17,7 @@ from drivers.errors import OutputError
 def output_file(path: Path) -> Iterator[Path]:
     """Give a temporary path beside `path`; on success it takes the place of `path`.
 
-    Raises
-    ------
-    OutputError
-        When the folder cannot be made or written, or `path` is a folder.
+    raises OutputError: when the folder cannot be made or written, or `path` is a folder.
     """
     if path.is_dir():
         raise OutputError("is a folder, a file was expected", where=path, remedy="name a file")
@@ -45,10 +42,7 @@ def output_folder(path: Path) -> Iterator[Path]:
 
     Files of an earlier run that this one does not make again stay where they are.
 
-    Raises
-    ------
-    OutputError
-        When the folder cannot be made or written, or `path` is a file.
+    raises OutputError: when the folder cannot be made or written, or `path` is a file.
     """
     if path.exists() and not path.is_dir():
         raise OutputError("is a file, a folder was expected", where=path, remedy="name a folder")

@@ -61,10 +61,7 @@ class Address:
     def listen(self) -> socket.socket:
         """Return a socket that listens there.
 
-        Raises
-        ------
-        ConfigurationError
-            When the host is unknown or the port is taken.
+        raises ConfigurationError: when the host is unknown or the port is taken.
         """
         family, ip = self._resolved()[0]
         listener = socket.socket(family, socket.SOCK_STREAM)
@@ -97,10 +94,7 @@ class Address:
 def read_address(text: str) -> Address:
     """Read ``HOST:PORT`` or ``[IPv6]:PORT``.
 
-    Raises
-    ------
-    ConfigurationError
-        When it is neither.
+    raises ConfigurationError: when it is neither.
     """
     host, colon, port = text.rpartition(":")
     bare = host.removeprefix("[").removesuffix("]")
@@ -220,10 +214,7 @@ def serving(app: ASGIApp, address: Address) -> Iterator[str]:
 
     Reachable from this computer alone it needs no token; anywhere else it makes one.
 
-    Raises
-    ------
-    ConfigurationError
-        When nothing can be served there.
+    raises ConfigurationError: when nothing can be served there.
     """
     import uvicorn
 

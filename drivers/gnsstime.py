@@ -78,11 +78,7 @@ def gps_to_utc_ns(gps_ns: Integers, leap_s: Integers | None = None) -> Integers:
     gps_ns (n,): nanoseconds of GPS time since its epoch, 1980-01-06.
     leap_s (n,): GPS minus UTC where the receiver has told it; where it is negative or missing the table
         decides.
-
-    Returns
-    -------
-    int64 (n,)
-        UTC, nanoseconds since 1970 without leap seconds.
+    returns (n,): UTC, nanoseconds since 1970 without leap seconds.
     """
     civil = gps_ns + GPS_EPOCH_NS
     # In GPS time each step of the table comes later by the offset that it brings.

@@ -66,7 +66,7 @@ class Fixes:
 
     index (n,): position of each sentence in the batch.
     time_of_day_ns (n,): UTC since midnight; -1 where it is missing.
-    latitude_deg, longitude_deg (n,): naN where missing.
+    latitude_deg, longitude_deg (n,): NaN where missing.
     height_m (n,): ellipsoidal: the antenna height above the geoid plus the geoid separation. NaN where either
         is missing.
     quality (n,): 0 none, 1 autonomous, 2 differential, 4 RTK fixed, 5 RTK float, 6 dead reckoning.
@@ -105,10 +105,7 @@ def decode_gga(batch: Batch) -> Fixes:
 def decode_times(batch: Batch) -> tuple[Integers, Integers]:
     """Decode date and time of the valid RMC and of the ZDA sentences of a batch.
 
-    Returns
-    -------
-    utc_ns : int64 (n,)
-        UTC, nanoseconds since 1970.
+    returns utc_ns (n,): UTC, nanoseconds since 1970.
     """
     found: list[tuple[int, int]] = []
     for i in batch.where(Wire.NMEA, int.from_bytes(b"RMC", "big")).tolist():

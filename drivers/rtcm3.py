@@ -60,10 +60,7 @@ def decode_stations(batch: Batch) -> Stations:
 def decode_dates(batch: Batch) -> tuple[Integers, Integers]:
     """Decode the date and time of the system parameter messages (1013).
 
-    Returns
-    -------
-    utc_ns : int64 (n,)
-        UTC, nanoseconds since 1970, to the second.
+    returns utc_ns (n,): UTC, nanoseconds since 1970, to the second.
     """
     index = batch.where(Wire.RTCM3, 1013)
     index = index[batch.length[index] >= 6 + 8]
@@ -79,10 +76,7 @@ def decode_dates(batch: Batch) -> tuple[Integers, Integers]:
 def decode_epochs(batch: Batch) -> tuple[Integers, Integers]:
     """Decode the GPS time of week of observations (1001 to 1004, 1071 to 1077, 1091 to 1097).
 
-    Returns
-    -------
-    time_of_week_ns : int64 (n,)
-        GPS time of week; Galileo's system time counts the same.
+    returns time_of_week_ns (n,): GPS time of week; Galileo's system time counts the same.
     """
     kinds = [*range(1001, 1005), *range(1071, 1078), *range(1091, 1098)]
     chosen = (batch.wire == Wire.RTCM3) & np.isin(batch.kind, kinds) & (batch.length >= 6 + 8)

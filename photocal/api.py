@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from drivers.errors import ConfigurationError
-from photocal.adjustment.network import RELATIONS, Relations
+from photocal.adjustment.network import Related, Relations
 from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.oriented_images import OrientedImages
@@ -55,7 +55,7 @@ def read_block(path: str | Path) -> Block:
     PhotocalError
         For what cannot be read, with file and line.
     """
-    from photocal.exchange.any_block import read_any_block
+    from photocal.exchange.formats import read_any_block
 
     return read_any_block(Path(path))
 
@@ -109,10 +109,30 @@ def block_of_arrays(
 
 def with_relations(
     block: Block,
-    kind: Literal["distance", "height_difference", "azimuth"],
+    kind: str,
     rows: Iterable[tuple[str, str, float, float]],
+    related: Related | None = None,
 ) -> Block:
-    """Add observations between points: scale bars, levelled height differences, azimuths."""
+    """Add observations between points: scale bars, levelled height differences, azimuths, your own kinds.
+
+    Parameters
+    ----------
+    kind : str
+        "distance", "height_difference", "azimuth", or the name of a kind of your own.
+    rows : iterable of (str, str, float, float)
+        First and second point, value and standard deviation: m, radians for azimuths.
+    related : callable, optional
+        For a kind of your own: from the differences of the points (second less first), shape (n, 3), the
+        values, shape (n,), and their derivatives with respect to the second point, shape (n, 3).
+    """
+    old = block.relations
+    if related is not None and kind not in old.names:
+        old = replace(old, own=(*old.own, (kind, related)))
+    if kind not in old.names:
+        raise ConfigurationError(
+            f"{kind!r} is no kind of observation that is known",
+            remedy=f"use {', '.join(old.names)}, or give a function of your own",
+        )
     given, number = list(rows), {name: k for k, name in enumerate(block.points.names)}
     for name in (name for row in given for name in row[:2]):
         if name not in number:
@@ -120,16 +140,14 @@ def with_relations(
                 f"point {name} is not in the block", where=kind, remedy="correct the name"
             )
     more = (
-        np.full(len(given), RELATIONS.index(kind)),
+        np.full(len(given), old.names.index(kind)),
         np.array([number[first] for first, *_ in given], dtype=np.int64),
         np.array([number[second] for _, second, *_ in given], dtype=np.int64),
         np.array([value for *_, value, _ in given], dtype=float),
         np.array([sigma for *_, sigma in given], dtype=float),
     )
-    old = vars(block.relations).values()
-    return replace(
-        block, relations=Relations(*(np.concatenate(pair) for pair in zip(old, more, strict=True)))
-    )
+    columns = zip((old.kind, old.first, old.second, old.values, old.sigma), more, strict=True)
+    return replace(block, relations=Relations(*(np.concatenate(pair) for pair in columns), own=old.own))
 
 
 def adjust(block: Block, *, snooping: Literal["w", "tau"] | None = None, components: bool = False) -> Result:

@@ -93,12 +93,8 @@ class Project:
 def read_project(path: Path) -> Project:
     """Read and check a project file.
 
-    Raises
-    ------
-    InputNotFoundError
-        When there is no such file.
-    ConfigurationError
-        For what is not TOML, an unknown key, a missing one, or an impossible value.
+    raises InputNotFoundError: when there is no such file.
+    raises ConfigurationError: for what is not TOML, an unknown key, a missing one, or an impossible value.
     """
     contents = read_toml(path, Contents, {"folder": path.parent})
     cameras = [make_camera(keys, path) for keys in contents.camera]

@@ -88,11 +88,7 @@ def import_recordings(
 
     near_ns: UTC within half a day of the beginning of streams that do not tell their date, nanoseconds since
         1970.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError, ConfigurationError, OutputError
-        See the messages.
+    raises InputNotFoundError, InputMalformedError, ConfigurationError, OutputError: see the messages.
     """
     dialect = ardupilotmega()
     results: list[Imported] = []

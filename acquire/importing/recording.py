@@ -60,10 +60,7 @@ class Source:
     def pieces(self) -> Iterator[bytes]:
         """Yield the bytes from the beginning; a packed file that ends early sets `cut`.
 
-        Raises
-        ------
-        InputMalformedError
-            When a packed file is damaged inside.
+        raises InputMalformedError: when a packed file is damaged inside.
         """
         self._raw.seek(0)
         if not self.packed:

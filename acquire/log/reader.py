@@ -82,12 +82,8 @@ class LogReader:
     ) -> Iterator[list[Messages]]:
         """Yield the messages of each whole chunk, channel by channel.
 
-        Raises
-        ------
-        InputNotFoundError
-            When the file is missing, empty or a folder.
-        InputMalformedError
-            When it is no MCAP file or a chunk in it is damaged.
+        raises InputNotFoundError: when the file is missing, empty or a folder.
+        raises InputMalformedError: when it is no MCAP file or a chunk in it is damaged.
         """
         for opcode, body in self._records():
             try:

@@ -72,12 +72,9 @@ class _Unframed:
 def recover(path: Path, output: Path) -> Recovered:
     """Write what is whole in a log to a new one with all indexes.
 
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        When the file is missing, is no flight log or holds nothing that is whole.
-    OutputError
-        When the new log cannot be written.
+    raises InputNotFoundError, InputMalformedError: when the file is missing, is no flight log or holds
+        nothing that is whole.
+    raises OutputError: when the new log cannot be written.
     """
     reader = LogReader(path)
     damage: list[str] = []

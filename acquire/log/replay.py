@@ -37,12 +37,8 @@ def links_of(path: Path) -> list[str]:
 def choose_link(path: Path, link: str | None) -> str:
     """Return the link to be replayed.
 
-    Raises
-    ------
-    ConfigurationError
-        When it does not exist, or none was named and there are several.
-    InputMalformedError
-        When the log has no raw frames.
+    raises ConfigurationError: when it does not exist, or none was named and there are several.
+    raises InputMalformedError: when the log has no raw frames.
     """
     names = links_of(path)
     if not names:
@@ -69,13 +65,8 @@ def replay(
     """Send the raw frames of a link in the order in which they were received.
 
     clock, sleep: seconds of a steady clock, and waiting for seconds.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        When the log cannot be read.
-    DeviceError
-        When the reader goes away.
+    raises InputNotFoundError, InputMalformedError: when the log cannot be read.
+    raises DeviceError: when the reader goes away.
     """
     frames = size = 0
     first_ns = last_ns = None

@@ -129,10 +129,7 @@ class LogSummary:
 def summarise(path: Path, dialect: Dialect) -> LogSummary:
     """Read a flight log and count what it holds.
 
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        See `LogReader.chunks`.
+    raises InputNotFoundError, InputMalformedError: see `LogReader.chunks`.
     """
     reader = LogReader(path)
     links: dict[str, LinkSummary] = {}

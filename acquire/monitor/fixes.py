@@ -42,10 +42,7 @@ OLD_CORRECTION_S, DEAD_CORRECTION_S = 5.0, 30.0
 def number(row: Mapping[str, Any], name: str) -> float | None:
     """Return a number of a message; None when it is not told or infinite.
 
-    Raises
-    ------
-    ValueError, TypeError
-        When it is none.
+    raises ValueError, TypeError: when it is none.
     """
     value = row.get(name)
     return None if value is None or not math.isfinite(value) else float(value)

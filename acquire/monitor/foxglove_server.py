@@ -20,12 +20,8 @@ def serving_foxglove(address: Address) -> Iterator[tuple[Callable[[list[Messages
     The protocol and foxglove-sdk know no token: their server stands at an address that nobody can guess,
     behind a gate that asks for one.
 
-    Raises
-    ------
-    ProgramMissingError
-        When the package foxglove-sdk is not installed.
-    ConfigurationError
-        When the address is none of this computer, or the port is taken.
+    raises ProgramMissingError: when the package foxglove-sdk is not installed.
+    raises ConfigurationError: when the address is none of this computer, or the port is taken.
     """
     try:
         import foxglove

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import ConfigDict, Field, ValidationError, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
-from acquire.checked_toml import Table, parse_toml
-from drivers.errors import ConfigurationError, InputNotFoundError
+from acquire.checked_toml import Table, read_toml
+from drivers.errors import ConfigurationError
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
 Positive = Annotated[float, Field(gt=0)]
@@ -125,30 +125,11 @@ class Configuration(Table):
 def read_configuration(path: Path) -> Configuration:
     """Read a configuration.
 
-    Raises
-    ------
-    InputNotFoundError
-        When the file cannot be read.
-    ConfigurationError
-        When it is no TOML, has an unknown key or an impossible value, or names a link twice.
+    raises InputNotFoundError: when the file cannot be read.
+    raises ConfigurationError: when it is no TOML, has an unknown key or an impossible value, or names a link
+        twice.
     """
-    try:
-        content = parse_toml(path.read_text(encoding="utf-8"))
-    except OSError as refusal:
-        reason = (refusal.strerror or str(refusal)).lower()
-        raise InputNotFoundError(
-            f"cannot be read ({reason})", where=path, remedy="check the name"
-        ) from refusal
-    except ValueError as refusal:
-        raise ConfigurationError(f"is no TOML ({refusal})", where=path, remedy="correct it") from refusal
-    try:
-        configuration = Configuration.model_validate(content)
-    except ValidationError as refusal:
-        first = refusal.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise ConfigurationError(
-            f"{key}: {first['msg'].removeprefix('Value error, ')}", where=path, remedy="correct this key"
-        ) from refusal
+    configuration = read_toml(path, Configuration)
     names = [link.name for link in configuration.link]
     for name in names:
         if names.count(name) > 1:

@@ -38,11 +38,7 @@ class LogFiles:
     begin: writes to each file what stands at its beginning.
     clock_ns: the clock of the host, UTC nanoseconds since 1970.
     make: makes a new file.
-
-    Raises
-    ------
-    OutputError
-        When the first file cannot be made.
+    raises OutputError: when the first file cannot be made.
     """
 
     def __init__(
@@ -100,10 +96,7 @@ class LogFiles:
 
         Where every place is full the messages are held in memory and writing is tried again.
 
-        Raises
-        ------
-        OutputError
-            When it can be written nowhere and more is held than `HELD_BYTES`.
+        raises OutputError: when it can be written nowhere and more is held than `HELD_BYTES`.
         """
         if self._again_ns is not None:
             return self._try_again()
@@ -138,10 +131,7 @@ class LogFiles:
     def close(self) -> list[Told]:
         """Write what is left and the summary.
 
-        Raises
-        ------
-        OutputError
-            When what is held can be written nowhere.
+        raises OutputError: when what is held can be written nowhere.
         """
         self._again_ns = None if self._again_ns is None else 0
         told = self.end_chunk()

@@ -72,14 +72,9 @@ def record(
 ) -> Recorded:
     """Record all links until told to stop.
 
-    Raises
-    ------
-    OutputError
-        When the log cannot be written (any more); what was written before stays.
-    ConfigurationError
-        When an address cannot be meant.
-    InputNotFoundError
-        When a file to be attached cannot be read.
+    raises OutputError: when the log cannot be written (any more); what was written before stays.
+    raises ConfigurationError: when an address cannot be meant.
+    raises InputNotFoundError: when a file to be attached cannot be read.
     """
     host = host or Host()
     dialect = ardupilotmega()
@@ -130,10 +125,7 @@ def sources_of(
 ) -> dict[str, Source]:
     """Return the sources of all links; casters are told their positions with the request.
 
-    Raises
-    ------
-    ConfigurationError
-        When an address cannot be meant or a password is missing.
+    raises ConfigurationError: when an address cannot be meant or a password is missing.
     """
     told = {name: position.now(clock_ns) for name, position in positions.items()}
     return {link.name: source_of_link(link, position=told.get(link.name)) for link in configuration.link}

@@ -54,12 +54,8 @@ class PlayedFlight:
 def read_flight(source: Path, start_utc: dt.datetime | None = None) -> PlayedFlight:
     """Read a simulated flight, or fly it.
 
-    Raises
-    ------
-    InputNotFoundError
-        When there is neither, or the folder holds no streams.
-    InputMalformedError
-        When streams and their times do not fit.
+    raises InputNotFoundError: when there is neither, or the folder holds no streams.
+    raises InputMalformedError: when streams and their times do not fit.
     """
     from acquire.simulate.world.configuration import read_configuration
     from acquire.simulate.world.exposures import CAMERA_FROM_IMU_M

@@ -42,10 +42,7 @@ def source_of_link(
 ) -> Source:
     """Return the source of a link.
 
-    Raises
-    ------
-    ConfigurationError
-        When the address cannot be meant or the password is missing.
+    raises ConfigurationError: when the address cannot be meant or the password is missing.
     """
     address = ntrip_address(link.url)
     if address is None:

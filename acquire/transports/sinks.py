@@ -133,12 +133,8 @@ class PtySink:
 def open_sink(url: str) -> Iterator[tuple[Sink, str]]:
     """Open where a stream is to be sent.
 
-    Raises
-    ------
-    ConfigurationError
-        When the address cannot be meant.
-    DeviceError
-        When it cannot be opened, or no reader comes.
+    raises ConfigurationError: when the address cannot be meant.
+    raises DeviceError: when it cannot be opened, or no reader comes.
     """
     if url == "pty":
         with _pty() as opened:

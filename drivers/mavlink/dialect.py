@@ -50,10 +50,7 @@ class Dialect:
     def number(self, name: str) -> int:
         """Return the message id of a name.
 
-        Raises
-        ------
-        KeyError
-            When the dialect has no such message.
+        raises KeyError: when the dialect has no such message.
         """
         for message, known in self._classes.items():
             if known.msgname == name:

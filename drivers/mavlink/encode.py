@@ -23,11 +23,7 @@ def encode(
 
     values: values by field name, in the units of the definition; fields that are missing are zero.
     sequence: number of the frame; taken modulo 256.
-
-    Raises
-    ------
-    KeyError
-        When a field is not one of the message.
+    raises KeyError: when a field is not one of the message.
     """
     row = np.zeros(1, dialect.layout(message))
     names = row.dtype.names or ()

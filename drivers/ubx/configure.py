@@ -32,10 +32,7 @@ class Version:
 def read_version(payload: bytes) -> Version:
     """Read the answer to a poll of MON-VER.
 
-    Raises
-    ------
-    DeviceError
-        When the receiver belongs to no generation that can be configured here.
+    raises DeviceError: when the receiver belongs to no generation that can be configured here.
     """
     texts = [_text(payload[:30]), _text(payload[30:40])]
     texts += [_text(payload[at : at + 30]) for at in range(40, len(payload), 30)]

@@ -19,10 +19,7 @@ SCHEMA = "photocal.check/2"
 def to_json(assessment: Assessment, say: Catalogue | None = None) -> dict[str, Any]:
     """Give an assessment as a JSON value.
 
-    Returns
-    -------
-    dict
-        Lengths in m; null where a figure does not exist.
+    returns: lengths in m; null where a figure does not exist.
     """
     question = assessment.question
     space = assessment.space
@@ -63,7 +60,7 @@ def _component(component: ComponentResult) -> dict[str, Any]:
         "n": figures.n,
         "mean_m": figures.mean_m,
         "correction_m": -figures.mean_m,
-        "std_m": _finite(figures.std_m),
+        "std_m": finite(figures.std_m),
         "rmse_m": figures.rmse_m,
         "rmse_after_trend_removal_m": component.rmse_after_trend_removal_m,
         "minimum_m": component.spread.minimum_m,
@@ -73,7 +70,7 @@ def _component(component: ComponentResult) -> dict[str, Any]:
         "bias_test": None
         if bias is None
         else {
-            "t": _finite(bias.t),
+            "t": finite(bias.t),
             "critical": bias.critical,
             "confidence": bias.confidence,
             "p_value": bias.p_value,
@@ -165,5 +162,6 @@ def _value(value: ValueClass) -> dict[str, Any]:
     }
 
 
-def _finite(value: float) -> float | None:
+def finite(value: float) -> float | None:
+    """Give a number that JSON knows, or None."""
     return value if math.isfinite(value) else None

@@ -27,10 +27,7 @@ _NONE = "-"
 def to_text(assessment: Assessment) -> str:
     """Write an assessment for people.
 
-    Returns
-    -------
-    str
-        Several lines, figures in m.
+    returns: several lines, figures in m.
     """
     parts = [
         _heading(assessment),

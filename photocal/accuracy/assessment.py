@@ -117,10 +117,7 @@ class Assessment:
 def assess(discrepancies: Discrepancies, standards: tuple[Standard, ...], question: Question) -> Assessment:
     """Judge a product at its check points.
 
-    Raises
-    ------
-    ConfigurationError
-        For a scale, interval or survey accuracy that cannot be.
+    raises ConfigurationError: for a scale, interval or survey accuracy that cannot be.
     """
     _require_positive(question)
     plane = discrepancies.planimetric()[1]

@@ -59,10 +59,7 @@ class Discrepancies:
     def component(self, name: str) -> tuple[tuple[str, ...], Floats]:
         """Give the values of one component with the names of their points.
 
-        Returns
-        -------
-        values_m : ndarray, shape (k,)
-            Discrepancies, m.
+        returns values_m (k,): discrepancies, m.
         """
         return self._complete([COMPONENTS.index(name)], 0)
 
@@ -87,11 +84,7 @@ def read_discrepancies(path: Path) -> Discrepancies:
         the height, may be missing), and optional E, N, h, and ground (open or vegetated). dE, dN, dh are
         other names of the corrections: as published studies print them, reference minus product. Metres,
         unless the header gives another unit (m, dm, cm, mm, ft, usft).
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        When it is not such a table; the message says the line.
+    raises InputNotFoundError, InputMalformedError: when it is not such a table; the message says the line.
     """
     table = read_columns(path)
     title, factor = _columns(table)

@@ -89,11 +89,8 @@ def draw_histogram(axes: Axes, values: Floats, face: str, colour: str) -> None:
 def residual_map(discrepancies: Discrepancies) -> Figure | None:
     """Draw the planimetric discrepancies as vectors, the heights as numbers, at their points.
 
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        None without positions or without planimetric discrepancies. North is up, both axes have one
-        scale, the vectors another one that is drawn beside the map.
+    returns: matplotlib.figure.Figure or None. None without positions or without planimetric discrepancies.
+        North is up, both axes have one scale, the vectors another one that is drawn beside the map.
     """
     from matplotlib.figure import Figure
 
@@ -144,10 +141,7 @@ def _histogram(axes: Axes, name: str, values: Floats) -> None:
 def write_figures(discrepancies: Discrepancies, folder: Path) -> tuple[Path, ...]:
     """Write the figures of the report section.
 
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written.
+    raises OutputError: when the folder cannot be written.
     """
     drawn = {"residual_map.pdf": residual_map(discrepancies), "histograms.pdf": histograms(discrepancies)}
     made = {name: figure for name, figure in drawn.items() if figure is not None}

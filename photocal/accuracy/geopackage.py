@@ -40,11 +40,7 @@ def reference_system(crs: str | None) -> ReferenceSystem:
     """Look up a projected coordinate system.
 
     crs: such as `EPSG:31982`; None for a local system that nothing else is known of.
-
-    Raises
-    ------
-    ConfigurationError
-        When it is unknown, or not a projected system in metres.
+    raises ConfigurationError: when it is unknown, or not a projected system in metres.
     """
     if crs is None:
         return LOCAL
@@ -74,12 +70,8 @@ def write_geopackage(
 ) -> int:
     """Write ground points and their residual vectors.
 
-    Raises
-    ------
-    ConfigurationError
-        When no point has a position.
-    OutputError
-        When the file cannot be written.
+    raises ConfigurationError: when no point has a position.
+    raises OutputError: when the file cannot be written.
     """
     rows = [row for role, discrepancies in groups for row in _rows(role, discrepancies)]
     if not rows:

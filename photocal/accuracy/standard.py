@@ -103,10 +103,7 @@ class LimitTable:
     def interval_at(self, scale_denominator: float) -> float | None:
         """Give the contour interval that the standard lists for a scale.
 
-        Returns
-        -------
-        float or None
-            Interval in m; None where the scale is not listed or the table knows no intervals.
+        returns: interval in m; None where the scale is not listed or the table knows no intervals.
         """
         listed = [p.interval_m for p in self.published if p.scale_denominator == scale_denominator]
         return listed[0] if listed and self.basis == "interval" else None
@@ -114,10 +111,7 @@ class LimitTable:
     def sizes(self) -> tuple[float, ...]:
         """Give the listed sizes.
 
-        Returns
-        -------
-        tuple of float
-            Scale denominators, or contour intervals in m, smallest first.
+        returns: scale denominators, or contour intervals in m, smallest first.
         """
         key = "scale_denominator" if self.basis == "scale" else "interval_m"
         return tuple(sorted({float(getattr(entry, key)) for entry in self.published}))
@@ -176,10 +170,7 @@ _SCALE = re.compile(r"^(?:1:)?(?P<denominator>[0-9]+(?:\.[0-9]+)?)$")
 def parse_scale(text: str) -> float:
     """Read a scale.
 
-    Raises
-    ------
-    ConfigurationError
-        When it is not a scale.
+    raises ConfigurationError: when it is not a scale.
     """
     match = _SCALE.match(text.replace(" ", ""))
     if match is None or float(match["denominator"]) <= 0.0:

@@ -75,13 +75,8 @@ def load_standard(name: str) -> Standard:
 
     name: name of a shipped standard (`decree-89817`, `pec-pcd`, `asprs-2024`), or the path of a TOML file of
         the same form.
-
-    Raises
-    ------
-    InputNotFoundError
-        When there is neither a shipped standard nor a file of that name.
-    ConfigurationError
-        When the file has not the form of a standard.
+    raises InputNotFoundError: when there is neither a shipped standard nor a file of that name.
+    raises ConfigurationError: when the file has not the form of a standard.
     """
     if name in SHIPPED:
         shipped = resources.files("photocal.accuracy.standards") / f"{name}.toml"

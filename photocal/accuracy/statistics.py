@@ -94,11 +94,7 @@ def spread(values_m: Floats) -> Spread:
     """Compute extremes, median and the robust standard deviation of one component.
 
     values_m (n,): discrepancies, m, n at least 1.
-
-    Returns
-    -------
-    Spread
-        The figures in m. Normalised median absolute deviation after Hoehle and Hoehle 2009.
+    returns: the figures in m. Normalised median absolute deviation after Hoehle and Hoehle 2009.
     """
     median = float(np.median(values_m))
     return Spread(

@@ -92,10 +92,7 @@ def _one_thread() -> AbstractContextManager[object]:
 def factorise(structure: Envelope, values: Floats) -> int:
     """Replace a matrix by its Cholesky factor, in place.
 
-    Returns
-    -------
-    int
-        -1, or the column at which the matrix is not positive definite.
+    returns: -1, or the column at which the matrix is not positive definite.
     """
     with _one_thread():
         return _factorised(structure, structure.panels(values))
@@ -155,9 +152,7 @@ def solve(structure: Envelope, factor: Floats, right: Floats) -> Floats:
 
     right (n,) or (n, m): right-hand sides.
 
-    Returns
-    -------
-    ndarray, shape of `right`
+    returns: ndarray, shape of `right`
     """
     x = np.array(right.reshape(structure.size, -1))
     with _one_thread():
@@ -196,10 +191,7 @@ def _rows(structure: Envelope, j: int) -> Integers:
 def selected_inverse(structure: Envelope, factor: Floats) -> Floats:
     """Elements of the inverse within the structure (Takahashi, Fagan and Chin 1973, by panels).
 
-    Returns
-    -------
-    ndarray
-        Values of the inverse's lower triangle; the diagonal blocks are complete.
+    returns: values of the inverse's lower triangle; the diagonal blocks are complete.
     """
     inverse = structure.zeros()
     with _one_thread():

@@ -33,10 +33,7 @@ class Factored:
 def factored(network: Network, state: State) -> Factored:
     """Set up and factorise the normal equations at an adjusted state.
 
-    Raises
-    ------
-    IllPosedError
-        When they are singular.
+    raises IllPosedError: when they are singular.
     """
     problem = with_datum(prepare(network), state)
     return factorised(problem, Minimum(state, normal_equations(problem, state), ()))

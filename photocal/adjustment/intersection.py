@@ -18,10 +18,7 @@ def intersect(
     ideal (n, 2): undistorted image coordinates from the principal point.
     principal_distance (n,).
 
-    Returns
-    -------
-    ndarray, shape (count, 3)
-        NaN for points whose rays are parallel or fewer than two.
+    returns (count, 3): NaN for points whose rays are parallel or fewer than two.
     """
     direction = np.column_stack([ideal, -principal_distance])
     direction = np.einsum("nji,nj->ni", rotation, direction)

@@ -29,10 +29,7 @@ class JointCovariance:
 def joint_covariance(at: Factored, chosen: Sequence[tuple[str, str]]) -> JointCovariance:
     """Covariance of all unknowns of chosen images, cameras, points and of the mounting.
 
-    Raises
-    ------
-    ConfigurationError
-        For what is no unknown of the network.
+    raises ConfigurationError: for what is no unknown of the network.
     """
     named, rows = list[Unknown](), list[tuple[Floats, Floats]]()
     columns = unknowns(at.problem)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -71,6 +72,8 @@ class Rays:
 
 
 RELATIONS = ("distance", "height_difference", "azimuth")
+# From differences of points, shape (n, 3): the values, and their derivatives with respect to the second.
+Related = Callable[[Floats], tuple[Floats, Floats]]
 
 
 @dataclass(frozen=True)
@@ -81,6 +84,7 @@ class Relations:
         the Y axis towards X in radians.
     first, second (n,): points.
     values, sigma (n,).
+    own: further kinds, numbered behind `RELATIONS`: name and function of each.
     """
 
     kind: Integers
@@ -88,6 +92,12 @@ class Relations:
     second: Integers
     values: Floats
     sigma: Floats
+    own: tuple[tuple[str, Related], ...] = field(default=(), kw_only=True)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Kinds by their number."""
+        return (*RELATIONS, *(name for name, _ in self.own))
 
 
 _NONE = np.zeros(0, dtype=np.int64)
@@ -154,11 +164,8 @@ def point_weights(sigma: Floats) -> tuple[Flags, Floats]:
     """Held coordinates and weight matrices from the standard deviations of coordinates.
 
     sigma (n, 3): 0 holds a coordinate, a positive value weights it, infinity leaves it free.
-
-    Returns
-    -------
-    held : ndarray of bool, shape (n, 3)
-    weight : ndarray, shape (n, 3, 3)
+    returns held (n, 3).
+    returns weight (n, 3, 3).
     """
     held = sigma == 0
     weight = np.zeros((len(sigma), 3, 3))

@@ -8,7 +8,7 @@ from drivers.arrays import Floats
 from photocal.adjustment.equations import Equations
 from photocal.adjustment.layout import Layout
 from photocal.adjustment.mounting import attitude_equations, common_equations, position_equations
-from photocal.adjustment.network import RELATIONS, Network, own_parameters, own_sigma
+from photocal.adjustment.network import Network, own_parameters, own_sigma
 from photocal.adjustment.state import State, turn_basis
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
@@ -96,12 +96,14 @@ def relation_equations(network: Network, layout: Layout, state: State) -> dict[s
     relations = network.relations
     place = {int(j): k for k, j in enumerate(layout.kept_points)}
     result = {}
-    for code, kind in enumerate(RELATIONS):
+    own = dict(relations.own)
+    for code, kind in enumerate(relations.names):
         mine = relations.kind == code
         if not mine.any():
             continue
         first, second = relations.first[mine], relations.second[mine]
-        computed, by_second = related(kind, state.points[second] - state.points[first])
+        difference = state.points[second] - state.points[first]
+        computed, by_second = own[kind](difference) if kind in own else related(kind, difference)
         residual = computed - relations.values[mine]
         if kind == "azimuth":
             residual = (residual + np.pi) % (2 * np.pi) - np.pi

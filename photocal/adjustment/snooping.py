@@ -61,13 +61,8 @@ def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None
 
     test: test with the a priori standard deviations (Baarda's w) or with the a posteriori variance factor
         (Pope's tau).
-
-    Raises
-    ------
-    IllPosedError
-        When the accepted observations do not determine the unknowns.
-    NotConvergedError
-        When the iteration or the rejections do not come to an end.
+    raises IllPosedError: when the accepted observations do not determine the unknowns.
+    raises NotConvergedError: when the iteration or the rejections do not come to an end.
     """
     began = time.perf_counter()
     whole = prepare(network)

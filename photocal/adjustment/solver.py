@@ -86,13 +86,8 @@ def minimise(
     """Find the state of least v'Pv.
 
     near: squared distance to the minimum, in units of the standard deviations, that may be left.
-
-    Raises
-    ------
-    IllPosedError
-        When the observations do not determine the unknowns.
-    NotConvergedError
-        When the iteration does not end.
+    raises IllPosedError: when the observations do not determine the unknowns.
+    raises NotConvergedError: when the iteration does not end.
     """
     damping, decrement, share, steps = 0.0, np.inf, 1.0, list[Iteration]()
     start = state

@@ -39,10 +39,7 @@ class Unknown:
 def unknowns(problem: Problem) -> list[Unknown | None]:
     """Name the columns of the reduced system; None for those that are no unknowns.
 
-    Returns
-    -------
-    list
-        One entry for each column.
+    returns: one entry for each column.
     """
     network, layout, own = problem.network, problem.layout, own_parameters(problem.network)
     found: list[Unknown | None] = [None] * layout.size

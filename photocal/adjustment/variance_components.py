@@ -14,7 +14,7 @@ import numpy as np
 from drivers.arrays import Integers
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
-from photocal.adjustment.network import RELATIONS, Network
+from photocal.adjustment.network import Network
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import State
@@ -104,12 +104,8 @@ def estimate_components(
 ) -> VarianceComponents:
     """Estimate the variance of each group of observations.
 
-    Raises
-    ------
-    IllPosedError
-        When the network is singular, or a variance runs to zero.
-    NotConvergedError
-        When the variances do not settle.
+    raises IllPosedError: when the network is singular, or a variance runs to zero.
+    raises NotConvergedError: when the variances do not settle.
     """
     rays = rays or rays_together(network)
     factors: dict[str, float] = {}
@@ -177,7 +173,7 @@ def with_factors(network: Network, rays: RayGroups, factors: dict[str, float]) -
         return factors.get(name, 1.0)
 
     by_ray = np.array([of(name) for name in rays.names])[rays.group]
-    by_relation = np.array([of(kind) for kind in RELATIONS])[network.relations.kind]
+    by_relation = np.array([of(kind) for kind in network.relations.names])[network.relations.kind]
     exposures, positions = network.exposures, network.positions
     attitudes, mounting = network.attitudes, network.mounting
     # 0 holds and infinity frees a value: both stay what they are.

@@ -37,10 +37,7 @@ class Estimates:
     def indices(self, parameters: Iterable[str]) -> list[int]:
         """Give the places of the named parameters.
 
-        Raises
-        ------
-        ConfigurationError
-            When a name is not among the parameters.
+        raises ConfigurationError: when a name is not among the parameters.
         """
         place = {name: i for i, name in enumerate(self.names)}
         wanted = tuple(parameters)
@@ -94,10 +91,7 @@ def without(estimates: Estimates, removed: Iterable[str]) -> tuple[Estimates, fl
     Deleting a parameter from an adjustment deletes its row and column of the reduced normal
     matrix, the inverse of the covariance: exact for a linear model, a prediction for ours.
 
-    Raises
-    ------
-    IllPosedError
-        When the covariance of the removed parameters is not positive definite.
+    raises IllPosedError: when the covariance of the removed parameters is not positive definite.
     """
     out = estimates.indices(removed)
     stay = [i for i in range(len(estimates.names)) if i not in out]

@@ -74,10 +74,7 @@ def analyse_network(
     done : callable
         Gets the share of the work that was done since it was called last.
 
-    Raises
-    ------
-    IllPosedError, NotConvergedError
-        As the adjustment does.
+    raises IllPosedError, NotConvergedError: as the adjustment does.
     """
     left, share = 1.0, 1.0 / (_steps(network) + draws)
 

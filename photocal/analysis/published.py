@@ -50,11 +50,8 @@ def analyse_published(
     table: CSV. Either parameter, value and std_dev (or sigma), perhaps set and degrees_of_freedom: each set
         is analysed alone. Or a square matrix of correlations, or a covariance, with the names in its head and
         its first column.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError, ConfigurationError, IllPosedError
-        For what cannot be read, does not fit together, or is no covariance.
+    raises InputNotFoundError, InputMalformedError, ConfigurationError, IllPosedError: for what cannot be
+        read, does not fit together, or is no covariance.
     """
     if "value" not in _head(table):
         if matrix is not None or set_name is not None:

@@ -65,11 +65,7 @@ def significance(estimates: Estimates, degrees_of_freedom: float, alpha: float =
     """Test every parameter alone, the usual groups, and the radial terms one after the other.
 
     estimates: parameters with their covariance, scaled by the a posteriori variance of unit weight.
-
-    Raises
-    ------
-    IllPosedError
-        When the covariance of a group is not positive definite.
+    raises IllPosedError: when the covariance of a group is not positive definite.
     """
     single = [((name,), "single") for name in estimates.names]
     groups = [(_estimated(group, estimates), "group") for group in GROUPS]

@@ -83,10 +83,8 @@ class CameraKeys(Table):
 def make_camera(keys: CameraKeys, where: object) -> Camera:
     """Make the camera that a `[[camera]]` describes.
 
-    Raises
-    ------
-    ConfigurationError
-        For unknown parameters, a missing pitch or principal distance, or sigmas that do not fit.
+    raises ConfigurationError: for unknown parameters, a missing pitch or principal distance, or sigmas that
+        do not fit.
     """
     place, lens = f"{where}, camera {keys.id}", MODELS[keys.model]
     for section, names in (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +15,10 @@ from photocal.block.model import (
     Block,
     FiducialFit,
     Images,
-    InputFile,
     ObjectPoints,
     Observations,
     Repetition,
+    fingerprint,
 )
 from photocal.block.motion import MOTION_COLUMNS, read_motion
 from photocal.block.mounting import make_mounting, read_attitudes, read_positions
@@ -87,7 +86,7 @@ def read_block(folder: Path) -> Block:
         images,
         points,
         observations,
-        tuple(fingerprint(folder, name) for name in tables),
+        tuple(fingerprint(folder / name, name) for name in tables),
         relations,
         positions,
         attitudes,
@@ -97,12 +96,6 @@ def read_block(folder: Path) -> Block:
         (setup.block.level, setup.block.global_test),
         read_relations(checks, "distance", points.names) if checks.exists() else NO_RELATIONS,
     )
-
-
-def fingerprint(folder: Path, name: str) -> InputFile:
-    """Digest of an input file, so that a certificate can name what it was made from."""
-    content = (folder / name).read_bytes()
-    return InputFile(name, hashlib.sha256(content).hexdigest(), len(content))
 
 
 def read_images(path: Path, cameras: tuple[Camera, ...]) -> Images:
@@ -235,8 +228,8 @@ def _read_relations(folder: Path, points: tuple[str, ...]) -> Relations:
     parts = [read_relations(path, name, points) for name, path in paths.items() if path.exists()]
     if not parts:
         return NO_RELATIONS
-    columns = zip(*(vars(part).values() for part in parts), strict=True)
-    return Relations(*(np.concatenate(column) for column in columns))
+    columns = ("kind", "first", "second", "values", "sigma")
+    return Relations(*(np.concatenate([getattr(part, column) for part in parts]) for column in columns))
 
 
 def _observations_path(folder: Path) -> Path:

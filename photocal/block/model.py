@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -36,6 +38,17 @@ class InputFile:
     path: str
     sha256: str
     bytes: int
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def fingerprint(path: Path, name: str = "") -> InputFile:
+    """What a file is recognised by, under a name (its own where none is given)."""
+    return InputFile(name or path.name, digest(path), path.stat().st_size)
 
 
 @dataclass(frozen=True)

@@ -81,9 +81,7 @@ def motion_of(
 def require_motion(block: Block, network: Network) -> None:
     """Refuse to estimate a readout of which nothing tells how fast its images fly.
 
-    Raises
-    ------
-    ConfigurationError
+    raises ConfigurationError.
     """
     for given, taken in zip(block.cameras, network.cameras, strict=True):
         if given.rolling and given.estimated[-1] and not taken.estimated[-1]:
@@ -121,18 +119,10 @@ def velocity_of_neighbours(camera: Integers, time: Floats, centre: Floats) -> tu
 def strips(seconds: Floats, velocity: Floats) -> tuple[Integers, Floats]:
     """Tell strips by the turns and pauses between exposures.
 
-    Parameters
-    ----------
-    seconds : ndarray, shape (n,)
-        Times of the exposures, increasing.
-    velocity : ndarray, shape (n, 3)
-        Along X, Y, Z, m/s.
-
-    Returns
-    -------
-    strip : ndarray of int, shape (n,)
-    elapsed : ndarray, shape (n,)
-        Seconds since the middle of the strip.
+    seconds (n,): times of the exposures, increasing.
+    velocity (n, 3): along X, Y, Z, m/s.
+    returns strip (n,).
+    returns elapsed (n,): seconds since the middle of the strip.
     """
     heading = np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1]))
     turned = np.abs((np.diff(heading) + 180.0) % 360.0 - 180.0) > _TURN_DEG

@@ -47,14 +47,9 @@ class NetworkOfBlock:
 def assemble(block: Block) -> NetworkOfBlock:
     """Make the network of a block.
 
-    Raises
-    ------
-    ConfigurationError
-        For a frame or a datum that cannot be adjusted in.
-    InputMalformedError
-        For points with too few rays.
-    IllPosedError
-        When nothing fixes the datum or an image.
+    raises ConfigurationError: for a frame or a datum that cannot be adjusted in.
+    raises InputMalformedError: for points with too few rays.
+    raises IllPosedError: when nothing fixes the datum or an image.
     """
     rays_of_point = np.bincount(block.observations.point, minlength=len(block.points.names))
     _require_rays(block, rays_of_point)
@@ -126,10 +121,7 @@ def _held_readout(camera: Camera) -> Camera:
 def block_frame(block: Block) -> Frame:
     """Frame of a block, with the middle of its images and points as local origin.
 
-    Raises
-    ------
-    ConfigurationError
-        For an unknown system or heights of a kind that does not fit it.
+    raises ConfigurationError: for an unknown system or heights of a kind that does not fit it.
     """
     places = np.vstack([block.images.values[:, 3:], block.points.values])
     if np.isnan(places).all():
@@ -184,10 +176,7 @@ def _local_positions(positions: Positions, frame: Frame) -> Positions:
 def observed_plane(block: Block) -> tuple[Floats, Floats]:
     """Observations and their sigmas in the image plane, in the unit of each camera.
 
-    Returns
-    -------
-    plane, sigma : ndarray, shape (n, 2)
-        x right, y up, from the middle of the image.
+    returns plane, sigma (n, 2): x right, y up, from the middle of the image.
     """
     observations = block.observations
     camera = block.images.camera[observations.image]
@@ -202,10 +191,7 @@ def observed_plane(block: Block) -> tuple[Floats, Floats]:
 def plane_per_unit(block: Block) -> Floats:
     """Image plane units of each camera per unit of the observations, shape (cameras, 2).
 
-    Raises
-    ------
-    ConfigurationError
-        For observations in mm of a camera in px.
+    raises ConfigurationError: for observations in mm of a camera in px.
     """
     scales = []
     for camera in block.cameras:

@@ -68,10 +68,7 @@ def mean_of_readings(
     A reading that is farther than the limit from the median of its group, in x or y, is rejected. The stated
     standard deviation is that of one reading: the mean of n has it by the root of n.
 
-    Raises
-    ------
-    InputMalformedError
-        When no two readings of a point agree, so that none can stay.
+    raises InputMalformedError: when no two readings of a point agree, so that none can stay.
     """
     pair = readings.image * len(points) + readings.point
     order = np.argsort(pair, kind="stable")

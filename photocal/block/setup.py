@@ -68,11 +68,7 @@ class Setup(Table):
 def read_setup(path: Path) -> Setup:
     """Read and check `block.toml`.
 
-    Raises
-    ------
-    InputNotFoundError
-        When there is no such file.
-    ConfigurationError
-        For what is not TOML, an unknown key, a missing one, or an impossible value.
+    raises InputNotFoundError: when there is no such file.
+    raises ConfigurationError: for what is not TOML, an unknown key, a missing one, or an impossible value.
     """
     return read_toml(path, Setup)

@@ -137,13 +137,8 @@ def read_table(path: Path, required: tuple[str, ...], optional: tuple[str, ...] 
     """Read a table of CSV or Parquet.
 
     required, optional: names of the columns; no others are allowed.
-
-    Raises
-    ------
-    InputNotFoundError
-        When there is no such file, or it is empty.
-    InputMalformedError
-        When it cannot be read as a table, is cut, or has other columns.
+    raises InputNotFoundError: when there is no such file, or it is empty.
+    raises InputMalformedError: when it cannot be read as a table, is cut, or has other columns.
     """
     table = read_wider_table(path, required)
     for name in table.columns.column_names:

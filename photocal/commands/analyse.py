@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from photocal.commands.options import AsJson
+
 
 def analyse(
     run: Annotated[
@@ -38,7 +40,7 @@ def analyse(
         float, typer.Option(min=1.0, help="Redundancy behind published parameters.")
     ] = float("inf"),
     language: Annotated[str, typer.Option(help="Language: en or pt-BR.")] = "en",
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Analyse a calibration: hidden errors worst first, significance, correlations, method.
 

@@ -15,7 +15,8 @@ from photocal.commands.check_of_block import (
     noise_of,
     with_project,
 )
-from photocal.commands.check_of_product import judge_discrepancies, judge_product
+from photocal.commands.check_of_product import judge_product
+from photocal.commands.options import AsJson
 
 
 def check(
@@ -105,7 +106,7 @@ def check(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Of that noise.")] = 0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Judge a block or a product at its check points: statistics, tests and accuracy classes.
 
@@ -154,7 +155,10 @@ def check(
     if block is not None:
         judge_block(block, output, standards, question, noise, crs, on_the_job=False, as_json=as_json)
     elif discrepancies is not None:
-        judge_discrepancies(discrepancies, standards, question, folder, geopackage, crs, as_json=as_json)
+        from photocal.accuracy.discrepancies import read_discrepancies
+
+        table = read_discrepancies(discrepancies)
+        judge_product(table, discrepancies, standards, question, folder, geopackage, crs, as_json=as_json)
     elif points is not None:
         from photocal.products.product_check import check_products, read_check_points
 

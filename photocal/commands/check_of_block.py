@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from acquire.console import answer, progress
+from acquire.console import answer, numbers_of, progress
 from drivers.errors import ConfigurationError
 from photocal.commands.check_of_product import changed_utc
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from photocal.accuracy.standard import Question, Standard
-    from photocal.georeferencing.experiment import InteriorSet
+    from photocal.geometry.camera import Camera
     from photocal.georeferencing.simulated import Degradation
     from photocal.project import Project
 
@@ -31,7 +31,7 @@ def judge_block(
 ) -> None:
     """Georeference a block three ways, judge it and answer."""
     from photocal.accuracy.geopackage import reference_system
-    from photocal.exchange.any_block import read_any_block
+    from photocal.exchange.formats import read_any_block
     from photocal.findings.catalogue import catalogue
     from photocal.findings.texts import finding_json
     from photocal.georeferencing.as_json import to_json
@@ -89,7 +89,7 @@ def with_project(path: Path, question: Question) -> tuple[Project, Question]:
 
 def judge_experiment(path: Path, output: Path | None, *, as_json: bool) -> None:
     """Run an experiment with interior orientations and control patterns, and answer."""
-    from photocal.exchange.any_block import read_any_block
+    from photocal.exchange.formats import read_any_block
     from photocal.georeferencing.experiment import run_experiment
     from photocal.georeferencing.experiment_file import read_experiment
     from photocal.georeferencing.experiment_output import to_json, to_text, write_experiment
@@ -108,7 +108,7 @@ def judge_numbers(source: Path, counts: str, output: Path | None, *, as_json: bo
     import json
 
     from acquire.outputs import output_folder
-    from photocal.exchange.any_block import read_any_block
+    from photocal.exchange.formats import read_any_block
     from photocal.georeferencing.control_numbers import control_numbers, numbers_text
     from photocal.georeferencing.experiment_plots import control_plot
 
@@ -132,23 +132,24 @@ def judge_numbers(source: Path, counts: str, output: Path | None, *, as_json: bo
     answer(as_json, lambda: figures, lambda: numbers_text(figures) + said)
 
 
-def _interiors(path: Path) -> tuple[InteriorSet, ...]:
+def _interiors(path: Path) -> tuple[Camera, ...]:
     """Calibrations of a file as `photocal compare` reads it."""
+    from dataclasses import replace
+
     import numpy as np
 
     from photocal.analysis.stability.camera_file import read_camera_file
     from photocal.geometry.camera import PARAMETERS
-    from photocal.georeferencing.experiment import InteriorSet
 
-    sets = []
+    cameras = []
     for one in read_camera_file(path).calibrations:
-        sigma, correlation = np.full(len(PARAMETERS), np.nan), np.eye(len(PARAMETERS))
+        sigma, correlation = np.full(len(PARAMETERS), np.inf), np.eye(len(PARAMETERS))
         if one.uncertainty is not None:
             at = [PARAMETERS.index(name) for name in one.uncertainty.names]
             sigma[at] = one.uncertainty.sigmas
             correlation[np.ix_(at, at)] = one.uncertainty.correlation
-        sets.append(InteriorSet(one.id, one.camera, sigma, correlation))
-    return tuple(sets)
+        cameras.append(replace(one.camera, id=one.id, prior_sigma=sigma, prior_correlation=correlation))
+    return tuple(cameras)
 
 
 def noise_of(text: str, seed: int) -> tuple[Degradation, np.random.Generator]:
@@ -159,10 +160,5 @@ def noise_of(text: str, seed: int) -> tuple[Degradation, np.random.Generator]:
 
     from photocal.georeferencing.simulated import Degradation
 
-    try:
-        position, attitude = (float(part) for part in text.split(","))
-    except ValueError as refusal:
-        raise ConfigurationError(
-            f"{text!r} is not a noise of position and attitude", remedy="write metres,degrees: 0.08,0.02"
-        ) from refusal
+    position, attitude = numbers_of(text, "--simulate-direct", "METRES,DEGREES: a noise such as 0.08,0.02")
     return Degradation(position, math.radians(attitude)), np.random.default_rng(seed)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def judge_product(
-    found: ProductCheck,
+    found: Discrepancies | ProductCheck,
     path: Path,
     standards: tuple[Standard, ...],
     question: Question,
@@ -24,44 +24,20 @@ def judge_product(
     *,
     as_json: bool,
 ) -> None:
-    """Judge what an orthomosaic and a terrain model say at the check points."""
-    from photocal.accuracy.as_json import to_json
+    """Judge a table of discrepancies, or what an orthomosaic and a terrain model say at the check points."""
+    from photocal.accuracy.as_json import finite, to_json
     from photocal.accuracy.as_text import to_text
     from photocal.accuracy.assessment import assess
-    from photocal.georeferencing.as_json import finite
+    from photocal.accuracy.discrepancies import Discrepancies
 
-    result = assess(found.discrepancies, standards, question)
+    more: dict[str, object] = {}
+    remarks: tuple[str, ...] = ()
+    if not isinstance(found, Discrepancies):
+        likeness, remarks = [finite(v) for v in found.likeness.tolist()], found.remarks
+        more, found = {"likeness": likeness, "remarks": list(remarks)}, found.discrepancies
+    result = assess(found, standards, question)
     _files(result.discrepancies, path, figures, geopackage, crs)
-    answer(
-        as_json,
-        lambda: {
-            **to_json(result),
-            "likeness": [finite(v) for v in found.likeness.tolist()],
-            "remarks": list(found.remarks),
-        },
-        lambda: "\n".join([to_text(result), *found.remarks]),
-    )
-
-
-def judge_discrepancies(
-    path: Path,
-    standards: tuple[Standard, ...],
-    question: Question,
-    figures: Path | None,
-    geopackage: Path | None,
-    crs: str | None,
-    *,
-    as_json: bool,
-) -> None:
-    """Judge a table of discrepancies."""
-    from photocal.accuracy.as_json import to_json
-    from photocal.accuracy.as_text import to_text
-    from photocal.accuracy.assessment import assess
-    from photocal.accuracy.discrepancies import read_discrepancies
-
-    result = assess(read_discrepancies(path), standards, question)
-    _files(result.discrepancies, path, figures, geopackage, crs)
-    answer(as_json, lambda: to_json(result), lambda: to_text(result))
+    answer(as_json, lambda: to_json(result) | more, lambda: "\n".join([to_text(result), *remarks]))
 
 
 def _files(

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from photocal.commands.options import AsJson
+
 if TYPE_CHECKING:
     from photocal.analysis.stability.camera_file import CameraFile
     from photocal.analysis.stability.comparison import Figure, Pair
@@ -38,7 +40,7 @@ def compare(
             "--exchange", help="Use camera and mounting of each flight in each other, at its check points."
         ),
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Compare calibrations: misclosure, zero rotation, rotation and single photo resection of every pair.
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from acquire.console import answer
+from acquire.console import answer, numbers_of
 from drivers.errors import ConfigurationError
 from photocal.exchange.formats import exported
 
@@ -78,27 +78,17 @@ def _origin_of(given: Reconstruction) -> dict[str, Any] | None:
 
 
 def _angle_unit(text: str) -> Angle | None:
-    if text == "":
-        return None
-    if text == "deg":
-        return "deg"
-    if text == "gon":
-        return "gon"
+    if text in ("", "deg", "gon"):
+        return cast("Angle", text) if text else None
     raise ConfigurationError(f"angle unit {text!r} is not known", remedy="use deg or gon")
 
 
 def _origin(text: str) -> Origin | None:
     from photocal.exchange.choices import Origin
-    from photocal.exchange.source import number
 
     if text == "":
         return None
-    cells = text.split(",")
-    if len(cells) != 3:
-        raise ConfigurationError(
-            f"origin {text!r} has {len(cells)} numbers", remedy="give LATITUDE,LONGITUDE,HEIGHT"
-        )
-    latitude, longitude, height = (number(cell, "--origin", "origin") for cell in cells)
+    latitude, longitude, height = numbers_of(text, "--origin", "LATITUDE,LONGITUDE,HEIGHT: degrees, metres")
     return Origin(latitude, longitude, height)
 
 

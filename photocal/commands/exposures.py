@@ -7,9 +7,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from acquire.console import answer, progress
+from acquire.console import answer, numbers_of, progress
+from photocal.commands.options import (
+    AsJson,
+    Base,
+    BaseLink,
+    BasePosition,
+    BaseSigma,
+    BaseWeather,
+    Navigation,
+    Rover,
+    RoverLink,
+)
 
 if TYPE_CHECKING:
+    from drivers.arrays import Floats
     from photocal.navigation.exposure_run import Choices
 
 
@@ -65,25 +77,15 @@ def exposures(
         bool,
         typer.Option("--check-images", help="Orient the images by tie points and compare their rotations."),
     ] = False,
-    rover: Annotated[Path | None, typer.Option(help="RINEX observations of the rover.")] = None,
-    base: Annotated[Path | None, typer.Option(help="RINEX observations of the base.")] = None,
-    nav: Annotated[list[str] | None, typer.Option(help="RINEX navigation file; may be repeated.")] = None,
-    base_position: Annotated[
-        str | None,
-        typer.Option(
-            help="LAT,LON,H of the base: degrees, ellipsoidal height in metres; or a CSRS-PPP or SINEX file."
-        ),
-    ] = None,
-    base_sigma: Annotated[
-        str | None, typer.Option(help="Standard deviations E,N,U of the base's position, metres.")
-    ] = None,
-    weather: Annotated[
-        str | None,
-        typer.Option(help="TEMPERATURE,HUMIDITY[,PRESSURE] at the base: degrees Celsius, percent, hPa."),
-    ] = None,
-    rover_link: Annotated[str, typer.Option(help="Link of the rover in the flight log.")] = "rover",
-    base_link: Annotated[str, typer.Option(help="Link of the base in the flight log.")] = "base",
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+    rover: Rover = None,
+    base: Base = None,
+    nav: Navigation = None,
+    base_position: BasePosition = None,
+    base_sigma: BaseSigma = None,
+    weather: BaseWeather = None,
+    rover_link: RoverLink = "rover",
+    base_link: BaseLink = "base",
+    as_json: AsJson = False,
 ) -> None:
     """Compute position and attitude of every exposure, with covariances, and check them.
 
@@ -109,7 +111,7 @@ def exposures(
     from photocal.navigation.exposure_run import Choices, run_exposures
     from photocal.navigation.flight_log import FlightLog
     from photocal.navigation.image_checks import TieMatching
-    from photocal.navigation.ppk_inputs import Sources, parse_triple
+    from photocal.navigation.ppk_inputs import Sources
     from photocal.navigation.rig import Rig
     from photocal.navigation.rig import camera_axes as axes_of
 
@@ -129,11 +131,11 @@ def exposures(
         if edge not in ("rising", "falling"):
             raise ConfigurationError(f"{edge!r} is no edge", where="--edge", remedy="rising or falling")
         rig = Rig(
-            None if camera_to_antenna is None else parse_triple(camera_to_antenna, "--camera-to-antenna"),
-            parse_triple(camera_to_antenna_sigma, "--camera-to-antenna-sigma"),
-            None if attitude_sigma is None else np.radians(parse_triple(attitude_sigma, "--attitude-sigma")),
-            np.radians(parse_triple(boresight, "--boresight")),
-            np.radians(parse_triple(boresight_sigma, "--boresight-sigma")),
+            None if camera_to_antenna is None else _triple(camera_to_antenna, "--camera-to-antenna"),
+            _triple(camera_to_antenna_sigma, "--camera-to-antenna-sigma"),
+            None if attitude_sigma is None else np.radians(_triple(attitude_sigma, "--attitude-sigma")),
+            np.radians(_triple(boresight, "--boresight")),
+            np.radians(_triple(boresight_sigma, "--boresight-sigma")),
             axes_of(tuple(camera_axes.split(","))),
         )
         sources = Sources(
@@ -150,6 +152,12 @@ def exposures(
         figures = write_run(folder, run, choices.rig, camera, crs)
         (folder / "exposures.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
     answer(as_json, lambda: figures, lambda: exposures_text(figures))
+
+
+def _triple(text: str, option: str) -> Floats:
+    import numpy as np
+
+    return np.array(numbers_of(text, option, "A,B,C: three numbers in the unit of the help"))
 
 
 def _of_project(path: Path) -> tuple[Choices, str, str | None]:

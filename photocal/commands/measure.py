@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from acquire.console import answer, progress
+from acquire.console import answer, numbers_of, progress
 from drivers.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -243,14 +243,10 @@ def _gcp(
     from photocal.measurement.gcp_block import measure_gcp
     from photocal.measurement.image_file import list_images
 
-    try:
-        horizontal, vertical = (float(part) for part in sigma.split(","))
-    except ValueError:
-        horizontal, vertical = -1.0, -1.0
+    form = "HORIZONTAL,VERTICAL: metres, such as 0.02,0.03"
+    horizontal, vertical = numbers_of(sigma, "--gcp-sigma", form)
     if not (horizontal > 0 and vertical > 0):
-        raise ConfigurationError(
-            f"--gcp-sigma {sigma} is not understood", remedy="give two numbers in metres, such as 0.02,0.03"
-        )
+        raise ConfigurationError(f"--gcp-sigma {sigma} is not positive", remedy=f"give {form}")
     return _written_anyway(
         partial(
             measure_gcp,

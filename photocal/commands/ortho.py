@@ -8,8 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
-from acquire.console import answer, progress
+from acquire.console import answer, numbers_of, progress
 from drivers.errors import ConfigurationError
+from photocal.commands.options import AsJson
 
 # Cells so many pixels wide leave pixels out.
 _COARSE = 2.0
@@ -56,7 +57,7 @@ def ortho(
         typer.Option(help="Map (.pdf, .svg, .png) of how far --compare would put things elsewhere."),
     ] = None,
     workers: Annotated[int, typer.Option(help="Threads; 0 for all cores.")] = 0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Make an orthophoto: every cell takes its grey value from the image that sees it best from above.
 
@@ -102,7 +103,8 @@ def ortho(
     recipe.require_nodata()
     tags = {HEIGHT_TAG: kind, "SEAMS": "best nadir", "RESAMPLING": resampling}
     with progress("orthophoto", grid.columns * grid.rows) as advance:
-        made = write_orthophoto(output, recipe, files, system, tags, workers or os.cpu_count() or 1, advance)
+        threads = workers or os.cpu_count() or 1
+        share, shown = write_orthophoto(output, recipe, files, system, tags, threads, advance)
     figures: dict[str, Any] = {
         "schema": "photocal.ortho/1",
         "output": str(output),
@@ -113,12 +115,12 @@ def ortho(
         "west": grid.west,
         "north": grid.north,
         "height_kind": kind,
-        "covered": made.share,
-        "cells": made.cells,
+        "covered": share,
+        "cells": shown,
     }
     size = f"{grid.columns} x {grid.rows} cells of {grid.cell:g} m"
-    lines = [*notes, f"{output}: {size}, {resampling}, {100 * made.share:.1f} % covered, {kind} heights"]
-    lines += [f"  {name}: {100 * n / (grid.columns * grid.rows):.1f} %" for name, n in made.cells.items()]
+    lines = [*notes, f"{output}: {size}, {resampling}, {100 * share:.1f} % covered, {kind} heights"]
+    lines += [f"  {name}: {100 * n / (grid.columns * grid.rows):.1f} %" for name, n in shown.items()]
     if grid.cell > _COARSE * pixel:
         lines.append(
             f"a cell is {grid.cell / pixel:.1f} pixels wide and takes the value of one place, no mean: fine "
@@ -153,21 +155,17 @@ def _terrain_file(
             f"{dtm} is a table of points", remedy="give --dtm-cell, --dtm-output and --heights with it"
         )
     points = read_terrain_points(dtm)
-    made = grid_of_points(points, cell, "" if crs is None else system_wkt(crs), heights)
-    write_terrain(made.terrain, output)
-    note = f"{output}: {len(points.xyz)} points, {made.triangles} triangles"
-    if made.flat:
-        note += f", {made.flat} of them level within one contour (summits and hollows are cut off)"
+    terrain, triangles, flat = grid_of_points(points, cell, "" if crs is None else system_wkt(crs), heights)
+    write_terrain(terrain, output)
+    note = f"{output}: {len(points.xyz)} points, {triangles} triangles"
+    if flat:
+        note += f", {flat} of them level within one contour (summits and hollows are cut off)"
     return output, [note]
 
 
 def _rectangle(text: str) -> tuple[float, float, float, float]:
-    try:
-        west, south, east, north = (float(part) for part in text.split(","))
-    except ValueError as refusal:
-        raise ConfigurationError(
-            f"--bounds {text} is no rectangle", remedy="write WEST,SOUTH,EAST,NORTH in metres"
-        ) from refusal
+    form = "WEST,SOUTH,EAST,NORTH: a rectangle in metres"
+    west, south, east, north = numbers_of(text, "--bounds", form)
     if not (west < east and south < north):
         raise ConfigurationError(f"--bounds {text} is empty", remedy="write WEST,SOUTH,EAST,NORTH in metres")
     return west, south, east, north

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from acquire.console import answer, progress
+from acquire.console import answer, numbers_of, progress
 from drivers.errors import ConfigurationError
+from photocal.commands.options import AsJson
 
 if TYPE_CHECKING:
-    from photocal.planning.control_layout import ControlLayout
+    from photocal.planning.control_layout import Layout
     from photocal.planning.flight import Flight
     from photocal.planning.mission import Home
     from photocal.planning.simulated_adjustment import Survey
@@ -75,7 +76,7 @@ def plan(
         bool, typer.Option("--calibrate", help="Estimate the camera from the flight itself.")
     ] = False,
     relief_m: Annotated[float, typer.Option(help="Terrain above and below its mean, m.")] = 0.0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Plan a photo flight: height, overlaps, strips, expected precision, control, mission.
 
@@ -135,7 +136,7 @@ def plan(
     )
 
 
-def _simulated(flight: Flight, layout: ControlLayout, survey: Survey) -> tuple[dict[str, object], str]:
+def _simulated(flight: Flight, layout: Layout, survey: Survey) -> tuple[dict[str, object], str]:
     from photocal.planning.simulated_adjustment import simulate, to_json, to_text
 
     with progress("adjusting the planned flight", None):
@@ -153,12 +154,7 @@ def _survey(image_px: float, control: str, gnss: str | None, calibrate: bool, re
 
 
 def _pair(text: str) -> tuple[float, float]:
-    try:
-        plane, height = (float(part) for part in text.split(","))
-    except ValueError as refusal:
-        raise ConfigurationError(
-            f"{text!r} is not a precision in plane and height", remedy="write 0.02,0.03"
-        ) from refusal
+    plane, height = numbers_of(text, "sigma", "PLANE,HEIGHT: metres, write 0.02,0.03")
     if not (plane > 0.0 and height > 0.0):
         raise ConfigurationError(f"a precision of {text} m is not positive", remedy="write 0.02,0.03")
     return plane, height
@@ -174,12 +170,8 @@ def _image_size(text: str) -> tuple[int, int]:
 def _home(text: str) -> Home:
     from photocal.planning.mission import Home
 
-    try:
-        latitude, longitude, height = (float(part) for part in text.split(","))
-    except ValueError as refusal:
-        raise ConfigurationError(
-            f"{text!r} is not a take-off place", remedy="write LAT,LON,HEIGHT: -28.853,-51.294,700"
-        ) from refusal
-    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and math.isfinite(height)):
+    form = "LAT,LON,HEIGHT: degrees, metres above mean sea level"
+    latitude, longitude, height = numbers_of(text, "--home", form)
+    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
         raise ConfigurationError(f"{text!r} is no place on earth", remedy="latitude comes first")
     return Home(latitude, longitude, height)

@@ -8,6 +8,17 @@ from typing import Annotated
 import typer
 
 from acquire.console import answer
+from photocal.commands.options import (
+    AsJson,
+    Base,
+    BaseLink,
+    BasePosition,
+    BaseSigma,
+    BaseWeather,
+    Navigation,
+    Rover,
+    RoverLink,
+)
 
 
 def ppk(
@@ -17,29 +28,14 @@ def ppk(
     flight: Annotated[
         list[Path] | None, typer.Argument(help="Flight logs with raw frames of both, that follow each other.")
     ] = None,
-    rover: Annotated[Path | None, typer.Option(help="RINEX observations of the rover.")] = None,
-    base: Annotated[Path | None, typer.Option(help="RINEX observations of the base.")] = None,
-    nav: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="RINEX navigation file; may be repeated. `base`: those that the base's link recorded."
-        ),
-    ] = None,
-    base_position: Annotated[
-        str | None,
-        typer.Option(
-            help="LAT,LON,H of the base: degrees, ellipsoidal height in metres; or a CSRS-PPP or SINEX file."
-        ),
-    ] = None,
-    base_sigma: Annotated[
-        str | None, typer.Option(help="Standard deviations E,N,U of the base's position, metres.")
-    ] = None,
-    weather: Annotated[
-        str | None,
-        typer.Option(help="TEMPERATURE,HUMIDITY[,PRESSURE] at the base: degrees Celsius, percent, hPa."),
-    ] = None,
-    rover_link: Annotated[str, typer.Option(help="Link of the rover in the flight log.")] = "rover",
-    base_link: Annotated[str, typer.Option(help="Link of the base in the flight log.")] = "base",
+    rover: Rover = None,
+    base: Base = None,
+    nav: Navigation = None,
+    base_position: BasePosition = None,
+    base_sigma: BaseSigma = None,
+    weather: BaseWeather = None,
+    rover_link: RoverLink = "rover",
+    base_link: BaseLink = "base",
     rover_antenna_height: Annotated[
         float | None,
         typer.Option(help="Antenna reference point above the rover's mark, metres; without: RINEX header."),
@@ -59,7 +55,7 @@ def ppk(
     ] = "",
     elevation: Annotated[float, typer.Option(help="Least elevation of satellites, degrees.")] = 15.0,
     static: Annotated[bool, typer.Option("--static", help="The rover stood still: one position.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Compute the trajectory of a rover from raw observations of rover and base.
 

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from acquire.console import answer, progress
+from photocal.commands.options import AsJson
 
 
 def run(
@@ -23,7 +24,7 @@ def run(
     cluster: Annotated[
         str | None, typer.Option(help="Dask scheduler that runs the projects: tcp://HOST:PORT.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Process a flight: PPK, exposures, image points, calibration, check points, analysis, certificate.
 

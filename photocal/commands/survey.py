@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from acquire.console import answer
+from photocal.commands.options import AsJson
 
 
 def survey(
@@ -22,7 +23,7 @@ def survey(
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for points.csv and the summary.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Compute static baselines, adjust them as a network and write points with full covariances.
 

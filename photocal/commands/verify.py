@@ -52,10 +52,10 @@ def verify(
     if certificate.suffix == ".toml":
         _printed(certificate, as_json)
         return
+    from photocal.block.model import digest
     from photocal.report.record import NAME, read_record
     from photocal.report.signing import SIGNATURE, against_journal, authenticity, journal, known_keys
     from photocal.report.verification import changed_files
-    from photocal.results.origin import digest
 
     certified, folder = read_record(certificate)
     files = changed_files(certified, folder)
@@ -127,7 +127,7 @@ def _repeat(
     from photocal.results.origin import changed_inputs
 
     source = _source(certified, folder, block)
-    changed = [str(one) for one in changed_inputs(certified_result(certified, folder).inputs, source.folder)]
+    changed = list(changed_inputs(certified_result(certified, folder).inputs, source.folder).values())
     if changed:
         return changed, [], []
     with progress("repeating", None) as step:

@@ -9,6 +9,7 @@ import typer
 
 from acquire.console import answer
 from drivers.errors import ConfigurationError
+from photocal.commands.options import AsJson
 
 
 def volume(
@@ -33,7 +34,7 @@ def volume(
         float, typer.Option(help="Taken from the measured radii, m, where the points lie outside.")
     ] = 0.0,
     plot: Annotated[Path | None, typer.Option(help="Residual ring plot to write: .pdf, .svg, .png.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Volume of a round tank with its standard deviation.
 

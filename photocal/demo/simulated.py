@@ -62,10 +62,7 @@ def fly(plan: Path, flight: Path, seed: int | None) -> None:
 def record(flight: Path, speed: float) -> None:
     """Let the devices speak on real ports and record them with the commands of the field.
 
-    Raises
-    ------
-    DeviceError
-        When the devices or the recorder fail.
+    raises DeviceError: when the devices or the recorder fail.
     """
     settings = flight / "site" / "record.toml"
     serve = [*_ACQUIRE, "simulate", "serve", str(flight), "--speed", str(speed), "--linger", "1"]

@@ -10,9 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Integers
 from drivers.errors import InputMalformedError
-from photocal.exchange.colmap_content import MODELS, NUMBERS, Content, Lens, Shot, key_of, unknown_model
+from photocal.exchange.colmap_content import (
+    MODELS,
+    NUMBERS,
+    Content,
+    Lens,
+    Point,
+    Shot,
+    content_of,
+    key_of,
+    unknown_model,
+)
 from photocal.exchange.source import image_size, require_readable
 
 _MARK = np.dtype([("xy", "<f8", 2), ("key", "<i8")])
@@ -69,15 +78,8 @@ class _Reader:
 
 def read_binary_model(folder: Path) -> Content:
     """Read the three binary files of a model."""
-    points = list(_points(folder / "points3D.bin"))
-    return Content(
-        tuple(_lenses(folder / "cameras.bin")),
-        tuple(_shots(folder / "images.bin")),
-        np.array([key for key, _, _, _ in points], dtype=np.int64),
-        np.array([xyz for _, xyz, _, _ in points], dtype=float).reshape(-1, 3),
-        np.array([error for _, _, error, _ in points], dtype=float),
-        tuple(track for _, _, _, track in points),
-    )
+    cameras, images, points = (folder / f"{name}.bin" for name in ("cameras", "images", "points3D"))
+    return content_of(_lenses(cameras), _shots(images), _points(points))
 
 
 def _lenses(path: Path) -> Iterator[Lens]:
@@ -102,7 +104,7 @@ def _shots(path: Path) -> Iterator[Shot]:
         yield Shot(key, tuple(pose[:4]), tuple(pose[4:]), lens, name, marks, keys)
 
 
-def _points(path: Path) -> Iterator[tuple[int, tuple[float, ...], float, Integers]]:
+def _points(path: Path) -> Iterator[Point]:
     reader = _Reader(path)
     for _ in range(reader.count(51)):
         key, x, y, z, _, _, _, error = reader.take("Q3d3Bd")

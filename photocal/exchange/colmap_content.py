@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from drivers.arrays import Floats, Integers
 from drivers.errors import InputMalformedError
@@ -70,6 +73,23 @@ class Content:
     xyz: Floats
     errors: Floats
     tracks: tuple[Integers, ...]
+
+
+# Number, place, reprojection error and track of a point.
+Point = tuple[int, Sequence[float], float, Integers]
+
+
+def content_of(lenses: Iterable[Lens], shots: Iterable[Shot], points: Iterable[Point]) -> Content:
+    """Put a model together."""
+    rows = list(points)
+    return Content(
+        tuple(lenses),
+        tuple(shots),
+        np.array([key for key, _, _, _ in rows], dtype=np.int64),
+        np.array([xyz for _, xyz, _, _ in rows], dtype=float).reshape(-1, 3),
+        np.array([error for _, _, error, _ in rows], dtype=float),
+        tuple(track for _, _, _, track in rows),
+    )
 
 
 def key_of(value: float, place: object) -> int:

@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from drivers.arrays import Integers
 from drivers.errors import InputMalformedError
-from photocal.exchange.colmap_content import NUMBERS, Content, Lens, Shot, key_of, unknown_model
+from photocal.exchange.colmap_content import (
+    NUMBERS,
+    Content,
+    Lens,
+    Point,
+    Shot,
+    content_of,
+    key_of,
+    unknown_model,
+)
+from photocal.exchange.parts import digits, require_no_blanks
 from photocal.exchange.source import Line, image_size, numbers, read_text, whole
 
 
 def read_text_model(folder: Path) -> Content:
     """Read the three text files of a model."""
-    points = list(_points(folder / "points3D.txt"))
-    return Content(
-        tuple(_lenses(folder / "cameras.txt")),
-        tuple(_shots(folder / "images.txt")),
-        np.array([key for key, _, _, _ in points], dtype=np.int64),
-        np.array([xyz for _, xyz, _, _ in points], dtype=float).reshape(-1, 3),
-        np.array([error for _, _, error, _ in points], dtype=float),
-        tuple(track for _, _, _, track in points),
-    )
+    cameras, images, points = (folder / f"{name}.txt" for name in ("cameras", "images", "points3D"))
+    return content_of(_lenses(cameras), _shots(images), _points(points))
 
 
 def _rows(path: Path) -> list[Line]:
@@ -70,7 +72,7 @@ def _shots(path: Path) -> Iterator[Shot]:
         yield Shot(key, *pose, lens, cells[9].strip(), table[:, :2], keys)
 
 
-def _points(path: Path) -> Iterator[tuple[int, list[float], float, Integers]]:
+def _points(path: Path) -> Iterator[Point]:
     for line in _rows(path):
         cells = line.text.split()
         if not cells:
@@ -84,22 +86,18 @@ def _points(path: Path) -> Iterator[tuple[int, list[float], float, Integers]]:
 
 def write_text_model(folder: Path, content: Content) -> None:
     """Write the three text files of a model, numbers with all their digits."""
-    for shot in content.shots:
-        if any(letter.isspace() for letter in shot.name):
-            raise InputMalformedError(
-                f"the name of image {shot.name!r} has blanks", remedy="export the binary form, or rename it"
-            )
+    require_no_blanks((shot.name for shot in content.shots), "export the binary form, or rename it")
     with (folder / "cameras.txt").open("w", encoding="utf-8", newline="\n") as out:
         out.write("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n")
         for lens in content.lenses:
             width, height = lens.size_px
-            out.write(f"{lens.key} {lens.model} {width} {height} {_text(lens.parameters)}\n")
+            out.write(f"{lens.key} {lens.model} {width} {height} {digits(lens.parameters)}\n")
     with (folder / "images.txt").open("w", encoding="utf-8", newline="\n") as out:
         out.write(
             "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as X, Y, POINT3D_ID\n"
         )
         for shot in content.shots:
-            pose = f"{_text(shot.quaternion)} {_text(shot.translation)}"
+            pose = f"{digits(shot.quaternion)} {digits(shot.translation)}"
             out.write(f"{shot.key} {pose} {shot.lens} {shot.name}\n")
             marks = zip(shot.marks.tolist(), shot.points.tolist(), strict=True)
             out.write(" ".join(f"{x!r} {y!r} {key}" for (x, y), key in marks) + "\n")
@@ -110,8 +108,4 @@ def write_text_model(folder: Path, content: Content) -> None:
             content.keys.tolist(), content.xyz.tolist(), errors, content.tracks, strict=True
         ):
             pairs = " ".join(str(number) for number in track.ravel().tolist())
-            out.write(f"{key} {_text(xyz)} 128 128 128 {error!r} {pairs}\n")
-
-
-def _text(values: Iterable[float]) -> str:
-    return " ".join(repr(float(value)) for value in values)
+            out.write(f"{key} {digits(xyz)} 128 128 128 {error!r} {pairs}\n")

@@ -143,10 +143,7 @@ def exported() -> tuple[str, ...]:
 def named(name: str) -> Format:
     """Find a format that can be written.
 
-    Raises
-    ------
-    ConfigurationError
-        When it is not known.
+    raises ConfigurationError: when it is not known.
     """
     found = next((form for form in FORMATS if form.name == name and form.writes), None)
     if found is None:
@@ -157,10 +154,8 @@ def named(name: str) -> Format:
 def export(form: Format, folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
     """Write a block in a format.
 
-    Raises
-    ------
-    ConfigurationError, InputMalformedError
-        When the format has no place for the block, or a choice is missing.
+    raises ConfigurationError, InputMalformedError: when the format has no place for the block, or a choice is
+        missing.
     """
     if form.space == "cartesian":
         from photocal.exchange.cartesian import to_cartesian
@@ -168,6 +163,15 @@ def export(form: Format, folder: Path, given: Reconstruction, choices: Choices) 
         given = to_cartesian(given)
     made: tuple[Conversion, ...] = _loaded(form.writes)(folder, given, choices)
     return made
+
+
+def read_any_block(source: Path) -> Block:
+    """Read a block folder, or the set-up file of another program; raises what its reader does."""
+    if source.is_file():
+        return read_foreign_block(source)
+    from photocal.block.folder import read_block
+
+    return read_block(source)
 
 
 def read_foreign_block(path: Path) -> Block:

@@ -33,10 +33,7 @@ ToGeographic = Callable[[Floats], Floats]
 def topocentric(origin: Origin) -> ToGeographic:
     """Make the way from a topocentric frame (east, north, up) to WGS 84.
 
-    Raises
-    ------
-    ConfigurationError
-        For an origin that is not on the Earth.
+    raises ConfigurationError: for an origin that is not on the Earth.
     """
     from pyproj import Transformer
 
@@ -93,10 +90,8 @@ def write_kml(path: Path, given: Reconstruction, to_geographic: ToGeographic) ->
 def footprints(given: Reconstruction, height_m: float) -> Floats:
     """Corners of each image on a horizontal plane.
 
-    Returns
-    -------
-    ndarray, shape (images, 4, 3)
-        From the upper-left corner clockwise in the image; NaN for images that look past the plane.
+    returns (images, 4, 3): from the upper-left corner clockwise in the image; NaN for images that look past
+        the plane.
     """
     rotation, _ = to_vision(given.poses)
     corners = np.full((len(given.poses), 4, 3), np.nan)
@@ -118,10 +113,8 @@ def features(
 ) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
     """Give exposures, footprints on the median height of the points, and points.
 
-    Yields
-    ------
-    properties : dict
-        kind (exposure, footprint, or the role of a point), name, and figures with their unit in the name.
+    yields properties: kind (exposure, footprint, or the role of a point), name, and figures with their unit
+        in the name.
     """
     exposures = to_geographic(given.poses[:, 3:])
     for k, name in enumerate(given.image_names):

@@ -21,7 +21,7 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.exchange.choices import Choices
-from photocal.exchange.parts import require_unique
+from photocal.exchange.parts import digits, require_no_blanks, require_unique
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import Line, number, numbers, read_lines
 from photocal.geometry.conversion import Conversion
@@ -55,7 +55,7 @@ class ImagePosition:
     """Where an image was taken, as far as geo.txt knows.
 
     xyz: in the file's coordinate system; height NaN when not given.
-    yaw_pitch_roll_deg: naN when not given.
+    yaw_pitch_roll_deg: NaN when not given.
     accuracy_m: horizontal and vertical; NaN when not given.
     """
 
@@ -68,10 +68,8 @@ class ImagePosition:
 def read_gcp_list(path: Path) -> tuple[str, tuple[GroundMark, ...]]:
     """Read gcp_list.txt.
 
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        Also when one name has two places, or a point is marked twice in an image.
+    raises InputNotFoundError, InputMalformedError: also when one name has two places, or a point is marked
+        twice in an image.
     """
     crs, lines = _head(path)
     marks = []
@@ -108,13 +106,8 @@ def _cells(text: str) -> list[str]:
 
 def write_gcp_list(path: Path, crs: str, marks: Sequence[GroundMark]) -> None:
     """Write gcp_list.txt."""
-    for mark in marks:
-        for name in (mark.image, mark.point):
-            _require_no_blanks(name)
-    rows = (
-        " ".join([*(repr(float(v)) for v in (*mark.xyz, mark.column, mark.row)), mark.image, mark.point])
-        for mark in marks
-    )
+    require_no_blanks(name for mark in marks for name in (mark.image, mark.point))
+    rows = (f"{digits((*mark.xyz, mark.column, mark.row))} {mark.image} {mark.point}" for mark in marks)
     path.write_text("\n".join([crs, *rows]) + "\n", encoding="utf-8", newline="\n")
 
 
@@ -159,11 +152,11 @@ def write_geo(path: Path, crs: str, positions: Sequence[ImagePosition]) -> None:
     for position in positions:
         values = [*position.xyz, *position.yaw_pitch_roll_deg, *position.accuracy_m]
         last = max((k for k, value in enumerate(values) if not np.isnan(value)), default=1)
-        rows.append(" ".join([position.image, *(repr(float(value)) for value in values[: last + 1])]))
+        rows.append(f"{position.image} {digits(values[: last + 1])}")
     path.write_text("\n".join([crs, *rows]) + "\n", encoding="utf-8", newline="\n")
 
 
-def write_odm(folder: Path, given: Reconstruction) -> None:
+def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write gcp_list.txt of the control points and geo.txt of the images."""
     if given.frame == "local":
         raise ConfigurationError(
@@ -195,9 +188,9 @@ def write_odm(folder: Path, given: Reconstruction) -> None:
             given.image_names, given.poses[:, 3:].tolist(), angles.tolist(), sigma.tolist(), strict=True
         )
     ]
-    for position in positions:
-        _require_no_blanks(position.image)
+    require_no_blanks(given.image_names)
     write_geo(folder / "geo.txt", crs, positions)
+    return ()
 
 
 def _to_map(crs: str, x: Floats, y: Floats) -> Floats:
@@ -213,11 +206,6 @@ def _to_map(crs: str, x: Floats, y: Floats) -> Floats:
     return np.asarray(np.moveaxis(turn, -1, 0))
 
 
-def _require_no_blanks(name: str) -> None:
-    if any(letter.isspace() for letter in name):
-        raise InputMalformedError(f"the name {name!r} has blanks", remedy="rename it")
-
-
 def _head(path: Path) -> tuple[str, list[Line]]:
     lines = read_lines(path, comment="#")
     first = lines[0].text.strip() if lines else ""
@@ -228,9 +216,3 @@ def _head(path: Path) -> tuple[str, list[Line]]:
             remedy="write EPSG:n, WGS84 UTM zone, or a PROJ string in the first line",
         )
     return first, lines[1:]
-
-
-def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
-    """gcp_list.txt of the control points, geo.txt of the images."""
-    write_odm(folder, given)
-    return ()

@@ -10,7 +10,7 @@ matrix refers to the map's axes at the image. Source: projects as Inpho and its 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +19,7 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.exchange.choices import Choices
-from photocal.exchange.parts import poses_of_matrices, require_unique
+from photocal.exchange.parts import digits, poses_of_matrices, require_unique
 from photocal.exchange.reconstruction import Reconstruction, orientations_alone
 from photocal.exchange.source import Line, numbers, read_lines
 from photocal.geometry.camera import Camera
@@ -65,7 +65,7 @@ def write_inpho(path: Path, given: Reconstruction) -> tuple[Conversion, ...]:
         given.image_names, given.image_camera, given.poses, rotation, strict=True
     ):
         own = given.cameras[which]
-        rows = [_text([own.value("c"), *pose[3:]]), *(_text(row) for row in matrix)]
+        rows = [digits([own.value("c"), *pose[3:]]), *(digits(row) for row in matrix)]
         body = "\n".join(f"    {row}" for row in rows)
         head = f"$PHOTO\n  $PHOTO_NUM : {name}\n  $PHOTO_FILE : {name}\n  $CAMERA_ID : {own.id}\n"
         blocks.append(f"{head}  $EXT_ORI :\n{body}\n$END\n")
@@ -89,9 +89,9 @@ def _camera(own: Camera) -> str:
         f"$CAMERA_DEFINITION\n  $ID : {own.id}\n  $KIND : CCDFrame\n  $CCD_COLUMNS : {width}\n"
         f"  $CCD_ROWS : {height}\n  $PIXEL_REFERENCE : CenterTopLeft\n  $CAMERA_MOUNT_ROTATION : 0\n"
         f"  $ACTIVE_CALIBRATION : 1\n  $CALIBRATION_SET :\n    $ID : 1\n    $CCD_INTERIOR_ORIENTATION :\n"
-        f"      {_text([across, 0.0, (width - 1) / 2])}\n      {_text([0.0, -down, (height - 1) / 2])}\n"
+        f"      {digits([across, 0.0, (width - 1) / 2])}\n      {digits([0.0, -down, (height - 1) / 2])}\n"
         f"    $FOCAL_LENGTH : {own.value('c')!r}\n"
-        f"    $PRINCIPAL_POINT_PPA : {_text([own.value('x0'), own.value('y0')])}\n    $END\n  $END\n$END\n"
+        f"    $PRINCIPAL_POINT_PPA : {digits([own.value('x0'), own.value('y0')])}\n    $END\n  $END\n$END\n"
     )
 
 
@@ -100,10 +100,6 @@ def _next(lines: Iterator[Line], path: Path, count: int) -> list[float]:
     if line is None:
         raise InputMalformedError("ends inside an $EXT_ORI", where=path, remedy="was it written completely?")
     return numbers(line.text, line.place, "$EXT_ORI", count)
-
-
-def _text(values: Iterable[float]) -> str:
-    return " ".join(repr(float(value)) for value in values)
 
 
 def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:

@@ -12,7 +12,6 @@ parameters of the camera were estimated is not in the files: all but A3, C1 and 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -36,20 +35,9 @@ from photocal.geometry.camera import Camera, camera
 
 SUFFIXES = (".ior", ".eor", ".obc", ".phc")
 MM = 1e-3
+# A distance between two points and its standard deviation, m.
+Bar = tuple[str, str, float, float]
 _A_PRIORI = re.compile(rb"S0 apriori:\s*([0-9.eE+-]+)")
-
-
-@dataclass(frozen=True)
-class ScaleBar:
-    """A measured distance between two points.
-
-    length, sigma: m.
-    """
-
-    one: str
-    other: str
-    length: float
-    sigma: float
 
 
 def read_jaicov(path: Path, sigma_mm: float | None = None, *, switched_off: bool = False) -> Block:
@@ -81,7 +69,7 @@ def read_jaicov(path: Path, sigma_mm: float | None = None, *, switched_off: bool
     )
 
 
-def read_scale_bars(path: Path) -> tuple[ScaleBar, ...]:
+def read_scale_bars(path: Path) -> tuple[Bar, ...]:
     """Read a .scale file."""
     bars = []
     for line in read_lines(path):
@@ -90,31 +78,25 @@ def read_scale_bars(path: Path) -> tuple[ScaleBar, ...]:
             raise InputMalformedError("is no row of a scale bar", where=line.place, remedy="is the file cut?")
         one, other, length, sigma, on = row.groups()
         if on == "1":
-            bars.append(
-                ScaleBar(
-                    one,
-                    other,
-                    number(length, line.place, "length") * MM,
-                    number(sigma, line.place, "sigma") * MM,
-                )
-            )
+            sizes = number(length, line.place, "length") * MM, number(sigma, line.place, "sigma") * MM
+            bars.append((one, other, *sizes))
     return tuple(bars)
 
 
-def _distances(bars: tuple[ScaleBar, ...], points: list[str], place: Path) -> Relations:
+def _distances(bars: tuple[Bar, ...], points: list[str], place: Path) -> Relations:
     position = {name: k for k, name in enumerate(points)}
-    for bar in bars:
-        lost = [name for name in (bar.one, bar.other) if name not in position]
+    for one, other, length, sigma in bars:
+        lost = [name for name in (one, other) if name not in position]
         if lost:
             raise InputMalformedError(f"a scale bar ends at the unknown point {lost[0]}", where=place)
-        if not (bar.length > 0 and bar.sigma > 0):
+        if not (length > 0 and sigma > 0):
             raise InputMalformedError("a scale bar has no length or no sigma", where=place)
     return Relations(
         np.full(len(bars), RELATIONS.index("distance")),
-        np.array([position[bar.one] for bar in bars], dtype=np.int64),
-        np.array([position[bar.other] for bar in bars], dtype=np.int64),
-        np.array([bar.length for bar in bars]),
-        np.array([bar.sigma for bar in bars]),
+        np.array([position[one] for one, _, _, _ in bars], dtype=np.int64),
+        np.array([position[other] for _, other, _, _ in bars], dtype=np.int64),
+        np.array([length for _, _, length, _ in bars]),
+        np.array([sigma for _, _, _, sigma in bars]),
     )
 
 

@@ -17,9 +17,7 @@ T = TypeVar("T")
 def read_json(path: Path) -> Any:
     """Read a JSON object; errors in one line.
 
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
+    raises InputNotFoundError, InputMalformedError.
     """
     text = read_text(path)
     try:

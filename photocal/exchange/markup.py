@@ -17,12 +17,8 @@ MAX_XML_BYTES = 256 << 20
 def read_xml(path: Path) -> Element:
     """Read an XML file.
 
-    Raises
-    ------
-    InputNotFoundError
-        When it is missing, empty or a folder.
-    InputMalformedError
-        When it is no XML, declares entities, or is too large.
+    raises InputNotFoundError: when it is missing, empty or a folder.
+    raises InputMalformedError: when it is no XML, declares entities, or is too large.
     """
     if require_readable(path) > MAX_XML_BYTES:
         raise InputMalformedError(

@@ -21,33 +21,13 @@ from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block, Role
 from photocal.exchange.markup import child, read_xml
+from photocal.exchange.parts import UNKNOWN, PointEntry
 from photocal.exchange.pinhole import from_vision, require_credible
 from photocal.exchange.reconstruction import Reconstruction, vision_block
 from photocal.exchange.source import image_size, number, numbers
 from photocal.geometry.camera import Camera, camera
 
 _KEYS = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
-
-
-@dataclass(frozen=True)
-class Marker:
-    """A marker with its surveyed coordinates.
-
-    xyz, sigma: in the chunk's coordinate system; NaN when not given.
-    enabled: whether it is control; else it is a check point.
-    """
-
-    name: str
-    xyz: tuple[float, float, float]
-    sigma: tuple[float, float, float]
-    enabled: bool
-
-    @property
-    def role(self) -> Role:
-        """Role in a block; what has no surveyed coordinates is a tie point."""
-        if any(np.isnan(self.xyz)):
-            return "tie"
-        return "control" if self.enabled else "check"
 
 
 @dataclass(frozen=True)
@@ -60,7 +40,7 @@ class Chunk:
     """
 
     reconstruction: Reconstruction
-    markers: tuple[Marker, ...]
+    markers: tuple[PointEntry, ...]
     crs: str
 
 
@@ -180,18 +160,18 @@ def _poses(matrices: Floats, to_world: Floats) -> Floats:
     return from_vision(rotation, -np.einsum("nij,nj->ni", rotation, whole[:, :3, 3]))
 
 
-def _markers(chunk: Element, path: Path) -> dict[str, Marker]:
-    nan = (float("nan"),) * 3
+def _markers(chunk: Element, path: Path) -> dict[str, PointEntry]:
     markers = {}
     for element in chunk.iterfind("markers/marker"):
         given = element.find("reference")
-        xyz = sigma = nan
+        xyz = sigma = UNKNOWN
         if given is not None and given.get("x"):
             xyz = _triple(given, ("x", "y", "z"), path)
             sigma = _accuracy(given, path)
         enabled = given is not None and given.get("enabled", "true") in ("true", "1")
         name = element.get("label") or element.get("id") or ""
-        markers[element.get("id", "")] = Marker(name, xyz, sigma, enabled)
+        role: Role = "tie" if np.isnan(xyz).any() else "control" if enabled else "check"
+        markers[element.get("id", "")] = PointEntry(name, role, xyz, sigma)
     return markers
 
 

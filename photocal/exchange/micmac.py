@@ -31,18 +31,6 @@ PLACEHOLDER = 1.0
 
 
 @dataclass(frozen=True)
-class GroundPoint:
-    """A ground point.
-
-    xyz, sigma: unit of the project, taken as m.
-    """
-
-    name: str
-    xyz: tuple[float, float, float]
-    sigma: tuple[float, float, float]
-
-
-@dataclass(frozen=True)
 class Orientation:
     """Exterior orientation of one image.
 
@@ -96,7 +84,7 @@ def read_orientation(path: Path) -> Orientation:
     )
 
 
-def read_ground_points(path: Path) -> tuple[GroundPoint, ...]:
+def read_ground_points(path: Path) -> tuple[parts.PointEntry, ...]:
     """Read ground points (DicoAppuisFlottant, or SetGCP of MMVII)."""
     root = read_xml(path)
     points = []
@@ -147,10 +135,9 @@ def read_micmac(points: Path, measures: Path, orientations: Path) -> Block:
     calibrations = list(dict.fromkeys(own.calibration for own in found.values()))
     cameras = tuple(read_calibration(orientations / name) for name in calibrations)
     used = [mark for mark in marks if mark.image in found]
-    entries = [parts.PointEntry(point.name, "control", point.xyz, point.sigma) for point in ground]
     known = {point.name for point in ground}
     tie = dict.fromkeys(mark.point for mark in used if mark.point not in known)
-    entries += [parts.PointEntry(name, "tie") for name in tie]
+    entries = [*ground, *(parts.PointEntry(name) for name in tie)]
     read = [
         points,
         measures,
@@ -175,10 +162,10 @@ def read_micmac(points: Path, measures: Path, orientations: Path) -> Block:
     )
 
 
-def _ground(name: str, xyz: list[float], sigma: list[float], path: Path) -> GroundPoint:
+def _ground(name: str, xyz: list[float], sigma: list[float], path: Path) -> parts.PointEntry:
     if not min(sigma) >= 0:
         raise InputMalformedError(f"the uncertainty of point {name} is negative", where=path)
-    return GroundPoint(name, (xyz[0], xyz[1], xyz[2]), (sigma[0], sigma[1], sigma[2]))
+    return parts.PointEntry(name, "control", xyz, sigma)
 
 
 def _vector(element: Element, path_in: str, path: Path, count: int) -> list[float]:

@@ -6,7 +6,6 @@ measurement; the folder Ori-photocal holds the orientations and calibrations (Fr
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
@@ -16,7 +15,7 @@ from drivers.arrays import Floats
 from photocal.exchange.choices import Choices
 from photocal.exchange.markup import write_xml
 from photocal.exchange.micmac import CONVENTION, read_micmac
-from photocal.exchange.parts import require_file_name
+from photocal.exchange.parts import digits, require_file_name
 from photocal.exchange.pinhole import to_vision
 from photocal.exchange.reconstruction import Reconstruction, of_block
 from photocal.geometry.camera import Camera
@@ -26,7 +25,7 @@ FOLDER = "Ori-photocal"
 TERMS = ("K1", "K2", "K3", "K4", "P1", "P2", "B1", "B2")
 
 
-def write_micmac(folder: Path, given: Reconstruction) -> tuple[Conversion, ...]:
+def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write a project."""
     for name in (*given.image_names, *(own.id for own in given.cameras)):
         require_file_name(name)
@@ -34,7 +33,7 @@ def write_micmac(folder: Path, given: Reconstruction) -> tuple[Conversion, ...]:
     (folder / FOLDER).mkdir()
     for conversion in made:
         write_xml(folder / FOLDER / _calibration_name(conversion.camera), _calibration(conversion.camera))
-    rotation, _ = to_vision(given.poses)
+    rotation = to_vision(given.poses)[0]
     ground = float(np.nanmedian(given.xyz[:, 2])) if len(given.xyz) else 0.0
     for k, name in enumerate(given.image_names):
         calibration = _calibration_name(given.cameras[given.image_camera[k]])
@@ -56,7 +55,7 @@ def _calibration(own: Camera) -> Element:
     root = Element("ExportAPERO")
     inner = SubElement(root, "CalibrationInternConique")
     width, height = own.size_px
-    centre = _text([own.value("x0") + (width - 1) / 2, (height - 1) / 2 - own.value("y0")])
+    centre = digits([own.value("x0") + (width - 1) / 2, (height - 1) / 2 - own.value("y0")])
     _leaves(inner, ("KnownConv", CONVENTION), ("PP", centre), ("F", repr(own.value("c"))))
     SubElement(inner, "SzIm").text = f"{width} {height}"
     model = SubElement(SubElement(inner, "CalibDistortion"), "ModPhgrStd")
@@ -77,9 +76,9 @@ def _orientation(axes: Floats, centre: Floats, ground: float, calibration: str) 
     SubElement(given, "RelativeNameFI").text = "true"
     outer = SubElement(given, "Externe")
     _leaves(outer, ("AltiSol", repr(ground)), ("Profondeur", repr(abs(float(centre[2]) - ground))))
-    _leaves(outer, ("KnownConv", CONVENTION), ("Centre", _text(centre)))
+    _leaves(outer, ("KnownConv", CONVENTION), ("Centre", digits(centre)))
     matrix = SubElement(SubElement(outer, "ParamRotation"), "CodageMatr")
-    _leaves(matrix, *((f"L{k}", _text(row)) for k, row in enumerate(axes, start=1)))
+    _leaves(matrix, *((f"L{k}", digits(row)) for k, row in enumerate(axes, start=1)))
     return root
 
 
@@ -88,8 +87,8 @@ def _points(given: Reconstruction, chosen: list[int]) -> Element:
     for j in chosen:
         sigma = np.nan_to_num(given.xyz_sigma[j]) if len(given.xyz_sigma) else np.zeros(3)
         point = SubElement(root, "OneAppuisDAF")
-        _leaves(point, ("Pt", _text(given.xyz[j])), ("NamePt", given.point_names[j]))
-        SubElement(point, "Incertitude").text = _text(sigma)
+        _leaves(point, ("Pt", digits(given.xyz[j])), ("NamePt", given.point_names[j]))
+        SubElement(point, "Incertitude").text = digits(sigma)
     return root
 
 
@@ -103,22 +102,13 @@ def _measures(given: Reconstruction) -> Element:
             for ray in rays:
                 mark = SubElement(image, "OneMesureAF1I")
                 point = given.point_names[given.point[ray]]
-                _leaves(mark, ("NamePt", point), ("PtIm", _text(given.pixels[ray])))
+                _leaves(mark, ("NamePt", point), ("PtIm", digits(given.pixels[ray])))
     return root
 
 
 def _leaves(element: Element, *rows: tuple[str, str]) -> None:
     for tag, text in rows:
         SubElement(element, tag).text = text
-
-
-def _text(values: Iterable[float]) -> str:
-    return " ".join(repr(float(value)) for value in values)
-
-
-def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
-    """Ori-photocal, Ground-Pts3D.xml, GroundMeasure.xml."""
-    return write_micmac(folder, given)
 
 
 def read_back(folder: Path) -> Reconstruction:

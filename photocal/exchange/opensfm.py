@@ -99,7 +99,7 @@ def _with_tracks(found: Reconstruction, path: Path) -> Reconstruction:
     return replace(found, image=which, point=table[:, 1].astype(np.int64), pixels=pixels)
 
 
-def write_opensfm(folder: Path, given: Reconstruction) -> tuple[Conversion, ...]:
+def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write cameras.json, reconstruction.json and tracks.csv."""
     made = [to_pinhole(own, "OpenSfM", {"equidistant": ("K1", "K2", "K3", "K4")}) for own in given.cameras]
     names = [own.id for own in given.cameras]
@@ -193,11 +193,6 @@ def _vectors(rotations: Floats) -> Floats:
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(rotations).as_rotvec(), dtype=float)
-
-
-def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
-    """cameras.json, reconstruction.json, tracks.csv."""
-    return write_opensfm(folder, given)
 
 
 def read_back(folder: Path) -> Reconstruction:

@@ -64,15 +64,6 @@ class _Resources:
         return content
 
 
-@dataclass(frozen=True)
-class _Seen:
-    """Control points and where they are seen."""
-
-    names: tuple[str, ...]
-    roles: tuple[str, ...]
-    rays: list[tuple[int, int, float, float]]
-
-
 def read_opf(path: Path) -> Reconstruction:
     """Read a calibrated project."""
     return structured(path, "an OPF project", lambda: _read(path))
@@ -105,9 +96,9 @@ def _read(path: Path) -> Reconstruction:
     names = tuple(files[int(shot["id"])] for shot in shots)
     require_unique(names, "image", path)
     order = {key: k for k, key in enumerate(cameras)}
-    seen = _control_points(resources, {int(shot["id"]): k for k, shot in enumerate(shots)})
-    xyz, sigma = _coordinates(resources, seen.names)
-    table = np.array(seen.rays, dtype=float).reshape(-1, 4)
+    points, roles, rays = _control_points(resources, {int(shot["id"]): k for k, shot in enumerate(shots)})
+    xyz, sigma = _coordinates(resources, points)
+    table = np.array(rays, dtype=float).reshape(-1, 4)
     poses = np.hstack(
         [
             np.radians(_triples([shot["orientation_deg"] for shot in shots])),
@@ -121,12 +112,12 @@ def _read(path: Path) -> Reconstruction:
         names,
         np.array([order[int(shot["sensor_id"])] for shot in shots], dtype=np.int64),
         poses,
-        seen.names,
+        points,
         xyz,
         table[:, 0].astype(np.int64),
         table[:, 1].astype(np.int64),
         table[:, 2:] - HALF,
-        seen.roles,
+        roles,
         xyz_sigma=sigma,
         name=str(read_json(path)["name"]),
     )
@@ -178,9 +169,12 @@ def _cameras(inputs: dict[str, Any], calibrated: dict[str, Any], path: Path) -> 
         yield key, from_pinhole(pinhole, str(known[key]["name"]) or str(key), path)
 
 
-def _control_points(resources: _Resources, images: dict[int, int]) -> _Seen:
+def _control_points(
+    resources: _Resources, images: dict[int, int]
+) -> tuple[tuple[str, ...], tuple[str, ...], list[tuple[int, int, float, float]]]:
+    """Names and roles of the control points, and where they are seen."""
     if "input-control-points" not in resources.files:
-        return _Seen((), (), [])
+        return (), (), []
     given = resources.load("input-control-points")
     points = [(point, "check" if point["is_checkpoint"] else "control") for point in given["gcps"]]
     points += [(point, "tie") for point in given["mtps"]]
@@ -192,7 +186,7 @@ def _control_points(resources: _Resources, images: dict[int, int]) -> _Seen:
             x, y = mark["position_px"]
             if int(mark["camera_id"]) in images:
                 rays.append((images[int(mark["camera_id"])], j, float(x), float(y)))
-    return _Seen(names, tuple(role for _, role in points), rays)
+    return names, tuple(role for _, role in points), rays
 
 
 def _coordinates(resources: _Resources, names: tuple[str, ...]) -> tuple[Floats, Floats]:

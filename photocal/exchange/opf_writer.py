@@ -43,12 +43,12 @@ _ITEMS: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
 )
 
 
-def write_opf(folder: Path, given: Reconstruction) -> tuple[Conversion, ...]:
+def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write project.opf and the files that it names."""
     made = [to_pinhole(own, "OPF") for own in given.cameras]
-    for own, (pinhole, _) in zip(given.cameras, made, strict=True):
-        require_one_focal_length(pinhole, own.id, "an OPF project")
     pinholes = [pinhole for pinhole, _ in made]
+    for own, pinhole in zip(given.cameras, pinholes, strict=True):
+        require_one_focal_length(pinhole, own.id, "an OPF project")
     contents = {
         "scene-reference-frame": _frame(),
         "camera-list": {"cameras": [{"id": k, "uri": quote(name)} for k, name in _images(given)]},
@@ -202,8 +202,3 @@ def _file(kind: str) -> str:
 
 def _write(path: Path, content: dict[str, Any]) -> None:
     path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8", newline="\n")
-
-
-def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
-    """project.opf and its JSON files."""
-    return write_opf(folder, given)

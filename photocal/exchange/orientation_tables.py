@@ -16,7 +16,7 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.exchange.choices import Angle, Choices
-from photocal.exchange.parts import poses_of_matrices, require_unique
+from photocal.exchange.parts import digits, poses_of_matrices, require_no_blanks, require_unique
 from photocal.exchange.reconstruction import Reconstruction, orientations_alone
 from photocal.exchange.source import numbers, read_lines
 from photocal.geometry.conversion import Conversion
@@ -69,15 +69,9 @@ def _table(path: Path, count: int) -> tuple[tuple[str, ...], Floats]:
 
 
 def _write(path: Path, head: str, names: Sequence[str], values: Floats) -> None:
-    for name in names:
-        if any(letter.isspace() for letter in name):
-            raise InputMalformedError(f"the name of image {name!r} has blanks", remedy="rename it")
-    rows = (f"{name} {_text(row)}" for name, row in zip(names, values, strict=True))
+    require_no_blanks(names)
+    rows = (f"{name} {digits(row)}" for name, row in zip(names, values, strict=True))
     path.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8", newline="\n")
-
-
-def _text(values: Sequence[float] | Floats) -> str:
-    return " ".join(repr(float(value)) for value in values)
 
 
 def export(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:

@@ -27,7 +27,7 @@ class PointEntry:
     """
 
     name: str
-    role: Role
+    role: Role = "tie"
     xyz: Sequence[float] | Floats = UNKNOWN
     sigma: Sequence[float] | Floats = FREE
 
@@ -87,12 +87,8 @@ def observations(
 
     marks: in `unit` and `axes`.
     unit, axes: as in `Observations`.
-
-    Raises
-    ------
-    InputMalformedError
-        For an unknown image or point, a point observed twice in an image, or a sigma that is not
-        positive.
+    raises InputMalformedError: for an unknown image or point, a point observed twice in an image, or a sigma
+        that is not positive.
     """
     image_index = {name: k for k, name in enumerate(image_names)}
     point_index = {name: k for k, name in enumerate(point_names)}
@@ -130,9 +126,7 @@ def observations(
 def require_unique(names: Sequence[str], what: str, place: object) -> None:
     """Complain when a name comes twice.
 
-    Raises
-    ------
-    InputMalformedError
+    raises InputMalformedError.
     """
     if len(set(names)) < len(names):
         twice = next(name for k, name in enumerate(names) if name in names[:k])
@@ -145,6 +139,18 @@ def require_file_name(name: str) -> None:
     """Complain when a name cannot be that of a file inside a folder."""
     if not name or name in (".", "..") or any(letter in '/\\\0:*?"<>|' for letter in name):
         raise InputMalformedError(f"the name {name!r} cannot be that of a file", remedy="rename it")
+
+
+def require_no_blanks(names: Iterable[str], remedy: str = "rename it") -> None:
+    """Complain when a name would be two cells of a table whose cells stand between blanks."""
+    for name in names:
+        if any(letter.isspace() for letter in name):
+            raise InputMalformedError(f"the name {name!r} has blanks", remedy=remedy)
+
+
+def digits(values: Iterable[float]) -> str:
+    """Numbers with all their digits, between blanks."""
+    return " ".join(repr(float(value)) for value in values)
 
 
 def whole_numbers(names: Sequence[str]) -> list[str]:

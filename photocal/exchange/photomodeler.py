@@ -41,14 +41,8 @@ def read_control(path: Path) -> dict[str, tuple[Floats, Floats]]:
 def read_positions(path: Path) -> dict[str, tuple[Floats, float]]:
     """Read a table of camera positions: image, X, Y, Z, standard deviation of each coordinate.
 
-    Returns
-    -------
-    dict
-        Position and its standard deviation by image, m.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
+    returns: position and its standard deviation by image, m.
+    raises InputNotFoundError, InputMalformedError.
     """
     rows = list(read_rows(path, "label,x,y,z,sxyz", ("label", "x", "y", "z", "sxyz")))
     parts.require_unique([row.name("label") for row in rows], "image", path)

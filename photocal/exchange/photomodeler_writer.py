@@ -14,7 +14,7 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.exchange.choices import Choices
-from photocal.exchange.parts import require_file_name, whole_numbers
+from photocal.exchange.parts import digits, require_file_name, whole_numbers
 from photocal.exchange.photomodeler import control_beside
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.camera import Camera
@@ -45,9 +45,9 @@ def write_photomodeler(path: Path, given: Reconstruction) -> tuple[Conversion, .
     lines = [
         given.name,
         f"{_HEAD} {width} {height}",
-        _text([1.0] * 9),
-        _text(interiors[0]),
-        _text([0.0] * 10),
+        digits([1.0] * 9),
+        digits(interiors[0]),
+        digits([0.0] * 10),
     ]
     for k, name in enumerate(given.image_names):
         lines += _photo(k, name, given, interiors[int(given.image_camera[k])])
@@ -87,16 +87,16 @@ def _photo(k: int, name: str, given: Reconstruction, interior: Sequence[float]) 
         sigma = np.concatenate([spread[3:], np.degrees(spread[[2, 1, 0]])])
     return [
         f"{k} {name}",
-        f"{k} {_text([*given.poses[k, 3:], *angles])}",
-        f"{k} {_text(sigma)}",
+        f"{k} {digits([*given.poses[k, 3:], *angles])}",
+        f"{k} {digits(sigma)}",
         "",
-        f"{k} {_text(interior)}",
-        f"{k} {_text([0.0] * 10)}",
+        f"{k} {digits(interior)}",
+        f"{k} {digits([0.0] * 10)}",
     ]
 
 
 def _point(given: Reconstruction, j: int, number: str) -> str:
-    return f"{number} {_text([*given.xyz[j], *_sigma(given, j)])}"
+    return f"{number} {digits([*given.xyz[j], *_sigma(given, j)])}"
 
 
 def _surveyed(given: Reconstruction, j: int, number: str) -> str:
@@ -112,10 +112,6 @@ def _marks(given: Reconstruction, numbers: Sequence[str]) -> Iterable[str]:
     for ray in np.argsort(given.image, kind="stable"):
         x, y = (given.pixels[ray] + 0.5).tolist()
         yield f"{given.image[ray]} {numbers[given.point[ray]]} {x!r} {y!r} 1.0 1.0"
-
-
-def _text(values: Iterable[float]) -> str:
-    return " ".join(repr(float(value)) for value in values)
 
 
 def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:

@@ -22,7 +22,7 @@ from drivers.errors import InputMalformedError
 from photocal.block.model import Block
 from photocal.exchange import parts
 from photocal.exchange.markup import MAX_XML_BYTES, child, parse_xml
-from photocal.exchange.metashape import Chunk, Marker, chunk_of, chunk_transform
+from photocal.exchange.metashape import Chunk, chunk_of, chunk_transform
 from photocal.exchange.source import fingerprint, number, require_readable
 
 _TYPES = {
@@ -97,11 +97,9 @@ def _block(archive: zipfile.ZipFile, path: Path) -> Block:
     )
 
 
-def _marker(marker: Marker, settings: dict[str, float], path: Path) -> parts.PointEntry:
-    if np.isnan(marker.xyz).any():
-        return parts.PointEntry(marker.name, "tie")
-    if not marker.enabled:
-        return parts.PointEntry(marker.name, "check", marker.xyz)
+def _marker(marker: parts.PointEntry, settings: dict[str, float], path: Path) -> parts.PointEntry:
+    if marker.role != "control":
+        return parts.PointEntry(marker.name, marker.role, marker.xyz)
     own = np.array(marker.sigma)
     common = _setting(settings, "accuracy_markers", path) if np.isnan(own).any() else 0.0
     return parts.PointEntry(marker.name, "control", marker.xyz, np.where(np.isnan(own), common, own))

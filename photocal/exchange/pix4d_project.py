@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -33,14 +32,8 @@ UNIT_SIGMA_PX = 1.0
 # Positions farther from the adjusted ones are in another system.
 FAR_M = 1000.0
 _ROWS = 10
-
-
-@dataclass(frozen=True)
-class _Shot:
-    name: str
-    lens: tuple[float, ...]
-    position: Floats
-    rotation: Floats
+# Name, lens, position and rotation of an image.
+_Shot = tuple[str, tuple[float, ...], Floats, Floats]
 
 
 def read_pix4d_project(folder: Path) -> ForeignProject:
@@ -57,16 +50,13 @@ def read_pix4d_project(folder: Path) -> ForeignProject:
     if offset_file is not None:
         cells = " ".join(line.text for line in read_lines(offset_file)).replace(",", " ")
         offset = np.array(numbers(cells, offset_file, "offset", 3))
-    shots = _shots(path)
-    lenses = list(dict.fromkeys(shot.lens for shot in shots))
+    image_names, own_lenses, local, rotation = zip(*_shots(path), strict=True)
+    lenses = list(dict.fromkeys(own_lenses))
     names = ["camera" if len(lenses) == 1 else f"camera-{k}" for k in range(1, len(lenses) + 1)]
     cameras = tuple(_camera(lens, name, path) for lens, name in zip(lenses, names, strict=True))
-    member = [lenses.index(shot.lens) for shot in shots]
-    rotation = np.array([shot.rotation for shot in shots])
-    local = np.array([shot.position for shot in shots])
-    poses = from_vision(rotation, -np.einsum("nij,nj->ni", rotation, local))
+    member = [lenses.index(lens) for lens in own_lenses]
+    poses = from_vision(np.array(rotation), -np.einsum("nij,nj->ni", rotation, local))
     poses[:, 3:] += offset
-    image_names = tuple(shot.name for shot in shots)
     control, adjusted, remarks = _control(folder)
     rows, unknown = _measurements(bingo, image_names, member, cameras, set(control))
     if unknown:
@@ -139,7 +129,7 @@ def _shots(path: Path) -> list[_Shot]:
         ):
             raise InputMalformedError("is no image of this file", where=lines[k].place)
         lens = (w, h, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *rows[3], *rows[4])
-        shots.append(_Shot(name.strip().strip('"'), lens, np.array(rows[5]), rotation))
+        shots.append((name.strip().strip('"'), lens, np.array(rows[5]), rotation))
     return shots
 
 

@@ -27,12 +27,8 @@ _PROGRAMS = {
 def read_foreign_project(path: Path) -> ForeignProject:
     """Read a project: a folder, or one of the files that `photocal adjust` takes.
 
-    Raises
-    ------
-    InputNotFoundError
-        When nothing in it is known.
-    PhotocalError
-        For what cannot be read.
+    raises InputNotFoundError: when nothing in it is known.
+    raises PhotocalError: for what cannot be read.
     """
     if path.is_file():
         return _of_file(path)

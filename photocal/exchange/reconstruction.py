@@ -113,10 +113,8 @@ def of_block(block: Block) -> Reconstruction:
 def of_result(result: Result) -> Reconstruction:
     """Take what other programs know out of a result: the observations that took part, in pixels.
 
-    Raises
-    ------
-    ConfigurationError
-        For a lens that varies from image to image or with the distance, and for a rolling shutter.
+    raises ConfigurationError: for a lens that varies from image to image or with the distance, and for a
+        rolling shutter.
     """
     for own in result.cameras.values():
         if own.rolling:

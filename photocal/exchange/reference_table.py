@@ -10,16 +10,12 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
 from pathlib import Path
 
-import numpy as np
-
-from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.exchange.choices import Choices
-from photocal.exchange.parts import require_unique
+from photocal.exchange.parts import UNKNOWN, PointEntry, require_unique
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import number, read_text
 from photocal.geometry.conversion import Conversion
@@ -28,20 +24,8 @@ _SYSTEM = "#CoordinateSystem:"
 _COORDINATES = (("x", "easting", "longitude"), ("y", "northing", "latitude"), ("z", "altitude", "height"))
 
 
-@dataclass(frozen=True)
-class Reference:
-    """One row of a reference table.
-
-    accuracy: of X, Y, Z, m; NaN when the table has none.
-    """
-
-    label: str
-    xyz: tuple[float, float, float]
-    accuracy: tuple[float, float, float]
-
-
-def read_references(path: Path) -> tuple[str, tuple[Reference, ...]]:
-    """Read a reference table."""
+def read_references(path: Path) -> tuple[str, tuple[PointEntry, ...]]:
+    """Read a reference table: its coordinate system, and rows whose sigmas are NaN where it has none."""
     lines = [(k, line) for k, line in enumerate(read_text(path).split("\n"), start=1) if line.strip()]
     crs = ""
     if lines and lines[0][1].startswith(_SYSTEM):
@@ -77,25 +61,12 @@ def read_references(path: Path) -> tuple[str, tuple[Reference, ...]]:
             number(cells[column], place, "accuracy") if column >= 0 and cells[column] else float("nan")
             for column in accuracies
         )
-        found.append(Reference(cells[0], (x, y, z), (sx, sy, sz)))
-    require_unique([row.label for row in found], "label", path)
+        found.append(PointEntry(cells[0], xyz=(x, y, z), sigma=(sx, sy, sz)))
+    require_unique([row.name for row in found], "label", path)
     return crs, tuple(found)
 
 
-def references(names: Sequence[str], places: Floats, sigmas: Floats) -> list[Reference]:
-    """Make rows of arrays.
-
-    places (n, 3): m.
-    sigmas (n, 3): m; NaN, or an empty array, when not known.
-    """
-    known = sigmas if len(sigmas) else np.full((len(names), 3), np.nan)
-    return [
-        Reference(name, (x, y, z), (sx, sy, sz))
-        for name, (x, y, z), (sx, sy, sz) in zip(names, places.tolist(), known.tolist(), strict=True)
-    ]
-
-
-def write_references(path: Path, crs: str, references: Iterable[Reference]) -> None:
+def write_references(path: Path, crs: str, references: Iterable[PointEntry]) -> None:
     """Write a reference table with an accuracy for each coordinate; the inverse of `read_references`."""
     out = io.StringIO()
     if crs:
@@ -103,8 +74,8 @@ def write_references(path: Path, crs: str, references: Iterable[Reference]) -> N
     out.write("#Label,X,Y,Z,Accuracy_X_(m),Accuracy_Y_(m),Accuracy_Z_(m)\n")
     table = csv.writer(out, lineterminator="\n")
     for row in references:
-        accuracy = ("" if value != value else repr(float(value)) for value in row.accuracy)
-        table.writerow([row.label, *(repr(float(value)) for value in row.xyz), *accuracy])
+        accuracy = ("" if value != value else repr(float(value)) for value in row.sigma)
+        table.writerow([row.name, *(repr(float(value)) for value in row.xyz), *accuracy])
     path.write_text(out.getvalue(), encoding="utf-8", newline="\n")
 
 
@@ -130,9 +101,15 @@ def _accuracy_columns(header: list[str]) -> tuple[int, int, int]:
 def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
     """Reference tables of the images and of the points."""
     crs = "" if given.frame == "local" else _wkt(given.frame)
-    cameras = references(given.image_names, given.poses[:, 3:], given.pose_sigma[:, 3:])
-    write_references(folder / "cameras.csv", crs, cameras)
-    write_references(folder / "markers.csv", crs, references(given.point_names, given.xyz, given.xyz_sigma))
+    for file, names, places, sigmas in (
+        ("cameras.csv", given.image_names, given.poses[:, 3:], given.pose_sigma[:, 3:]),
+        ("markers.csv", given.point_names, given.xyz, given.xyz_sigma),
+    ):
+        known = sigmas if len(sigmas) else (UNKNOWN,) * len(names)
+        rows = zip(names, places, known, strict=True)
+        write_references(
+            folder / file, crs, (PointEntry(name, xyz=xyz, sigma=sigma) for name, xyz, sigma in rows)
+        )
     return ()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import re
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.block.model import InputFile
+from photocal.block.model import fingerprint as plain_fingerprint
 
 # Larger text than any block in use; above it a file is taken for something else.
 MAX_BYTES = 2 << 30
@@ -40,12 +40,8 @@ class Line:
 def require_readable(path: Path) -> int:
     """Complain when a path is no file with content of a credible size.
 
-    Raises
-    ------
-    InputNotFoundError
-        When it is missing, empty or a folder.
-    InputMalformedError
-        When it is too large to be what it should be.
+    raises InputNotFoundError: when it is missing, empty or a folder.
+    raises InputMalformedError: when it is too large to be what it should be.
     """
     if path.is_dir():
         raise InputNotFoundError("is a folder, a file was expected", where=path, remedy="name the file")
@@ -67,12 +63,8 @@ def require_readable(path: Path) -> int:
 def read_text(path: Path) -> str:
     """Read a text file: UTF-8, or UTF-16 with its mark.
 
-    Raises
-    ------
-    InputNotFoundError
-        When it is missing, empty or a folder.
-    InputMalformedError
-        When it is no text of these encodings.
+    raises InputNotFoundError: when it is missing, empty or a folder.
+    raises InputMalformedError: when it is no text of these encodings.
     """
     require_readable(path)
     content = path.read_bytes()
@@ -94,10 +86,7 @@ def read_text(path: Path) -> str:
 def read_lines(path: Path, comment: str = "#") -> list[Line]:
     """Read the lines of a text file that have content.
 
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        As `read_text`.
+    raises InputNotFoundError, InputMalformedError: as `read_text`.
     """
     lines = (Line(path, k, text) for k, text in enumerate(read_text(path).split("\n"), start=1))
     return [
@@ -110,10 +99,7 @@ def read_lines(path: Path, comment: str = "#") -> list[Line]:
 def number(cell: str, place: object, what: str) -> float:
     """Read one finite number.
 
-    Raises
-    ------
-    InputMalformedError
-        When it is not a finite number with a decimal point.
+    raises InputMalformedError: when it is not a finite number with a decimal point.
     """
     text = cell.strip()
     try:
@@ -134,10 +120,7 @@ def number(cell: str, place: object, what: str) -> float:
 def numbers(text: str, place: object, what: str, count: int | None = None) -> list[float]:
     """Read numbers separated by blanks.
 
-    Raises
-    ------
-    InputMalformedError
-        For another count, or a cell that is no number.
+    raises InputMalformedError: for another count, or a cell that is no number.
     """
     cells = text.split()
     if count is not None and len(cells) != count:
@@ -152,10 +135,7 @@ def numbers(text: str, place: object, what: str, count: int | None = None) -> li
 def whole(cell: str, place: object, what: str) -> int:
     """Read one whole number.
 
-    Raises
-    ------
-    InputMalformedError
-        When it is no whole number.
+    raises InputMalformedError: when it is no whole number.
     """
     value = number(cell, place, what)
     if value != int(value):
@@ -178,12 +158,8 @@ def beside(folder: Path, name: str, place: object) -> Path:
     Set-ups name their tables by relative paths that hold on the machine where they were made. When the
     path does not exist here, a file of the same name beside the set-up is taken.
 
-    Raises
-    ------
-    InputMalformedError
-        For absolute paths and paths that lead out of the folder.
-    InputNotFoundError
-        When there is no such file.
+    raises InputMalformedError: for absolute paths and paths that lead out of the folder.
+    raises InputNotFoundError: when there is no such file.
     """
     parts = PurePosixPath(name.replace("\\", "/"))
     outside = parts.is_absolute() or bool(PureWindowsPath(name).drive) or ".." in parts.parts
@@ -211,10 +187,8 @@ def beside(folder: Path, name: str, place: object) -> Path:
 
 def fingerprint(path: Path) -> InputFile:
     """Digest of a file that was read, under its whole path; a block has them within their common folder."""
-    size = require_readable(path)
-    with path.open("rb") as content:
-        digest = hashlib.file_digest(content, "sha256")
-    return InputFile(path.resolve().as_posix(), digest.hexdigest(), size)
+    require_readable(path)
+    return plain_fingerprint(path, path.resolve().as_posix())
 
 
 def files_of(folder: Path, pattern: str) -> list[Path]:

@@ -41,10 +41,7 @@ class Catalogue:
 def catalogue(language: str) -> Catalogue:
     """Read the texts of a language.
 
-    Raises
-    ------
-    ConfigurationError
-        For a language that there is none of.
+    raises ConfigurationError: for a language that there is none of.
     """
     if language not in LANGUAGES:
         raise ConfigurationError(

@@ -31,10 +31,7 @@ class Measured:
 def fixed(value: float, decimals: int, mark: str) -> str:
     """Print a number with a fixed number of decimals.
 
-    Returns
-    -------
-    str
-        With a true minus sign; a value that rounds to zero has none.
+    returns: with a true minus sign; a value that rounds to zero has none.
     """
     text = f"{round(value, decimals) + 0.0:.{max(decimals, 0)}f}"
     if text.startswith("-"):

@@ -38,10 +38,8 @@ def plain(parameter: str) -> str:
 def finding_text(finding: Finding, say: Catalogue, name: Callable[[str], str] = symbol) -> str:
     """Say a finding in words.
 
-    Raises
-    ------
-    InputMalformedError
-        When a figure is missing that the words need: the finding was stored by another version.
+    raises InputMalformedError: when a figure is missing that the words need: the finding was stored by
+        another version.
     """
     figures = {key: _figure(key, value, say, name) for key, value in finding.figures.items()}
     key = f"subject.{finding.subject}"
@@ -98,10 +96,7 @@ def told(findings: Iterable[Finding]) -> dict[str, Any]:
 def findings_of(content: object, where: object) -> tuple[Finding, ...]:
     """Read back a list of what `finding_json` gave.
 
-    Raises
-    ------
-    InputMalformedError
-        When it was stored by another version.
+    raises InputMalformedError: when it was stored by another version.
     """
     from pydantic import TypeAdapter, ValidationError
 

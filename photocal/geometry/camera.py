@@ -312,11 +312,7 @@ def pixel_to_plane(size_px: ArrayLike, pitch: ArrayLike, pixel: Floats) -> Float
     size_px (..., 2): width and height of the image, px.
     pitch (..., 2): size of a pixel in x and y, in the unit of the image plane.
     pixel (..., 2): column and row; the centre of the upper-left pixel is (0, 0).
-
-    Returns
-    -------
-    ndarray, shape (..., 2)
-        x to the right, y up, from the middle of the image.
+    returns (..., 2): x to the right, y up, from the middle of the image.
     """
     middle = (np.asarray(size_px, dtype=float) - 1) / 2
     return np.asarray((pixel - middle) * np.asarray(pitch) * [1.0, -1.0])
@@ -327,11 +323,7 @@ def plane_to_pixel(size_px: ArrayLike, pitch: ArrayLike, plane: Floats) -> Float
 
     size_px, pitch (..., 2): as in `pixel_to_plane`.
     plane (..., 2): x to the right, y up, from the middle of the image.
-
-    Returns
-    -------
-    ndarray, shape (..., 2)
-        Column and row, px.
+    returns (..., 2): column and row, px.
     """
     middle = (np.asarray(size_px, dtype=float) - 1) / 2
     return np.asarray(plane / np.asarray(pitch) * [1.0, -1.0] + middle)

@@ -14,10 +14,7 @@ from photocal.geometry.lens import all_directions, all_recorded, optics
 def focused(near: Camera, far: Camera, focus_m: float) -> Camera:
     """Camera focused to a distance, its radial distortion from calibrations at two others.
 
-    Returns
-    -------
-    Camera
-        `near` with K1 to K4 and `focus_m` of that focus: each divided by (1 - c/s)^(2n+1) varies with
+    returns: `near` with K1 to K4 and `focus_m` of that focus: each divided by (1 - c/s)^(2n+1) varies with
         the weight a = (s2 - s)/(s2 - s1) (s1 - c)/(s - c) (Brown 1971; Fryer 1988).
     """
     c = near.values[0] / MM

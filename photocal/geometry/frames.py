@@ -144,10 +144,7 @@ class ReferenceFrame:
 def parsed(name: str) -> Any:
     """Read the name of a coordinate reference system.
 
-    Raises
-    ------
-    ConfigurationError
-        For an unknown name, or units other than metres.
+    raises ConfigurationError: for an unknown name, or units other than metres.
     """
     from pyproj import CRS
     from pyproj.exceptions import CRSError
@@ -174,11 +171,7 @@ def reference_frame(name: str, height: str, origin: Floats) -> ReferenceFrame:
     """Make the frame of a block in a coordinate reference system.
 
     origin (3,): middle of the block.
-
-    Raises
-    ------
-    ConfigurationError
-        When the kind of the heights is not said or does not fit the system.
+    raises ConfigurationError: when the kind of the heights is not said or does not fit the system.
     """
     system = parsed(name)
     if height == "orthometric" and not system.is_compound:

@@ -34,11 +34,7 @@ def missing_grids(crs: str, area: Area | None = None) -> list[str]:
     """Name the grids that the best way from GNSS coordinates to a system needs and that are not here.
 
     area: west, south, east, north, degrees; the whole area of the system when not given.
-
-    Raises
-    ------
-    ConfigurationError
-        When there is no such system.
+    raises ConfigurationError: when there is no such system.
     """
     group = _ways(crs, area)
     best = [operation for operation in group.unavailable_operations[:1] if not group.best_available]
@@ -48,10 +44,7 @@ def missing_grids(crs: str, area: Area | None = None) -> list[str]:
 def fetch_grids(crs: str, area: Area | None = None) -> tuple[str, ...]:
     """Download the missing grids of a system into the user's folder of PROJ, and name them.
 
-    Raises
-    ------
-    OutputError
-        When the network or the folder refuses.
+    raises OutputError: when the network or the folder refuses.
     """
     missing = missing_grids(crs, area)
     if missing:

@@ -53,11 +53,7 @@ def interior_orientation(
 
     readings (n, 2): readings of the marks, in any unit and of either handedness.
     known (n, 2): their calibrated coordinates in the image system (x right, y up).
-
-    Raises
-    ------
-    IllPosedError
-        For too few marks, or marks in a line.
+    raises IllPosedError: for too few marks, or marks in a line.
     """
     readings, known = np.asarray(readings, dtype=float), np.asarray(known, dtype=float)
     unknowns = PARAMETER_COUNT[kind]

@@ -39,12 +39,9 @@ _MOST, _SOLVED = 50, 1e-24
 def optics(camera: Camera) -> Floats:
     """What a kernel must know of a camera beside its parameters.
 
-    Returns
-    -------
-    ndarray, shape (14,)
-        Code of the model, code of the affinity's place, R0, the two affinity matrices row by row, the focus
-        distance in mm, and by how much of the readout a line is later per unit of x and of y: 0, 0 for a
-        global shutter.
+    returns (14,): code of the model, code of the affinity's place, R0, the two affinity matrices row by row,
+        the focus distance in mm, and by how much of the readout a line is later per unit of x and of y: 0, 0
+        for a global shutter.
     """
     first, second = AFFINITY_MATRICES[camera.affinity_form]
     observed = camera.model == "brown-observed" and camera.distortion_at == "measured"

@@ -45,11 +45,7 @@ def resection(xyz: Floats, rays: Floats) -> Resection | None:
 
     xyz (n, 3): points, m.
     rays (n, 2): undistorted image coordinates over the principal distance, x right, y up.
-
-    Returns
-    -------
-    Resection or None
-        None when the points do not give a pose: fewer than four, in a line, or behind the camera.
+    returns: none when the points do not give a pose: fewer than four, in a line, or behind the camera.
     """
     if len(xyz) < FEWEST:
         return None
@@ -76,10 +72,7 @@ def ray_residuals(rotation: Floats, centre: Floats, xyz: Floats, rays: Floats) -
     centre (..., 3).
     xyz (..., 3).
     rays (..., 2): leading shapes are broadcast.
-
-    Returns
-    -------
-    ndarray, shape (...)
+    returns (...).
     """
     q = np.einsum("...ij,...j->...i", rotation, xyz - centre)
     with np.errstate(divide="ignore", invalid="ignore"):

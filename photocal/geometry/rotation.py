@@ -17,11 +17,7 @@ def matrix_from_angles(angles: Floats) -> Floats:
     """Rotation matrices from object to camera axes.
 
     angles (..., 3): omega, phi, kappa in radians.
-
-    Returns
-    -------
-    ndarray, shape (..., 3, 3)
-        M = R3(kappa) R2(phi) R1(omega), passive (Kraus 2007, eq. 2.1-13 transposed).
+    returns (..., 3, 3): M = R3(kappa) R2(phi) R1(omega), passive (Kraus 2007, eq. 2.1-13 transposed).
     """
     so, sp, sk = np.moveaxis(np.sin(angles), -1, 0)
     co, cp, ck = np.moveaxis(np.cos(angles), -1, 0)
@@ -37,12 +33,8 @@ def angles_from_matrix(matrix: Floats) -> Floats:
     """Angles of rotation matrices, the inverse of `matrix_from_angles`.
 
     matrix (..., 3, 3): rotations from object to camera axes.
-
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        omega and kappa in (-pi, pi], phi in [-pi/2, pi/2], radians. At phi = +-90 degrees only the sum
-        or difference of omega and kappa is defined; omega is then 0.
+    returns (..., 3): omega and kappa in (-pi, pi], phi in [-pi/2, pi/2], radians. At phi = +-90 degrees only
+        the sum or difference of omega and kappa is defined; omega is then 0.
     """
     m31, m32, m33 = matrix[..., 2, 0], matrix[..., 2, 1], matrix[..., 2, 2]
     cos_phi = np.hypot(m32, m33)
@@ -63,11 +55,7 @@ def turn_per_angle(angles: Floats) -> Floats:
     -[e3]x d kappa - [R3 e2]x d phi - [R3 R2 e1]x d omega.
 
     angles (..., 3): omega, phi, kappa in radians.
-
-    Returns
-    -------
-    ndarray, shape (..., 3, 3)
-        Columns: the turn per radian of omega, phi, kappa. Singular at phi = +-90 degrees.
+    returns (..., 3, 3): columns: the turn per radian of omega, phi, kappa. Singular at phi = +-90 degrees.
     """
     sp, sk = np.sin(angles[..., 1]), np.sin(angles[..., 2])
     cp, ck = np.cos(angles[..., 1]), np.cos(angles[..., 2])
@@ -81,11 +69,7 @@ def turned(matrix: Floats, turn: Floats) -> Floats:
 
     matrix (n, 3, 3): rotations from object to camera axes.
     turn (n, 3): turn vectors in camera axes, radians.
-
-    Returns
-    -------
-    ndarray, shape (n, 3, 3)
-        The turned rotations.
+    returns (n, 3, 3): the turned rotations.
     """
     angle = np.linalg.norm(turn, axis=-1)[:, None, None]
     cross = skew(turn)

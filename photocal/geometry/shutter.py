@@ -37,12 +37,8 @@ def rolling_residual(
     lenses (lenses, 26): parameters of the camera, then V (m, object axes) and W (rad, camera axes).
     optics_of (lenses, 20): from `optics`, then the given velocity (m/s) and rate (rad/s).
     u, v, w: object point in camera axes at the middle of the readout, m.
-
-    Returns
-    -------
-    tuple of float
-        Residual in x and y; the point in camera axes before the turn of its line, to which a small turn of
-        the image applies.
+    returns: residual in x and y; the point in camera axes before the turn of its line, to which a small turn
+        of the image applies.
     """
     by_q, by_camera = room.by_q, room.by_camera
     lx, ly = optics_of[k, LINE], optics_of[k, LINE + 1]

@@ -41,10 +41,7 @@ def similarity(source: Floats, target: Floats) -> Similarity | None:
 
     source, target (n, 3).
 
-    Returns
-    -------
-    Similarity or None
-        None for fewer than three places, or places in a line.
+    returns: none for fewer than three places, or places in a line.
     """
     if len(source) < FEWEST:
         return None
@@ -63,10 +60,7 @@ def similarity(source: Floats, target: Floats) -> Similarity | None:
 def robust_similarity(source: Floats, target: Floats) -> tuple[Similarity, Flags] | None:
     """Similarity of least sum of misses among those of triples and of all, and the places that fit it.
 
-    Returns
-    -------
-    tuple or None
-        Fitted to the places that fit; None as in `similarity`.
+    returns: fitted to the places that fit; None as in `similarity`.
     """
     count = len(source)
     rng = np.random.default_rng(count)
@@ -99,11 +93,7 @@ def aligned_similarity(
     source, target (n, 3): one place and more.
     axes, goals (k, 3): directions in both systems.
     weight: of a direction beside those of the places, m squared.
-
-    Returns
-    -------
-    Similarity
-        Of scale 1 where the places do not tell it.
+    returns: of scale 1 where the places do not tell it.
     """
     middle, goal = source.mean(axis=0), target.mean(axis=0)
     a, b = source - middle, target - goal

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from drivers.arrays import Floats
+from photocal.accuracy.as_json import finite
 from photocal.accuracy.as_json import to_json as assessment_json
 from photocal.accuracy.discrepancies import SIGN
 from photocal.findings.catalogue import Catalogue, catalogue
@@ -27,10 +29,7 @@ _POSE = ("omega_deg", "phi_deg", "kappa_deg", "X_m", "Y_m", "Z_m")
 def to_json(check: BlockCheck, say: Catalogue | None = None) -> dict[str, Any]:
     """Give a block's check as a JSON value, its findings in a language (English when none is given).
 
-    Returns
-    -------
-    dict
-        Lengths in m; null where a figure does not exist.
+    returns: lengths in m; null where a figure does not exist.
     """
     exposures, found = check.exposures, block_findings(check)
     scale = np.array([*np.degrees(np.ones(3)), 1.0, 1.0, 1.0])
@@ -87,12 +86,10 @@ def _method(check: BlockCheck, judged: Judged) -> dict[str, Any]:
 
 
 def _differences(found: Differences) -> dict[str, Any]:
-    rmse = np.sqrt(np.mean(found.d**2, axis=0)).tolist() if len(found.d) else [None] * 3
-    sigma = np.sqrt(np.mean(found.product_sigma**2, axis=0)).tolist() if len(found.d) else [None] * 3
     return {
         "n": len(found.names),
-        "rmse_m": dict(zip(_AXES, rmse, strict=True)),
-        "predicted_m": dict(zip(_AXES, sigma, strict=True)),
+        "rmse_m": _by_axis(found.rmse),
+        "predicted_m": _by_axis(found.predicted),
         "errors_over_prediction": finite(found.ratio),
         "critical_w": CRITICAL_W,
         "ellipse_probability": ELLIPSE_PROBABILITY,
@@ -101,11 +98,15 @@ def _differences(found: Differences) -> dict[str, Any]:
     }
 
 
+def _by_axis(values: Floats) -> dict[str, float | None]:
+    return {axis: finite(value) for axis, value in zip(_AXES, values.tolist(), strict=True)}
+
+
 def _joint(one: JointTest) -> dict[str, Any]:
     return {
         **vars(one),
-        "mean": dict(zip(_AXES, one.mean.tolist(), strict=True)),
-        "mean_sigma": dict(zip(_AXES, one.mean_sigma.tolist(), strict=True)),
+        "mean": _by_axis(one.mean),
+        "mean_sigma": _by_axis(one.mean_sigma),
     }
 
 
@@ -168,8 +169,3 @@ def _separation(found: Separation) -> dict[str, Any]:
         "correlation": found.correlation.tolist(),
         "not_separated": [list(group) for group in found.groups],
     }
-
-
-def finite(value: float) -> float | None:
-    """Give a number that JSON knows, or None."""
-    return value if math.isfinite(value) else None

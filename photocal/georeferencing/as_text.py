@@ -20,10 +20,7 @@ from photocal.georeferencing.standards_table import standards_rows
 def to_text(check: BlockCheck) -> str:
     """Write a block's check for people.
 
-    Returns
-    -------
-    str
-        Several lines, figures in m.
+    returns: several lines, figures in m.
     """
     lines = [f"{check.block.name}: differences are {SIGN}, in metres; sigma is predicted, a priori."]
     lines.append(
@@ -71,15 +68,13 @@ def _aligned(rows: list[list[str]]) -> list[str]:
 
 
 def _row(judged: Judged, found: Differences) -> str:
-    rmse = np.sqrt(np.mean(found.d**2, axis=0))
-    sigma = np.sqrt(np.mean(found.product_sigma**2, axis=0))
     ratio = "-" if math.isnan(found.ratio) else f"{found.ratio:.2f}"
     left = f"{judged.found.method:<12}{found.role:<9}{len(found.names):>4}  "
     return (
         left
-        + "".join(f"{v:9.4f}" for v in rmse)
+        + "".join(f"{v:9.4f}" for v in found.rmse)
         + "   "
-        + "".join(f"{v:9.4f}" for v in sigma)
+        + "".join(f"{v:9.4f}" for v in found.predicted)
         + f"   {ratio:>11}"
     )
 

@@ -51,10 +51,7 @@ class Calibration:
 def calibrate(block: Block) -> Calibration:
     """Adjust a block and keep camera and mounting.
 
-    Raises
-    ------
-    PhotocalError
-        As the adjustment does.
+    raises PhotocalError: as the adjustment does.
     """
     network = assemble(block).network
     solution = adjust(network)
@@ -96,10 +93,7 @@ def joint_covariance(calibration: Calibration, common: int) -> Floats:
     """Give the covariance of all common values of a block and its cameras.
 
     common: number of the block's common values; shifts and drifts of its strips are taken as known.
-
-    Returns
-    -------
-    ndarray, shape (common + n parameters, common + n parameters)
+    returns (common + n parameters, common + n parameters).
     """
     size = len(calibration.covariance)
     at = np.concatenate([np.arange(STRIPS), common + np.arange(size - STRIPS)])

@@ -89,10 +89,7 @@ def check_block(
 ) -> BlockCheck:
     """Georeference a block three ways and judge it at its ground points.
 
-    Raises
-    ------
-    IllPosedError
-        When no method can be computed; the message has what was found in the ground points.
+    raises IllPosedError: when no method can be computed; the message has what was found in the ground points.
     """
     plausibility = ground_findings(block)
     done("plausibility")

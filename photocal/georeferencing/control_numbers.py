@@ -15,9 +15,9 @@ from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.block.model import Block
 from photocal.georeferencing.experiment import (
-    ControlPattern,
     Experiment,
     Outcome,
+    Pattern,
     run_experiment,
     spread_points,
 )
@@ -38,10 +38,7 @@ def control_numbers(
 ) -> tuple[Outcome, dict[str, Any]]:
     """Repeat the adjustment with several numbers of control points.
 
-    Raises
-    ------
-    ConfigurationError
-        With fewer than two surveyed points.
+    raises ConfigurationError: with fewer than two surveyed points.
     """
     surveyed = ground_points(block)
     usable = surveyed[np.isfinite(block.points.sigma[surveyed]).all(axis=1)]
@@ -52,13 +49,13 @@ def control_numbers(
         )
     observed = len(block.positions.image) or np.isfinite(block.images.sigma[:, 3:]).any()
     method: Method = "integrated" if observed else "indirect"
-    patterns: list[ControlPattern] = []
+    patterns: list[Pattern] = []
     random = np.random.default_rng(seed)
     for count in sorted({n for n in counts if 0 <= n < len(usable) - 1}):
         chosen = [spread_points(block, usable, count)] if count else [usable[:0]]
         chosen += [random.choice(usable, count, replace=False) for _ in range(CHOICES - 1 if count else 0)]
-        patterns += [ControlPattern(f"{count} control", np.sort(points)) for points in chosen]
-    patterns += [ControlPattern("all but one", usable[usable != point]) for point in usable]
+        patterns += [(f"{count} control", np.sort(points)) for points in chosen]
+    patterns += [("all but one", usable[usable != point]) for point in usable]
     outcome = run_experiment(Experiment(block, (method,), patterns=tuple(patterns)), done)
     return outcome, {
         "schema": SCHEMA,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import stats
@@ -82,6 +83,16 @@ class Differences:
         """Give them to the statistics and the standards."""
         return Discrepancies(self.names, self.d, self.xyz)
 
+    @cached_property
+    def rmse(self) -> Floats:
+        """Root mean square of the differences in X, Y, Z, m; NaN without points."""
+        return _rms(self.d)
+
+    @cached_property
+    def predicted(self) -> Floats:
+        """Root mean square of the predicted sigmas of the computed coordinates, m; NaN without points."""
+        return _rms(self.product_sigma)
+
     @property
     def suspected(self) -> tuple[str, ...]:
         """Points whose difference the prediction does not explain (0.1 % in space)."""
@@ -112,6 +123,10 @@ def exposure_difference(exposures: Floats, reference: Floats) -> ExposureDiffere
     d[:, :3] = (d[:, :3] + np.pi) % (2 * np.pi) - np.pi
     d = d[np.isfinite(d).all(axis=1)]
     return ExposureDifference(len(d), d.mean(axis=0), np.sqrt(np.mean(d**2, axis=0)))
+
+
+def _rms(values: Floats) -> Floats:
+    return np.sqrt(np.mean(values**2, axis=0)) if len(values) else np.full(3, np.nan)
 
 
 def differences(block: Block, found: Georeferenced, role: Role) -> Differences:

@@ -38,10 +38,7 @@ class DirectOrientation:
 def direct_orientation(block: Block) -> DirectOrientation:
     """Exterior orientation of the images of a block from its position and attitude observations.
 
-    Returns
-    -------
-    DirectOrientation
-        X0 = A - M' B l + v dt - s - d t and M = B R, see `photocal.adjustment.mounting`.
+    returns: X0 = A - M' B l + v dt - s - d t and M = B R, see `photocal.adjustment.mounting`.
     """
     count, common = len(block.images.names), len(block.mounting.values)
     rotation = matrix_from_angles(block.images.values[:, :3])

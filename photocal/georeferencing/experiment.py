@@ -27,29 +27,8 @@ from photocal.georeferencing.mounted import with_attitude_angles
 from photocal.georeferencing.simulated import Degradation, degraded
 
 Use = Literal["weighted", "fixed", "as-given"]
-
-
-@dataclass(frozen=True)
-class InteriorSet:
-    """One calibration of the block's camera.
-
-    camera: values.
-    sigma (20,): standard deviations; NaN where none is known.
-    correlation (20, 20): correlations of the parameters with a sigma; None where they are not known.
-    """
-
-    name: str
-    camera: Camera
-    sigma: Floats
-    correlation: Floats | None = None
-
-
-@dataclass(frozen=True)
-class ControlPattern:
-    """Which points are control; every other ground point is a check point."""
-
-    name: str
-    points: Integers
+# A name, and which points are control; every other ground point is a check point.
+Pattern = tuple[str, Integers]
 
 
 @dataclass(frozen=True)
@@ -66,9 +45,9 @@ class Experiment:
 
     block: Block
     methods: tuple[Method, ...]
-    interiors: tuple[InteriorSet, ...] = ()
+    interiors: tuple[Camera, ...] = ()
     uses: tuple[Use, ...] = ("weighted", "fixed")
-    patterns: tuple[ControlPattern, ...] = ()
+    patterns: tuple[Pattern, ...] = ()
     leave_one_out: bool = False
     noise: Degradation | None = None
     seed: int = 0
@@ -111,18 +90,6 @@ class Run:
         """Short name for a plot."""
         parts = (self.interior, "" if self.use == "as-given" else self.use, self.pattern, self.method)
         return " ".join(part for part in parts if part)
-
-    def rmse(self) -> Floats:
-        """RMSE in X, Y, Z, shape (3,), m; NaN without check points."""
-        if self.check is None or not len(self.check.d):
-            return np.full(3, np.nan)
-        return np.asarray(np.sqrt(np.mean(self.check.d**2, axis=0)))
-
-    def predicted(self) -> Floats:
-        """Root mean square of the predicted sigmas of the check points, shape (3,), m."""
-        if self.check is None or not len(self.check.d):
-            return np.full(3, np.nan)
-        return np.asarray(np.sqrt(np.mean(self.check.product_sigma**2, axis=0)))
 
 
 @dataclass(frozen=True)
@@ -191,14 +158,14 @@ def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: No
         noisy = degraded(block, experiment.noise, np.random.default_rng(experiment.seed))
         block = replace(block, images=noisy.images, positions=noisy.positions, attitudes=noisy.attitudes)
         block = replace(block, mounting=noisy.mounting)
-    own = ControlPattern("", np.flatnonzero(block.points.of_role("control")))
+    own: Pattern = ("", np.flatnonzero(block.points.of_role("control")))
     runs = []
     for method in experiment.methods:
         for pattern in experiment.patterns or (own,):
             for interior, use, camera in _cameras(experiment, block):
                 cameras = list(block.cameras)
                 cameras[experiment.camera] = camera
-                setup = with_roles(replace(block, cameras=tuple(cameras)), pattern.points)
+                setup = with_roles(replace(block, cameras=tuple(cameras)), pattern[1])
                 runs.append(_run(setup, method, interior, use, pattern, experiment.confidence, reference))
                 done()
     left = _leave_one_out(block, experiment.methods, done) if experiment.leave_one_out else ()
@@ -235,22 +202,17 @@ def _cameras(experiment: Experiment, block: Block) -> list[tuple[str, Use, Camer
         return [("", "as-given", own)]
     made: list[tuple[str, Use, Camera]] = []
     for interior in experiment.interiors:
-        given = replace(
-            interior.camera,
-            id=own.id,
-            estimated=np.zeros_like(own.estimated),
-            prior_sigma=np.full_like(own.prior_sigma, np.inf),
-        )
+        held = np.zeros_like(own.estimated)
+        given = replace(interior, id=own.id, estimated=held, prior_sigma=np.full(held.shape, np.inf))
         for use in experiment.uses:
+            camera = given
             if use == "weighted":
-                known = np.isfinite(interior.sigma) & (interior.sigma > 0)
-                sigma = np.where(known, interior.sigma, np.inf)
-                camera = replace(
-                    given, estimated=known, prior_sigma=sigma, prior_correlation=interior.correlation
-                )
-                made.append((interior.name, use, camera))
+                known = np.isfinite(interior.prior_sigma) & (interior.prior_sigma > 0)
+                sigma = np.where(known, interior.prior_sigma, np.inf)
+                camera = replace(given, estimated=known, prior_sigma=sigma)
             else:
-                made.append((interior.name, use, given))
+                camera = replace(given, prior_correlation=None)
+            made.append((interior.id, use, camera))
     return made
 
 
@@ -259,11 +221,11 @@ def _run(
     method: Method,
     interior: str,
     use: Use,
-    pattern: ControlPattern,
+    pattern: Pattern,
     confidence: float,
     reference: Floats | None,
 ) -> Run:
-    head = (interior, use, pattern.name, method, len(pattern.points))
+    head = (interior, use, pattern[0], method, len(pattern[1]))
     try:
         found = of_method(block, method)
     except PhotocalError as refusal:

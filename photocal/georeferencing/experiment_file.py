@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt, ValidationError
+from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 
-from acquire.checked_toml import Table, parse_toml
-from drivers.errors import ConfigurationError, InputNotFoundError
+from acquire.checked_toml import Table, read_toml
+from drivers.errors import ConfigurationError
 from photocal.block.model import Block
 from photocal.geometry.camera import Camera
 from photocal.georeferencing.experiment import (
-    ControlPattern,
     Experiment,
-    InteriorSet,
+    Pattern,
     Use,
     spread_points,
 )
@@ -61,33 +59,16 @@ class _File(Table):
 def read_experiment(
     path: Path,
     read_block: Callable[[Path], Block],
-    read_interiors: Callable[[Path], tuple[InteriorSet, ...]],
+    read_interiors: Callable[[Path], tuple[Camera, ...]],
 ) -> Experiment:
     """Read an experiment.
 
-    Raises
-    ------
-    InputNotFoundError
-        When it does not exist.
-    ConfigurationError
-        For wrong keys or values, and for points that are not in the block.
+    raises InputNotFoundError: when it does not exist.
+    raises ConfigurationError: for wrong keys or values, and for points that are not in the block.
     """
-    if not path.is_file():
-        raise InputNotFoundError("does not exist", where=path, remedy="name the experiment's TOML file")
-    try:
-        asked = _File.model_validate(parse_toml(path.read_text(encoding="utf-8")))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as failure:
-        raise ConfigurationError(
-            f"is not valid TOML ({failure})", where=path, remedy="correct it"
-        ) from failure
-    except ValidationError as failure:
-        error = failure.errors()[0]
-        key = ".".join(str(part) for part in error["loc"])
-        raise ConfigurationError(
-            f"{key}: {error['msg'].lower()}", where=path, remedy="correct the key"
-        ) from failure
+    asked = read_toml(path, _File)
     block = read_block(path.parent / asked.block)
-    interiors: tuple[InteriorSet, ...] = ()
+    interiors: tuple[Camera, ...] = ()
     uses: tuple[Use, ...] = ()
     camera = 0
     if asked.interior is not None:
@@ -122,17 +103,17 @@ def _camera(block: Block, name: str, path: Path) -> int:
     return names.index(name)
 
 
-def _require_fitting(own: Camera, interiors: tuple[InteriorSet, ...], path: Path) -> None:
+def _require_fitting(own: Camera, interiors: tuple[Camera, ...], path: Path) -> None:
     for one in interiors:
-        if one.camera.unit != own.unit or one.camera.size_px != own.size_px:
+        if one.unit != own.unit or one.size_px != own.size_px:
             raise ConfigurationError(
-                f"interior orientation {one.name} is of another image size or unit than camera {own.id}",
+                f"interior orientation {one.id} is of another image size or unit than camera {own.id}",
                 where=path,
                 remedy="give calibrations of the block's own camera",
             )
 
 
-def _patterns(control: _Control, block: Block, path: Path) -> tuple[ControlPattern, ...]:
+def _patterns(control: _Control, block: Block, path: Path) -> tuple[Pattern, ...]:
     index = {name: k for k, name in enumerate(block.points.names)}
     surveyed = np.isfinite(block.points.sigma).any(axis=1) | block.points.of_role("control")
     patterns = []
@@ -150,8 +131,8 @@ def _patterns(control: _Control, block: Block, path: Path) -> tuple[ControlPatte
                     where=path,
                     remedy="give it sX, sY, sZ in points.csv",
                 )
-        patterns.append(ControlPattern(pattern.name, np.array([index[n] for n in pattern.points])))
+        patterns.append((pattern.name, np.array([index[n] for n in pattern.points])))
     usable = ground_points(block)
     usable = usable[surveyed[usable]]
-    patterns += [ControlPattern(f"{n} control", spread_points(block, usable, n)) for n in control.counts]
+    patterns += [(f"{n} control", spread_points(block, usable, n)) for n in control.counts]
     return tuple(patterns)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from acquire.outputs import output_folder
+from photocal.accuracy.as_json import finite
 from photocal.accuracy.discrepancies import SIGN
-from photocal.georeferencing.as_json import finite
 from photocal.georeferencing.experiment import LeftOut, Outcome, Pair, Run
 from photocal.georeferencing.experiment_plots import control_plot, rmse_plot
 
@@ -48,9 +48,9 @@ def to_text(outcome: Outcome) -> str:
         t = " ".join(f"{b.t:.2f}{'*' if b.significant else ''}" for b in run.bias)
         lines.append(
             f"{run.name:<40}{run.control:>8}{len(run.check.names):>6}"
-            + "".join(f"{v:9.4f}" for v in run.rmse())
+            + "".join(f"{v:9.4f}" for v in run.check.rmse)
             + "   "
-            + "".join(f"{v:8.4f}" for v in run.predicted())
+            + "".join(f"{v:8.4f}" for v in run.check.predicted)
             + f"   {t}"
         )
     lines += ["", f"{'run':<40}{'image residuals px':>20}   exterior orientation, RMSE in m and deg"]
@@ -79,10 +79,7 @@ def to_text(outcome: Outcome) -> str:
 def write_experiment(outcome: Outcome, folder: Path) -> tuple[str, ...]:
     """Write the results of an experiment.
 
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written.
+    raises OutputError: when the folder cannot be written.
     """
     texts = {
         "experiment.json": json.dumps(to_json(outcome), indent=1, allow_nan=False) + "\n",
@@ -117,7 +114,8 @@ def _run(run: Run) -> dict[str, Any]:
 
 
 def _flat(run: Run) -> dict[str, Any]:
-    rmse, sigma = run.rmse(), run.predicted()
+    none = np.full(3, np.nan)
+    rmse, sigma = (none, none) if run.check is None else (run.check.rmse, run.check.predicted)
     row: dict[str, Any] = {
         "interior": run.interior,
         "use": run.use,

@@ -11,6 +11,7 @@ from scipy import stats
 from drivers.arrays import Floats
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
+from photocal.adjustment.groups import FEWEST, GroupTest, tested
 from photocal.adjustment.mounting import COMMON, SHIFT, STRIPS
 from photocal.adjustment.solution import Solution
 from photocal.block.model import Block
@@ -23,6 +24,12 @@ SIGNIFICANCE = 0.001
 _MOST_PLACES = 6
 # On either side; fewer say nothing of a principal distance.
 _FEWEST_IMAGES = 4
+# The first image of a second camera, and its parameters: start values of those that are free.
+Change = tuple[int, Floats]
+# Standard deviations that are wrong by no more are no finding.
+_NO_FINDING = 0.1
+# They are settled when they change by a smaller share; it takes no more adjustments.
+_SETTLED, _SETTLING = 0.02, 12
 
 
 @dataclass(frozen=True)
@@ -32,7 +39,7 @@ class Estimate:
     unit: m, deg, s, mm or px.
     correction: estimated less given.
     value: estimated.
-    sigma: A priori.
+    sigma: a priori.
     t: correction / sigma.
     significant: at 0.1 %, two-sided.
     """
@@ -44,18 +51,6 @@ class Estimate:
     sigma: float
     t: float
     significant: bool
-
-
-@dataclass(frozen=True)
-class Change:
-    """Where a second camera begins.
-
-    image: its first image.
-    values (20,): its parameters: start values of those that are free.
-    """
-
-    image: int
-    values: Floats
 
 
 def faults_of(block: Block, change: Change | None, table: tuple[Fault, ...] = FAULTS) -> tuple[Fault, ...]:
@@ -194,9 +189,10 @@ def _split_at(block: Block, change: Change, one: Fault) -> Block:
     estimated, sigma = own.estimated.copy(), own.prior_sigma.copy()
     estimated[which], sigma[which] = True, one.prior * _scale(own.value("c"), which)
     first = replace(own, estimated=estimated, prior_sigma=sigma)
-    later = block.images.names[change.image]
-    second = replace(first.with_values(change.values), id=f"{own.id}@{later}")
-    camera = np.where(np.arange(len(block.images.names)) >= change.image, 1, 0)
+    begin, values = change
+    later = block.images.names[begin]
+    second = replace(first.with_values(values), id=f"{own.id}@{later}")
+    camera = np.where(np.arange(len(block.images.names)) >= begin, 1, 0)
     return replace(block, cameras=(first, second), images=replace(block.images, camera=camera))
 
 
@@ -219,7 +215,7 @@ def best_change(block: Block, values: Floats, table: tuple[Fault, ...] = FAULTS)
     if one is None:
         return None
     for image in places_of_change(block):
-        change = Change(image, values)
+        change = image, values
         try:
             chi_squared = adjust(assemble(with_freed(block, one, change)).network).chi_squared
         except (IllPosedError, NotConvergedError):
@@ -227,3 +223,40 @@ def best_change(block: Block, values: Floats, table: tuple[Fault, ...] = FAULTS)
         if best is None or chi_squared < best[0]:
             best = chi_squared, change
     return None if best is None else best[1]
+
+
+def wrong_sigma(first: Solution, cause: float) -> GroupTest | None:
+    """Choose the group whose stated sigmas are wrong, rather than a cause.
+
+    A factor is one unknown, and gains likelihood where all residuals of a group are too large or too small;
+    an error competes with it (Schwarz 1978). Too small residuals no error explains.
+    """
+    groups = (tested(group) for group in first.groups if group.name in ("position", "attitude"))
+    wrong = [
+        one
+        for one in groups
+        if one.redundancy >= FEWEST
+        and one.p_value < SIGNIFICANCE
+        and abs(one.factor - 1.0) > _NO_FINDING
+        and (one.factor < 1.0 or one.gain > cause)
+    ]
+    return max(wrong, key=lambda one: one.gain, default=None)
+
+
+def with_agreeing(block: Block, one: GroupTest) -> tuple[Block, GroupTest]:
+    """Give positions or attitudes the standard deviations that agree (Foerstner 1979), and their factor."""
+    total = 1.0
+    for _ in range(_SETTLING):
+        total *= one.factor
+        if one.name == "position":
+            own = replace(block.positions, covariance=block.positions.covariance * one.factor**2)
+            block = replace(block, positions=own)
+        else:
+            turns = replace(block.attitudes, covariance=block.attitudes.covariance * one.factor**2)
+            block = replace(block, attitudes=turns)
+        groups = adjust(assemble(block).network).groups
+        one = tested(next(group for group in groups if group.name == one.name))
+        if abs(one.factor - 1.0) < _SETTLED:
+            break
+    limits = total * one.lower / one.factor, total * one.upper / one.factor
+    return block, replace(one, factor=total, lower=limits[0], upper=limits[1])

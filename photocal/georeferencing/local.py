@@ -19,15 +19,8 @@ def in_local_frame(block: Block) -> Block:
     Everything that is compared here is in metres along axes at right angles: differences of map
     coordinates would carry the scale of the projection.
 
-    Returns
-    -------
-    Block
-        The same block when its frame is local already.
-
-    Raises
-    ------
-    ConfigurationError
-        For an unknown system, or heights of a kind that does not fit it.
+    returns: the same block when its frame is local already.
+    raises ConfigurationError: for an unknown system, or heights of a kind that does not fit it.
     """
     if block.frame == "local":
         return block

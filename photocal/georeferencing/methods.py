@@ -78,12 +78,8 @@ def of_method(
 ) -> Georeferenced:
     """Georeference a block by one method.
 
-    Raises
-    ------
-    ConfigurationError
-        When the block lacks what the method needs.
-    PhotocalError
-        As the adjustment does.
+    raises ConfigurationError: when the block lacks what the method needs.
+    raises PhotocalError: as the adjustment does.
     """
     if method == "direct":
         return _direct(block, note, calibration)
@@ -99,9 +95,7 @@ def without_georeference(block: Block) -> Block:
 def without_weak_images(block: Block) -> tuple[Block, Flags]:
     """Set images with fewer than four rays aside: they give the adjustment nothing.
 
-    Returns
-    -------
-    weak : ndarray of bool, shape (images,)
+    returns weak (images,).
     """
     weak = np.zeros(len(block.images.names), dtype=np.bool_)
     while True:

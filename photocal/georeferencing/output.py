@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from acquire.outputs import output_folder
+from photocal.accuracy.as_json import finite
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.figures import histograms, residual_map
 from photocal.accuracy.geopackage import write_geopackage
 from photocal.findings.catalogue import catalogue
 from photocal.findings.texts import finding_text
 from photocal.geopackage import ReferenceSystem
-from photocal.georeferencing.as_json import finite
 from photocal.georeferencing.comparison import BlockCheck
 from photocal.georeferencing.differences import Differences
 from photocal.georeferencing.findings import block_findings
@@ -30,11 +30,7 @@ def write_check(
     """Write the results of a check.
 
     system: of the block's coordinates, for the GeoPackage.
-
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written; nothing is then left half-written.
+    raises OutputError: when the folder cannot be written; nothing is then left half-written.
     """
     texts = {
         "check.json": json.dumps(content, indent=1, allow_nan=False) + "\n",
@@ -144,9 +140,7 @@ def _report(check: BlockCheck) -> str:
         for found in (judged.check, judged.control):
             if not found.names:
                 continue
-            rmse = np.sqrt(np.mean(found.d**2, axis=0))
-            sigma = np.sqrt(np.mean(found.product_sigma**2, axis=0))
-            cells = " | ".join(f"{v:.4f}" for v in (*rmse, *sigma))
+            cells = " | ".join(f"{v:.4f}" for v in (*found.rmse, *found.predicted))
             n = len(found.names)
             lines.append(f"| {judged.found.method} | {found.role} | {n} | {cells} | {found.ratio:.2f} |")
     lines += ["", *(f"- {judged.found.label}" for judged in check.judged), ""]

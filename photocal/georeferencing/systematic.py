@@ -30,9 +30,10 @@ from photocal.georeferencing.freed_groups import (
     left_free,
     of_camera,
     unknowns_of,
+    with_agreeing,
     with_freed,
+    wrong_sigma,
 )
-from photocal.georeferencing.stated_sigmas import with_agreeing, wrong_sigma
 
 _ROUNDS = 4
 # Akaike (1974): models this close are not told apart; in units of v'Pv.

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from photocal.adjustment.network import RELATIONS
+from photocal.block.folder import POINT_CROSS
 from photocal.block.model import ROLES, Block
 from photocal.geometry.camera import PARAMETERS, Camera
 
@@ -37,13 +38,14 @@ def write_block(folder: Path, block: Block, record: dict[str, Any]) -> None:
             )
         ),
     )
+    cross = np.zeros((len(points.names), 0)) if points.cross is None else points.cross
     _write(
         folder / "points.csv",
-        ("point", "X", "Y", "Z", "sX", "sY", "sZ", "role"),
+        ("point", "X", "Y", "Z", "sX", "sY", "sZ", *(POINT_CROSS if cross.size else ()), "role"),
         (
-            [name, *(_cell(v, 6) for v in value), *(_cell(v, 6) for v in sigma), ROLES[role]]
-            for name, value, sigma, role in zip(
-                points.names, points.values, points.sigma, points.role, strict=True
+            [name, *(_cell(v, 6) for v in (*value, *sigma)), *map(repr, covariances), ROLES[role]]
+            for name, value, sigma, covariances, role in zip(
+                points.names, points.values, points.sigma, cross.tolist(), points.role, strict=True
             )
         ),
     )

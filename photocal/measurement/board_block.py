@@ -46,12 +46,8 @@ def measure_board(
     give, and a common part for what they cannot know (the flatness of the board, motion, the camera
     model), taken from the residuals of a first adjustment.
 
-    Raises
-    ------
-    InputNotFoundError
-        When too few images show the board.
-    PhotocalError
-        When the views do not determine the camera.
+    raises InputNotFoundError: when too few images show the board.
+    raises PhotocalError: when the views do not determine the camera.
     """
     facts, views, left_out = _views(paths, board, done)
     if len(views) < FEWEST_VIEWS:

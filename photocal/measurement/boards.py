@@ -52,9 +52,7 @@ class Board:
 def parse_board(text: str, square_m: float, dictionary_name: str = "") -> Board:
     """Read a board from "10x7" (squares in a row and in a column).
 
-    Raises
-    ------
-    ConfigurationError
+    raises ConfigurationError.
     """
     try:
         columns, rows = (int(part) for part in text.lower().split("x"))

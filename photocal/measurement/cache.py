@@ -17,12 +17,6 @@ from acquire.outputs import output_file
 Arrays = dict[str, NDArray[Any]]
 
 
-def content_key(path: Path) -> str:
-    """SHA-256 of a file's content."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
 def combined_key(*parts: object) -> str:
     """SHA-256 of several keys and settings."""
     return hashlib.sha256("\0".join(map(str, parts)).encode()).hexdigest()

@@ -49,13 +49,8 @@ def measure_field(
     """Measure the corners of all coded targets and make the block that calibrates the camera.
 
     distances: CSV with the columns from, to, value, sigma (m) between corners; without, the unit is free.
-
-    Raises
-    ------
-    InputNotFoundError
-        When too few pictures show too few targets.
-    PhotocalError
-        When the pictures do not determine the camera.
+    raises InputNotFoundError: when too few pictures show too few targets.
+    raises PhotocalError: when the pictures do not determine the camera.
     """
     dictionary(dictionary_name)
     views, left_out = [], []

@@ -40,11 +40,7 @@ def measure_gcp(
     """Measure tie points in images and join them with marked control points.
 
     system: coordinate reference system in place of the file's, or empty; and the kind of the heights.
-
-    Raises
-    ------
-    PhotocalError
-        When the file cannot be read, or the images are not oriented.
+    raises PhotocalError: when the file cannot be read, or the images are not oriented.
     """
     # What is wrong with the file is told before the images are looked at.
     first = read_control_marks(control_file, sigma_m, {})

@@ -100,10 +100,7 @@ class ImageFacts:
 def read_facts(path: Path) -> ImageFacts:
     """Read what an image says of itself, without decoding its pixels.
 
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        When the file is no readable image.
+    raises InputNotFoundError, InputMalformedError: when the file is no readable image.
     """
     with opened(path) as image:
         main, exif, gps = _tags(image)

@@ -37,10 +37,7 @@ _ON_END = (5, 6, 7, 8)
 def list_images(folder: Path) -> tuple[Path, ...]:
     """List the image files of a folder, by their names.
 
-    Raises
-    ------
-    InputNotFoundError
-        When the folder does not exist or has no image.
+    raises InputNotFoundError: when the folder does not exist or has no image.
     """
     if not folder.is_dir():
         raise InputNotFoundError("is not a folder", where=folder, remedy="name the folder with the images")
@@ -62,17 +59,9 @@ def list_images(folder: Path) -> tuple[Path, ...]:
 def opened(path: Path) -> Iterator[Image]:
     """Open an image; whatever is wrong with the file becomes one line that names it.
 
-    Yields
-    ------
-    PIL.Image.Image
-        Header read, pixels not yet.
-
-    Raises
-    ------
-    InputNotFoundError
-        When there is no such file or it is empty.
-    InputMalformedError
-        When it is not an image, cut, or too large to be one.
+    yields: header read, pixels not yet.
+    raises InputNotFoundError: when there is no such file or it is empty.
+    raises InputMalformedError: when it is not an image, cut, or too large to be one.
     """
     from PIL import Image
 

@@ -44,10 +44,7 @@ class Marker:
 def dictionary(name: str) -> Any:
     """Give a dictionary of markers by its name.
 
-    Raises
-    ------
-    ConfigurationError
-        For another name.
+    raises ConfigurationError: for another name.
     """
     import cv2
 

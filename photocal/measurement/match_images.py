@@ -10,7 +10,8 @@ import numpy as np
 
 from drivers.arrays import Integers
 from drivers.errors import PhotocalError
-from photocal.measurement.cache import Arrays, cached, combined_key, content_key
+from photocal.block.model import digest
+from photocal.measurement.cache import Arrays, cached, combined_key
 from photocal.measurement.features import Features, FeatureSettings, detect
 from photocal.measurement.image_file import as_eight_bit, read_grey
 from photocal.measurement.matching import MatchSettings, match
@@ -44,7 +45,7 @@ def detect_all(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Detect the features of all images into the cache."""
     keys, reasons = [], []
-    images = (_Image(path, combined_key(FEATURES, content_key(path), plan.features), plan) for path in paths)
+    images = (_Image(path, combined_key(FEATURES, digest(path), plan.features), plan) for path in paths)
     for key, reason in run_tasks(_detect_one, images, plan.processes):
         keys.append(key)
         reasons.append(reason)

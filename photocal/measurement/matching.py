@@ -43,10 +43,7 @@ class MatchSettings:
 def match(first: Features, second: Features, settings: MatchSettings) -> Integers:
     """Match two images and verify the matches by their epipolar geometry.
 
-    Returns
-    -------
-    ndarray of int, shape (n, 2)
-        Indices of the features; empty when the images do not belong together.
+    returns (n, 2): indices of the features; empty when the images do not belong together.
     """
     large = len(first.scale) > 2 * settings.sketch and len(second.scale) > 2 * settings.sketch
     windows: Iterable[Window] | None = None

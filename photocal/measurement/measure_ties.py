@@ -77,10 +77,7 @@ def measure_ties(
 ) -> TieBlock:
     """Measure tie points in images and make their block.
 
-    Raises
-    ------
-    PhotocalError
-        When too few images can be read, or their tie points do not orient them.
+    raises PhotocalError: when too few images can be read, or their tie points do not orient them.
     """
     sighted = sight(paths, plan, progress, stated_footprints, lens.of)
     places, origin = local_places(sighted.facts)

@@ -61,9 +61,7 @@ def of_exposures(project: Project, folder: Path) -> Orientation:
 
     The covariances of the attitudes hold how unsure the boresight is.
 
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
+    raises InputNotFoundError, InputMalformedError.
     """
     images = read_images(folder / "images.csv", project.cameras)
     known = np.where(np.isfinite(images.sigma), images.sigma, np.nan)

@@ -26,10 +26,7 @@ def cross(p: Floats, x: Floats, y: Floats, bend: Floats = FLAT) -> Floats:
 
     x, y (n,).
     bend (2, 2, 2): of the ground, from `eccentricity.ground_bend`.
-
-    Returns
-    -------
-    ndarray, shape (n,)
+    returns (n,).
     """
     dx, dy = flattened(x - p[0], y - p[1], bend)
     first, second = (_bar(dy * np.cos(a) - dx * np.sin(a), p[4], p[5]) for a in (p[2], p[3]))

@@ -13,7 +13,7 @@ import numpy as np
 from drivers.arrays import Flags, Floats
 from drivers.errors import IllPosedError
 from photocal.adjustment.network import Rays
-from photocal.adjustment.start.bearings import sights
+from photocal.adjustment.start.bearings import bearings
 from photocal.adjustment.start.model import LENS, Model, held_to_given, misfit, support
 from photocal.adjustment.start.values import free_models
 from photocal.block.model import Block, Images
@@ -68,16 +68,13 @@ class Placed:
 def oriented(block: Block, tracks: Tracks) -> Placed:
     """Orient the images of a block by tracks, and place them by control points, positions and attitudes.
 
-    Raises
-    ------
-    IllPosedError
-        When no two images are oriented to each other.
+    raises IllPosedError: when no two images are oriented to each other.
     """
     whole = with_ties(block, tracks, np.full((tracks.count, 3), np.nan), np.ones(len(tracks.track)))
     frame = block_frame(whole)
     given = local_poses(frame, block.images.values)
     cameras = tuple(replace(own, estimated=own.estimated | LENS) for own in block.cameras)
-    seen = sights(cameras, block.images.camera, len(whole.points.names), _rays(whole))
+    seen = bearings(cameras, block.images.camera, len(whole.points.names), _rays(whole))
     models = free_models(seen)
     if not models or models[0].oriented.sum() < 2:
         raise IllPosedError(
@@ -129,13 +126,13 @@ def _calibrated(model: Model, given: tuple[Camera, ...]) -> tuple[Model, list[Fi
     if all(wanted):
         return model, []
     held = held_to_given(model)
-    share = [b.value("c") / o.value("c") for o, b in zip(given, model.sights.cameras, strict=True)]
+    share = [b.value("c") / o.value("c") for o, b in zip(given, model.bearings.cameras, strict=True)]
     credible = all(CREDIBLE[0] < one < CREDIBLE[1] for one in share)
     bears = misfit(held) < KEPT_MISFIT * misfit(model) and support(held) > KEPT_SUPPORT * support(model)
     if held.oriented.sum() >= 2 and ((bears and (held.oriented == model.oriented).all()) or not credible):
         return held, []
     findings = []
-    for own, better in zip(given, model.sights.cameras, strict=True):
+    for own, better in zip(given, model.bearings.cameras, strict=True):
         if not own.estimated[0]:
             figures = {"given": own.value("c"), "unit": own.unit, "value": better.value("c")}
             findings.append(Finding("c-refuted-by-rays", "doubtful", own.id, figures))
@@ -145,7 +142,7 @@ def _calibrated(model: Model, given: tuple[Camera, ...]) -> tuple[Model, list[Fi
 def _cameras(given: tuple[Camera, ...], model: Model) -> tuple[Camera, ...]:
     """Cameras with the values of the model; c is estimated where the model could not keep the given one."""
     cameras = []
-    for own, better in zip(given, model.sights.cameras, strict=True):
+    for own, better in zip(given, model.bearings.cameras, strict=True):
         estimated = own.estimated.copy()
         estimated[0] |= better.value("c") != own.value("c")
         # What is held keeps its value.

@@ -79,17 +79,9 @@ def measure_project(
     exposures: exterior orientations of some or all images in the project's system, NaN where unknown: good to
         start from, and with their covariances to predict targets. Without: the positions that the images
         state.
-
-    Returns
-    -------
-    TieBlock
-        Block in the project's system with the project's cameras; exterior orientations without sigma are
+    returns: block in the project's system with the project's cameras; exterior orientations without sigma are
         those of the tie points, good enough to start from.
-
-    Raises
-    ------
-    PhotocalError
-        When too few images can be read, fit a camera, or are oriented.
+    raises PhotocalError: when too few images can be read, fit a camera, or are oriented.
     """
     control = control_points(project)
     by_hand = _marks_by_hand(project, marks_files)

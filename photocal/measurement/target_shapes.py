@@ -60,9 +60,7 @@ class Sheet:
 def plain_target(kind: str, size_mm: float) -> Sheet:
     """Draw an uncoded target: disc, ring, cross or hourglass.
 
-    Raises
-    ------
-    ConfigurationError
+    raises ConfigurationError.
     """
     half, bar = size_mm / 2, BAR * size_mm / 2
     drawn: dict[str, tuple[Shape, ...]] = {
@@ -85,10 +83,7 @@ def plain_target(kind: str, size_mm: float) -> Sheet:
 def coded_target(dictionary_name: str, number: int, size_mm: float) -> Sheet:
     """Draw an ArUco or AprilTag marker.
 
-    Raises
-    ------
-    ConfigurationError
-        For an unknown dictionary or a number that it does not have.
+    raises ConfigurationError: for an unknown dictionary or a number that it does not have.
     """
     import cv2
 

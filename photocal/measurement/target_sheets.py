@@ -25,11 +25,8 @@ _DATE = dt.datetime(2000, 1, 1, tzinfo=dt.UTC)
 def sheets_pdf(sheets: Sequence[Sheet], paper: str) -> bytes:
     """Set target sheets, one on a page.
 
-    Raises
-    ------
-    ConfigurationError
-        When a target does not fit, or the paper is not known.
-    OutputError
+    raises ConfigurationError: when a target does not fit, or the paper is not known.
+    raises OutputError.
     """
     import typst
 

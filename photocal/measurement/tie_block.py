@@ -56,11 +56,7 @@ def place(block: Block, tracks: Tracks, least_spread: float = LEAST_SPREAD) -> F
     """Intersect the rays of tracks in the oriented images of a block.
 
     least_spread: of a point's rays from their mean, rad.
-
-    Returns
-    -------
-    ndarray, shape (tracks.count, 3)
-        In the block's frame; NaN where the rays do not meet, or are almost parallel.
+    returns (tracks.count, 3): in the block's frame; NaN where the rays do not meet, or are almost parallel.
     """
     frame = block_frame(block)
     views = views_of(block, frame)

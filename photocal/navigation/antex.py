@@ -40,10 +40,7 @@ class AntennaModel:
 def read_antennas(path: Path) -> dict[str, AntennaModel]:
     """Read the receiver antennas of an ANTEX file by their names; of several, the last.
 
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        When it cannot be read, or is no ANTEX file.
+    raises InputNotFoundError, InputMalformedError: when it cannot be read, or is no ANTEX file.
     """
     try:
         lines = path.read_text(encoding="latin-1").splitlines()
@@ -94,10 +91,7 @@ def _model(lines: list[str]) -> AntennaModel | None:
 def antenna_named(antennas: dict[str, AntennaModel], name: str, path: Path) -> AntennaModel:
     """Give the model of an antenna; without its radome where the file knows it with NONE only.
 
-    Raises
-    ------
-    ConfigurationError
-        When the file has none of that name; says which are alike.
+    raises ConfigurationError: when the file has none of that name; says which are alike.
     """
     wanted = " ".join(name.split())
     for key in (wanted, f"{wanted} NONE", f"{wanted.split(' ')[0]} NONE" if wanted else ""):

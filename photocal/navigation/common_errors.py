@@ -8,7 +8,11 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Floats
-from photocal.navigation.satellite_residuals import Sights, correlation_time_s, shift_by_zenith_delay
+from photocal.navigation.satellite_residuals import (
+    SatelliteResiduals,
+    correlation_time_s,
+    shift_by_zenith_delay,
+)
 from photocal.navigation.static_position import PER_METRE
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric, geodetic
@@ -21,7 +25,7 @@ class CommonErrors:
 
     base_sigma_m (3,): standard deviations of the base's coordinates, east, north, up; None: nobody stated
         them.
-    correlation_time_s: how long errors of positions last (see `engine_sights.correlation_time_s`).
+    correlation_time_s: how long errors of positions last (see `satellite_residuals.correlation_time_s`).
     lasting_sigma_m (3,): of the mean over the flight of errors that last, with those that grow with the
         distance.
     base_height_m: ellipsoidal.
@@ -99,7 +103,7 @@ class CommonErrors:
 
 def common_errors(
     trajectory: Trajectory,
-    sights: Sights,
+    satellites: SatelliteResiduals,
     base_m: Floats,
     base_sigma_m: Floats | None = None,
     weather: Weather | None = None,
@@ -108,8 +112,8 @@ def common_errors(
     t = trajectory
     (lat,), _, (height,) = geodetic(base_m[None])
     lapse = remaining_lapse(float(lat), float(height), day_of_year(t.time), weather)
-    lasts = correlation_time_s(sights)
-    moved = shift_by_zenith_delay(sights)
+    lasts = correlation_time_s(satellites)
+    moved = shift_by_zenith_delay(satellites)
     good = t.status == "fixed" if (t.status == "fixed").any() else np.ones(len(t), bool)
     sigma = np.sqrt(np.median(np.diagonal(t.covariance_m2[good], axis1=1, axis2=2), axis=0))
     duration = max(float(t.time.ns[-1] - t.time.ns[0]) / 1e9, 1e-9)

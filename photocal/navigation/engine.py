@@ -15,7 +15,7 @@ from typing import Literal, Protocol
 from drivers.arrays import Floats
 from drivers.errors import IllPosedError, ProgramMissingError
 from photocal.navigation.engine_output import EngineSolution, read_solution
-from photocal.navigation.satellite_residuals import Sights, read_sights
+from photocal.navigation.satellite_residuals import SatelliteResiduals, read_satellite_residuals
 from photocal.navigation.time import GpsTime
 
 Mode = Literal["kinematic", "static", "single", "ppp-static"]
@@ -82,7 +82,7 @@ class Engine(Protocol):
         """Compute positions from rover, base and navigation files."""
         ...
 
-    def sights(self, mode: Mode, rover: Path, folder: Path) -> Sights:
+    def satellite_residuals(self, mode: Mode, rover: Path, folder: Path) -> SatelliteResiduals:
         """Return the satellites of the forward run with the base that `solve` has done in the folder."""
         ...
 
@@ -130,9 +130,9 @@ class Rtklib:
             )
         return read_solution(output)
 
-    def sights(self, mode: Mode, rover: Path, folder: Path) -> Sights:
+    def satellite_residuals(self, mode: Mode, rover: Path, folder: Path) -> SatelliteResiduals:
         """Return the satellites of the forward run with the base that `solve` has done in the folder."""
-        return read_sights(folder / f"{rover.stem}-{mode}-forward.pos.stat")
+        return read_satellite_residuals(folder / f"{rover.stem}-{mode}-forward.pos.stat")
 
 
 def configuration(mode: Mode, direction: Direction, options: ProcessingOptions) -> str:

@@ -84,11 +84,7 @@ def time_marks(
     """Return the events of one edge from RXM-TIM-TM2 messages.
 
     leap_s: GPS time minus UTC where the table has ended.
-
-    Raises
-    ------
-    InputMalformedError
-        When the marks are in the receiver's own time, which nothing ties to GPS time.
+    raises InputMalformedError: when the marks are in the receiver's own time, which nothing ties to GPS time.
     """
     new = ubx.time_marks(fields, rising=edge == RISING)
     own = new.valid & (new.base == ubx.BASE_RECEIVER)

@@ -68,11 +68,7 @@ def write_block_images(
     camera: the camera's id in the block.
     rig: camera axes and boresight; None: a camera that looks down, the upper edge of its image forward.
     crs: coordinate reference system of X, Y, Z; without: topocentric (east, north, up) about the middle.
-
-    Returns
-    -------
-    dict
-        ``frame`` and, where it is local, the origin.
+    returns: ``frame`` and, where it is local, the origin.
     """
     rows = with_images(exposures)
     p = exposures.placed

@@ -107,10 +107,7 @@ class _Flight:
 def run_exposures(choices: Choices, engine: Engine, folder: Path) -> ExposureRun:
     """Find events, positions, attitudes and images of a flight.
 
-    Raises
-    ------
-    ConfigurationError
-        When the log has neither events nor images, or nothing that tells positions.
+    raises ConfigurationError: when the log has neither events nor images, or nothing that tells positions.
     """
     sources = choices.sources
     rover = read_receivers(sources.log).get(sources.rover_link)

@@ -44,13 +44,8 @@ def read_images(source: Path) -> list[ImageMetadata]:
 
     source: A folder of images, or a CSV table with columns image, taken (ISO 8601, the camera's clock) and
         optionally camera.
-
-    Raises
-    ------
-    InputNotFoundError
-        When the folder or table is missing or has no images.
-    InputMalformedError
-        When a file cannot be read as an image, or a row of the table tells no time.
+    raises InputNotFoundError: when the folder or table is missing or has no images.
+    raises InputMalformedError: when a file cannot be read as an image, or a row of the table tells no time.
     """
     if source.is_file():
         return _table(source)

@@ -57,17 +57,9 @@ def match(
 
     image_s, event_s (n,): times in seconds since any origin that both share up to the offset; any order.
     largest_offset_s, largest_drift: bounds of offset (s) and drift between the clocks.
-
-    Returns
-    -------
-    Matching
-        Pairs that are each other's only candidates; everything else is listed as unmatched.
-
-    Raises
-    ------
-    IllPosedError
-        When there are too few common moments, or a second offset explains nearly as many (shots at equal
-        intervals): the pairs would be guessed.
+    returns: pairs that are each other's only candidates; everything else is listed as unmatched.
+    raises IllPosedError: when there are too few common moments, or a second offset explains nearly as many
+        (shots at equal intervals): the pairs would be guessed.
     """
     images, events = np.argsort(image_s, kind="stable"), np.argsort(event_s, kind="stable")
     x, y = np.asarray(image_s, float)[images], np.asarray(event_s, float)[events]

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from acquire.console import numbers_of
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, IllPosedError
 from photocal.navigation.antex import antenna_named, read_antennas
@@ -18,7 +19,7 @@ from photocal.navigation.engine import Direction, Engine, Mode, ProcessingOption
 from photocal.navigation.engine_output import EngineSolution
 from photocal.navigation.fix_validation import Judgement, judge
 from photocal.navigation.rinex import ObservationFile, count_ephemerides
-from photocal.navigation.satellite_residuals import Sights
+from photocal.navigation.satellite_residuals import SatelliteResiduals
 from photocal.navigation.static_position import in_order, static_position, trajectory_of
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric, geodetic
@@ -93,10 +94,7 @@ def options_for(
 ) -> ProcessingOptions:
     """Choose systems and frequencies that both receivers observed.
 
-    Raises
-    ------
-    IllPosedError
-        When they share no satellite system.
+    raises IllPosedError: when they share no satellite system.
     """
     shared = "".join(letter for letter in _SYSTEMS if letter in rover.systems & base.systems)
     if not shared:
@@ -119,11 +117,8 @@ def with_antennas(
     """Return options with the models of the antennas, each by a given name or that of its RINEX header.
 
     rover, base: observations and given name; "none" for an antenna without a model.
-
-    Raises
-    ------
-    ConfigurationError
-        For an antenna that is not told, or that the file does not have; for names without a file.
+    raises ConfigurationError: for an antenna that is not told, or that the file does not have; for names
+        without a file.
     """
     sides = {"rover": rover} | ({} if base is None else {"base": base})
     if antex is None:
@@ -156,11 +151,8 @@ def process(
     """Compute and judge the trajectory.
 
     inputs: observations, ephemerides and the base's position.
-
-    Raises
-    ------
-    IllPosedError
-        Without overlap, with too few epochs, without ephemerides, or with a wrong position of the base.
+    raises IllPosedError: without overlap, with too few epochs, without ephemerides, or with a wrong position
+        of the base.
     """
     refuse_apart(inputs.rover, inputs.base)
     if not any(count_ephemerides(path) for path in inputs.navigation):
@@ -183,7 +175,7 @@ def process(
             both, whole = pool.map(run, ("combined", "forward"))
             found = static_position(_differential(whole, inputs), _differential(both, inputs))
             trajectory = trajectory_of(found, 0.0, inputs.base_m)
-            common = _common(inputs, trajectory, engine.sights(mode, inputs.rover.path, folder))
+            common = _common(inputs, trajectory, engine.satellite_residuals(mode, inputs.rover.path, folder))
             return PpkResult(
                 inputs, options, mode, engine.name, found, None, trajectory, off_m, gaps, common=common
             )
@@ -197,15 +189,15 @@ def process(
     row = code.at(combined.time)
     velocity = np.where((row >= 0)[:, None], code.velocity_m_s[row], np.nan)
     trajectory = trajectory_of(judgement.solution, judgement.velocity_sigma_m_s, inputs.base_m, velocity)
-    common = _common(inputs, trajectory, engine.sights(mode, inputs.rover.path, folder))
+    common = _common(inputs, trajectory, engine.satellite_residuals(mode, inputs.rover.path, folder))
     count = int(replaced.sum())
     return PpkResult(
         inputs, options, mode, engine.name, combined, judgement, trajectory, off_m, gaps, count, common
     )
 
 
-def _common(inputs: Inputs, trajectory: Trajectory, sights: Sights) -> CommonErrors:
-    return common_errors(trajectory, sights, inputs.base_m, inputs.base_sigma_m, inputs.weather)
+def _common(inputs: Inputs, trajectory: Trajectory, satellites: SatelliteResiduals) -> CommonErrors:
+    return common_errors(trajectory, satellites, inputs.base_m, inputs.base_sigma_m, inputs.weather)
 
 
 def refuse_apart(rover: ObservationFile, base: ObservationFile) -> None:
@@ -231,16 +223,10 @@ def refuse_apart(rover: ObservationFile, base: ObservationFile) -> None:
 
 def parse_position(text: str) -> Floats:
     """Return earth-centred coordinates of ``LAT,LON,H`` (degrees, ellipsoidal height in metres)."""
-    try:
-        lat, lon, height = (float(part) for part in text.split(","))
-    except ValueError:
-        lat = lon = height = np.nan
+    form = "LAT,LON,H: degrees and the ellipsoidal height in metres"
+    lat, lon, height = numbers_of(text, "--base-position", form)
     if not (abs(lat) <= 90 and abs(lon) <= 360 and abs(height) < 20_000):
-        raise ConfigurationError(
-            f"{text!r} is no position",
-            where="--base-position",
-            remedy="give LAT,LON,H: degrees and the ellipsoidal height in metres",
-        )
+        raise ConfigurationError(f"{text!r} is no position", where="--base-position", remedy=f"give {form}")
     return np.asarray(geocentric(np.array([lat]), np.array([lon]), np.array([height]))[0])
 
 

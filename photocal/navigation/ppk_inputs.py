@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from acquire.console import numbers_of
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, IllPosedError
 from drivers.gnsstime import GPS_EPOCH_NS
@@ -60,15 +61,13 @@ class Sources:
 
         sigma: ``E,N,U``: standard deviations of its position, m.
         weather: ``TEMPERATURE,HUMIDITY[,PRESSURE]``.
-
-        Raises
-        ------
-        ConfigurationError
-            When a text is none of these; named by its option.
+        raises ConfigurationError: when a text is none of these; named by its option.
         """
         return replace(
             self,
-            base_sigma_m=None if sigma is None else parse_triple(sigma, "--base-sigma"),
+            base_sigma_m=None
+            if sigma is None
+            else np.array(numbers_of(sigma, "--base-sigma", "E,N,U: metres")),
             weather=None if weather is None else parse_weather(weather, "--weather"),
         )
 
@@ -76,12 +75,8 @@ class Sources:
 def gather_inputs(sources: Sources, engine: Engine, folder: Path) -> tuple[Inputs, list[str]]:
     """Return the inputs of a run, and remarks on what was left out of the log.
 
-    Raises
-    ------
-    ConfigurationError
-        When something that is needed was not named.
-    IllPosedError
-        When a recording has nothing to compute from.
+    raises ConfigurationError: when something that is needed was not named.
+    raises IllPosedError: when a recording has nothing to compute from.
     """
     receivers = read_receivers(sources.log)
     remarks: list[str] = []
@@ -151,10 +146,7 @@ def converted(
 ) -> RinexFiles:
     """Convert what a receiver recorded to RINEX.
 
-    Raises
-    ------
-    IllPosedError
-        When no observations come out.
+    raises IllPosedError: when no observations come out.
     """
     # A base that sends both repeats the same observations; the raw ones are finer.
     form = "ubx" if recording.epochs else "rtcm3"
@@ -200,20 +192,3 @@ def _base_position(sources: Sources, recording: ReceiverRecording | None) -> tup
             remedy="give --base-position LAT,LON,H (ellipsoidal height)",
         )
     return found
-
-
-def parse_triple(text: str, option: str) -> Floats:
-    """Return three numbers.
-
-    Raises
-    ------
-    ConfigurationError
-        When they are not three finite numbers.
-    """
-    try:
-        values = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        values = np.empty(0)
-    if values.shape != (3,) or not np.isfinite(values).all():
-        raise ConfigurationError(f"{text!r} is not three numbers", where=option, remedy="give A,B,C")
-    return values

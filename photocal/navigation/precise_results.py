@@ -46,12 +46,8 @@ class PreciseResult:
 def read_precise_result(path: Path) -> PreciseResult:
     """Read the result of a service: the summary (.sum) of CSRS-PPP, or SINEX of a single site.
 
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        When it cannot be read, or is neither.
-    ConfigurationError
-        When a SINEX file has several sites.
+    raises InputNotFoundError, InputMalformedError: when it cannot be read, or is neither.
+    raises ConfigurationError: when a SINEX file has several sites.
     """
     try:
         lines = path.read_text(encoding="latin-1").splitlines()

@@ -124,10 +124,8 @@ class ReceiverRecording:
     def position_m(self) -> tuple[Floats, str] | None:
         """Return the station's position (earth-centred) and where it stands; None when nowhere.
 
-        Raises
-        ------
-        IllPosedError
-            When the announced position changes: the station was set up anew within the recording.
+        raises IllPosedError: when the announced position changes: the station was set up anew within the
+            recording.
         """
         if self.announced_m:
             all_m = np.stack(self.announced_m)

@@ -89,10 +89,7 @@ def check_mounting(rig: Rig, mounting: Mounting) -> list[Finding]:
 def camera_axes(directions: tuple[str, ...]) -> Floats:
     """Return the rotation from body to camera axes of the body directions of camera x, y and z.
 
-    Raises
-    ------
-    ConfigurationError
-        When a direction is unknown or the three are no right-handed system.
+    raises ConfigurationError: when a direction is unknown or the three are no right-handed system.
     """
     known = [BODY_AXES[name] for name in directions if name in BODY_AXES]
     matrix = np.array(known)

@@ -20,7 +20,7 @@ _WINDOW = 5.0
 
 
 @dataclass(frozen=True)
-class Sights:
+class SatelliteResiduals:
     """Satellites used by the engine, one row per epoch, satellite and frequency.
 
     time: epochs, increasing.
@@ -41,7 +41,7 @@ class Sights:
         return len(self.time)
 
 
-def read_sights(path: Path) -> Sights:
+def read_satellite_residuals(path: Path) -> SatelliteResiduals:
     """Read the satellites that were used from a status file (RTKLIB manual 2.4.2, appendix B.2).
 
     A file that the engine did not write tells of none.
@@ -58,13 +58,13 @@ def read_sights(path: Path) -> Sights:
     return _sights(rows)
 
 
-def _sights(rows: list[list[str]]) -> Sights:
+def _sights(rows: list[list[str]]) -> SatelliteResiduals:
     week, tow, satellite, frequency, azimuth, elevation, _, residual = (
         zip(*rows, strict=True) if rows else [()] * 8
     )
     seconds = np.array(tow, np.float64)
     ns = np.array(week, np.int64) * WEEK_NS + np.rint(seconds * 1e3).astype(np.int64) * 1_000_000
-    return Sights(
+    return SatelliteResiduals(
         GpsTime(ns),
         np.array(satellite, "U3"),
         np.array(frequency, np.int64),
@@ -74,17 +74,17 @@ def _sights(rows: list[list[str]]) -> Sights:
     )
 
 
-def shift_by_zenith_delay(sights: Sights) -> Floats:
+def shift_by_zenith_delay(satellites: SatelliteResiduals) -> Floats:
     """Return by how much positions move for each metre of zenith delay that is not taken into account."""
-    first = sights.frequency == 1
-    epochs = np.unique(sights.time.ns[first])
+    first = satellites.frequency == 1
+    epochs = np.unique(satellites.time.ns[first])
     moved = []
     for epoch in epochs[:: max(len(epochs) // _MOST_EPOCHS, 1)].tolist():
-        rows = first & (sights.time.ns == epoch)
-        up = np.sin(sights.elevation[rows])
-        level = np.cos(sights.elevation[rows])
-        azimuth = sights.azimuth[rows]
-        system = np.array([name[0] for name in sights.satellite[rows].tolist()])
+        rows = first & (satellites.time.ns == epoch)
+        up = np.sin(satellites.elevation[rows])
+        level = np.cos(satellites.elevation[rows])
+        azimuth = satellites.azimuth[rows]
+        system = np.array([name[0] for name in satellites.satellite[rows].tolist()])
         clocks = [(system == letter).astype(float) for letter in np.unique(system)]
         design = np.stack([-np.sin(azimuth) * level, -np.cos(azimuth) * level, -up, *clocks], axis=1)
         if len(design) <= design.shape[1]:
@@ -95,17 +95,17 @@ def shift_by_zenith_delay(sights: Sights) -> Floats:
     return np.median(moved, axis=0) if moved else np.full(3, np.nan)
 
 
-def correlation_time_s(sights: Sights) -> float:
+def correlation_time_s(satellites: SatelliteResiduals) -> float:
     """Return how long errors of the phases last: the integral of their autocorrelation.
 
     The mean over a time T of errors with the variance s^2 has the variance 2 s^2 t / T with this time t
     (Sokal 1997, eq. 2.20). Residuals are taken less the mean of their system and frequency at each epoch,
     which removes the reference satellite; what correlates the positions' errors is the same multipath.
     """
-    epochs, at = np.unique(sights.time.ns, return_inverse=True)
+    epochs, at = np.unique(satellites.time.ns, return_inverse=True)
     if len(epochs) < _LEAST_EPOCHS:
         return float("nan")
-    table = _centred(sights, at, len(epochs))
+    table = _centred(satellites, at, len(epochs))
     step = float(np.median(np.diff(epochs))) / 1e9
     # Epochs a second apart tell enough, and take less time.
     stride = max(round(1.0 / step), 1)
@@ -126,12 +126,12 @@ def correlation_time_s(sights: Sights) -> float:
     return max(total, 0.5) * step
 
 
-def _centred(sights: Sights, at: Integers, epochs: int) -> Floats:
+def _centred(satellites: SatelliteResiduals, at: Integers, epochs: int) -> Floats:
     """Return residuals by epoch and signal, less the mean of each system and frequency; NaN where none."""
-    signal = np.array([f"{s}{f}" for s, f in zip(sights.satellite, sights.frequency, strict=True)])
+    signal = np.array([f"{s}{f}" for s, f in zip(satellites.satellite, satellites.frequency, strict=True)])
     names, column = np.unique(signal, return_inverse=True)
     table = np.full((epochs, len(names)), np.nan)
-    table[at, column] = sights.residual_m
+    table[at, column] = satellites.residual_m
     group = np.array([name[0] + name[-1] for name in names.tolist()])
     for own in np.unique(group):
         part = table[:, group == own]

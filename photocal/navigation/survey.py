@@ -44,12 +44,8 @@ class Survey:
 def run_survey(survey: Survey) -> tuple[NetworkSolution, list[dict[str, Any]]]:
     """Compute precise points, then the baselines one after the other, and adjust them.
 
-    Raises
-    ------
-    ConfigurationError
-        When no chain of baselines reaches a start.
-    InputNotFoundError
-        When a file is missing.
+    raises ConfigurationError: when no chain of baselines reaches a start.
+    raises InputNotFoundError: when a file is missing.
     """
     sessions: list[dict[str, Any]] = []
     control = [_mark(mark) for mark in survey.setup.known]

@@ -75,9 +75,7 @@ class SurveySetup(Table):
 def read_setup(path: Path) -> SurveySetup:
     """Read a set-up file (TOML).
 
-    Raises
-    ------
-    InputNotFoundError, ConfigurationError
-        When it cannot be read, or has an unknown key or an impossible value.
+    raises InputNotFoundError, ConfigurationError: when it cannot be read, or has an unknown key or an
+        impossible value.
     """
     return read_toml(path, SurveySetup)

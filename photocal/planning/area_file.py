@@ -16,13 +16,8 @@ def read_area(path: Path) -> Area:
     """Read the polygon of a flight.
 
     path: `.geojson` or `.json` (RFC 7946), `.kml`, or `.csv` with the columns lat_deg and lon_deg.
-
-    Raises
-    ------
-    InputNotFoundError
-        When there is no such file.
-    InputMalformedError
-        When it does not hold exactly one simple polygon.
+    raises InputNotFoundError: when there is no such file.
+    raises InputMalformedError: when it does not hold exactly one simple polygon.
     """
     readers = {".geojson": _from_geojson, ".json": _from_geojson, ".kml": _from_kml, ".csv": _from_csv}
     reader = readers.get(path.suffix.lower())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,22 +11,13 @@ from drivers.errors import ConfigurationError
 from photocal.planning.area import inside, polygon_area
 from photocal.planning.strips import best_azimuth
 
+# Control points and check points, east and north in the plane of the flight, m.
+Layout = tuple[Floats, Floats]
 # Side of the grid of candidate places as a share of the root of the area.
 _GRID_SHARE = 1.0 / 60.0
 
 
-@dataclass(frozen=True)
-class ControlLayout:
-    """Suggested places, east and north in the plane of the flight, m.
-
-    control_m, check_m (k, 2): control points and check points.
-    """
-
-    control_m: Floats
-    check_m: Floats
-
-
-def suggest_layout(corners_m: Floats, control: int, check: int, margin_m: float) -> ControlLayout:
+def suggest_layout(corners_m: Floats, control: int, check: int, margin_m: float) -> Layout:
     """Spread control and check points over an area.
 
     Control goes to the corners first, because a block bends most where it ends, then always to the
@@ -37,11 +27,7 @@ def suggest_layout(corners_m: Floats, control: int, check: int, margin_m: float)
 
     corners_m (n, 2): corners of the area, m.
     margin_m: distance that the places keep from the border, m, so that they lie on several photos.
-
-    Raises
-    ------
-    ConfigurationError
-        With too few control points, or when the area has no place for so many.
+    raises ConfigurationError: with too few control points, or when the area has no place for so many.
     """
     if control < 3 or check < 0:
         raise ConfigurationError(
@@ -58,7 +44,7 @@ def suggest_layout(corners_m: Floats, control: int, check: int, margin_m: float)
     if control < len(corners):
         corners = [corners[row] for row in _farthest(candidates[corners], [0], control)]
     chosen = _farthest(candidates, corners, control + check)
-    return ControlLayout(candidates[chosen[:control]], candidates[chosen[control:]])
+    return candidates[chosen[:control]], candidates[chosen[control:]]
 
 
 def _candidates(corners: Floats, margin: float) -> Floats:

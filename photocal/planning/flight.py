@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.planning.area import Area, LocalPlane, polygon_area
-from photocal.planning.expected_precision import (
-    ExpectedPrecision,
-    corner_precision,
-    expected_altimetric_accuracy,
-)
-from photocal.planning.exposure import exposure_interval
 from photocal.planning.frame import (
+    ExpectedPrecision,
     Frame,
     Side,
     air_base,
+    corner_precision,
+    expected_altimetric_accuracy,
+    exposure_interval,
     footprint,
     ground_sample_distance,
     scale_denominator,
@@ -139,10 +137,7 @@ def level_geometry(wish: Wish, height_m: float) -> LevelGeometry:
 def plan_flight(area: Area, wish: Wish) -> Flight:
     """Plan a flight over a polygon.
 
-    Raises
-    ------
-    ConfigurationError
-        For heights, overlaps or distances that cannot be flown.
+    raises ConfigurationError: for heights, overlaps or distances that cannot be flown.
     """
     plane = LocalPlane(*area.centre_deg)
     corners = plane.to_plane(area.latitude_deg, area.longitude_deg)

@@ -13,7 +13,7 @@ from drivers.errors import IllPosedError
 from photocal.geometry.camera import pixel_to_plane
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.planning.exposure import SMEAR_LIMIT_PX, TILT_TOLERANCE_RAD, TILT_WITH_EFFECT_RAD, smear_px
+from photocal.planning.frame import SMEAR_LIMIT_PX, TILT_TOLERANCE_RAD, TILT_WITH_EFFECT_RAD, smear_px
 
 # Cells across a footprint: its area is then known to some thousandths.
 CELLS_ACROSS = 60
@@ -115,10 +115,7 @@ def level_ground(images: OrientedImages, height_m: float) -> Ground:
 def ground_through(images: OrientedImages, points: Floats) -> Ground:
     """Take the ground through measured points, shape (n, 3): linear between them, the nearest beyond.
 
-    Raises
-    ------
-    IllPosedError
-        For fewer than three points.
+    raises IllPosedError: for fewer than three points.
     """
     from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 

@@ -81,10 +81,7 @@ def write_flown(
 ) -> tuple[str, ...]:
     """Write figures, a table of the images, a map and a picture.
 
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written.
+    raises OutputError: when the folder cannot be written.
     """
     columns = (
         block.height_m,

@@ -1,13 +1,21 @@
-"""The frame of a camera as planning needs it, and flight geometry over level ground."""
+"""The frame of a camera as planning needs it: flight geometry over level ground, and expected precision."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
 from drivers.errors import ConfigurationError
 
 Side = Literal["columns", "rows"]
+
+# Konecny: from here on tilt changes the overlap; 5 degrees is the conventional tolerance of vertical
+# photographs (Alves Junior et al. 2015, section 4).
+TILT_WITH_EFFECT_RAD = math.radians(3.0)
+TILT_TOLERANCE_RAD = math.radians(5.0)
+# Half a pixel of smear halves the contrast of the finest detail.
+SMEAR_LIMIT_PX = 0.5
 
 
 @dataclass(frozen=True)
@@ -38,11 +46,7 @@ def scale_denominator(gsd_m: float, pixel_m: float) -> float:
 
     gsd_m: ground sample distance, m.
     pixel_m: pixel pitch, m.
-
-    Returns
-    -------
-    float
-        Denominator of the photo scale.
+    returns: denominator of the photo scale.
     """
     return gsd_m / pixel_m
 
@@ -52,11 +56,7 @@ def flying_height(focal_m: float, denominator: float) -> float:
 
     focal_m: principal distance, m.
     denominator: denominator of the photo scale.
-
-    Returns
-    -------
-    float
-        Height above ground, m; with `scale_denominator` it is f GSD / pixel (Alves Junior et al. 2015,
+    returns: height above ground, m; with `scale_denominator` it is f GSD / pixel (Alves Junior et al. 2015,
         equation 1).
     """
     return focal_m * denominator
@@ -81,14 +81,84 @@ def air_base(overlap: float, ground_side_m: float) -> float:
     return (1.0 - overlap) * ground_side_m
 
 
-def overlap_at(base_m: float, ground_side_m: float) -> float:
-    """Give the overlap that a distance of photos or strips leaves."""
-    return 1.0 - base_m / ground_side_m
-
-
 def image_point(column: float, row: float, frame: Frame) -> tuple[float, float]:
     """Give photo coordinates of a pixel (canon-elph study, equations 34-35)."""
     return (
         (column - (frame.columns - 1) / 2.0) * frame.pixel_m,
         -(row - (frame.rows - 1) / 2.0) * frame.pixel_m,
     )
+
+
+def exposure_interval(base_m: float, ground_speed_m_s: float) -> float:
+    """Give the time between exposures at a ground speed."""
+    if not ground_speed_m_s > 0.0:
+        raise ConfigurationError(f"a ground speed of {ground_speed_m_s:g} m/s gives no exposure interval")
+    return base_m / ground_speed_m_s
+
+
+def smear_px(exposure_s: float, ground_speed_m_s: float, gsd_m: float) -> float:
+    """Give the smear of the image by the motion during the exposure."""
+    return exposure_s * ground_speed_m_s / gsd_m
+
+
+@dataclass(frozen=True)
+class ExpectedPrecision:
+    """Standard deviations of an intersected ground point, m.
+
+    x_m, y_m, z_m: along the x and y axes of the photo, and in height.
+    """
+
+    x_m: float
+    y_m: float
+    z_m: float
+
+    @property
+    def plane_m(self) -> float:
+        """Planimetric standard deviation, m (canon-elph study, equation 39)."""
+        return math.hypot(self.x_m, self.y_m)
+
+
+def parallax_sigma(image_sigma_m: float) -> float:
+    """Give the standard deviation of an x parallax, the difference of two measured coordinates."""
+    return math.sqrt(2.0) * image_sigma_m
+
+
+def stereo_precision(
+    height_m: float, base_m: float, focal_m: float, point_m: tuple[float, float], image_sigma_m: float
+) -> ExpectedPrecision:
+    """Expect the precision of a point intersected from one pair of vertical photos.
+
+    More rays make it better, errors of the orientation worse; neither is in here.
+    """
+    parallax = parallax_sigma(image_sigma_m)
+    scale = height_m / focal_m
+
+    def plane(coordinate: float) -> float:
+        return scale * math.hypot(coordinate / focal_m * height_m / base_m * parallax, image_sigma_m)
+
+    height = normal_case_height_sigma(height_m, base_m, focal_m, parallax)
+    return ExpectedPrecision(plane(point_m[0]), plane(point_m[1]), height)
+
+
+def normal_case_height_sigma(
+    height_m: float, base_m: float, focal_m: float, parallax_sigma_m: float
+) -> float:
+    """Expect the standard deviation of a height in the normal case."""
+    return height_m**2 / (base_m * focal_m) * parallax_sigma_m
+
+
+def expected_altimetric_accuracy(height_m: float, base_m: float, focal_m: float, pixel_m: float) -> float:
+    """Give the dz of the calibration report form of the Brazilian ministry of defence.
+
+    It is the acceptance limit of the height RMSE at the check points: the normal case with one pixel
+    in each image.
+    """
+    return normal_case_height_sigma(height_m, base_m, focal_m, parallax_sigma(pixel_m))
+
+
+def corner_precision(
+    frame: Frame, height_m: float, base_m: float, image_sigma_px: float, share: float = 0.95
+) -> ExpectedPrecision:
+    """Expect the precision far out in the image, where it is worst."""
+    point = image_point(share * frame.columns, share * frame.rows, frame)
+    return stereo_precision(height_m, base_m, frame.focal_m, point, image_sigma_px * frame.pixel_m)

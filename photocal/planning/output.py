@@ -8,7 +8,7 @@ from typing import Any
 
 from acquire.outputs import output_folder
 from drivers.arrays import Floats
-from photocal.planning.control_layout import ControlLayout
+from photocal.planning.control_layout import Layout
 from photocal.planning.flight import Flight
 from photocal.planning.mission import Home, mission_items, qgroundcontrol_plan, waypoint_file
 
@@ -16,7 +16,7 @@ from photocal.planning.mission import Home, mission_items, qgroundcontrol_plan, 
 def write_plan(
     folder: Path,
     flight: Flight,
-    layout: ControlLayout,
+    layout: Layout,
     takeoff: tuple[Home, float] | None,
     autopilot: str,
     vehicle: str,
@@ -26,13 +26,8 @@ def write_plan(
 
     takeoff: tuple of Home and float, or None. The take-off place, and the height of the ground of the area
         above mean sea level, m.
-
-    Raises
-    ------
-    ConfigurationError
-        When the mission cannot be flown.
-    OutputError
-        When the folder cannot be written.
+    raises ConfigurationError: when the mission cannot be flown.
+    raises OutputError: when the folder cannot be written.
     """
     contents = {
         "plan.json": json.dumps(figures, indent=2, allow_nan=False) + "\n",
@@ -62,7 +57,7 @@ def _exposures(flight: Flight) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _map(flight: Flight, layout: ControlLayout) -> dict[str, Any]:
+def _map(flight: Flight, layout: Layout) -> dict[str, Any]:
     """GeoJSON (RFC 7946) of area, strips and suggested points."""
 
     def positions(points_m: Floats) -> list[list[float]]:
@@ -91,7 +86,7 @@ def _map(flight: Flight, layout: ControlLayout) -> dict[str, Any]:
         )
         for number, strip in enumerate(flight.strips, start=1)
     ]
-    for role, points in (("control", layout.control_m), ("check", layout.check_m)):
+    for role, points in zip(("control", "check"), layout, strict=True):
         features += [
             feature("Point", position, kind=role, name=f"{role[:2].upper()}{number:02d}")
             for number, position in enumerate(positions(points), start=1)

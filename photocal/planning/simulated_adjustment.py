@@ -18,7 +18,7 @@ from photocal.adjustment.network import Exposures, Network, Points, Rays, point_
 from photocal.adjustment.solution import Solution
 from photocal.geometry.camera import PARAMETERS, Camera, camera
 from photocal.geometry.rotation import matrix_from_angles
-from photocal.planning.control_layout import ControlLayout
+from photocal.planning.control_layout import Layout
 from photocal.planning.flight import Flight
 from photocal.planning.frame import Frame
 
@@ -68,7 +68,7 @@ class SimulatedPrecision:
     reason: str
 
 
-def simulate(flight: Flight, layout: ControlLayout, survey: Survey) -> SimulatedPrecision:
+def simulate(flight: Flight, layout: Layout, survey: Survey) -> SimulatedPrecision:
     """Adjust a planned flight."""
     network, check = planned_network(flight, layout, survey)
     method = "indirect" if survey.gnss_m is None else "integrated"
@@ -92,12 +92,12 @@ def simulate(flight: Flight, layout: ControlLayout, survey: Survey) -> Simulated
     )
 
 
-def planned_network(flight: Flight, layout: ControlLayout, survey: Survey) -> tuple[Network, Integers]:
+def planned_network(flight: Flight, layout: Layout, survey: Survey) -> tuple[Network, Integers]:
     """Make the network that the flight will give, free of errors."""
     poses = _poses(flight)
     frame = flight.wish.frame
     ties = _ties(flight)
-    plane = np.vstack([layout.control_m, layout.check_m, ties])
+    plane = np.vstack([*layout, ties])
     # Waves of about a footprint's length: relief that every photo sees some of.
     length = min(flight.levels[0].footprint_m)
     height = survey.relief_m * np.sin(2 * np.pi * plane[:, 0] / length)
@@ -122,7 +122,7 @@ def planned_network(flight: Flight, layout: ControlLayout, survey: Survey) -> tu
     image, point, seen = image[keep], point[keep], seen[keep]
     number = np.cumsum(strong) - 1
     order = np.argsort(place[point], kind="stable")
-    control = used < len(layout.control_m)
+    control = used < len(layout[0])
     sigma = np.full((len(used), 3), np.inf)
     sigma[control] = [survey.control_m[0]] * 2 + [survey.control_m[1]]
     held, weight = point_weights(sigma)
@@ -139,7 +139,7 @@ def planned_network(flight: Flight, layout: ControlLayout, survey: Survey) -> tu
         tuple(f"photo {k + 1}" for k in np.flatnonzero(strong)),
         tuple(f"point {k + 1}" for k in used),
     )
-    last = len(layout.control_m) + len(layout.check_m)
+    last = len(layout[0]) + len(layout[1])
     return network, np.flatnonzero(~control & (used < last))
 
 

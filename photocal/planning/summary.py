@@ -11,11 +11,13 @@ from photocal.accuracy.standard import ScaleStandard, Standard
 from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding
 from photocal.findings.texts import finding_json, finding_text
-from photocal.planning.error_budget import error_budget
-from photocal.planning.exposure import SMEAR_LIMIT_PX, smear_px
 from photocal.planning.flight import Flight, LevelGeometry
+from photocal.planning.frame import SMEAR_LIMIT_PX, smear_px
 
 SCHEMA = "photocal.plan/1"
+STAGES = ("product", "triangulation", "control points")
+# With a third, all earlier stages together add 5 % to the error of the last one.
+EARLIER_SHARE = 1.0 / 3.0
 
 
 @dataclass(frozen=True)
@@ -32,20 +34,19 @@ class Target:
     ep_m: float
 
 
+def error_budget(product_m: float) -> dict[str, float]:
+    """Divide the standard error of a product among the stages that lead to it, m."""
+    if not product_m > 0.0:
+        raise ConfigurationError("the standard error of a product must be positive")
+    return {name: product_m * EARLIER_SHARE**back for back, name in enumerate(STAGES)}
+
+
 def targets_of(standard: Standard, scale_denominator: float, class_name: str) -> tuple[Target, ...]:
     """Give what a class of a standard asks for at a scale.
 
     scale_denominator: map scale 1:N.
-
-    Returns
-    -------
-    tuple of Target
-        Planimetry, and heights where the standard lists a contour interval for the scale.
-
-    Raises
-    ------
-    ConfigurationError
-        When the standard has no such class.
+    returns: planimetry, and heights where the standard lists a contour interval for the scale.
+    raises ConfigurationError: when the standard has no such class.
     """
     tables = standard.tables if isinstance(standard, ScaleStandard) else ()
     targets = []
@@ -77,10 +78,7 @@ def to_json(flight: Flight, targets: tuple[Target, ...], said: tuple[Finding, ..
         "exposures": flight.exposures,
         "distance_m": flight.distance_m,
         "duration_s": flight.duration_s,
-        "error_budget_m": {
-            target.name: {stage.name: stage.allowed_m for stage in error_budget(target.ep_m)}
-            for target in targets
-        },
+        "error_budget_m": {target.name: error_budget(target.ep_m) for target in targets},
         "findings": [finding_json(finding, catalogue("en")) for finding in said],
     }
 
@@ -160,7 +158,7 @@ def _level_text(level: LevelGeometry) -> str:
 
 
 def _budget_text(target: Target) -> str:
-    stages = ", ".join(f"{stage.name} {stage.allowed_m:.3f} m" for stage in error_budget(target.ep_m))
+    stages = ", ".join(f"{name} {allowed:.3f} m" for name, allowed in error_budget(target.ep_m).items())
     return f"error budget, {target.name}: {stages}"
 
 

@@ -51,11 +51,7 @@ def footprints(shots: OrientedImages, frame: Frame, height: float) -> Bounds:
     """Rectangle around what the images show at one height, in the terrain's coordinates.
 
     height: of the terrain, m.
-
-    Returns
-    -------
-    tuple of float
-        West, south, east, north; images that look to the horizon count with their nadir only.
+    returns: west, south, east, north; images that look to the horizon count with their nadir only.
     """
     given = frame.to_given(shots.station)
     nadir = frame.to_local(np.column_stack([given[:, :2], np.full(len(given), height)]))

@@ -82,11 +82,7 @@ def displacement(
     """Follow ground points through the right image geometry and back through the wrong one.
 
     x, y (n,): ground points, m.
-
-    Raises
-    ------
-    ConfigurationError
-        When the two have different images, or none shows any of the points.
+    raises ConfigurationError: when the two have different images, or none shows any of the points.
     """
     if right.names != wrong.names:
         raise ConfigurationError("the two orientations have different images", remedy="use one block")
@@ -112,12 +108,8 @@ def displacement(
 def draw_displacement(field: Displacement, title: str, path: Path) -> None:
     """Draw the shifts as arrows on a map; their scale is beside the map's own.
 
-    Raises
-    ------
-    ConfigurationError
-        For another ending.
-    OutputError
-        When it cannot be written.
+    raises ConfigurationError: for another ending.
+    raises OutputError: when it cannot be written.
     """
     kind = path.suffix.lower()[1:]
     stamps = {"png": None, "pdf": {"CreationDate": None}, "svg": {"Date": None}}

@@ -59,15 +59,9 @@ def fit(
 
     points (n, d): measured coordinates, m, near the origin.
     covariance (n, d, d): covariance of each point, m2; different points are uncorrelated.
-
-    Raises
-    ------
-    IllPosedError
-        For fewer points than parameters, or points that leave a parameter undetermined.
-    InputMalformedError
-        For a covariance that gives a condition no variance.
-    NotConvergedError
-        When the steps do not end.
+    raises IllPosedError: for fewer points than parameters, or points that leave a parameter undetermined.
+    raises InputMalformedError: for a covariance that gives a condition no variance.
+    raises NotConvergedError: when the steps do not end.
 
     Notes
     -----

@@ -43,11 +43,7 @@ def ground_points(x: Floats, y: Floats, terrain: Terrain, frame: Frame) -> Float
     x (columns,).
     y (rows,): of the cell centres, m.
     frame: from the terrain's coordinates to local ones.
-
-    Returns
-    -------
-    ndarray, shape (rows * columns, 3)
-        m; NaN without terrain.
+    returns (rows * columns, 3): m; NaN without terrain.
 
     Notes
     -----

@@ -7,7 +7,7 @@ from pathlib import Path
 from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import Block
 from photocal.block.network import block_frame
-from photocal.exchange.any_block import read_any_block
+from photocal.exchange.formats import read_any_block
 from photocal.geometry.frames import Frame
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.results.folder import read_result
@@ -17,16 +17,9 @@ def oriented(folder: Path, run: Path | None) -> tuple[Block, Frame, OrientedImag
     """Read a block and, where it was adjusted, the results in place of its start values.
 
     run: folder of its adjustment.
-
-    Returns
-    -------
-    frame : Frame
-        Between the block's coordinates and the local ones of the images.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError, ConfigurationError
-        For what cannot be read, or results that belong to another block.
+    returns frame: between the block's coordinates and the local ones of the images.
+    raises InputNotFoundError, InputMalformedError, ConfigurationError: for what cannot be read, or results
+        that belong to another block.
     """
     block = read_any_block(folder)
     frame = block_frame(block)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,25 +27,10 @@ METHODS = {"nearest": NEAREST, "bilinear": BILINEAR, "cubic": CUBIC}
 _SAMPLE = 512
 
 
-@dataclass(frozen=True)
-class Made:
-    """What an orthophoto has become.
-
-    share: part of the cells that an image shows.
-    cells: number of cells by image.
-    """
-
-    grid: Grid
-    share: float
-    cells: dict[str, int]
-
-
 def image_files(block: Block, folder: Path, wanted: tuple[str, ...]) -> dict[int, RasterFile]:
     """Find the image files of a block.
 
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError, ConfigurationError
+    raises InputNotFoundError, InputMalformedError, ConfigurationError.
     """
     unknown = sorted(set(wanted) - set(block.images.names))
     if unknown:
@@ -91,10 +75,7 @@ def _image_path(inside: dict[str, Path], name: str, folder: Path) -> Path:
 def heights_of(raster: RasterFile, block: Block, said: str | None) -> str:
     """Kind of the heights of a terrain model, which must be that of the block.
 
-    Raises
-    ------
-    ConfigurationError
-        When it is not known, or another one.
+    raises ConfigurationError: when it is not known, or another one.
     """
     if said is not None and raster.height_kind and said != raster.height_kind:
         raise ConfigurationError(
@@ -120,10 +101,7 @@ def heights_of(raster: RasterFile, block: Block, said: str | None) -> str:
 def system_of(raster: RasterFile, block: Block, said: str | None) -> str:
     """Reference system of the product as WKT, empty for a local frame.
 
-    Raises
-    ------
-    ConfigurationError
-        When block, terrain model and wish do not agree.
+    raises ConfigurationError: when block, terrain model and wish do not agree.
     """
     named = None if block.frame == "local" else system_wkt(block.frame)
     wished = None if said is None else system_wkt(said)
@@ -140,10 +118,7 @@ def system_of(raster: RasterFile, block: Block, said: str | None) -> str:
 def overview(terrain: TerrainSource, raster: RasterFile, bounds: Bounds) -> Terrain:
     """Terrain of a rectangle, thinned out where it is large.
 
-    Raises
-    ------
-    InputMalformedError
-        When it has no height there.
+    raises InputMalformedError: when it has no height there.
     """
     west, south = max(bounds[0], raster.bounds[0]), max(bounds[1], raster.bounds[1])
     east, north = min(bounds[2], raster.bounds[2]), min(bounds[3], raster.bounds[3])
@@ -179,15 +154,8 @@ def plan_grid(
     shots, frame, terrain, raster: as for the orthophoto.
     cell: wished size, m; None for the pixel of the images on the ground.
     bounds: wished rectangle; None for all that the images show of the terrain.
-
-    Returns
-    -------
-    pixel : float
-        Median size of an image's pixel on the ground, m.
-
-    Raises
-    ------
-    ConfigurationError, InputMalformedError
+    returns pixel: median size of an image's pixel on the ground, m.
+    raises ConfigurationError, InputMalformedError.
     """
     if cell is not None and not (math.isfinite(cell) and cell > 0):
         raise ConfigurationError(f"the cell is {cell:g} m", remedy="give a positive length in metres")
@@ -235,12 +203,10 @@ def write_orthophoto(
     tags: dict[str, str],
     workers: int,
     advance: Callable[[float], None],
-) -> Made:
+) -> tuple[float, dict[str, int]]:
     """Make an orthophoto and write it as GeoTIFF.
 
-    Raises
-    ------
-    OutputError, InputMalformedError
+    raises OutputError, InputMalformedError.
     """
     grid, paths = recipe.grid, [file.path for file in files.values()]
     count = np.zeros(len(paths) + 1, dtype=np.int64)
@@ -264,7 +230,7 @@ def write_orthophoto(
             count += np.bincount(tile.chosen.ravel() + 1, minlength=len(count))
             advance(float(tile.chosen.size))
     shown = {name: int(n) for name, n in zip(recipe.shots.names, count[1:], strict=True)}
-    return Made(grid, float(count[1:].sum() / count.sum()), shown)
+    return float(count[1:].sum() / count.sum()), shown
 
 
 def displacement_field(

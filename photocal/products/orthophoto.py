@@ -91,9 +91,7 @@ class Recipe:
     def require_nodata(self) -> None:
         """Refuse a value for nothing that the type of the pixels cannot hold, or at neither end of it.
 
-        Raises
-        ------
-        ConfigurationError
+        raises ConfigurationError.
         """
         if self.dtype.startswith("float"):
             return

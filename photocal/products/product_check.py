@@ -12,22 +12,12 @@ from numpy.typing import NDArray
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.accuracy.discrepancies import Discrepancies
+from photocal.accuracy.ground_points import GroundPoints
 from photocal.block.table import read_table
 from photocal.products.raster import RasterFile, describe, opened, terrain_source
 
 # Share of the pattern of a round target that must be found again, 0 to 1.
 _LIKENESS = 0.6
-
-
-@dataclass(frozen=True)
-class CheckPoints:
-    """Surveyed points.
-
-    enh (n, 3): E, N, h in m; h may be NaN.
-    """
-
-    names: tuple[str, ...]
-    enh: Floats
 
 
 @dataclass(frozen=True)
@@ -46,23 +36,19 @@ class ProductCheck:
     remarks: tuple[str, ...]
 
 
-def read_check_points(path: Path) -> CheckPoints:
+def read_check_points(path: Path) -> GroundPoints:
     """Read surveyed check points.
 
     path: CSV with point, E, N and optional h, in m and in the reference system of the products.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        When it is no such table.
+    raises InputNotFoundError, InputMalformedError: when it is no such table.
     """
     table = read_table(path, ("point", "E", "N"), ("h",))
     columns = [table.numbers("E"), table.numbers("N"), table.numbers("h", empty=np.nan)]
-    return CheckPoints(table.unique_names("point"), np.column_stack(columns))
+    return GroundPoints(table.unique_names("point"), np.column_stack(columns))
 
 
 def check_products(
-    points: CheckPoints,
+    points: GroundPoints,
     *,
     ortho: Path | None = None,
     target_diameter_m: float | None = None,
@@ -80,13 +66,8 @@ def check_products(
         does not count twice.
     height_kind: kind of the surveyed heights; needed with a terrain model.
     dtm_height_kind: kind of the heights of a terrain model that does not say it itself.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        For products that cannot be read.
-    ConfigurationError
-        For missing or contradicting settings.
+    raises InputNotFoundError, InputMalformedError: for products that cannot be read.
+    raises ConfigurationError: for missing or contradicting settings.
     """
     if ortho is None and dtm is None:
         raise ConfigurationError("no product is given", remedy="name an orthomosaic or a terrain model")
@@ -99,7 +80,7 @@ def check_products(
             )
         raster = describe(ortho)
         _require_square(raster, target_diameter_m)
-        for row, (name, place) in enumerate(zip(points.names, points.enh, strict=True)):
+        for row, (name, place) in enumerate(zip(points.names, points.xyz_m, strict=True)):
             found = find_target(raster, place[:2], target_diameter_m, search_m)
             product[row, :2], likeness[row] = found[:2], found[2]
             if not np.isfinite(found[0]):
@@ -112,7 +93,7 @@ def check_products(
             for name, height in zip(points.names, heights, strict=True)
             if not np.isfinite(height)
         ]
-    discrepancies = Discrepancies(points.names, product - points.enh, points.enh.copy())
+    discrepancies = Discrepancies(points.names, product - points.xyz_m, points.xyz_m.copy())
     return ProductCheck(discrepancies, product, likeness, tuple(remarks))
 
 
@@ -126,7 +107,7 @@ def _require_square(raster: RasterFile, diameter: float) -> None:
         )
 
 
-def _heights(dtm: Path, points: CheckPoints, kind: str | None, said: str | None) -> Floats:
+def _heights(dtm: Path, points: GroundPoints, kind: str | None, said: str | None) -> Floats:
     raster = describe(dtm)
     model = raster.height_kind or said
     if said is not None and raster.height_kind and said != raster.height_kind:
@@ -148,7 +129,7 @@ def _heights(dtm: Path, points: CheckPoints, kind: str | None, said: str | None)
         )
     source = terrain_source(raster, model)
     return np.array(
-        [float(source((e, n, e, n)).at(np.array([e]), np.array([n]))[0]) for e, n in points.enh[:, :2]]
+        [float(source((e, n, e, n)).at(np.array([e]), np.array([n]))[0]) for e, n in points.xyz_m[:, :2]]
     )
 
 

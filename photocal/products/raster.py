@@ -51,10 +51,7 @@ class RasterFile:
 def describe(path: Path) -> RasterFile:
     """Read the header of any raster that GDAL knows.
 
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        When there is no such file, or it is no raster.
+    raises InputNotFoundError, InputMalformedError: when there is no such file, or it is no raster.
     """
     with opened(path) as source:
         return RasterFile(
@@ -111,10 +108,7 @@ def _height_kind(source: Any) -> str:
 def terrain_source(raster: RasterFile, height_kind: str) -> Callable[[Bounds], Terrain]:
     """Give a reader of pieces of a terrain model; it may be called from several threads.
 
-    Raises
-    ------
-    InputMalformedError
-        For a raster without georeference or with more than one band.
+    raises InputMalformedError: for a raster without georeference or with more than one band.
     """
     a, b, c, d, e, f = raster.transform
     determinant = a * e - b * d
@@ -169,10 +163,7 @@ def read_image(path: Path) -> NDArray[Any]:
 def system_wkt(name: str) -> str:
     """Reference system as WKT.
 
-    Raises
-    ------
-    ConfigurationError
-        For a name that is none.
+    raises ConfigurationError: for a name that is none.
     """
     from rasterio.crs import CRS  # type: ignore[import-untyped]
 
@@ -266,10 +257,7 @@ def _overviews(columns: int, rows: int) -> list[int]:
 def write_terrain(terrain: Terrain, path: Path) -> None:
     """Write a terrain model as GeoTIFF with the kind of its heights.
 
-    Raises
-    ------
-    OutputError
-        When it cannot be written.
+    raises OutputError: when it cannot be written.
     """
     rows, columns = terrain.heights.shape
     tags = {HEIGHT_TAG: terrain.height_kind} if terrain.height_kind else {}

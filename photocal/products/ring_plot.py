@@ -19,13 +19,8 @@ def draw_rings(tank: Tank, axes: tuple[str, str, str], path: Path) -> None:
     """Draw the rings of a tank.
 
     axes: names of the two horizontal axes and the vertical one.
-
-    Raises
-    ------
-    ConfigurationError
-        For another ending.
-    OutputError
-        When it cannot be written.
+    raises ConfigurationError: for another ending.
+    raises OutputError: when it cannot be written.
     """
     if path.suffix.lower() not in (".pdf", ".svg", ".png"):
         raise ConfigurationError(f"{path} has no known ending", remedy="use .pdf, .svg or .png")

@@ -79,13 +79,8 @@ def read_ring_points(path: Path, vertical: Vertical, sigma_m: float | None) -> R
 
     path: columns section, point, X, Y, Z (m), optional sX, sY, sZ (m), rXY, rXZ, rYZ (correlations).
     sigma_m: standard deviation of all coordinates of a table without sX, sY, sZ.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        When it is no such table.
-    ConfigurationError
-        When no standard deviation is given, or twice.
+    raises InputNotFoundError, InputMalformedError: when it is no such table.
+    raises ConfigurationError: when no standard deviation is given, or twice.
     """
     table = read_table(path, ("section", "point", "X", "Y", "Z"), SIGMAS + CORRELATIONS)
     own = [name for name in SIGMAS if table.has(name)]
@@ -148,13 +143,8 @@ def measure_tank(points: RingPoints, wall_thickness: float = 0.0) -> Tank:
     """Fit the circle of each section and add up what lies between them.
 
     wall_thickness: taken from every radius before a volume is computed, m; 0 where the points lie inside.
-
-    Raises
-    ------
-    IllPosedError
-        When a section does not determine its circle, or two sections have one height.
-    ConfigurationError
-        For an impossible wall.
+    raises IllPosedError: when a section does not determine its circle, or two sections have one height.
+    raises ConfigurationError: for an impossible wall.
     """
     names = list(dict.fromkeys(points.section))
     rings = tuple(sorted((_section(points, name) for name in names), key=lambda ring: ring.height))

@@ -1,4 +1,4 @@
-"""Circles, planes and cylinders through measured points, with the covariance of the points."""
+"""Circles and cylinders through measured points, with the covariance of the points."""
 
 from __future__ import annotations
 
@@ -27,25 +27,6 @@ class Circle:
     covariance: Floats
     radial: Floats
     direction: Floats
-    adjusted: Adjusted
-
-
-@dataclass(frozen=True)
-class Plane:
-    """A plane: normal . X = distance.
-
-    normal (3,): unit vector; the largest of its components is positive.
-    distance: from the origin, m.
-    normal_covariance (3, 3): of the normal, a priori; singular along it.
-    position_sigma: standard deviation of the plane along its normal at the centroid of the points, m.
-    offsets (n,): distance of each measured point from the plane, along the normal, m.
-    """
-
-    normal: Floats
-    distance: float
-    normal_covariance: Floats
-    position_sigma: float
-    offsets: Floats
     adjusted: Adjusted
 
 
@@ -81,26 +62,6 @@ def fit_circle(points: Floats, covariance: Floats) -> Circle:
     radial = np.linalg.norm(away, axis=1) - radius
     turn = np.arctan2(away[:, 1], away[:, 0])
     return Circle(center + middle, radius, found.covariance, radial, turn, found)
-
-
-def fit_plane(points: Floats, covariance: Floats) -> Plane:
-    """Fit a plane."""
-    middle = _centroid(points, 3, "plane")
-    local = points - middle
-    start = np.append(np.linalg.svd(local, full_matrices=True)[2][2], 0.0)
-    found = fit(local, covariance, start, _plane_condition, _plane_moved, "plane")
-    normal, distance = _upward(found.state[:3]), float(found.state[3])
-    if normal @ found.state[:3] < 0:
-        distance = -distance
-    basis = _across(found.state[:3])
-    return Plane(
-        normal,
-        distance + float(normal @ middle),
-        basis.T @ found.covariance[:2, :2] @ basis,
-        float(np.sqrt(found.covariance[2, 2])),
-        local @ normal - distance,
-        found,
-    )
 
 
 def fit_cylinder(points: Floats, covariance: Floats) -> Cylinder:
@@ -163,16 +124,6 @@ def _upward(direction: Floats) -> Floats:
 def _tilted(direction: Floats, step: Floats) -> Floats:
     tilted = direction + step @ _across(direction)
     return np.asarray(tilted / np.linalg.norm(tilted))
-
-
-def _plane_condition(state: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
-    normal = state[:3]
-    by_parameter = np.column_stack([points @ _across(normal).T, -np.ones(len(points))])
-    return points @ normal - state[3], by_parameter, np.tile(normal, (len(points), 1))
-
-
-def _plane_moved(state: Floats, step: Floats) -> Floats:
-    return np.append(_tilted(state[:3], step[:2]), state[3] + step[2])
 
 
 def _radii(points: Floats, point: Floats, axis: Floats) -> tuple[Floats, Floats, Floats]:

@@ -39,11 +39,7 @@ class Terrain:
         """Interpolate heights bilinearly.
 
         x, y: m, of one shape.
-
-        Returns
-        -------
-        ndarray
-            m; NaN outside the outermost cell centres and beside cells without height.
+        returns: m; NaN outside the outermost cell centres and beside cells without height.
         """
         a, b, c, d, e, f = self.transform
         determinant = a * e - b * d

@@ -29,28 +29,12 @@ class TerrainPoints:
     line: Integers
 
 
-@dataclass(frozen=True)
-class Gridded:
-    """A grid made from points.
-
-    flat: triangles whose corners lie on one contour: there the ground is cut off level.
-    """
-
-    terrain: Terrain
-    triangles: int
-    flat: int
-
-
 def read_terrain_points(path: Path) -> TerrainPoints:
     """Read points, vertices of contours, or the points of an adjustment.
 
     path: CSV with X, Y, Z (m) and optional `line`; `points.csv` of a block or a run is one too. Points
         without height, and check points, are left out.
-
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        When it is no such table.
+    raises InputNotFoundError, InputMalformedError: when it is no such table.
     """
     table = read_table(path, ("X", "Y", "Z"), ("line", "point", "role", "sX", "sY", "sZ", "rays"))
     xyz = np.column_stack([table.numbers(name, empty=np.nan) for name in ("X", "Y", "Z")])
@@ -65,23 +49,18 @@ def read_terrain_points(path: Path) -> TerrainPoints:
     return TerrainPoints(xyz[keep], line[keep])
 
 
-def grid_of_points(points: TerrainPoints, cell: float, crs: str, height_kind: str) -> Gridded:
+def grid_of_points(
+    points: TerrainPoints, cell: float, crs: str, height_kind: str
+) -> tuple[Terrain, int, int]:
     """Triangulate points (Delaunay) and interpolate linearly within the triangles.
 
     cell: size of the cells, m.
     crs: WKT of the reference system, empty for a local frame.
-
-    Returns
-    -------
-    Gridded
-        Cells outside the convex hull of the points are NaN.
-
-    Raises
-    ------
-    ConfigurationError
-        For a cell that is not positive, or a grid that is too large.
-    IllPosedError
-        For fewer than three points, or points on a line.
+    returns terrain: cells outside the convex hull of the points are NaN.
+    returns triangles, flat: of all triangles, and of those whose corners lie on one contour: there the ground
+        is cut off level.
+    raises ConfigurationError: for a cell that is not positive, or a grid that is too large.
+    raises IllPosedError: for fewer than three points, or points on a line.
     """
     from scipy.interpolate import LinearNDInterpolator
     from scipy.spatial import Delaunay, QhullError
@@ -116,7 +95,7 @@ def grid_of_points(points: TerrainPoints, cell: float, crs: str, height_kind: st
     flat = (corners[:, 0] >= 0) & (corners == corners[:, :1]).all(axis=1)
     north = float(south + rows * cell)
     terrain = Terrain(heights, (cell, 0.0, float(west), 0.0, -cell, north), crs, height_kind)
-    return Gridded(terrain, len(network.simplices), int(flat.sum()))
+    return terrain, len(network.simplices), int(flat.sum())
 
 
 def _denser(points: TerrainPoints, spacing: float) -> tuple[Floats, Integers]:

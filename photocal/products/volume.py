@@ -40,11 +40,7 @@ def cylinder_volume(radius: float, radius_sigma: float, height: float, height_si
     """Volume of an upright cylinder from its mean radius and its height.
 
     radius, radius_sigma, height, height_sigma: m; radius and height uncorrelated.
-
-    Raises
-    ------
-    ConfigurationError
-        For a radius or height that is not positive, or a sigma that is negative.
+    raises ConfigurationError: for a radius or height that is not positive, or a sigma that is negative.
     """
     for name, value in (("radius", radius), ("height", height)):
         if not (np.isfinite(value) and value > 0):

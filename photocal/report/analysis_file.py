@@ -12,9 +12,9 @@ import numpy as np
 from acquire.outputs import output_file
 from photocal.analysis.outcome import Outcome, analyse_network
 from photocal.analysis.systematic_errors.left_out import Checks
-from photocal.block.model import Block
+from photocal.block.model import Block, digest
 from photocal.block.network import NetworkOfBlock, block_frame
-from photocal.exchange.any_block import read_any_block
+from photocal.exchange.formats import read_any_block
 from photocal.findings.catalogue import Catalogue, catalogue
 from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.rotation import angles_from_matrix
@@ -24,7 +24,7 @@ from photocal.report.analysis_record import analysis_record, as_plain
 from photocal.report.stored_analysis import ANALYSIS, ExteriorDifference
 from photocal.results.adjusted import network_of, state_of
 from photocal.results.folder import RESULT, read_result
-from photocal.results.origin import block_of_run, digest
+from photocal.results.origin import block_of_run
 from photocal.results.result import Result
 
 ALPHA = 0.10

@@ -30,7 +30,7 @@ from photocal.report.block_sections import (
 )
 from photocal.report.camera_sections import camera_facts, correlations, interior_orientation
 from photocal.report.certificate_metadata import Particulars
-from photocal.report.derived_figures import Facts, facts
+from photocal.report.derived_figures import DerivedFigures, derived_figures
 from photocal.report.document import Document, Highlight, KeyValues, Piece, Section, Statement, Tone
 from photocal.report.image_sections import image_residuals, radial_distortion, rms_px
 from photocal.report.laboratory import laboratory, uncertainty
@@ -56,13 +56,10 @@ def certificate(
 ) -> Document:
     """Compose the certificate.
 
-    Raises
-    ------
-    InputMalformedError
-        When a figure cannot be right: it is not printed.
+    raises InputMalformedError: when a figure cannot be right: it is not printed.
     """
     result = run.result
-    known = tuple(facts(run, camera_id, particulars) for camera_id in result.cameras)
+    known = tuple(derived_figures(run, camera_id, particulars) for camera_id in result.cameras)
     _refuse_impossible(known, say)
     return Document(
         language=say.language,
@@ -178,7 +175,7 @@ def _checks(run: Run, say: Catalogue) -> Highlight:
     )
 
 
-def overall(run: Run, known: tuple[Facts, ...], told: tuple[Finding, ...]) -> Finding:
+def overall(run: Run, known: tuple[DerivedFigures, ...], told: tuple[Finding, ...]) -> Finding:
     """Give the one verdict over everything that processing, adjustment and analysis found."""
     analysed = run.analysis.findings if run.analysis is not None else ()
     plausible = (finding for of in known for finding in of.findings)
@@ -195,7 +192,7 @@ def _tested(run: Run, told: tuple[Finding, ...]) -> Finding:
 
 
 def _verdicts(
-    run: Run, known: tuple[Facts, ...], told: tuple[Finding, ...], say: Catalogue
+    run: Run, known: tuple[DerivedFigures, ...], told: tuple[Finding, ...], say: Catalogue
 ) -> tuple[Statement, ...]:
     """The verdict first, then what it rests on; nothing is green where it is not."""
     result, final = run.result, overall(run, known, told)
@@ -221,7 +218,7 @@ def _verdicts(
 def _sections(
     run: Run,
     particulars: Particulars,
-    known: tuple[Facts, ...],
+    known: tuple[DerivedFigures, ...],
     told: tuple[Finding, ...],
     say: Catalogue,
 ) -> tuple[Section, ...]:
@@ -264,11 +261,11 @@ def _sections(
 
 
 def _judgements(
-    run: Run, particulars: Particulars, known: tuple[Facts, ...], final: Finding, say: Catalogue
+    run: Run, particulars: Particulars, known: tuple[DerivedFigures, ...], final: Finding, say: Catalogue
 ) -> list[Section]:
     """Plausibility, acceptance and the ministry's form of each camera, and the equipment once."""
 
-    def title(key: str, of: Facts) -> str:
+    def title(key: str, of: DerivedFigures) -> str:
         return f"{say(key)}: {of.camera_id}" if len(known) > 1 else say(key)
 
     sections = [findings(title("plausibility.section", of), of.findings, say) for of in known]
@@ -280,7 +277,7 @@ def _judgements(
     return sections
 
 
-def _refuse_impossible(known: tuple[Facts, ...], say: Catalogue) -> None:
+def _refuse_impossible(known: tuple[DerivedFigures, ...], say: Catalogue) -> None:
     """A figure that cannot be right is not printed."""
     for of in known:
         refused = [finding_text(finding, say) for finding in of.findings if finding.severity == "refused"]

@@ -22,7 +22,7 @@ NADIR_DEG = 30.0
 
 
 @dataclass(frozen=True)
-class Facts:
+class DerivedFigures:
     """What is known of one camera and its flight; None is not determined.
 
     camera_id: the camera.
@@ -46,7 +46,7 @@ class Facts:
     findings: tuple[Finding, ...]
 
 
-def facts(run: Run, camera_id: str, particulars: Particulars) -> Facts:
+def derived_figures(run: Run, camera_id: str, particulars: Particulars) -> DerivedFigures:
     """Collect the figures and check them."""
     camera, campaign = run.result.cameras[camera_id], particulars.campaign
     pixel = pixel_size_mm(camera, particulars)
@@ -60,7 +60,7 @@ def facts(run: Run, camera_id: str, particulars: Particulars) -> Facts:
         dz = expected_altimetric_error_cm(height, base, focal, pixel)
     rms = rms_px(sensor_residuals(run, camera_id))
     image = (rms[0] * pixel, rms[1] * pixel) if pixel else None
-    return Facts(
+    return DerivedFigures(
         camera_id,
         pixel,
         focal,

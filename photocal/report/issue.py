@@ -44,11 +44,8 @@ def issue(
     particulars: TOML file with what a person gives.
     key: fingerprint of the key by which it will be signed; printed.
     pictures: what they say of camera and conditions, by section and key of the particulars.
-
-    Raises
-    ------
-    PhotocalError
-        For inputs that cannot be read or have changed, and for figures that cannot be right.
+    raises PhotocalError: for inputs that cannot be read or have changed, and for figures that cannot be
+        right.
     """
     say = catalogue(language)
     given = read_particulars(particulars, day, client=client, operator=operator, key=key, pictures=pictures)

@@ -20,7 +20,7 @@ from photocal.findings.digits import (
 from photocal.geometry.camera import Camera
 from photocal.report.acceptance import verdict
 from photocal.report.certificate_metadata import Particulars
-from photocal.report.derived_figures import Facts
+from photocal.report.derived_figures import DerivedFigures
 from photocal.report.stored_analysis import Run
 
 Origin = Literal["computed", "given", "fixed", "not_determined"]
@@ -33,7 +33,7 @@ class Context:
 
     run: Run
     particulars: Particulars
-    facts: Facts
+    facts: DerivedFigures
     say: Catalogue
 
     @property

@@ -8,7 +8,7 @@ from photocal.findings.finding import Finding
 from photocal.findings.texts import finding_text
 from photocal.report.acceptance import Limit, verdict
 from photocal.report.certificate_metadata import Particulars
-from photocal.report.derived_figures import Facts
+from photocal.report.derived_figures import DerivedFigures
 from photocal.report.document import (
     Column,
     KeyValues,
@@ -26,7 +26,7 @@ from photocal.report.ministry_rows import Context, corners
 TONES: dict[str, Tone] = {"acceptable": "good", "new_calibration": "bad", "not_determined": "note"}
 
 
-def acceptance(title: str, facts: Facts, final: Finding, say: Catalogue) -> Section:
+def acceptance(title: str, facts: DerivedFigures, final: Finding, say: Catalogue) -> Section:
     """Set the figures against the ministry's limits."""
     columns = (
         Column(say("acceptance.quantity"), align="left"),
@@ -42,7 +42,7 @@ def acceptance(title: str, facts: Facts, final: Finding, say: Catalogue) -> Sect
     )
 
 
-def acceptance_statement(facts: Facts, final: Finding, say: Catalogue) -> Statement:
+def acceptance_statement(facts: DerivedFigures, final: Finding, say: Catalogue) -> Statement:
     """Say whether the ministry's limits are kept; that is green only where the verdict is."""
     found = verdict(facts.limits)
     missing = [say(f"acceptance.{limit.key}") for limit in facts.limits if limit.met is None]

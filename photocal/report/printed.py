@@ -73,13 +73,8 @@ def check_printed(path: Path) -> PrintedCheck:
     """Check a printed calibration against itself.
 
     path: TOML file with the printed figures.
-
-    Raises
-    ------
-    InputNotFoundError
-        When there is no such file.
-    ConfigurationError
-        For a wrong key or value.
+    raises InputNotFoundError: when there is no such file.
+    raises ConfigurationError: for a wrong key or value.
     """
     keys = read_toml(path, PrintedKeys)
     record = _record(keys, path)

@@ -18,7 +18,7 @@ from photocal.findings.texts import finding_json
 from photocal.report.acceptance import verdict
 from photocal.report.certificate import certificate_number, overall
 from photocal.report.certificate_metadata import Particulars
-from photocal.report.derived_figures import Facts, facts
+from photocal.report.derived_figures import DerivedFigures, derived_figures
 from photocal.report.distortion import farthest_corner, radial_profile
 from photocal.report.ministry import entries, read_layout
 from photocal.report.ministry_rows import Context
@@ -44,11 +44,11 @@ def record(
     say: language of the technical report's texts.
     """
     result = {key: value for key, value in result_json(run.result).items() if key in RESULT_KEYS}
-    known = {name: facts(run, name, particulars) for name in run.result.cameras}
+    known = tuple(derived_figures(run, name, particulars) for name in run.result.cameras)
     return {
         "schema": SCHEMA,
         "number": certificate_number(run, particulars, told),
-        "verdict": finding_json(overall(run, tuple(known.values()), told), say),
+        "verdict": finding_json(overall(run, known, told), say),
         "date": particulars.date.isoformat(),
         "language": say.language,
         "particulars": particulars.model_dump(mode="json", exclude={"date"}),
@@ -57,10 +57,8 @@ def record(
         # Where the block lay is nobody's concern: the certificate carries its inputs.
         "result": {**result, "block": {**result["block"], "source": ""}},
         "exposures": _exposures(run),
-        "cameras": {name: _camera(run, of) for name, of in known.items()},
-        "technical_reports": {
-            name: _report(Context(run, particulars, of, say)) for name, of in known.items()
-        },
+        "cameras": {one.camera_id: _camera(run, one) for one in known},
+        "technical_reports": {one.camera_id: _report(Context(run, particulars, one, say)) for one in known},
         "analysis": None if run.analysis is None else dataclasses.asdict(run.analysis),
         "run_files": [dataclasses.asdict(file) for file in run.files],
         "documents": {},
@@ -84,7 +82,7 @@ def _exposures(run: Run) -> list[dict[str, Any]]:
     ]
 
 
-def _camera(run: Run, known: Facts) -> dict[str, Any]:
+def _camera(run: Run, known: DerivedFigures) -> dict[str, Any]:
     camera = run.result.cameras[known.camera_id]
     curve = radial_profile(camera, np.linspace(0.0, farthest_corner(camera), 21))
     columns = zip(curve.radius, curve.displacement, curve.sigma, curve.decentering, strict=True)
@@ -144,12 +142,8 @@ def with_documents(certificate: dict[str, Any], documents: dict[str, bytes]) -> 
 def read_record(path: Path) -> tuple[dict[str, Any], Path]:
     """Read a machine-readable certificate.
 
-    Raises
-    ------
-    InputNotFoundError
-        When there is none.
-    InputMalformedError
-        When it is cut, of another schema, or lacks what a verification needs.
+    raises InputNotFoundError: when there is none.
+    raises InputMalformedError: when it is cut, of another schema, or lacks what a verification needs.
     """
     file = path / NAME if path.is_dir() else path
     if file.is_symlink() or not file.is_file():
@@ -174,10 +168,7 @@ def read_record(path: Path) -> tuple[dict[str, Any], Path]:
 def certified_result(certificate: dict[str, Any], folder: Path) -> Figures:
     """Give the result of the adjustment that a certificate carries.
 
-    Raises
-    ------
-    InputMalformedError
-        When it is not complete.
+    raises InputMalformedError: when it is not complete.
     """
     text, remedy = json.dumps(certificate["result"]), "make the certificate again"
     return checked(text, Figures, folder / NAME, remedy, "result")

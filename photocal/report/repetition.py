@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from photocal.block.model import InputFile
-from photocal.exchange.any_block import read_any_block
+from photocal.exchange.formats import read_any_block
 from photocal.findings.catalogue import Catalogue, catalogue
 from photocal.findings.finding import Finding
 from photocal.findings.texts import findings_of
@@ -31,10 +31,7 @@ def repeated(
 ) -> Run:
     """Adjust and analyse the certified inputs anew, as the certificate says that it was done.
 
-    Raises
-    ------
-    PhotocalError
-        As reading and adjusting do.
+    raises PhotocalError: as reading and adjusting do.
     """
     result = certified_result(certified, folder)
     with tempfile.TemporaryDirectory(prefix="photocal-verify-") as name:

@@ -102,10 +102,7 @@ def own_key() -> Key | None:
 def sign(folder: Path, number: str, now: dt.datetime, passphrase: str = "") -> Key:
     """Sign a certificate's folder as it lies there and note it in the journal.
 
-    Raises
-    ------
-    PhotocalError
-        Without a key, with a wrong passphrase, or when the folder has links.
+    raises PhotocalError: without a key, with a wrong passphrase, or when the folder has links.
     """
     key, private = own_key(), _private(passphrase)
     if key is None or private.public_key().public_bytes_raw() != key.public:

@@ -11,9 +11,9 @@ from photocal.analysis.exterior_correlation import ExteriorCorrelation
 from photocal.analysis.method import MethodCheck
 from photocal.analysis.robust import apart
 from photocal.analysis.systematic_errors.variance_components import AssumedSigma
-from photocal.block.model import InputFile
+from photocal.block.model import InputFile, fingerprint
 from photocal.findings.finding import Finding
-from photocal.results.folder import RESULT, fingerprint, read_json, read_result
+from photocal.results.folder import RESULT, read_json, read_result
 from photocal.results.result import Result
 
 ANALYSIS = "analysis.json"

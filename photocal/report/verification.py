@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from photocal.block.model import digest
 from photocal.report.issue import FORMS
 from photocal.report.record import NAME
 from photocal.report.signing import SIGNATURE
-from photocal.results.origin import CARRIED, digest
+from photocal.results.origin import CARRIED
 
 PAGES = FORMS[:2]
 # The pages are compared themselves.

@@ -38,10 +38,7 @@ def adjust_block(
 ) -> Result:
     """Read a block, adjust it, write the results.
 
-    Raises
-    ------
-    PhotocalError
-        For bad input, an ill-posed network, or an output that cannot be written.
+    raises PhotocalError: for bad input, an ill-posed network, or an output that cannot be written.
     """
     began = time.perf_counter()
     block = read(source)
@@ -101,10 +98,7 @@ def adjusted(
 ) -> tuple[NetworkOfBlock, Solution]:
     """Adjust the network of an assembly.
 
-    Raises
-    ------
-    PhotocalError
-        For an ill-posed network.
+    raises PhotocalError: for an ill-posed network.
     """
     if snooping is None:
         solution = adjust(assembly.network, report)

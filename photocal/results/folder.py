@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Sequence
@@ -19,7 +18,7 @@ import pyarrow.parquet
 from drivers.arrays import Floats, Integers
 from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.block.folder import IMAGE_SIGMAS
-from photocal.block.model import InputFile
+from photocal.block.model import fingerprint
 from photocal.block.table import read_table
 from photocal.geometry.camera import (
     PARAMETERS,
@@ -294,13 +293,6 @@ def checked(text: str, kind: type[Kind], path: Path, remedy: str, within: str = 
 
 def _not_a_number(constant: str) -> float:
     raise ValueError(f"contains {constant} where a number must stand")
-
-
-def fingerprint(path: Path) -> InputFile:
-    """Digest of a file, under its name."""
-    with path.open("rb") as stream:
-        digest = hashlib.file_digest(stream, "sha256").hexdigest()
-    return InputFile(path.name, digest, path.stat().st_size)
 
 
 def _camera(name: str, own: _Camera, path: Path) -> Camera:

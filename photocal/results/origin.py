@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from drivers.errors import InputMalformedError, InputNotFoundError
-from photocal.block.model import InputFile
+from photocal.block.model import InputFile, digest
 from photocal.results.result import Figures
 
 # Where a certificate carries them.
@@ -35,35 +34,18 @@ class Source:
         return self.folder / self.setup
 
 
-@dataclass(frozen=True)
-class Changed:
-    """An input that is not the one that was adjusted; `found` is empty when it is missing."""
-
-    path: str
-    expected: str
-    found: str
-
-    def __str__(self) -> str:
-        """Say it in a phrase."""
-        if not self.found:
-            return f"{self.path} is missing"
-        return f"{self.path} has changed (SHA-256 {self.found[:12]}..., certified {self.expected[:12]}...)"
-
-
-def digest(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def changed_inputs(inputs: Sequence[InputFile], folder: Path) -> list[Changed]:
-    """Compare files with their digests."""
-    found = []
+def changed_inputs(inputs: Sequence[InputFile], folder: Path) -> dict[str, str]:
+    """Say of which files, by their paths, that they are missing or not those that were adjusted."""
+    found = {}
     for file in inputs:
         path = folder / file.path
         now = digest(path) if path.is_file() else ""
-        if now != file.sha256:
-            found.append(Changed(file.path, file.sha256, now))
+        if not now:
+            found[file.path] = f"{file.path} is missing"
+        elif now != file.sha256:
+            found[file.path] = (
+                f"{file.path} has changed (SHA-256 {now[:12]}..., certified {file.sha256[:12]}...)"
+            )
     return found
 
 
@@ -71,13 +53,8 @@ def block_of_run(run: Path, result: Figures, given: Path | None, here: Path) -> 
     """Find what a run was made from and make sure that it has not changed.
 
     given: the block folder or set-up file, when the user named it.
-
-    Raises
-    ------
-    InputNotFoundError
-        When no folder has these files.
-    InputMalformedError
-        When a file of the named folder has changed since the run.
+    raises InputNotFoundError: when no folder has these files.
+    raises InputMalformedError: when a file of the named folder has changed since the run.
     """
     setup = result.block.setup
     if given is not None:
@@ -86,7 +63,7 @@ def block_of_run(run: Path, result: Figures, given: Path | None, here: Path) -> 
         if changed:
             raise InputMalformedError(
                 "is not the file that the run was made from",
-                where=folder / changed[0].path,
+                where=folder / next(iter(changed)),
                 remedy="adjust the block again, or name the folder of this run",
             )
         return Source(folder, setup)

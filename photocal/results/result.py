@@ -146,7 +146,7 @@ class Residuals:
 
     image_names, point_names: what `image` and `point` are indices into.
     image, point (n,).
-    measured, residual (n, 2): naN residuals where an observation took no part.
+    measured, residual (n, 2): NaN residuals where an observation took no part.
     redundancy, standardised (n, 2): redundancy numbers (0 to 1) and standardised residuals; NaN where nothing
         else checks one.
     """

@@ -61,10 +61,7 @@ def adopt(
 ) -> dict[str, Any]:
     """Adjust a project anew; `output` gets its block, the run, `adoption.json` and the certificate.
 
-    Raises
-    ------
-    PhotocalError
-        For a project that cannot be read or adjusted.
+    raises PhotocalError: for a project that cannot be read or adjusted.
     """
     from photocal.report.analysis_file import analyse_run
     from photocal.report.issue import issue
@@ -193,13 +190,6 @@ def _write(folder: Path, foreign: ForeignProject) -> None:
         keys = MountingKeys(lever_arm_sigma_m=0.0, flight_shift_sigma_m="free" if controlled else 0.0)
         setup = folder / "block.toml"
         setup.write_text(setup.read_text(encoding="utf-8") + "\n" + mounting_text(keys), encoding="utf-8")
-    given, names = block.relations, block.points.names
-    if len(given.values):
-        rows = [
-            [names[i], names[j], repr(float(v)), repr(float(s))]
-            for i, j, v, s in zip(given.first, given.second, given.values, given.sigma, strict=True)
-        ]
-        _table(folder / "distances.csv", ("from", "to", "value", "sigma"), rows)
 
 
 def _determined(folder: Path, foreign: ForeignProject) -> ForeignProject:

@@ -75,10 +75,7 @@ def is_camera_file(path: Path) -> bool:
 def read_calibrated(paths: Sequence[Path]) -> tuple[Calibrated, ...]:
     """Find the calibrations of certificates, run folders, work folders and projects.
 
-    Raises
-    ------
-    InputNotFoundError
-        When there is no calibration, or fewer than two.
+    raises InputNotFoundError: when there is no calibration, or fewer than two.
     """
     found: list[Calibrated] = []
     for path in paths:
@@ -126,10 +123,7 @@ def _certified(path: Path) -> Calibrated:
 def cameras_of(flights: Sequence[Calibrated]) -> CameraFile:
     """Give the calibrated cameras to the comparison, with sigmas and correlations.
 
-    Raises
-    ------
-    ConfigurationError
-        When a result cannot be compared.
+    raises ConfigurationError: when a result cannot be compared.
     """
     from photocal.analysis.stability.camera_file import of_cameras
 
@@ -158,10 +152,7 @@ def repeated(flights: Sequence[Calibrated]) -> dict[str, tuple[Repeatability, ..
 def exchanged(flights: Sequence[Calibrated], done: Callable[[], None] = lambda: None) -> tuple[Use, ...]:
     """Georeference every flight directly with the calibration of every one, judged at its check points.
 
-    Raises
-    ------
-    PhotocalError
-        When a flight has no positions, attitudes or check points.
+    raises PhotocalError: when a flight has no positions, attitudes or check points.
     """
     from photocal.block.folder import read_block
     from photocal.georeferencing.differences import differences
@@ -181,14 +172,13 @@ def exchanged(flights: Sequence[Calibrated], done: Callable[[], None] = lambda: 
                 raise ConfigurationError(
                     f"{taker.name} has no check points", remedy="give points the role check"
                 )
-            rmse = np.sqrt(np.mean(check.d**2, axis=0))
             variance = np.diagonal(check.covariance, axis1=1, axis2=2)
             uses.append(
                 Use(
                     giver.name,
                     taker.name,
                     len(check.names),
-                    (float(rmse[0]), float(rmse[1]), float(rmse[2])),
+                    _triple(check.rmse),
                     _triple(np.sqrt(variance.mean(axis=0))),
                     check.ratio,
                 )

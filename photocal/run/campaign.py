@@ -47,10 +47,7 @@ def run_projects(
 ) -> list[dict[str, Any]]:
     """Run projects, which do not depend on each other.
 
-    Raises
-    ------
-    PhotocalError
-        Of the first project that failed, when the others have ended.
+    raises PhotocalError: of the first project that failed, when the others have ended.
     """
     # All are read first: a mistake in the last file should not wait for hours.
     outputs = [read_project(path).output.resolve() for path in paths]
@@ -113,10 +110,7 @@ def run_one(
 ) -> dict[str, Any]:
     """Run one project and give its figures.
 
-    Raises
-    ------
-    PhotocalError
-        As `workflow.run_project` does.
+    raises PhotocalError: as `workflow.run_project` does.
     """
     project = read_project(path)
     made: list[StageResult] = []

@@ -77,10 +77,7 @@ class Survey:
 def survey(folder: Path) -> Survey:
     """Look at everything in a folder.
 
-    Raises
-    ------
-    InputNotFoundError
-        When it is no folder.
+    raises InputNotFoundError: when it is no folder.
     """
     if not folder.is_dir():
         raise InputNotFoundError("is no folder", where=folder, remedy="name the folder of the flight")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import json
 import os
@@ -15,6 +14,7 @@ from pathlib import Path, PurePosixPath
 from acquire.operating_system import lock as take
 from acquire.outputs import output_file
 from drivers.errors import OutputError
+from photocal.block.model import digest
 
 # What a stage was made from and what it wrote.
 RECORD = "stage.json"
@@ -107,8 +107,7 @@ def _digest(path: Path) -> str:
     """Digest of a regular file; nothing for all else."""
     if path.is_symlink() or not path.is_file():
         return ""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+    return digest(path)
 
 
 def _published(record: Path) -> dict[str, list[str]]:

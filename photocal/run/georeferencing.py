@@ -75,10 +75,7 @@ def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
 def own_calibration(block: Block) -> Calibration | None:
     """Calibrate camera and mounting on the job, for direct georeferencing of the very flight.
 
-    Returns
-    -------
-    Calibration or None
-        None when the block has no antenna positions with attitudes, or cannot be adjusted: the
+    returns: none when the block has no antenna positions with attitudes, or cannot be adjusted: the
         integrated method says why.
     """
     from drivers.errors import PhotocalError

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from drivers.errors import InputMalformedError
-from photocal.block.folder import fingerprint, read_observations, read_points
-from photocal.block.model import ROLES, Block, Images, ObjectPoints
+from photocal.block.folder import read_observations, read_points
+from photocal.block.model import ROLES, Block, Images, ObjectPoints, fingerprint
 from photocal.block.network import observed_plane
 from photocal.block.setup import ObservationKeys
 from photocal.block.table import read_table
@@ -69,7 +69,7 @@ def given_block(project: Project, images: Images, without_exposure: Collection[s
             values=seen.values[kept],
             sigma=seen.sigma[kept],
         ),
-        (fingerprint(path.parent, path.name),),
+        (fingerprint(path),),
     )
     return with_points_on_the_ground(block)
 

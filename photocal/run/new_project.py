@@ -49,12 +49,8 @@ class NewProject:
 def new_project(folder: Path, crs: str = "", height: str = "") -> NewProject:
     """Write `project.toml` and, where control stands in another form, `control.csv` and `marks.csv`.
 
-    Raises
-    ------
-    InputNotFoundError
-        When the folder has neither pictures nor a log.
-    OutputError
-        When one of the files is there already.
+    raises InputNotFoundError: when the folder has neither pictures nor a log.
+    raises OutputError: when one of the files is there already.
     """
     seen = survey(folder)
     if not seen.pictures and not seen.logs:

@@ -51,10 +51,7 @@ def told_beside(run: Path) -> tuple[Finding, ...]:
 def project_verdict(work: Path, stages: Container[str] | None = None) -> Finding | None:
     """Give the one verdict over a project: that of its certificate, else over what its stages found.
 
-    Returns
-    -------
-    Finding or None
-        None before there is an adjustment.
+    returns: none before there is an adjustment.
     """
     certified = read_json(work / "certificate" / "certificate.json")
     if certified is not None and (stages is None or "certificate" in stages):

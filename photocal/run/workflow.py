@@ -61,11 +61,8 @@ def run_project(
 ) -> tuple[StageResult, ...]:
     """Bring the stages of a project up to date.
 
-    Raises
-    ------
-    PhotocalError
-        As the first stage that fails does; the stages that do not need it are made nevertheless, for they
-        may tell why.
+    raises PhotocalError: as the first stage that fails does; the stages that do not need it are made
+        nevertheless, for they may tell why.
     """
     wanted = stages(project, day)
     names = [stage.name for stage in wanted]

@@ -33,14 +33,9 @@ class Cluster:
     def run(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
         """Do a piece of work for each task; one whose worker dies is done again by another.
 
-        Raises
-        ------
-        ProgramMissingError
-            When dask.distributed is not installed.
-        DeviceError
-            When no scheduler answers, or it or all workers are lost.
-        PhotocalError
-            What a task raised.
+        raises ProgramMissingError: when dask.distributed is not installed.
+        raises DeviceError: when no scheduler answers, or it or all workers are lost.
+        raises PhotocalError: what a task raised.
         """
         with self._client() as client:
             threads = sum(client.ncores().values())
@@ -55,12 +50,8 @@ class Cluster:
     def require_shared(self, images: Path, cache: Path) -> None:
         """Make sure that all workers see the images, and results that others keep.
 
-        Raises
-        ------
-        ConfigurationError
-            Naming a worker and the folder that it does not see.
-        ProgramMissingError, DeviceError
-            As `run`.
+        raises ConfigurationError: naming a worker and the folder that it does not see.
+        raises ProgramMissingError, DeviceError: as `run`.
         """
         cache.mkdir(parents=True, exist_ok=True)
         with self._client() as client, tempfile.NamedTemporaryFile(dir=cache) as proof:

@@ -27,12 +27,8 @@ def run_tasks(
 ) -> Iterator[Result]:
     """Do a piece of work for each task.
 
-    Raises
-    ------
-    ProgramMissingError
-        When a worker process died, for want of memory as a rule.
-    DeviceError
-        When a cluster does not answer.
+    raises ProgramMissingError: when a worker process died, for want of memory as a rule.
+    raises DeviceError: when a cluster does not answer.
     """
     if isinstance(workers, Cluster):
         yield from workers.run(function, tasks)

@@ -71,10 +71,22 @@ def test_calibration_from_arrays(tmp_path: Path) -> None:
     assert "accepted" in told
 
 
-def test_a_scale_bar_gives_the_scale(tmp_path: Path) -> None:
-    free, barred = (numbers(line)[-1] for line in run_example("add_a_constraint.py", tmp_path).splitlines())
+def test_a_scale_bar_and_a_type_of_ones_own_give_the_scale(tmp_path: Path) -> None:
+    told = run_example("add_an_observation_type.py", tmp_path)
+    free, barred, own = (numbers(line)[-1] for line in told.splitlines())
     assert free == pytest.approx(1.0, abs=0.1)
-    assert abs(barred) < 0.1
+    assert max(abs(barred), abs(own)) < 0.1
+
+
+def test_a_kind_without_a_function_is_refused() -> None:
+    points = np.random.default_rng(1).uniform(-1, 1, (12, 3))
+    block = photocal.block_of_arrays(
+        points, np.full((3, 12, 2), 100.0), (640, 480), sigma_px=1.0, sigma_m=0.01
+    )
+    with pytest.raises(ConfigurationError, match="'length' is no kind of observation"):
+        photocal.with_relations(block, "length", [("1", "2", 1.0, 0.1)])
+    own = photocal.with_relations(block, "length", [("1", "2", 1.0, 0.1)], lambda d: (d[:, 2], d))
+    assert own.relations.names[own.relations.kind[0]] == "length"
 
 
 def test_check_points_tell_the_models_apart(tmp_path: Path) -> None:

@@ -8,10 +8,7 @@ from collections.abc import Iterable
 def field(value: int, width: int) -> str:
     """Return the bits of a number, two's complement where it is negative.
 
-    Raises
-    ------
-    OverflowError
-        When it does not fit.
+    raises OverflowError: when it does not fit.
     """
     if not -(1 << width - 1 if width else 0) <= value < 1 << width:
         raise OverflowError(f"{value} does not fit {width} bits")

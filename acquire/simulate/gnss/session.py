@@ -55,11 +55,8 @@ def simulate(
     """Let a rover and a base measure.
 
     start_gps_ns, stop_gps_ns: session, GPS nanoseconds since 1980-01-06.
-
-    Raises
-    ------
-    ConfigurationError
-        When no receiver has an epoch between start and stop, or a satellite is named that does not exist.
+    raises ConfigurationError: when no receiver has an epoch between start and stop, or a satellite is named
+        that does not exist.
     """
     sky, faults = sky or SkySettings(), faults or Faults()
     _refuse(start_gps_ns, stop_gps_ns, (rover_model, base_model), faults)

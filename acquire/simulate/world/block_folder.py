@@ -21,10 +21,7 @@ from drivers.errors import ConfigurationError
 def write_block(world: World, observed: Observations, folder: Path) -> None:
     """Write the block folder of a flight.
 
-    Raises
-    ------
-    ConfigurationError
-        When a fault is switched on that only shows in streams.
+    raises ConfigurationError: when a fault is switched on that only shows in streams.
     """
     if world.has(Fault.CYCLE_SLIPS):
         raise ConfigurationError(

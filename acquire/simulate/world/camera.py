@@ -66,10 +66,8 @@ class Camera:
 
         points (..., 3).
 
-        Returns
-        -------
-        ndarray, shape (..., 2)
-            px; NaN behind the camera and where the polynomial turns back, far outside the image.
+        returns (..., 2): px; NaN behind the camera and where the polynomial turns back, far outside the
+            image.
 
         Notes
         -----

@@ -7,9 +7,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, FiniteFloat, PositiveFloat, ValidationError, model_validator
+from pydantic import Field, FiniteFloat, PositiveFloat, model_validator
 
-from acquire.checked_toml import Table, parse_toml
+from acquire.checked_toml import Table, checked_tables, read_tables
 from acquire.simulate.world.faults import (
     Fault,
     FaultSizes,
@@ -20,7 +20,6 @@ from acquire.simulate.world.faults import (
     Sigmas,
     Triple,
 )
-from drivers.errors import ConfigurationError, InputNotFoundError
 
 # Flights that are known by name.
 FLIGHTS = Path(__file__).parents[1] / "flights"
@@ -258,29 +257,9 @@ class Configuration(Table):
 def read_configuration(path: Path, instead: dict[str, Any] | None = None) -> Configuration:
     """Read the configuration of a simulated flight.
 
-    Raises
-    ------
-    InputNotFoundError
-        When the file cannot be read.
-    ConfigurationError
-        When it is no TOML, has an unknown key or an impossible value.
+    raises InputNotFoundError: when the file cannot be read.
+    raises ConfigurationError: when it is no TOML, has an unknown key or an impossible value.
     """
     known = FLIGHTS / f"{path}.toml"
     path = known if not path.exists() and known.is_file() else path
-    try:
-        content = parse_toml(path.read_text(encoding="utf-8"))
-        return Configuration.model_validate({**content, **(instead or {})})
-    except OSError as refusal:
-        reason = (refusal.strerror or str(refusal)).lower()
-        raise InputNotFoundError(
-            f"cannot be read ({reason})", where=path, remedy="check the name"
-        ) from refusal
-    except ValidationError as refusal:
-        first = refusal.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        said = first["msg"].removeprefix("Value error, ")
-        raise ConfigurationError(
-            f"{key}: {said}" if key else said, where=path, remedy="correct this key"
-        ) from refusal
-    except ValueError as refusal:
-        raise ConfigurationError(f"is no TOML ({refusal})", where=path, remedy="correct it") from refusal
+    return checked_tables({**read_tables(path), **(instead or {})}, Configuration, path)

@@ -74,10 +74,7 @@ def _reach(world: World) -> float:
 def render(scene: Scene, number: int) -> Bytes:
     """Take a picture.
 
-    Returns
-    -------
-    ndarray of uint8, shape (height, width, 3)
-        Blue, green, red.
+    returns (height, width, 3): blue, green, red.
     """
     import cv2
 

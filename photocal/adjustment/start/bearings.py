@@ -14,7 +14,7 @@ from photocal.geometry.distortion import undistorted
 
 
 @dataclass(frozen=True)
-class Sights:
+class Bearings:
     """Rays of a block.
 
     given, cameras: as they were given, what is known of them beforehand; and with values as good as they are
@@ -53,22 +53,22 @@ class Sights:
         seen = csr_array((ones, (self.rays.image, self.rays.point)), shape=(self.images, self.points))
         return csr_array(seen @ seen.T)
 
-    def some(self, rays: Flags) -> Sights:
+    def some(self, rays: Flags) -> Bearings:
         """Keep some of the rays."""
         own = Rays(*(column[rays] for column in vars(self.rays).values()))
         return replace(self, rays=own, slopes=self.slopes[rays])
 
-    def by(self, cameras: tuple[Camera, ...]) -> Sights:
+    def by(self, cameras: tuple[Camera, ...]) -> Bearings:
         """Undistort the rays anew by better cameras."""
         return replace(self, cameras=cameras, slopes=_slopes(cameras, self.camera_of, self.rays))
 
 
-def sights(cameras: tuple[Camera, ...], camera_of: Integers, points: int, rays: Rays) -> Sights:
+def bearings(cameras: tuple[Camera, ...], camera_of: Integers, points: int, rays: Rays) -> Bearings:
     """Undistort the rays of a block.
 
     camera_of (images,).
     """
-    return Sights(cameras, cameras, camera_of, points, rays, _slopes(cameras, camera_of, rays))
+    return Bearings(cameras, cameras, camera_of, points, rays, _slopes(cameras, camera_of, rays))
 
 
 def _slopes(cameras: tuple[Camera, ...], camera_of: Integers, rays: Rays) -> Floats:

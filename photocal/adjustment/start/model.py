@@ -12,7 +12,7 @@ from photocal.adjustment.intersection import intersect
 from photocal.adjustment.network import Exposures, Network, Points, Rays
 from photocal.adjustment.normal import prepare
 from photocal.adjustment.snooping import robust_state
-from photocal.adjustment.start.bearings import Sights
+from photocal.adjustment.start.bearings import Bearings
 from photocal.adjustment.state import start_state
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.resection import ray_residuals, resection
@@ -45,14 +45,14 @@ C_SHARE, DISTORTION_SHARE = 0.2, 0.1
 class Model:
     """Poses and points in one system; NaN where unknown.
 
-    sights: the rays, by the cameras as the model has found them.
+    bearings: the rays, by the cameras as the model has found them.
     rotation (images, 3, 3).
     centre (images, 3).
     points (points, 3).
     fixed (points,): points that were given and keep their coordinates.
     """
 
-    sights: Sights
+    bearings: Bearings
     rotation: Floats
     centre: Floats
     points: Floats
@@ -69,12 +69,12 @@ class Model:
         return np.asarray(np.isfinite(self.points[:, 0]))
 
 
-def empty_model(sights: Sights, given: Floats) -> Model:
+def empty_model(bearings: Bearings, given: Floats) -> Model:
     """Make a model of points with given coordinates only, shape (points, 3), NaN for the others."""
     fixed = np.asarray(np.isfinite(given).all(axis=1))
     points = np.where(fixed[:, None], given, np.nan)
-    images = sights.images
-    return Model(sights, np.full((images, 3, 3), np.nan), np.full((images, 3), np.nan), points, fixed)
+    images = bearings.images
+    return Model(bearings, np.full((images, 3, 3), np.nan), np.full((images, 3), np.nan), points, fixed)
 
 
 def grown(model: Model, among: Flags, limit: int | None = None) -> Model:
@@ -102,9 +102,9 @@ def grown(model: Model, among: Flags, limit: int | None = None) -> Model:
 
 def _next_images(model: Model, failed: Flags, most: int) -> tuple[Model, Flags]:
     """Resect at most so many of the images that see most points of the model; which ones were tried."""
-    rays, slopes = model.sights.rays, model.sights.slopes
+    rays, slopes = model.bearings.rays, model.bearings.slopes
     known = model.placed[rays.point]
-    count = np.bincount(rays.image[known], minlength=model.sights.images)
+    count = np.bincount(rays.image[known], minlength=model.bearings.images)
     count[model.oriented | failed] = 0
     tried = np.asarray(count >= max(FEWEST, min(PLENTY, int(count.max(initial=0)))))
     if (count >= PLENTY).any():
@@ -131,7 +131,7 @@ def intersected(model: Model) -> Model:
 
     Rays that miss by far more than most are left out, one of a point at a time.
     """
-    seen = model.sights
+    seen = model.bearings
     rays = np.flatnonzero(model.oriented[seen.rays.image] & ~model.fixed[seen.rays.point])
     rays = rays[np.isfinite(seen.slopes[rays, 0])]
     if not len(rays):
@@ -163,7 +163,7 @@ def fitting_limit(residual: Floats) -> float:
 
 def _angles(model: Model, rays: Integers, points: Floats) -> Floats:
     """Largest angle between a point's first ray and its others, radians; 0 for a single ray."""
-    image, point = model.sights.rays.image[rays], model.sights.rays.point[rays]
+    image, point = model.bearings.rays.image[rays], model.bearings.rays.point[rays]
     away = points[point] - model.centre[image]
     with np.errstate(invalid="ignore", divide="ignore"):
         away = away / np.linalg.norm(away, axis=1)[:, None]
@@ -180,7 +180,7 @@ def adjusted(model: Model) -> Model:
 
     Points that were given hold the datum when there are enough of them; else the model floats.
     """
-    seen = model.sights
+    seen = model.bearings
     images = np.flatnonzero(model.oriented)
     residual = _residuals(model)
     # Given coordinates may be wrong, and a ray of one of them says what no other does.
@@ -223,11 +223,11 @@ def adjusted(model: Model) -> Model:
     better = replace(model, rotation=rotation, centre=centre, points=where)
     if any(own.estimated.any() for own in network.cameras):
         cameras = tuple(own.with_values(v) for own, v in zip(seen.cameras, state.cameras, strict=True))
-        better = replace(better, sights=seen.by(cameras))
+        better = replace(better, bearings=seen.by(cameras))
     return better if misfit(better) < STRAINED * misfit(model) else model
 
 
-def _to_calibrate(seen: Sights, rays: Integers) -> tuple[Camera, ...]:
+def _to_calibrate(seen: Bearings, rays: Integers) -> tuple[Camera, ...]:
     """Cameras as they were given, with what so many rays can tell of them."""
     camera = seen.camera_of[seen.rays.image[rays]]
     found = []
@@ -252,27 +252,27 @@ def _to_calibrate(seen: Sights, rays: Integers) -> tuple[Camera, ...]:
 
 def held_to_given(model: Model) -> Model:
     """The same images and points with the principal distances that were given, reached in steps."""
-    seen = model.sights
+    seen = model.bearings
     first = [own.value("c") for own in seen.cameras]
     for share in (0.25, 0.5, 0.75, 1.0):
         cameras = []
-        for own, given, c in zip(model.sights.cameras, seen.given, first, strict=True):
+        for own, given, c in zip(model.bearings.cameras, seen.given, first, strict=True):
             values = own.values.copy()
             values[0] = c + share * (given.value("c") - c)
             estimated = own.estimated & (np.arange(len(PARAMETERS)) > 0)
             cameras.append(replace(own.with_values(values), estimated=estimated))
-        stepped = replace(model.sights.by(tuple(cameras)), given=tuple(cameras))
-        model = adjusted(intersected(replace(model, sights=stepped)))
+        stepped = replace(model.bearings.by(tuple(cameras)), given=tuple(cameras))
+        model = adjusted(intersected(replace(model, bearings=stepped)))
     return without_misfits(intersected(model))
 
 
 def without_misfits(model: Model) -> Model:
     """Take out the images whose rays do not fit the model, and what only they placed."""
     residual = _residuals(model)
-    image = model.sights.rays.image
+    image = model.bearings.rays.image
     known = np.isfinite(residual)
-    total = np.bincount(image[known], minlength=model.sights.images)
-    fits = np.bincount(image[known & (residual <= fitting_limit(residual))], minlength=model.sights.images)
+    total = np.bincount(image[known], minlength=model.bearings.images)
+    fits = np.bincount(image[known & (residual <= fitting_limit(residual))], minlength=model.bearings.images)
     gone = model.oriented & (fits < [_enough(count) for count in total])
     if not gone.any():
         return model
@@ -283,14 +283,14 @@ def without_misfits(model: Model) -> Model:
 
 def _residuals(model: Model) -> Floats:
     """Residual of each ray, in units of the principal distance; NaN where image or point is unknown."""
-    image, point = model.sights.rays.image, model.sights.rays.point
+    image, point = model.bearings.rays.image, model.bearings.rays.point
     known = np.flatnonzero(model.oriented[image] & model.placed[point])
     residual = np.full(len(image), np.nan)
     residual[known] = ray_residuals(
         model.rotation[image[known]],
         model.centre[image[known]],
         model.points[point[known]],
-        model.sights.slopes[known],
+        model.bearings.slopes[known],
     )
     return residual
 
@@ -306,5 +306,5 @@ def support(model: Model) -> int:
     """How many rays of points with three and more of them meet within the model."""
     residual = _residuals(model)
     fits = residual <= LEAST
-    count = np.bincount(model.sights.rays.point[fits], minlength=model.sights.points)
+    count = np.bincount(model.bearings.rays.point[fits], minlength=model.bearings.points)
     return int(count[count >= 3].sum())

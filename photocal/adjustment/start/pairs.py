@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.arrays import Flags
-from photocal.adjustment.start.bearings import Sights
+from photocal.adjustment.start.bearings import Bearings
 from photocal.adjustment.start.model import Model, empty_model, grown, misfit, support
 from photocal.geometry.camera import Camera
 from photocal.geometry.relative_orientation import FEWEST, RelativeOrientation, relative_orientations
@@ -22,13 +22,13 @@ CLOSE, MEETING = 1e-3, 0.7
 OTHER_C = (1.0, 1.2, 0.83)
 
 
-def first_model(sights: Sights, free: Flags) -> Model | None:
+def first_model(bearings: Bearings, free: Flags) -> Model | None:
     """Small model of the images that orient each other best.
 
     A pose that only the plane of the points suggested fits no third image: what counts is how many rays meet
     in threes.
     """
-    own = sights.some(free[sights.rays.image])
+    own = bearings.some(free[bearings.rays.image])
     best: Model | None = None
     for share in OTHER_C:
         # What fits best of a wrong principal distance may be a wrong model.
@@ -37,7 +37,7 @@ def first_model(sights: Sights, free: Flags) -> Model | None:
             best = _best_trial(seen, free, best)
         if best is not None and best.oriented.sum() == min(TRIAL_IMAGES, free.sum()) and _good(best):
             break
-    return None if best is None else replace(best, sights=sights.by(best.sights.cameras))
+    return None if best is None else replace(best, bearings=bearings.by(best.bearings.cameras))
 
 
 def _scaled(camera: Camera, share: float) -> Camera:
@@ -46,7 +46,7 @@ def _scaled(camera: Camera, share: float) -> Camera:
     return camera.with_values(values)
 
 
-def _best_trial(seen: Sights, free: Flags, best: Model | None) -> Model | None:
+def _best_trial(seen: Bearings, free: Flags, best: Model | None) -> Model | None:
     """The best of a few trials, and of one that was made before."""
     for first, second, candidates in _pairs(seen, free)[:TRIALS]:
         for candidate in candidates:
@@ -64,14 +64,14 @@ def _rank(trial: Model) -> tuple[int, int, float]:
 
 
 def _good(trial: Model) -> bool:
-    seen = trial.oriented[trial.sights.rays.image]
-    count = np.bincount(trial.sights.rays.point[seen], minlength=trial.sights.points)
+    seen = trial.oriented[trial.bearings.rays.image]
+    count = np.bincount(trial.bearings.rays.point[seen], minlength=trial.bearings.points)
     return misfit(trial) < CLOSE and support(trial) > MEETING * count[count >= 3].sum()
 
 
-def _pairs(sights: Sights, free: Flags) -> list[tuple[int, int, list[RelativeOrientation]]]:
+def _pairs(bearings: Bearings, free: Flags) -> list[tuple[int, int, list[RelativeOrientation]]]:
     """Pairs with their relative orientations, the most promising first."""
-    together = sights.together().tocoo()
+    together = bearings.together().tocoo()
     image, other = together.coords
     use = (image < other) & free[image] & free[other] & (together.data >= FEWEST)
     order = np.argsort(-together.data[use], kind="stable")
@@ -80,8 +80,8 @@ def _pairs(sights: Sights, free: Flags) -> list[tuple[int, int, list[RelativeOri
     found = []
     for k in order[steps[(steps >= 0) & (steps < len(order))]]:
         a, b = int(image[use][k]), int(other[use][k])
-        first, second = sights.common(a, b)
-        candidates = relative_orientations(sights.slopes[first], sights.slopes[second])
+        first, second = bearings.common(a, b)
+        candidates = relative_orientations(bearings.slopes[first], bearings.slopes[second])
         if candidates:
             angle = max(candidate.angle for candidate in candidates)
             value = min(len(first), 100) * min(angle, WIDE)
@@ -90,8 +90,8 @@ def _pairs(sights: Sights, free: Flags) -> list[tuple[int, int, list[RelativeOri
     return [(a, b, candidates) for _, a, b, candidates in found]
 
 
-def _pair_model(sights: Sights, first: int, second: int, pair: RelativeOrientation) -> Model:
-    model = empty_model(sights, np.full((sights.points, 3), np.nan))
+def _pair_model(bearings: Bearings, first: int, second: int, pair: RelativeOrientation) -> Model:
+    model = empty_model(bearings, np.full((bearings.points, 3), np.nan))
     model.rotation[[first, second]] = np.eye(3), pair.rotation
     model.centre[[first, second]] = np.zeros(3), pair.base
     return model

@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers.arrays import Floats, Integers
 from photocal.adjustment.network import NO_RELATIONS, RELATIONS, Rays, Relations
-from photocal.adjustment.start.bearings import Sights, sights
+from photocal.adjustment.start.bearings import Bearings, bearings
 from photocal.adjustment.start.model import Model, adjusted, empty_model, grown, intersected
 from photocal.adjustment.start.pairs import first_model
 from photocal.geometry.camera import Camera
@@ -51,12 +51,12 @@ def start_values(
 
     cameras: with rough values: a principal distance good to some percent.
     camera_of (images,).
-    exposures (images, 6): naN where unknown. Complete ones are kept as they are; of others a known X, Y, Z
+    exposures (images, 6): NaN where unknown. Complete ones are kept as they are; of others a known X, Y, Z
         serves as control.
     points (points, 3): coordinates of control points, NaN for all others.
     relations: their distances give a free network its scale.
     """
-    seen = sights(cameras, camera_of, len(points), rays)
+    seen = bearings(cameras, camera_of, len(points), rays)
     model = _known_poses(empty_model(seen, points), exposures)
     complete, everywhere = model.oriented, np.ones(seen.images, dtype=np.bool_)
     if complete.any() or _resectable(model):
@@ -73,7 +73,7 @@ def start_values(
     return StartValues(result, model.points, np.flatnonzero(~model.oriented))
 
 
-def free_models(seen: Sights) -> list[Model]:
+def free_models(seen: Bearings) -> list[Model]:
     """Models from relative orientation alone, each in a system of its own, that of most images first."""
     remaining, found = np.ones(seen.images, dtype=np.bool_), list[Model]()
     while remaining.sum() >= 2:
@@ -97,7 +97,7 @@ def _known_poses(model: Model, exposures: Floats) -> Model:
 
 def _resectable(model: Model) -> bool:
     """Whether two images, or the only one, see five known points or more."""
-    seen = model.sights
+    seen = model.bearings
     count = np.bincount(seen.rays.image[model.placed[seen.rays.point]], minlength=seen.images)
     return bool((count >= 5).sum() >= min(2, seen.images))
 
@@ -106,7 +106,7 @@ def _separate_model(model: Model, exposures: Floats, relations: Relations, *, fr
     """Model of images that are not oriented yet, in the object system; None when there is none."""
     remaining = ~model.oriented
     while remaining.any():
-        own = first_model(model.sights, remaining)
+        own = first_model(model.bearings, remaining)
         if own is None:
             return None
         own = grown(own, np.ones_like(remaining))
@@ -149,7 +149,7 @@ def _joined(model: Model, more: Model) -> Model:
     new = more.oriented & ~model.oriented
     together = replace(
         model,
-        sights=model.sights if model.oriented.sum() > more.oriented.sum() else more.sights,
+        bearings=model.bearings if model.oriented.sum() > more.oriented.sum() else more.bearings,
         rotation=np.where(new[:, None, None], more.rotation, model.rotation),
         centre=np.where(new[:, None], more.centre, model.centre),
     )

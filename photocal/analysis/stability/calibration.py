@@ -47,11 +47,7 @@ def sensor_grid(size_px: tuple[int, int], step_px: float | None = None) -> Float
 
     step_px: distance of the grid points; 100 px unless the image is so small that fewer than 20 columns of
         points would fit. The first point stands half a step from the upper left.
-
-    Returns
-    -------
-    (n, 2) array
-        Column and row of each point, px.
+    returns (n, 2): column and row of each point, px.
 
     Notes
     -----
@@ -67,16 +63,8 @@ def view(camera: Camera, pixels: Floats) -> View:
     """Correct pixels by a calibration.
 
     pixels (n, 2): column and row, px.
-
-    Returns
-    -------
-    View
-        Ideal image coordinates and principal distance in units of the camera's own pixel width.
-
-    Raises
-    ------
-    IllPosedError
-        When the distortion folds, so that pixels have no ray.
+    returns: ideal image coordinates and principal distance in units of the camera's own pixel width.
+    raises IllPosedError: when the distortion folds, so that pixels have no ray.
     """
     plane = pixel_to_plane(camera.size_px, camera.pitch, pixels)
     ideal = undistorted(camera, plane) / camera.pitch[0]

@@ -99,15 +99,9 @@ def read_camera_file(path: Path) -> CameraFile:
 
     path: TOML: `[[camera]]` as in block.toml with optional `sigma` and `correlation` (names, matrix);
         optional `[comparison]` and `[[published]]`. The model "pix4d" takes f, Px, Py, R1, R2, R3, T1, T2.
-
-    Raises
-    ------
-    InputNotFoundError
-        When the file is missing or empty.
-    InputMalformedError
-        When it is not TOML.
-    ConfigurationError
-        When a key is unknown or missing, or a value impossible.
+    raises InputNotFoundError: when the file is missing or empty.
+    raises InputMalformedError: when it is not TOML.
+    raises ConfigurationError: when a key is unknown or missing, or a value impossible.
     """
     return camera_file(read_tables(path), path)
 

@@ -65,13 +65,8 @@ def compare(
     """Compare every pair of calibrations; set I is the one that comes first.
 
     pixels (n, 2): the grid, column and row, px.
-
-    Raises
-    ------
-    ConfigurationError
-        When there is only one calibration, a name occurs twice, or formats differ.
-    NotConvergedError
-        When two bundles cannot be brought together.
+    raises ConfigurationError: when there is only one calibration, a name occurs twice, or formats differ.
+    raises NotConvergedError: when two bundles cannot be brought together.
     """
     _check(calibrations)
     views = {one.id: view(one.camera, pixels) for one in calibrations}

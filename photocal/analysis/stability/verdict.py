@@ -58,11 +58,7 @@ def likeness(figure: Figure, thresholds_px: tuple[float, ...]) -> float | None:
     """Give the tightest threshold that a figure keeps.
 
     thresholds_px: thresholds, px.
-
-    Returns
-    -------
-    float or None
-        The threshold; None when the figure exceeds them all.
+    returns: the threshold; None when the figure exceeds them all.
     """
     return min((limit for limit in thresholds_px if figure.value_px <= limit), default=None)
 

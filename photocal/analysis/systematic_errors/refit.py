@@ -48,11 +48,7 @@ def fit(network: Network, state: State | None = None) -> Fit:
     """Adjust a network with its statistics.
 
     state: where to start; the network's own start values otherwise.
-
-    Raises
-    ------
-    IllPosedError, NotConvergedError
-        As the adjustment does.
+    raises IllPosedError, NotConvergedError: as the adjustment does.
     """
     start = start_state(network) if state is None else state
     problem = with_datum(prepare(network), start)

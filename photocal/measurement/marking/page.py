@@ -16,7 +16,7 @@ from starlette.routing import Route
 from acquire.web import packaged
 from drivers.errors import ConfigurationError, InputNotFoundError, PhotocalError
 from photocal.measurement.marking.scene import Scene
-from photocal.measurement.marking.service import Desk
+from photocal.measurement.marking.service import MarkingService
 from photocal.measurement.marking.store import MarkStore
 from photocal.measurement.marking.tiles import TileAddress
 
@@ -32,7 +32,7 @@ _LONGEST_REQUEST = 10_000
 
 def application(scene: Scene, store: MarkStore, cache: Path) -> Starlette:
     """Return the page and what answers it."""
-    desk = Desk(scene, store, cache)
+    service = MarkingService(scene, store, cache)
 
     def telling(path: str, tell: Callable[[], dict[str, Any]]) -> Route:
         async def give(_: Request) -> Response:
@@ -47,27 +47,27 @@ def application(scene: Scene, store: MarkStore, cache: Path) -> Starlette:
         return Route(path, give, methods=["POST"])
 
     async def images(request: Request) -> Response:
-        return JSONResponse(await run_in_threadpool(desk.images, request.query_params.get("point", "")))
+        return JSONResponse(await run_in_threadpool(service.images, request.query_params.get("point", "")))
 
     async def tile(request: Request) -> Response:
         asked = request.path_params
         address = TileAddress(asked["level"], asked["column"], asked["row"])
-        made = await run_in_threadpool(desk.tile, asked["image"], address)
+        made = await run_in_threadpool(service.tile, asked["image"], address)
         # Nobody waits for the broom.
-        return Response(made, media_type="image/jpeg", background=BackgroundTask(desk.tidy))
+        return Response(made, media_type="image/jpeg", background=BackgroundTask(service.tidy))
 
     return Starlette(
         routes=[
             *packaged("photocal.measurement.marking", _FILES),
-            telling("/project", desk.project),
-            telling("/state", desk.state),
+            telling("/project", service.project),
+            telling("/state", service.state),
             Route("/images", images),
             Route("/tiles/{image}/{level:int}/{column:int}/{row:int}", tile),
-            doing("/mark", desk.mark),
-            doing("/remove", desk.remove),
-            doing("/undo", lambda _: desk.undo()),
-            doing("/redo", lambda _: desk.redo()),
-            doing("/adjust", lambda _: desk.adjust()),
+            doing("/mark", service.mark),
+            doing("/remove", service.remove),
+            doing("/undo", lambda _: service.undo()),
+            doing("/redo", lambda _: service.redo()),
+            doing("/adjust", lambda _: service.adjust()),
         ],
         exception_handlers={PhotocalError: _refusal},
     )

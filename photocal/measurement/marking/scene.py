@@ -56,11 +56,7 @@ def scene_of_project(project: Project, run: Path | None) -> tuple[Scene, Path]:
     """Read what is marked in a project, and where its marks are kept.
 
     run: adjustment that says how images are oriented, instead of what the project has.
-
-    Raises
-    ------
-    PhotocalError
-        For what is missing or cannot be read.
+    raises PhotocalError: for what is missing or cannot be read.
     """
     control = project.control
     if control.marks is None:
@@ -79,11 +75,7 @@ def scene_of_folder(folder: Path, points: Path | None, run: Path | None) -> Scen
 
     points: points.csv; without it any name may be marked.
     run: adjustment that says how images are oriented.
-
-    Raises
-    ------
-    PhotocalError
-        For what is missing or cannot be read.
+    raises PhotocalError: for what is missing or cannot be read.
     """
     known = NO_POINTS if points is None else read_points(points)
     orientation = None if run is None else of_run(run)

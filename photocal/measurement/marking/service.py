@@ -50,7 +50,7 @@ class _Click(_Place):
     kinds: tuple[Kind, ...] = KINDS
 
 
-class Desk:
+class MarkingService:
     """What lies on the table: the scene, its marks, and what the last adjustment found.
 
     cache: where tiles are kept.

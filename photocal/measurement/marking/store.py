@@ -39,11 +39,7 @@ class MarkStore:
     anew.
 
     path: marks.csv; may not exist yet.
-
-    Raises
-    ------
-    InputMalformedError
-        When the file is no table of marks.
+    raises InputMalformedError: when the file is no table of marks.
     """
 
     def __init__(self, path: Path) -> None:

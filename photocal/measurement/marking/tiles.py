@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING
 
 from acquire.outputs import output_file
 from drivers.errors import InputNotFoundError
-from photocal.measurement.cache import content_key, sweep, touch
+from photocal.block.model import digest
+from photocal.measurement.cache import sweep, touch
 from photocal.measurement.image_file import as_eight_bit, as_stored, opened, read_grey
 
 if TYPE_CHECKING:
@@ -76,12 +77,8 @@ class Tiles:
     def tile(self, picture: Path, address: TileAddress) -> bytes:
         """Give a tile as JPEG.
 
-        Raises
-        ------
-        InputNotFoundError
-            When the picture or such a tile does not exist.
-        InputMalformedError
-            When the picture cannot be read.
+        raises InputNotFoundError: when the picture or such a tile does not exist.
+        raises InputMalformedError: when the picture cannot be read.
         """
         key = self._key(picture)
         name = f"{address.level}-{address.column}-{address.row}.jpg"
@@ -110,7 +107,7 @@ class Tiles:
         state = (facts.st_mtime_ns, facts.st_size)
         known = self._keys.get(picture)
         if known is None or known[0] != state:
-            known = (state, content_key(picture))
+            known = (state, digest(picture))
             self._keys[picture] = known
         return known[1]
 

@@ -32,10 +32,11 @@ from photocal.exchange.ground_points import (
 from photocal.exchange.jaicov import read_scale_bars
 from photocal.exchange.micmac import read_measures
 from photocal.exchange.orientation_tables import read_angles, write_angles
+from photocal.exchange.parts import PointEntry
 from photocal.exchange.photomodeler import read_positions
 from photocal.exchange.pix4d import read_pix4d, write_pix4d
 from photocal.exchange.reconstruction import of_result
-from photocal.exchange.reference_table import Reference, read_references, write_references
+from photocal.exchange.reference_table import read_references, write_references
 from photocal.geometry.camera import camera
 from photocal.results.folder import read_result
 from tests.photocal.exchange.conftest import reconstruction_of
@@ -96,7 +97,7 @@ CASES = [of_format(form.name) for form in FORMATS if form.read is not None] + [
     Case(
         "references",
         lambda folder: write_references(
-            folder / "r.csv", "", [Reference("a", (1.5, 2.5, 3.5), (0.5, 0.5, 0.5))]
+            folder / "r.csv", "", [PointEntry("a", "tie", (1.5, 2.5, 3.5), (0.5, 0.5, 0.5))]
         ),
         lambda folder: read_references(folder / "r.csv"),
     ),

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputMalformedError
-from photocal.exchange.opensfm import read_cameras, read_reconstruction, write_opensfm
+from photocal.exchange.opensfm import export as write_opensfm
+from photocal.exchange.opensfm import read_cameras, read_reconstruction
 from photocal.exchange.pinhole import to_vision
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.camera import plane_to_pixel

@@ -8,14 +8,15 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import InputMalformedError
-from photocal.exchange.reference_table import Reference, read_references, write_references
+from photocal.exchange.parts import PointEntry
+from photocal.exchange.reference_table import read_references, write_references
 
 
 def test_reference_round_trip(tmp_path: Path) -> None:
     nan = math.nan
     rows = (
-        Reference('a, "quoted".jpg', (999660.44, 112368.17, 1916.55), (0.05, 0.05, 0.1)),
-        Reference("b", (1.0, 2.0, 3.0), (nan, nan, nan)),
+        PointEntry('a, "quoted".jpg', "tie", (999660.44, 112368.17, 1916.55), (0.05, 0.05, 0.1)),
+        PointEntry("b", "tie", (1.0, 2.0, 3.0), (nan, nan, nan)),
     )
     write_references(tmp_path / "r.csv", 'LOCAL_CS["m"]', rows)
     crs, again = read_references(tmp_path / "r.csv")
@@ -26,9 +27,9 @@ def test_reference_round_trip(tmp_path: Path) -> None:
 @pytest.mark.shared
 def test_recorded_references(shared: Path) -> None:
     _, rows = read_references(shared / "data" / "dbat-sxb" / "ref" / "fake-camera-positions.txt")
-    assert [row.label for row in rows] == ["8811.jpg", "8936.jpg", "8937.jpg", "8938.jpg"]
+    assert [row.name for row in rows] == ["8811.jpg", "8936.jpg", "8937.jpg", "8938.jpg"]
     assert rows[0].xyz == (999660.44, 112368.17, 1916.55)
-    assert rows[0].accuracy == (0.05, 0.05, 0.05)
+    assert rows[0].sigma == (0.05, 0.05, 0.05)
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import list_images, read_grey
 from photocal.measurement.markers import dictionary, find_markers
 from photocal.measurement.marking.scene import scene_of_folder
-from photocal.measurement.marking.service import Desk
+from photocal.measurement.marking.service import MarkingService
 from photocal.measurement.marking.store import MarkStore
 from photocal.measurement.marking.tiles import TileAddress
 from photocal.measurement.target_look import Look
@@ -132,13 +132,15 @@ def test_targets_lie_on_the_stored_grid(folder: Path, name: str) -> None:
     grey = read_grey(folder / name)
     (marker,) = find_markers(grey, "apriltag_36h11")
     assert (marker.centre.column, marker.centre.row) == pytest.approx(CODE, abs=0.05)
-    desk = Desk(scene_of_folder(folder, None, None), MarkStore(folder.parent / "m.csv"), folder.parent)
+    service = MarkingService(
+        scene_of_folder(folder, None, None), MarkStore(folder.parent / "m.csv"), folder.parent
+    )
     question = {"image": name, "point": "P", "x": DISC[0] + 2, "y": DISC[1] - 3, "kinds": ["circle"]}
     assert read_facts(folder / name).size_px == SIZE
     if name in ("turned6.tif", "packed8.tif", "turned6.jpg", "palette.png"):
-        tile = Image.open(BytesIO(desk.tile(name, TileAddress(0, 0, 0)))).convert("L")
+        tile = Image.open(BytesIO(service.tile(name, TileAddress(0, 0, 0)))).convert("L")
         assert np.abs(np.asarray(tile, float) - picture()).mean() < 2
-    answer = desk.mark(json.dumps(question).encode())
+    answer = service.mark(json.dumps(question).encode())
     assert answer["snapped"] == "circle"
     (mark,) = (m for m in answer["marks"] if m["image"] == name)
     assert (mark["x"], mark["y"]) == pytest.approx(DISC, abs=0.05)
@@ -155,11 +157,11 @@ def test_sixteen_bits_have_the_same_uncoded_targets(folder: Path) -> None:
 def test_wrecks_are_named_on_the_page(folder: Path, tmp_path: Path, name: str) -> None:
     """A picture whose head is whole is listed; a click in it, or a look at it, says what is wrong."""
     scene = scene_of_folder(folder, None, None)
-    desk = Desk(scene, MarkStore(tmp_path / "marks.csv"), tmp_path)
+    service = MarkingService(scene, MarkStore(tmp_path / "marks.csv"), tmp_path)
     question = {"image": name, "point": "P", "x": 5, "y": 5}
     for act in (
-        lambda: desk.mark(json.dumps(question).encode()),
-        lambda: desk.tile(name, TileAddress(0, 0, 0)),
+        lambda: service.mark(json.dumps(question).encode()),
+        lambda: service.tile(name, TileAddress(0, 0, 0)),
     ):
         with pytest.raises(PhotocalError, match=name.replace(".", r"\.")):
             act()

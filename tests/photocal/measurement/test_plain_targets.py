@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
 from photocal.block.folder import read_block, read_points
-from photocal.measurement.cache import content_key
+from photocal.block.model import digest
 from photocal.measurement.image_file import list_images
 from photocal.measurement.orientation import of_exposures
 from photocal.measurement.plain_targets import PlainMarks, find_plain_targets, predicted_sights
@@ -142,7 +142,7 @@ def field(tmp_path_factory: pytest.TempPathFactory) -> Field:
 
 
 def _sources(field: Field, cache: Path) -> list[Source]:
-    return [Source(path, content_key(path), cache) for path in list_images(field.folder / "images")]
+    return [Source(path, digest(path), cache) for path in list_images(field.folder / "images")]
 
 
 def _found(field: Field, cache: Path, project: Project | None = None, images: int = 8) -> PlainMarks:

@@ -9,9 +9,9 @@ import pytest
 from scipy.optimize import least_squares
 
 from photocal.navigation.satellite_residuals import (
-    Sights,
+    SatelliteResiduals,
     correlation_time_s,
-    read_sights,
+    read_satellite_residuals,
     shift_by_zenith_delay,
 )
 from photocal.navigation.time import GpsTime
@@ -20,10 +20,10 @@ SKY = [("G", 20, 70), ("G", 95, 35), ("G", 170, 20), ("G", 250, 50), ("G", 310, 
        ("E", 220, 65), ("E", 290, 18)]  # fmt: skip
 
 
-def sights(epochs: int, residual_m: np.ndarray) -> Sights:
+def satellite_residuals(epochs: int, residual_m: np.ndarray) -> SatelliteResiduals:
     """The same sky at every epoch, a second apart."""
     n = len(SKY)
-    return Sights(
+    return SatelliteResiduals(
         GpsTime(np.repeat(np.arange(epochs, dtype=np.int64) * 1_000_000_000, n)),
         np.tile([f"{letter}{k:02d}" for k, (letter, _, _) in enumerate(SKY)], epochs),
         np.ones(n * epochs, np.int64),
@@ -53,7 +53,9 @@ def test_zenith_delay_moves_a_position_as_ranges_say() -> None:
         :3
     ]
     assert found[2] > 0.02
-    assert 0.010 * shift_by_zenith_delay(sights(3, np.zeros((3, len(SKY))))) == pytest.approx(found, abs=1e-5)
+    assert 0.010 * shift_by_zenith_delay(satellite_residuals(3, np.zeros((3, len(SKY))))) == pytest.approx(
+        found, abs=1e-5
+    )
 
 
 @pytest.mark.parametrize("lasting_s", [0.2, 10.0, 40.0])
@@ -68,15 +70,17 @@ def test_how_long_errors_last(lasting_s: float) -> None:
     differenced = errors - errors[:, [0, 0, 0, 0, 0, 5, 5, 5]]
     wanted = (1 + factor) / (1 - factor) / 2
     # Relative standard deviation of such an estimate: about sqrt(2 (2 M + 1) / n) (Sokal 1997, eq. 3.19).
-    assert correlation_time_s(sights(len(errors), differenced)) == pytest.approx(wanted, rel=0.25)
+    assert correlation_time_s(satellite_residuals(len(errors), differenced)) == pytest.approx(
+        wanted, rel=0.25
+    )
 
 
 def test_too_little_tells_nothing(tmp_path: Path) -> None:
     empty = tmp_path / "empty.pos.stat"
     empty.write_text("$POS,2300,100.000,1,1,2,3,0,0,0\n$SAT,2300,100.000,G05,1,20.0,45.0,0.1,0.002,0,45\n")
-    none = read_sights(empty)
+    none = read_satellite_residuals(empty)
     assert len(none) == 0
-    assert len(read_sights(tmp_path / "missing.pos.stat")) == 0
+    assert len(read_satellite_residuals(tmp_path / "missing.pos.stat")) == 0
     assert np.isnan(shift_by_zenith_delay(none)).all()
     assert np.isnan(correlation_time_s(none))
 
@@ -88,7 +92,7 @@ def test_a_status_file(tmp_path: Path) -> None:
         "$SAT,2300,100.200,G07,1,90.0,30.0,0.1234,-0.0040,0,45,0,0,99,0,0,0\n"
         "$CLK,2300,100.200,1,1,0.0,0.0,0.0,0.0\n"
     )
-    found = read_sights(path)
+    found = read_satellite_residuals(path)
     assert found.satellite.tolist() == ["G05"]
     assert found.time.ns.tolist() == [2300 * 604_800 * 10**9 + 100_200_000_000]
     assert np.degrees(found.azimuth).tolist() == pytest.approx([20.0])

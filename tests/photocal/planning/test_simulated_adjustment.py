@@ -13,7 +13,7 @@ from scipy import stats
 
 from photocal.adjustment.adjust import adjust
 from photocal.planning.area import area_from_corners
-from photocal.planning.control_layout import ControlLayout, suggest_layout
+from photocal.planning.control_layout import Layout, suggest_layout
 from photocal.planning.flight import Flight, Wish, plan_flight
 from photocal.planning.frame import Frame
 from photocal.planning.simulated_adjustment import Survey, planned_network, simulate
@@ -23,9 +23,7 @@ CORNERS = [(-22.1200, -51.4100), (-22.1200, -51.4085), (-22.1212, -51.4085), (-2
 POSITIONS = (0.03, 0.05)
 
 
-def planned(
-    forward: float = 0.7, side: float = 0.6, second: float | None = None
-) -> tuple[Flight, ControlLayout]:
+def planned(forward: float = 0.7, side: float = 0.6, second: float | None = None) -> tuple[Flight, Layout]:
     wish = Wish(Frame(8.8e-3, 2.41e-6, 5472, 3648), 100.0, forward, side, second_height_m=second)
     flight = plan_flight(area_from_corners(CORNERS, "here"), wish)
     return flight, suggest_layout(flight.corners_m, 5, 8, 10.0)

@@ -104,23 +104,23 @@ def test_absurd_plans_are_refused() -> None:
 
 
 def test_control_takes_the_corners_and_check_points_stay_away() -> None:
-    layout = suggest_layout(SQUARE, 5, 12, 10.0)
-    assert layout.control_m.shape == (5, 2)
-    assert layout.check_m.shape == (12, 2)
+    control_m, check_m = suggest_layout(SQUARE, 5, 12, 10.0)
+    assert control_m.shape == (5, 2)
+    assert check_m.shape == (12, 2)
     for corner in SQUARE:
-        assert float(np.min(np.hypot(*(layout.control_m - corner).T))) < 30.0
+        assert float(np.min(np.hypot(*(control_m - corner).T))) < 30.0
     # The fifth fills the middle.
-    assert np.hypot(*(layout.control_m[4] - [200.0, 150.0])) < 20.0
-    apart = np.hypot(*(layout.check_m[:, np.newaxis] - layout.control_m).transpose(2, 0, 1))
+    assert np.hypot(*(control_m[4] - [200.0, 150.0])) < 20.0
+    apart = np.hypot(*(check_m[:, np.newaxis] - control_m).transpose(2, 0, 1))
     assert float(apart.min()) > 30.0
-    assert inside(np.vstack((layout.control_m, layout.check_m)), SQUARE).all()
+    assert inside(np.vstack((control_m, check_m)), SQUARE).all()
 
 
 @settings(max_examples=30)
 @given(stars, st.integers(3, 12), st.integers(0, 30))
 def test_points_lie_inside_and_apart(corners: FloatArray, control: int, check: int) -> None:
-    layout = suggest_layout(corners, control, check, 0.5)
-    everything = np.vstack((layout.control_m, layout.check_m))
+    control_m, check_m = suggest_layout(corners, control, check, 0.5)
+    everything = np.vstack((control_m, check_m))
     assert inside(everything, corners).all()
     apart = np.hypot(*(everything[:, np.newaxis] - everything).transpose(2, 0, 1))
     np.fill_diagonal(apart, np.inf)

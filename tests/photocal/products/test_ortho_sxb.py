@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from photocal.exchange.any_block import read_any_block
+from photocal.exchange.formats import read_any_block
 from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.frames import Frame
 from photocal.geometry.oriented_images import OrientedImages
@@ -33,7 +33,7 @@ def test_the_orthophoto_has_the_check_points_in_their_places(shared: Path, tmp_p
     source = shared / "data" / "dbat-sxb"
     adjust_block(source / "script" / "sxb.xml", tmp_path / "run", read=read_any_block)
     block, frame, shots = oriented(source / "script" / "sxb.xml", tmp_path / "run")
-    terrain = grid_of_points(read_terrain_points(tmp_path / "run" / "points.csv"), 2.0, "", "local").terrain
+    terrain = grid_of_points(read_terrain_points(tmp_path / "run" / "points.csv"), 2.0, "", "local")[0]
     observations = block.observations
     for point in np.flatnonzero(block.points.of_role("check")):
         surveyed = block.points.values[point]

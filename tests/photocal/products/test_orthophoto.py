@@ -281,7 +281,7 @@ def test_the_file_is_a_tiled_geotiff(photocal: Callable[..., Any], tmp_path: Pat
         (["--crs", "EPSG:4326"], 5, "different reference systems"),
         (["--crs", "nowhere"], 5, "no known reference system"),
         (["--heights", "orthometric"], 5, "the block has local heights"),
-        (["--bounds", "1,2,3"], 5, "no rectangle"),
+        (["--bounds", "1,2,3"], 5, "a rectangle"),
         (["--bounds", "0,0,10,10"], 4, "does not reach the images"),
         (["--image", "other"], 5, "not in the block"),
         (["--nodata", "7"], 5, "use 0 or 255"),

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
 from photocal.accuracy.assessment import assess
+from photocal.accuracy.ground_points import GroundPoints
 from photocal.accuracy.standard import Question
 from photocal.accuracy.standard_file import load_standard
-from photocal.products.product_check import CheckPoints, check_products, read_check_points
+from photocal.products.product_check import check_products, read_check_points
 from photocal.products.raster import system_wkt, write_terrain
 from photocal.products.terrain import Terrain
 
@@ -38,7 +39,7 @@ def with_moments(random: np.random.Generator, moments: tuple[tuple[float, float]
 
 @dataclass(frozen=True)
 class Products:
-    points: CheckPoints
+    points: GroundPoints
     ortho: Path
     dtm: Path
     exact: Floats
@@ -77,7 +78,7 @@ def render(folder: Path, name: str) -> Products:
         cells[i - 2 : i + 3, j - 2 : j + 3] = h
     write_terrain(Terrain(cells, (2.0, 0, west, 0, -2.0, north), crs, "ellipsoidal"), folder / "dtm.tif")
     names = tuple(f"{n + 1:02d}" for n in range(30))
-    return Products(CheckPoints(names, enh), folder / "ortho.tif", folder / "dtm.tif", exact)
+    return Products(GroundPoints(names, enh), folder / "ortho.tif", folder / "dtm.tif", exact)
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
@@ -109,11 +110,11 @@ def test_published_statistics_from_sampled_products(name: str, tmp_path: Path) -
 
 def test_what_a_product_does_not_show_is_said(tmp_path: Path) -> None:
     products = render(tmp_path, "gcp_8")
-    enh = products.points.enh.copy()
+    enh = products.points.xyz_m.copy()
     enh[3, :2] += 12.0
     enh[7, :2] += 5000.0
     found = check_products(
-        CheckPoints(products.points.names, enh),
+        GroundPoints(products.points.names, enh),
         ortho=products.ortho,
         target_diameter_m=DIAMETER,
         search_m=3.0,
@@ -147,5 +148,5 @@ def test_check_points_are_read(tmp_path: Path) -> None:
     path.write_text("point,E,N,h\na,1,2,3\nb,4,5,\n", encoding="utf-8")
     found = read_check_points(path)
     assert found.names == ("a", "b")
-    assert found.enh[0].tolist() == [1, 2, 3]
-    assert np.isnan(found.enh[1, 2])
+    assert found.xyz_m[0].tolist() == [1, 2, 3]
+    assert np.isnan(found.xyz_m[1, 2])

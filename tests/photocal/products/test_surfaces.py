@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from drivers.errors import IllPosedError, InputMalformedError
-from photocal.products.surfaces import fit_circle, fit_cylinder, fit_plane
+from photocal.products.surfaces import fit_circle, fit_cylinder
 
 Floats = NDArray[np.float64]
 
@@ -52,22 +52,6 @@ def test_circle_equals_a_least_squares_over_circle_and_feet() -> None:
     # Their first-order covariances differ by the curvature of the circle, small against its radius.
     inverse = np.linalg.inv(gram(peer.jac))[:3, :3]
     assert found.covariance == pytest.approx(inverse, abs=0.03 * inverse.max())
-
-
-def test_plane_with_equal_variances_is_the_smallest_principal_direction() -> None:
-    random = np.random.default_rng(2)
-    flat = np.column_stack([random.uniform(-5, 5, (30, 2)), 0.02 * random.normal(size=30)])
-    turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
-    points = flat @ turn.T + [483000.0, 6676000.0, 50.0]
-    found = fit_plane(points, np.tile(np.eye(3) * 4e-4, (30, 1, 1)))
-    middle = points.mean(axis=0)
-    values, vectors = np.linalg.eigh((points - middle).T @ (points - middle))
-    assert abs(found.normal @ vectors[:, 0]) == pytest.approx(1, abs=1e-14)
-    assert found.distance == pytest.approx(found.normal @ middle, abs=1e-8)
-    assert found.adjusted.chi_squared == pytest.approx(values[0] / 4e-4, rel=1e-9)
-    assert found.offsets @ found.offsets == pytest.approx(values[0], rel=1e-6)
-    assert found.position_sigma == pytest.approx(0.02 / np.sqrt(30), rel=1e-9)
-    assert found.normal_covariance @ found.normal == pytest.approx(np.zeros(3), abs=1e-18)
 
 
 def test_cylinder_equals_a_least_squares_over_axis_and_feet() -> None:
@@ -159,8 +143,6 @@ def test_points_on_a_line_are_refused() -> None:
     unit = np.tile(np.eye(3), (8, 1, 1))
     with pytest.raises(IllPosedError, match="on a line"):
         fit_circle(line[:, :2], unit[:, :2, :2])
-    with pytest.raises(IllPosedError, match="undetermined"):
-        fit_plane(line, unit)
     with pytest.raises(IllPosedError, match="cylinder"):
         fit_cylinder(line, unit)
 

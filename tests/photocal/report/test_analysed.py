@@ -15,7 +15,7 @@ from photocal.findings.finding import Finding
 from photocal.report.analysis_file import analyse_run, exterior_difference
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import read_particulars
-from photocal.report.derived_figures import facts
+from photocal.report.derived_figures import derived_figures
 from photocal.report.document import Document, KeyValues, Paragraph, Signature, Statement, Table
 from photocal.report.html import html
 from photocal.report.ministry import entries, read_layout
@@ -139,7 +139,7 @@ def test_offsets_and_table_3_come_from_the_run(tmp_path: Path) -> None:
     run, given, say = read_run(tmp_path / "run"), read_particulars(None, DAY), catalogue("en")
     rows = {
         entry.row.key: entry
-        for entry in entries(read_layout(), Context(run, given, facts(run, "cam", given), say))
+        for entry in entries(read_layout(), Context(run, given, derived_figures(run, "cam", given), say))
     }
     assert rows["lever_arm"].origin == rows["eo_quality"].origin == "computed"
     assert rows["lever_arm"].value.startswith("dX")

@@ -14,7 +14,7 @@ from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoun
 from photocal.findings.catalogue import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Particulars, read_particulars
-from photocal.report.derived_figures import facts
+from photocal.report.derived_figures import derived_figures
 from photocal.report.document import Signature, Table
 from photocal.report.ministry import entries, read_layout
 from photocal.report.ministry_rows import Context, corners
@@ -39,7 +39,7 @@ def fitting() -> Particulars:
 
 def context(run: Run, particulars: Particulars, language: str = "en") -> Context:
     camera = next(iter(run.result.cameras))
-    return Context(run, particulars, facts(run, camera, particulars), catalogue(language))
+    return Context(run, particulars, derived_figures(run, camera, particulars), catalogue(language))
 
 
 @pytest.mark.shared
@@ -102,7 +102,7 @@ def test_corners_in_the_order_of_the_form(invented_run: Run) -> None:
 
 def test_height_and_base_of_a_flown_block_are_computed(invented_run: Run) -> None:
     """Exposures stand 30 m apart in a row; the ground sampling distance follows from height and camera."""
-    known = facts(invented_run, "l1", Particulars(date=DAY, camera={"pixel_size_mm": 0.00241}))  # type: ignore[arg-type]
+    known = derived_figures(invented_run, "l1", Particulars(date=DAY, camera={"pixel_size_mm": 0.00241}))  # type: ignore[arg-type]
     assert known.base_m == pytest.approx(30.0, abs=0.01)
     assert known.height_m is not None
     assert known.gsd_cm == pytest.approx(100 * known.height_m / 3412.5)
@@ -111,7 +111,7 @@ def test_height_and_base_of_a_flown_block_are_computed(invented_run: Run) -> Non
 
 @pytest.mark.shared
 def test_a_wall_is_no_flight(published_run: Run) -> None:
-    known = facts(published_run, "dcs460", Particulars(date=DAY))
+    known = derived_figures(published_run, "dcs460", Particulars(date=DAY))
     assert (known.height_m, known.gsd_cm, known.base_m) == (None, None, None)
     assert known.pixel_mm == pytest.approx(0.00902847, abs=1e-8)
 
@@ -119,7 +119,9 @@ def test_a_wall_is_no_flight(published_run: Run) -> None:
 @pytest.mark.shared
 def test_pixel_from_rounded_frame_sizes_is_doubted(published_run: Run) -> None:
     """27.6 mm / 3060 over 18.4 mm / 2036 is 0.99804: the error of the published calibration."""
-    found = {f.code: f.figures for f in facts(published_run, "dcs460", Particulars(date=DAY)).findings}
+    found = {
+        f.code: f.figures for f in derived_figures(published_run, "dcs460", Particulars(date=DAY)).findings
+    }
     assert found["pitch_not_square"]["percent"] == pytest.approx(0.196, abs=1e-3)
 
 

@@ -68,13 +68,24 @@ def result() -> Result:
 
 
 def test_a_block_folder_keeps_them(tmp_path: Path) -> None:
-    block = simulated()
+    cross = np.zeros((len(NAMES), 3))
+    cross[0] = 2e-7, -1e-7, 3e-7
+    block = replace(simulated(), points=replace(simulated().points, cross=cross))
+    for kind, value in (("distance", 2.5), ("azimuth", 0.1), ("height_difference", -0.25)):
+        block = photocal.with_relations(block, kind, [(NAMES[0], NAMES[-1], value, 0.001)])
     write_block(tmp_path, block, {})
     for again in (photocal.read_block(tmp_path), _of_parquet(tmp_path)):
         assert again.images.names == again.points.names == NAMES
         assert again.cameras[0].id == "007"
         assert np.array_equal(again.observations.image, block.observations.image)
         assert np.array_equal(again.observations.point, block.observations.point)
+        assert again.points.cross is not None
+        assert np.array_equal(again.points.cross, cross)
+        order = np.argsort(again.relations.kind)
+        for name in ("first", "second", "values", "sigma"):
+            ours = getattr(block.relations, name)[np.argsort(block.relations.kind)]
+            # Tables have eight decimals, azimuths in degrees.
+            np.testing.assert_allclose(getattr(again.relations, name)[order], ours, atol=1e-9)
 
 
 def _of_parquet(folder: Path) -> Block:
