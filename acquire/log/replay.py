@@ -110,12 +110,8 @@ _STARTS = (V1, V2)
 def export_tlog(path: Path, link: str, output: Path) -> int:
     """Write the frames of a link as a telemetry log: each after its time of receipt.
 
-    Raises
-    ------
-    InputMalformedError
-        When the link carries other frames than MAVLink.
-    OutputError
-        When the output cannot be written.
+    raises InputMalformedError: when the link carries other frames than MAVLink.
+    raises OutputError: when the output cannot be written.
     """
     count = 0
     with output_file(output) as aside, aside.open("wb") as stream:

@@ -128,14 +128,10 @@ def _written_s(path: Path) -> float | None:
 def tail_of(source: Path) -> Tail:
     """Return the tail of a log (``.mcap``), of the logs in a folder, or of a configuration (``.toml``).
 
-    Raises
-    ------
-    InputNotFoundError
-        When it does not exist; the output folder of a configuration need not exist yet.
-    InputMalformedError
-        When it is a file of another kind.
-    ConfigurationError
-        When the configuration cannot be meant.
+    raises InputNotFoundError: when it does not exist; the output folder of a configuration need not exist
+        yet.
+    raises InputMalformedError: when it is a file of another kind.
+    raises ConfigurationError: when the configuration cannot be meant.
     """
     if source.is_dir():
         return Tail([source])

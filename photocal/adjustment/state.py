@@ -51,10 +51,7 @@ def start_state(network: Network) -> State:
 def lenses(network: Network, state: State) -> Floats:
     """Parameters of every lens: those of the cameras or, where `lens_by_image`, of each image.
 
-    Returns
-    -------
-    ndarray, shape (cameras or images, 26)
-        At the end the movement during the readout.
+    returns (cameras or images, 26): at the end the movement during the readout.
     """
     exposures, still = network.exposures, len(OWN) - len(PARAMETERS)
     if not lens_by_image(network):

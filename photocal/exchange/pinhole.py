@@ -102,10 +102,7 @@ def to_pinhole(
 ) -> tuple[Pinhole, Conversion]:
     """Turn a camera into pinhole intrinsics.
 
-    Parameters
-    ----------
-    others : mapping
-        Models beside `brown-ideal` that the program has, and which of their terms.
+    others: models beside `brown-ideal` that the program has, and which of their terms.
     """
     require_no_skew(own, program)
     flat, others = in_pixels(own), others or {}

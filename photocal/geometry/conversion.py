@@ -95,15 +95,8 @@ def converted(
 ) -> Conversion:
     """Convert a camera to another model.
 
-    Parameters
-    ----------
-    terms : sequence of str, optional
-        Parameters that may be used beside c, x0, y0; all but P3 and P4 when not given.
-
-    Raises
-    ------
-    InputMalformedError
-        When Brown's polynomial misses another lens by more than a pixel.
+    terms: parameters that may be used beside c, x0, y0; all but P3 and P4 when not given.
+    raises InputMalformedError: when Brown's polynomial misses another lens by more than a pixel.
     """
     own = unbalanced(own)
     allowed = tuple(terms or (n for n in MODELS[model].names[3:-1] if n not in ("P3", "P4")))

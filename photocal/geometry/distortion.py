@@ -40,12 +40,8 @@ def undistorted(camera: Camera, measured: Floats) -> Floats:
     """Correct measured image coordinates to those of a perfect central projection.
 
     measured (n, 2): image plane coordinates in the camera's unit.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        p = -c (u, v)/w, from the principal point; NaN where the camera sees nothing, and at 90 degrees off
-        its axis or more.
+    returns (n, 2): p = -c (u, v)/w, from the principal point; NaN where the camera sees nothing, and at 90
+        degrees off its axis or more.
     """
     q = np.empty((len(measured), 3))
     plane = np.ascontiguousarray(measured, dtype=float)
@@ -58,11 +54,7 @@ def distorted(camera: Camera, ideal: Floats) -> Floats:
     """Image coordinates at which the camera records ideal ones, the inverse of `undistorted`.
 
     ideal (n, 2): p = -c (u, v)/w, from the principal point.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Image plane coordinates in the camera's unit; NaN where the lens records nothing.
+    returns (n, 2): image plane coordinates in the camera's unit; NaN where the lens records nothing.
     """
     q = np.column_stack([ideal / camera.values[0], np.full(len(ideal), -1.0)])
     return projected(camera, q * (camera.focus_m or 1.0))
@@ -72,11 +64,7 @@ def projected(camera: Camera, q: Floats) -> Floats:
     """Project points in camera axes to measured image coordinates.
 
     q (n, 3): points in camera axes (x right, y up, z backwards), m; those in front have q_z < 0.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Image plane coordinates in the camera's unit; NaN for points that the lens does not see.
+    returns (n, 2): image plane coordinates in the camera's unit; NaN for points that the lens does not see.
     """
     plane = np.empty((len(q), 2))
     points = np.ascontiguousarray(q, dtype=float)

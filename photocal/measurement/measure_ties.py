@@ -107,11 +107,7 @@ def sight(
     """Find features in images, match them and join the matches to tracks.
 
     given: what is known better of an image than it states.
-
-    Raises
-    ------
-    InputNotFoundError
-        When fewer than two images can be read.
+    raises InputNotFoundError: when fewer than two images can be read.
     """
     readable, facts, left_out = _readable(paths)
     with progress("detecting features", len(readable)) as done:

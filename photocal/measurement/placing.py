@@ -233,22 +233,13 @@ def _unobserved(block: Block) -> Images:
 def position_sigmas(images: Images, values: Floats, *, shifted: bool) -> tuple[Floats, Floats, list[Finding]]:
     """How well positions are borne out by images that were oriented without or with them.
 
-    Parameters
-    ----------
-    images : Images
-        With positions and the sigmas that were stated.
-    values : ndarray, shape (images, 6)
-        Exterior orientations in the same frame; NaN where unknown.
-    shifted : bool
-        Whether something better places the block, so that what all positions have in common is no scatter.
-
-    Returns
-    -------
-    sigma : ndarray, shape (images, 6)
-        As stated where the rays bear it out; larger where all are worse; infinite where one is wrong.
-    shift : ndarray, shape (3,)
-        What all positions are off by, m.
-    findings : list of Finding
+    images: with positions and the sigmas that were stated.
+    values (images, 6): exterior orientations in the same frame; NaN where unknown.
+    shifted: whether something better places the block, so that what all positions have in common is no
+        scatter.
+    returns sigma (images, 6): as stated where the rays bear it out; larger where all are worse; infinite
+        where one is wrong.
+    returns shift (3,): what all positions are off by, m.
     """
     sigma, shift = images.sigma.copy(), np.zeros(3)
     own = sigma[:, 3:]

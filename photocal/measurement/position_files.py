@@ -28,10 +28,7 @@ def read_positions(path: Path, names: Sequence[str]) -> Given:
     A table names the pictures, with their suffix or without. The events of a `Timestamp.MRK` list go to the
     pictures whose names carry their numbers, or in their order when there are as many.
 
-    Raises
-    ------
-    InputNotFoundError, InputMalformedError
-        Also when no picture has a position in it.
+    raises InputNotFoundError, InputMalformedError: also when no picture has a position in it.
     """
     if path.suffix.lower() == ".mrk":
         places = _of_events(path, names)

@@ -103,14 +103,9 @@ def misses(views: OrientedImages, tracks: Tracks, points: Floats) -> Floats:
 def spread(views: OrientedImages, tracks: Tracks, points: Floats) -> Floats:
     """Largest angle of a point's rays from their mean, rad, shape (tracks.count,).
 
-    Parameters
-    ----------
-    points : ndarray, shape (tracks.count, 3)
+    points (tracks.count, 3).
 
-    Returns
-    -------
-    ndarray
-        NaN for points without coordinates.
+    returns: NaN for points without coordinates.
     """
     towards = views.station[tracks.image] - points[tracks.track]
     towards = towards / np.linalg.norm(towards, axis=1)[:, None]

@@ -217,11 +217,7 @@ def write_run(folder: Path, run: ExposureRun, rig: Rig, camera: str, crs: str | 
 
     rig: camera axes and boresight.
     crs: system of `images.csv`; without: local.
-
-    Raises
-    ------
-    ConfigurationError
-        When the kind of the heights does not allow that system.
+    raises ConfigurationError: when the kind of the heights does not allow that system.
     """
     figures = dict(run.figures)
     write_exposures(folder / "exposures.csv", run.exposures)

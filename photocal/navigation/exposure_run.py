@@ -258,10 +258,7 @@ def _above_take_off(images: list[ImageMetadata | None]) -> np.ndarray[Any, np.dt
 def choices_of_project(project: Project) -> Choices:
     """Return what `[flight]`, `[images]` and `[rig]` ask for.
 
-    Raises
-    ------
-    ConfigurationError
-        Without `[flight]`, or when camera axes are impossible.
+    raises ConfigurationError: without `[flight]`, or when camera axes are impossible.
     """
     flight = project.flight
     position = flight.base_position
