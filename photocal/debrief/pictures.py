@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import PhotocalError
+from photocal.block.model import digest
 from photocal.findings.finding import Finding
-from photocal.measurement.cache import Arrays, cached, combined_key, content_key
+from photocal.measurement.cache import Arrays, cached, combined_key
 from photocal.measurement.features import FeatureSettings, detect
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import as_eight_bit, read_grey
@@ -82,7 +83,7 @@ def _look(task: tuple[Path, MatchingPlan]) -> Look:
 
     try:
         facts = read_facts(path)
-        key = combined_key(FEATURES, _LOOK, content_key(path), plan.features)
+        key = combined_key(FEATURES, _LOOK, digest(path), plan.features)
         figures = cached(plan.cache, key, _NAMES, make)["figures"]
     except PhotocalError as refusal:
         return Look(path, None, refusal.what)
