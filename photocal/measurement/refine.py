@@ -226,11 +226,11 @@ def _inside(place: Floats, size: Floats) -> Flags:
 def _smoothed(source: Source) -> Floats32:
     import cv2
 
-    eight = as_eight_bit(read_grey(source.path)).astype(np.float32)
-    if source.level:
-        height, width = eight.shape
-        eight = cv2.resize(eight, _halved((width, height), source.level), interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.GaussianBlur(eight, (0, 0), SMOOTHING_PX), dtype=np.float32)
+    grey = as_eight_bit(read_grey(source.path)).astype(np.float32)
+    height, width = grey.shape
+    small = _halved((width, height), source.level)
+    reduced = cv2.resize(grey, small, interpolation=cv2.INTER_AREA) if source.level else grey
+    return np.asarray(cv2.GaussianBlur(reduced, (0, 0), SMOOTHING_PX), dtype=np.float32)
 
 
 def _cut_patches(task: tuple[Source, Floats]) -> Floats32:
