@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.arrays import Flags, Floats, Integers
-from drivers.errors import IllPosedError
+from drivers.errors import IllPosedError, InputMalformedError
 from photocal.navigation.time import WEEK_NS, GpsTime
 
 FIXED, FLOAT, SINGLE = 1, 2, 5
@@ -76,13 +76,21 @@ def read_solution(path: Path) -> EngineSolution:
             where=path.stem,
             remedy="check that ephemerides and observations are of the same time",
         )
-    week = np.array([int(row[0]) for row in rows], np.int64)
-    tow_ns = np.array([_exact_ns(row[1]) for row in rows], np.int64)
-    table = np.array([[float(v) for v in row[2:_COLUMNS]] for row in rows])
     velocity = np.full((len(rows), 3), np.nan)
-    for number, row in enumerate(rows):
-        if len(row) >= _COLUMNS + 3:
-            velocity[number] = [float(v) for v in row[_COLUMNS : _COLUMNS + 3]]
+    try:
+        week = np.array([int(row[0]) for row in rows], np.int64)
+        tow_ns = np.array([_exact_ns(row[1]) for row in rows], np.int64)
+        table = np.array([[float(v) for v in row[2:_COLUMNS]] for row in rows])
+        np.asarray_chkfinite(table[:, 5:11])
+        for number, row in enumerate(rows):
+            if len(row) >= _COLUMNS + 3:
+                velocity[number] = [float(v) for v in row[_COLUMNS : _COLUMNS + 3]]
+    except (ValueError, OverflowError) as cause:
+        raise InputMalformedError(
+            f"is no position file with times as week and seconds ({cause})",
+            where=path,
+            remedy="take one with GPS weeks and seconds (out-timeform = tow)",
+        ) from cause
     quality = table[:, 3].astype(np.int64)
     sn, se, su, sne, seu, sun = table[:, 5:11].T
     # The engine prints four decimals: a sigma of zero is one below them.

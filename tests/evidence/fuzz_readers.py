@@ -1,0 +1,263 @@
+"""Study: damaged files through every reader: tables, TOML, JSON, XML, MCAP, images, logs and archives.
+
+Writes `docs/evidence/fuzz_readers.md`. Files that the program wrote, or that were recorded, are damaged as
+bytes and as words (numbers that are none, endless nesting, lines lost or doubled) and read; what a reader may
+do is to read them or to refuse them with an error of ours.
+
+Run: `make evidence`, or `python -m tests.evidence.fuzz_readers [SECONDS a reader]`.
+"""
+
+from __future__ import annotations
+
+import gzip
+import resource
+import shutil
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from typer.testing import CliRunner
+
+from acquire.cli import app as acquire_app
+from acquire.importing.recording import identify, open_recording
+from acquire.log.recovery import recover
+from acquire.log.summary import summarise
+from acquire.recording.configuration import read_configuration
+from acquire.simulate.world.configuration import read_configuration as read_flight
+from drivers.errors import PhotocalError
+from drivers.mavlink.dialect import ardupilotmega
+from photocal.block.folder import read_block
+from photocal.cli import app
+from photocal.exchange.formats import FORMATS, _loaded
+from photocal.exchange.ground_points import read_gcp_list, read_geo
+from photocal.measurement.image_facts import read_facts
+from photocal.measurement.image_file import read_grey
+from photocal.navigation.engine_output import read_solution
+from photocal.navigation.mrk import read_mrk
+from photocal.navigation.rinex import read_observation_file
+from photocal.project import read_project
+from photocal.results.folder import read_result
+
+SECONDS = 20.0
+ROOT = Path(__file__).parents[2]
+OUTPUT = ROOT / "docs" / "evidence" / "fuzz_readers.md"
+LARGEST = 300_000
+# Of each format so many files: images have one each in some.
+MOST_FILES = 4
+LENGTHS = (0, 1 << 31, (1 << 32) - 1, 1 << 20)
+WORDS = (
+    b"nan", b"-1", b"0", b"1e999", b"99999999999999999999", b"\xff\xfe", b"\0", b"[" * 3000, b"<a>" * 500,
+    b'"', b"\r",
+    b"../../x", b"\xef\xbb\xbf", b"true", b"", b"=", b"{}", b"1e-320", b",,,,", b";",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A reader: its kind, the file that is damaged, and what reads it from where it lies."""
+
+    kind: str
+    file: Path
+    read: Callable[[Path], object]
+
+
+def harmed(data: bytes, chance: np.random.Generator) -> bytes:
+    """Return a file with one to four harms, of bytes or of words."""
+    octets = bytearray(data)
+    for _ in range(int(chance.integers(1, 5))):
+        at, kind = int(chance.integers(0, len(octets) + 1)), int(chance.integers(0, 8))
+        end = at + int(chance.integers(1, 60))
+        if kind == 0 and at < len(octets):
+            octets[at] ^= 1 << int(chance.integers(0, 8))
+        elif kind == 1:
+            del octets[at:end]
+        elif kind == 2:
+            octets[at:at] = octets[at:end]
+        elif kind == 3:
+            octets[at : at + int(chance.integers(0, 9))] = WORDS[int(chance.integers(0, len(WORDS)))]
+        elif kind == 4:
+            octets[at : at + 4] = int(chance.choice(LENGTHS)).to_bytes(4, "little")
+        elif kind == 5:
+            del octets[at : (octets.find(b"\n", at) + 1) or None]
+        elif kind == 6:
+            octets[at:at] = chance.bytes(int(chance.integers(1, 20)))
+        elif chance.integers(0, 4) == 0:
+            del octets[at:]
+    return bytes(octets)
+
+
+def _call(program: object, *words: object) -> None:
+    done = CliRunner().invoke(program, [str(word) for word in words], catch_exceptions=False)  # type: ignore[arg-type]
+    assert done.exit_code == 0, done.output
+
+
+def _readers(folder: Path) -> Iterator[Reader]:
+    """Write the files that are damaged, and say what reads each."""
+    block = folder / "block"
+    shutil.copytree(ROOT / "photocal" / "demo" / "dcs460", block)
+    run = folder / "run"
+    _call(app, "adjust", block, "-o", run)
+    for path in sorted(block.glob("*.*")):
+        if path.suffix in (".toml", ".csv"):
+            yield Reader("TOML" if path.suffix == ".toml" else "tables", path, lambda p: read_block(p.parent))
+    for name in ("result.json", "images.csv", "points.csv", "residuals.csv"):
+        if (run / name).is_file():
+            yield Reader(
+                "JSON" if name.endswith("json") else "tables", run / name, lambda p: read_result(p.parent)
+            )
+    yield from _exported(run, folder)
+    picture = np.random.default_rng(1).integers(0, 255, (96, 128, 3), np.uint8)
+    for suffix in (".jpg", ".png", ".tif"):
+        path = folder / f"picture{suffix}"
+        cv2.imwrite(str(path), picture)
+        for read in (read_grey, read_facts):
+            yield Reader("images", path, read)
+    yield from _flight(folder)
+
+
+def _exported(run: Path, folder: Path) -> Iterator[Reader]:
+    """Give a run in the formats of other programs."""
+    kinds = {
+        ".xml": "XML",
+        ".kml": "XML",
+        ".json": "JSON",
+        ".opf": "JSON",
+        ".geojson": "JSON",
+        ".bin": "binary",
+    }
+    for form in FORMATS:
+        if not form.writes:
+            continue
+        out = folder / f"as-{form.name}"
+        if CliRunner().invoke(app, ["export", str(run), "--format", form.name, "-o", str(out)]).exit_code:
+            continue
+        files = sorted(p for p in out.rglob("*") if p.is_file() and p.stat().st_size < LARGEST)
+        for path in files[:MOST_FILES]:
+            kind = kinds.get(path.suffix, "tables")
+            if form.read is not None:
+                yield Reader(kind, path, _of_folder(form.read, out))
+            if form.blocks and form.takes(path):
+                yield Reader(kind, path, _loaded(form.blocks))
+            if form.name == "odm":
+                yield Reader(kind, path, read_gcp_list if path.name == "gcp_list.txt" else read_geo)
+
+
+def _of_folder(read: Callable[[Path], object], folder: Path) -> Callable[[Path], object]:
+    return lambda _: read(folder)
+
+
+def _flight(folder: Path) -> Iterator[Reader]:
+    """Files of a simulated flight: project, configuration, logs, archives."""
+    practice = folder / "practice"
+    _call(acquire_app, "simulate", "flight", "small", "--level", "observations", "-o", practice)
+    for path in sorted((practice / "site").glob("*.toml")):
+        yield Reader("TOML", path, read_project)
+    yield Reader("TOML", practice / "truth" / "flight.toml", read_flight)
+    settings = folder / "record.toml"
+    settings.write_text(
+        '[recording]\noutput = "logs"\n[[link]]\nname = "v"\nprotocol = "mavlink"\nurl = "udp://:1"\n'
+    )
+    yield Reader("TOML", settings, read_configuration)
+    dialect = ardupilotmega()
+    for path in sorted((practice / "site").glob("*.*")):
+        data = path.read_bytes()[:60_000]
+        if path.suffix not in (".ubx", ".tlog", ".rtcm3"):
+            continue
+        short = folder / f"short{path.suffix}"
+        short.write_bytes(data)
+        yield Reader("logs", short, lambda p: _imported(p))
+        packed = folder / f"packed{path.suffix}.gz"
+        packed.write_bytes(gzip.compress(data))
+        yield Reader("archives", packed, lambda p: _imported(p))
+        log = folder / f"log{path.suffix}.mcap"
+        _call(acquire_app, "import", short, "-o", log)
+        yield Reader("MCAP", log, lambda p: summarise(p, dialect).as_json())
+        yield Reader("MCAP", log, lambda p: recover(p, p.with_name("fixed.mcap")))
+    mrk = folder / "x_Timestamp.MRK"
+    place = "47.6436873208,Lat\t16.4759271684,Lon\t512.998,Ellh\t0.014391, 0.013698, 0.029694\t50,Q\n"
+    mrk.write_text("".join(f"{n}\t29628{n}.24\t[2211]\t 3,N\t 0,E\t 75,V\t{place}" for n in range(1, 9)))
+    yield Reader("logs", mrk, read_mrk)
+    rinex = ROOT.parent / "shared" / "data" / "gnss-rinex-static-known" / "rover.obs"
+    if rinex.is_file():
+        short = folder / "short.obs"
+        short.write_bytes(rinex.read_bytes()[:40_000])
+        yield Reader("tables", short, read_observation_file)
+        solution = folder / "short.pos"
+        row = "2316 115200.000 35.1 136.9 104.8 1 9 0.01 0.01 0.02 0 0 0 0.0 50.0 0.1 0.1 0.1\n"
+        solution.write_text(row * 50)
+        yield Reader("tables", solution, read_solution)
+
+
+def _imported(path: Path) -> None:
+    dialect = ardupilotmega()
+    with open_recording(path) as source:
+        framer = identify(source, dialect).framer(dialect)
+        for piece in source.pieces():
+            framer.feed(piece)
+        framer.close()
+
+
+def main() -> None:
+    """Run the study and write its table."""
+    warnings.simplefilter("ignore")
+    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else SECONDS
+    cases: Counter[str] = Counter()
+    refused: Counter[str] = Counter()
+    readers: Counter[str] = Counter()
+    slowest: dict[str, float] = {}
+    fallen: Counter[str] = Counter()
+    with tempfile.TemporaryDirectory() as scratch:
+        for number, reader in enumerate(_readers(Path(scratch))):
+            chance, whole = np.random.default_rng(number), reader.file.read_bytes()
+            readers[reader.kind] += 1
+            until = time.monotonic() + seconds
+            while time.monotonic() < until:
+                reader.file.write_bytes(harmed(whole, chance))
+                begun = time.perf_counter()
+                cases[reader.kind] += 1
+                try:
+                    reader.read(reader.file)
+                except PhotocalError:
+                    refused[reader.kind] += 1
+                except Exception as failure:
+                    frame = traceback.extract_tb(failure.__traceback__)
+                    own = [f for f in frame if "photocal" in f.filename or "acquire" in f.filename][-1]
+                    place = f"{Path(own.filename).name}:{own.lineno}"
+                    fallen[f"{reader.file.name}: {type(failure).__name__} {str(failure)[:60]!r} {place}"] += 1
+                slowest[reader.kind] = max(slowest.get(reader.kind, 0.0), time.perf_counter() - begun)
+            reader.file.write_bytes(whole)
+            sys.stderr.write(f"{reader.kind} {reader.file.name} {sum(cases.values())} {len(fallen)}\n")
+    memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
+    rows = [
+        f"| {kind} | {readers[kind]} | {count:,} | {refused[kind]:,} | {slowest[kind]:.2f} s |"
+        for kind, count in sorted(cases.items())
+    ]
+    lines = [
+        "# Damaged files through every reader",
+        "",
+        f"{sum(cases.values()):,} damaged files: bits turned, bytes taken out, put in or doubled, lengths",
+        "changed, words that are no number, nesting without an end, lines lost. Each is read, or",
+        f"refused in words. Uncaught: {sum(fallen.values())}. Most memory: {memory_mb:.0f} MB.",
+        "",
+        "| files | readers | cases | refused | slowest |",
+        "|---|---|---|---|---|",
+        *rows,
+        "",
+        *(f"- {count} times {what}" for what, count in fallen.most_common()),
+        "Made by `python -m tests.evidence.fuzz_readers`.",
+        "",
+    ]
+    OUTPUT.write_text("\n".join(lines), encoding="utf-8")
+    sys.stderr.write("\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()
