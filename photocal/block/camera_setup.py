@@ -96,7 +96,7 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
         unknown = [name for name in names if name not in lens.names]
         if unknown:
             raise ConfigurationError(
-                f"{section} names {unknown[0]}, which is no parameter of {keys.model}",
+                f"{section} names {unknown[0]}, which is no camera parameter of {keys.model}",
                 where=place,
                 remedy=f"use {', '.join(lens.names)}",
             )

@@ -274,12 +274,12 @@ def camera(
     Raises
     ------
     KeyError
-        For a name that is no parameter of the model.
+        For a name that is no parameter.
     """
     values = np.zeros(len(PARAMETERS))
     estimated = np.zeros(len(PARAMETERS), dtype=np.bool_)
     sigma = np.full(len(PARAMETERS), np.inf)
-    index = {name: PARAMETERS.index(name) for name in MODELS[model].names}
+    index = {name: i for i, name in enumerate(PARAMETERS)}
     for name, value in parameters.items():
         values[index[name]] = value
     for name in estimate:
