@@ -34,7 +34,7 @@ def read_positions(path: Path, names: Sequence[str]) -> Given:
         places = _of_events(path, names)
     elif read_text(path).lstrip().startswith(("#Label", "#CoordinateSystem")):
         crs, rows = read_references(path)
-        places = _in_degrees(crs, {row.label: (*row.xyz, *row.accuracy) for row in rows}, path)
+        places = _in_degrees(crs, {row.name: (*row.xyz, *row.sigma) for row in rows}, path)
     else:
         crs, positions = read_geo(path)
         listed = {

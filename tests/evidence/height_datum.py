@@ -58,7 +58,8 @@ def main(hundred: int = 20, large: int = 2) -> None:
     for images, flights in ((100, hundred), (580, large)):
         for name, control, shifted in CASES:
             told = [analysed(images, seed, control=control, shifted=shifted) for seed in range(flights)]
-            before, after = (np.sqrt(np.mean([one[k] ** 2 for one in told])) for k in (0, 1))
+            before = np.sqrt(np.mean([one[0] ** 2 for one in told]))
+            after = np.sqrt(np.mean([one[1] ** 2 for one in told]))
             count = [
                 sum(code in one[2] for one in told)
                 for code in ("datum-shift", "c-on-positions", "heights-on-positions")

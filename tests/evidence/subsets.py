@@ -104,7 +104,9 @@ def one(
 ) -> Outcome:
     """Orient a subset with a wrong start."""
     began = time.process_time()
-    sighted = sight([*paths, *strangers], MatchingPlan(cache, 1), quiet, stated_footprints)
+    sighted = sight(
+        [*paths, *strangers], MatchingPlan(cache, 1), quiet, stated_footprints, lambda facts: facts
+    )
     places, _ = local_places(sighted.facts)
     wrong = rng.normal(size=places.shape)
     wrong *= WRONG_M * rng.random((len(places), 1)) / np.linalg.norm(wrong, axis=1)[:, None]

@@ -164,7 +164,7 @@ def _marks_only(block: Block) -> Block:
 def _with_ties(start: Block, folder: Path, plan: MatchingPlan) -> Oriented:
     """Measure tie points in the pictures of a block, and orient it."""
     paths = [path for path in list_images(folder) if path.name in start.images.names]
-    sighted = sight(paths, plan, quiet, stated_footprints)
+    sighted = sight(paths, plan, quiet, stated_footprints, lambda facts: facts)
     order = [start.images.names.index(own.name) for own in sighted.facts]
     images, seen = start.images, start.observations
     turned = replace(

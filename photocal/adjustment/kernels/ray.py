@@ -5,7 +5,7 @@ from __future__ import annotations
 from drivers.arrays import Floats
 from photocal.adjustment.kernels.data import Design, Structure, Values, columns
 from photocal.compiled import inlined
-from photocal.geometry.lens import LINE, OTHERS, Scratch, bent, image_residual
+from photocal.geometry.lens import LINE, OTHERS, Scratch, image_residual
 from photocal.geometry.shutter import rolling_residual
 
 
@@ -19,11 +19,9 @@ def ray_rows(design: Design, values: Values, r: int, i: int, j: int, room: Scrat
     v = rotation[i, 1, 0] * dx + rotation[i, 1, 1] * dy + rotation[i, 1, 2] * dz
     w = rotation[i, 2, 0] * dx + rotation[i, 2, 1] * dy + rotation[i, 2, 2] * dz
     x, y, lenses, optics = design.plane[r, 0], design.plane[r, 1], values.lenses, design.optics
-    if optics[k, LINE] == 0.0 and optics[k, LINE + 1] == 0.0:
-        if optics[k, 0] >= OTHERS:
-            vx, vy = bent(lenses, optics, k, x, y, u, v, w, room)
-        else:
-            vx, vy = image_residual(lenses, optics, k, x, y, u, v, w, room)
+    # The commonest camera has the shortest way; every other is one that may move while it reads.
+    if optics[k, LINE] == 0.0 and optics[k, LINE + 1] == 0.0 and optics[k, 0] < OTHERS:
+        vx, vy = image_residual(lenses, optics, k, x, y, u, v, w, room)
     else:
         vx, vy, u, v, w = rolling_residual(lenses, optics, k, x, y, rotation, i, u, v, w, room)
     by_q, by_image, by_point = room.by_q, room.by_image, room.by_point
