@@ -87,7 +87,7 @@ def little_memory(_: Path, patch: Patch) -> None:
 
 def old_leap_seconds(_: Path, patch: Patch) -> None:
     expired = SimpleNamespace(expires=dt.date(2026, 1, 1))
-    patch.setattr("drivers.leap_seconds.installed_leap_seconds", lambda: expired)
+    patch.setattr("drivers.gnsstime.installed_leap_seconds", lambda: expired)
 
 
 def open_key(folder: Path, patch: Patch) -> None:
