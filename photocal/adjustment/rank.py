@@ -123,6 +123,12 @@ def only_the_datum_is_weak(problem: Problem, state: State) -> bool:
     return bool(datum) and not other.shape[1]
 
 
+def share_of_datum(problem: Problem, state: State, step: Floats, scale: Floats) -> float:
+    """How much of a step moves the block as a whole, 0 to 1, all unknowns scaled alike."""
+    moves, _ = np.linalg.qr(similarity_moves(problem, state)[0] * scale[:, None])
+    return float(np.linalg.norm(moves.T @ (step * scale)) / np.linalg.norm(step * scale))
+
+
 def _null_space(problem: Problem, normal: Normal, limit: float) -> tuple[Floats, Floats, Floats]:
     """Scale of the unknowns, the scaled matrix, and its eigenvectors with eigenvalues below a limit."""
     matrix = dense(problem.layout.envelope, normal.matrix)

@@ -24,6 +24,7 @@ from photocal.adjustment.rank import (
     Limits,
     explain_singular,
     only_the_datum_is_weak,
+    share_of_datum,
     weakest_pivot,
 )
 from photocal.adjustment.state import State, moved_exposures, round_the_middle
@@ -41,6 +42,8 @@ NEGLIGIBLE = 1e-12
 ITERATIONS = 50
 # Where the iteration comes to no end, a step this short (sigmas) is none.
 NEARLY = 0.01
+# A step that moves the block as a whole, but for this little, is one of the datum alone.
+WHOLE = 0.99
 # A step that would gain no more than this share of v'Pv, and gains nothing, is too long for a valley that
 # bends (a precise block that something imprecise holds in space): parts of it are tried before damping.
 VALLEY, LEAST_SHARE = 0.01, 0.02
@@ -141,7 +144,9 @@ def _ended(problem: Problem, state: State, steps: list[Iteration], limits: Limit
     decrement = np.inf if step is None else moved_by(problem, state, normal, step)[1]
     if decrement < NEARLY**2:
         return Minimum(state, normal_equations(problem, state), tuple(steps))
-    if limits == SINGULAR or not only_the_datum_is_weak(problem, state):
+    drifts = step is not None and share_of_datum(problem, state, step, size) > WHOLE
+    # A datum that is held, if loosely, is to blame only where what is left of the way is the datum's own.
+    if limits == SINGULAR or drifts or not only_the_datum_is_weak(problem, state):
         explain_singular(problem, state, limits)
     moving = ""
     if step is not None:
