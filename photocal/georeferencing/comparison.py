@@ -39,6 +39,9 @@ from photocal.georeferencing.separation import Separation, separation
 from photocal.georeferencing.simulated import Degradation, degraded
 from photocal.georeferencing.systematic import SystematicErrors, systematic_errors
 
+# From here on a position is one of code: its errors are metres and last for minutes.
+COARSE_M = 0.5
+
 
 @dataclass(frozen=True)
 class Judged:
@@ -160,6 +163,17 @@ def _judge(
     return Judged(found, at_given_places("control"), check, assessment)
 
 
+def coarsely_placed(block: Block) -> bool:
+    """Whether nothing but navigation fixes, as pictures state them, places a block.
+
+    Their errors last from picture to picture: they look like lever arms, shifts of strips, and other cameras.
+    """
+    sigma = block.images.sigma[:, 3:]
+    stated = sigma[np.isfinite(sigma).all(axis=1) & (sigma > 0.0).all(axis=1)]
+    none_else = not len(block.positions.image) and not block.points.of_role("control").any()
+    return bool(none_else and len(stated) and np.median(stated[:, :2]) > COARSE_M)
+
+
 def _calibration(block: Block) -> tuple[SystematicErrors | None, Separation | None]:
     """Systematic errors and separation; None where the block gives no hold for them."""
     mounted = as_mounted(without_weak_images(block)[0])
@@ -171,7 +185,7 @@ def _calibration(block: Block) -> tuple[SystematicErrors | None, Separation | No
             # Positions that images state have no lever arm that could be told from anything.
             groups = tuple(g for g in apart.groups if not all("lever_arm" in name for name in g))
             apart = replace(apart, groups=groups)
-        return systematic_errors(mounted), apart
+        return None if coarsely_placed(block) else systematic_errors(mounted), apart
     except PhotocalError:
         # The integrated method has failed for the same reason, which is said there.
         return None, None

@@ -12,7 +12,7 @@ from scipy import stats
 from photocal.adjustment.groups import GroupTest
 from photocal.findings.finding import Figure, Finding
 from photocal.findings.hypotheses import fault
-from photocal.georeferencing.comparison import BlockCheck, Judged
+from photocal.georeferencing.comparison import BlockCheck, Judged, coarsely_placed
 from photocal.georeferencing.freed_groups import Estimate
 from photocal.georeferencing.mistyped import Mistyped
 from photocal.georeferencing.separation import Separation
@@ -38,6 +38,8 @@ def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
     if check.systematic is not None:
         listed += [_stated_sigma(one) for one in check.systematic.sigmas]
         listed += named(check.systematic.errors)
+    elif coarsely_placed(check.block):
+        listed.append(Finding("coarse-positions", "note"))
     for judged in check.judged:
         listed += _judged(judged)
     if check.separation is not None:

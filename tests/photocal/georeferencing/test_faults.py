@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 
 from photocal.accuracy.standard import Question
+from photocal.adjustment.mounting import NO_ATTITUDES, NO_POSITIONS
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.georeferencing.comparison import check_block
 from photocal.georeferencing.findings import block_findings
+from photocal.georeferencing.methods import with_roles
 from photocal.georeferencing.mistyped import _slips, contradicting, mistyped_control
 from photocal.georeferencing.mounted import with_attitude_angles
 from photocal.georeferencing.systematic import systematic_errors
@@ -152,3 +154,22 @@ def test_two_wrong_points_and_a_shift_of_all_of_them() -> None:
 def test_no_control_point_is_blamed_for_a_shift_of_the_datum(flown: Flown) -> None:
     block = flown(Errors(datum_m=(0.8, -0.6, 0.0)), PLAN)
     assert mistyped_control(block, block.points.values)[1] == ()
+
+
+def test_navigation_fixes_are_no_evidence_of_a_mounting(flown: Flown) -> None:
+    """Their errors of metres, which last from picture to picture, are no lever arm and no other camera."""
+    block = flown(Errors(), PLAN)
+    values, sigma = block.images.values.copy(), np.full_like(block.images.sigma, np.inf)
+    walk = np.cumsum(np.random.default_rng(8).normal(0.0, 0.7, (len(values), 3)), axis=0)
+    values[:, 3:] += walk - walk.mean(axis=0)
+    sigma[:, 3:] = 1.5
+    images = replace(block.images, values=values, sigma=sigma)
+    coarse = replace(
+        with_roles(block, np.zeros(0, dtype=np.int64)),
+        images=images, positions=NO_POSITIONS, attitudes=NO_ATTITUDES,
+    )  # fmt: skip
+    said = findings(coarse)
+    assert {"lever-arm", "camera-change", "strip-shifts", "time-offset"}.isdisjoint(said)
+    assert "navigation fixes" in said["coarse-positions"]
+    sigma[:, 3:] = 0.02
+    assert "coarse-positions" not in findings(replace(coarse, images=replace(images, sigma=sigma)))
