@@ -166,7 +166,7 @@ def _judge(
 def coarsely_placed(block: Block) -> bool:
     """Whether nothing but navigation fixes, as pictures state them, places a block.
 
-    Their errors last from picture to picture: they look like lever arms, shifts of strips, and other cameras.
+    They are older than the exposure, and their errors last: both look like lever arms and shifts of strips.
     """
     sigma = block.images.sigma[:, 3:]
     stated = sigma[np.isfinite(sigma).all(axis=1) & (sigma > 0.0).all(axis=1)]
