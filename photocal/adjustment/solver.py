@@ -11,12 +11,14 @@ from drivers.arrays import Floats
 from drivers.errors import NotConvergedError
 from photocal.adjustment.datum import inner_state
 from photocal.adjustment.envelope import factorise, solve
+from photocal.adjustment.kernels.residuals import evaluate
 from photocal.adjustment.kernels.substitution import back_substitute
 from photocal.adjustment.normal import (
     Normal,
     Problem,
     diagonal_addresses,
     normal_equations,
+    values_of,
 )
 from photocal.adjustment.rank import (
     SINGULAR,
@@ -139,6 +141,8 @@ def minimise(
 def _ended(problem: Problem, state: State, steps: list[Iteration], limits: Limits) -> Minimum:
     """Where the iteration did not come to its end: the minimum for all purposes, or why it is none."""
     normal = normal_equations(problem, state)
+    if not np.isfinite(normal.chi_squared):
+        _explain_behind(problem, state)
     size = np.sqrt(np.maximum(normal.matrix[diagonal_addresses(problem)], 0.0))
     step = reduced_step(problem, normal, 0.0)
     decrement = np.inf if step is None else moved_by(problem, state, normal, step)[1]
@@ -158,6 +162,20 @@ def _ended(problem: Problem, state: State, steps: list[Iteration], limits: Limit
         f"not converged after {len(steps)} iterations (last step {np.sqrt(decrement):.2g} sigma){moving}",
         remedy="check the start values of images and points, their units and axes, for gross errors, and "
         "whether other observations should hold what moves",
+    )
+
+
+def _explain_behind(problem: Problem, state: State) -> None:
+    """Name the points that lie behind cameras that see them."""
+    rays = problem.network.rays
+    residuals, depth = np.empty(rays.plane.shape), np.empty(len(rays.image))
+    evaluate(problem.design, values_of(problem, state), residuals, depth)
+    behind = np.flatnonzero(~(depth > 0.0))
+    points, images = problem.network.point_names, problem.network.image_names
+    some = ", ".join(f"{points[rays.point[r]]} of {images[rays.image[r]]}" for r in behind[:3])
+    raise NotConvergedError(
+        f"{len(behind)} ray(s) come from a point behind the camera ({some}), and no step brings it before it",
+        remedy="correct the start values of these images or points, or leave them out to be computed",
     )
 
 

@@ -120,3 +120,16 @@ def test_collinear_control_leaves_a_rotation_open() -> None:
     network = networks.observe(replace(scene, points=points), np.random.default_rng(1), point_sigma=sigma)
     with pytest.raises(IllPosedError, match="rotation about X"):
         adjust(network)
+
+
+def test_a_point_that_is_held_behind_the_cameras_is_named() -> None:
+    """A control point with its height far above the flight: no image can see it."""
+    scene = networks.convergent()
+    sigma = np.full((len(scene.points), 3), np.inf)
+    sigma[:4] = 0.0
+    network = networks.observe(scene, np.random.default_rng(1), point_sigma=sigma)
+    points = network.points.values.copy()
+    points[2] += 10.0 * (network.exposures.values[:, 3:].mean(axis=0) - points[2])
+    wrong = replace(network, points=replace(network.points, values=points))
+    with pytest.raises(NotConvergedError, match=rf"behind the camera \({network.point_names[2]} of "):
+        adjust(wrong)
