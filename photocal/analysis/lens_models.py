@@ -6,26 +6,24 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Integers
 from drivers.errors import IllPosedError, InputMalformedError, NotConvergedError
 from photocal.adjustment.mounting import NO_ATTITUDES, NO_POSITIONS
 from photocal.adjustment.near import Removals
 from photocal.adjustment.network import NO_RELATIONS, Network
 from photocal.adjustment.state import State
+from photocal.analysis.systematic_errors.jackknife import NEAR, state_without
 from photocal.analysis.systematic_errors.left_out import Checks
 from photocal.analysis.systematic_errors.refit import Fit, fit, lowest
 from photocal.findings.finding import Figure, Finding, Size
 from photocal.geometry.camera import MODELS, PARAMETERS, Camera, Model
 from photocal.geometry.conversion import converted
 
-Flags = NDArray[np.bool_]
-
 # Images are left out in so many groups of neighbours.
 GROUPS = 6
 # An image tells its pose and something of the lens from this many rays on.
 FEWEST_RAYS = 12
-NEAR = 1e-8
 # A model is better from here on: by how much it lowers v'Pv for each unknown more, and the residuals of the
 # images that were left out. The same lens written otherwise differs by less.
 GAIN, SHARE = 20.0, 0.01
@@ -56,14 +54,18 @@ class LensFit:
 def lens_fits(fitted: Fit, camera: int, checks: Checks, done: Callable[[], None]) -> tuple[LensFit, ...]:
     """Fit every model to the rays of one camera; the one that it has comes first, then the better ones.
 
-    A model that the rays do not determine is not listed, and neither is one whose coefficients a prior holds.
+    A model that the rays do not determine, also without a group of images, is not listed, and neither is one
+    whose coefficients a prior holds.
     """
     own = fitted.network.cameras[camera].with_values(fitted.state.cameras[camera])
     if not any(name in own.free for name in own.lens.terms) or own.focus_m or own.photo_variant:
         return ()
     mine = np.flatnonzero(fitted.network.exposures.camera == camera)
     groups = [group for group in np.array_split(mine, min(GROUPS, len(mine))) if len(group)]
-    fits = [_judged(fitted, camera, own, groups, checks)]
+    try:
+        fits = [_judged(fitted, camera, own, groups, checks)]
+    except (IllPosedError, NotConvergedError):
+        return ()
     for model in MODELS:
         try:
             other = fit(_with_lens(fitted.network, camera, _alternative(own, model)), fitted.state)
@@ -140,18 +142,14 @@ def _with_lens(network: Network, camera: int, own: Camera) -> Network:
     return replace(network, cameras=cameras)
 
 
-def _judged(
-    fitted: Fit, camera: int, own: Camera, groups: list[NDArray[np.int64]], checks: Checks
-) -> LensFit:
+def _judged(fitted: Fit, camera: int, own: Camera, groups: list[Integers], checks: Checks) -> LensFit:
     found = fitted.network.cameras[camera]
     squares, count = 0.0, 0
     removals = Removals(fitted.factored.problem, fitted.state)
     for group in groups:
         out = np.isin(np.arange(len(fitted.network.image_names)), group)
-        rest = removals.without(out, NEAR)
-        if rest is not None:
-            chi_squared, redundancy = _predicted(fitted, rest.state, out)
-            squares, count = squares + chi_squared, count + redundancy
+        chi_squared, redundancy = _predicted(fitted, state_without(fitted, removals, out), out)
+        squares, count = squares + chi_squared, count + redundancy
     rmse = checks.rmse(fitted.solution.points)
     return LensFit(
         found.model,
@@ -217,7 +215,4 @@ def _predicted(fitted: Fit, rest: State, out: Flags) -> tuple[float, int]:
         points=rest.points[seen],
         deviations=fitted.state.deviations[out],
     )
-    try:
-        return lowest(alone, state, NEAR).chi_squared, 2 * int(kept.sum()) - 6 * count
-    except (IllPosedError, NotConvergedError):
-        return 0.0, 0
+    return lowest(alone, state, NEAR).chi_squared, 2 * int(kept.sum()) - 6 * count

@@ -71,9 +71,13 @@ def _intersected(
     known: Floats,
     surveyed: Flags,
 ) -> Floats:
-    """Fill the coordinates of points that have none, or impossible ones, by intersecting their rays."""
+    """Fill the coordinates of points that have none, or impossible ones, by intersecting their rays.
+
+    Tie points that a camera sees behind itself are such: other programs leave them there.
+    """
     missing = np.asarray(np.isnan(points).any(axis=1))
-    some = (missing | surveyed)[rays.point]
+    behind = behind_cameras(exposures, rays, points) & ~surveyed & ~missing
+    some = (missing | surveyed | behind)[rays.point]
     if not some.any():
         return points
     rays = Rays(*(column[some] for column in vars(rays).values()))
@@ -92,7 +96,7 @@ def _intersected(
     least = np.full(len(points), np.inf)
     np.fmin.at(least, rays.point, miss)
     unused = surveyed & ~missing & ~known.any(axis=(1, 2))
-    impossible = unused & (least > max(_ASTRAY, _UNLIKE * usual))
+    impossible = behind | (unused & (least > max(_ASTRAY, _UNLIKE * usual)))
     points = np.where((impossible & np.isfinite(start).all(axis=1))[:, None], start, points)
     lost = np.flatnonzero(missing & np.isnan(start).any(axis=1))
     if len(lost):
@@ -102,3 +106,11 @@ def _intersected(
             remedy="give these points start coordinates, or rays from different places",
         )
     return np.where(missing[:, None], start, points)
+
+
+def behind_cameras(exposures: Exposures, rays: Rays, points: Floats) -> Flags:
+    """Points that lie behind a camera that sees them, (points,)."""
+    axis = matrix_from_angles(exposures.values[:, :3])[rays.image, 2]
+    away = points[rays.point] - exposures.values[rays.image, 3:]
+    behind = np.einsum("ni,ni->n", axis, away) >= 0.0
+    return np.bincount(rays.point[behind], minlength=len(points)) > 0

@@ -9,8 +9,8 @@ from photocal.findings.finding import Finding, untested
 
 # Limit of equivalence: a smaller error of the stated standard deviations is no finding, however sure it is.
 FACTOR = 0.05
-# Errors of what the client uses, c and heights: not small, they withhold acceptance like the grave ones.
-_EFFECTIVE = ("c-bias", "c-drift", "rolling-shutter")
+# Errors of what the client uses: not small, they withhold acceptance like the grave ones.
+_EFFECTIVE = ("c-drift", "rolling-shutter")
 
 
 def of_global_test(

@@ -7,7 +7,7 @@ import math
 
 from drivers.errors import InputMalformedError
 from photocal.findings.catalogue import Catalogue
-from photocal.findings.digits import fixed, measured, relation
+from photocal.findings.digits import fixed, measured, relation, significant
 from photocal.findings.finding import Finding
 from photocal.findings.texts import finding_text, identity
 from photocal.findings.verdict import of_global_test, verdict
@@ -108,11 +108,15 @@ def _highlights(run: Run, told: tuple[Finding, ...], say: Catalogue) -> tuple[Hi
     shown: list[Highlight] = []
     for camera_id, camera in cameras.items():
         label = say("highlight.c_camera", camera=camera_id) if several else say("highlight.c")
-        c = measured(camera.value("c"), camera.sigma_of("c"), say.mark)
+        sigma, whose = run.stated(camera_id)
+        c = measured(camera.value("c"), sigma, say.mark)
         remark = say("highlight.sigma", sigma=c.sigma, unit=camera.unit) if c.sigma else say("word.held")
+        if c.sigma and sigma > camera.sigma_of("c"):
+            formal = significant(camera.sigma_of("c"), 2, say.mark)
+            remark += say(f"highlight.sigma_{whose}", formal=formal, unit=camera.unit)
         shown.append(Highlight(label, f"{c.value} {camera.unit}", remark))
     if not several:
-        shown.append(_principal_point(next(iter(cameras.values())), say))
+        shown.append(_principal_point(run, next(iter(cameras)), say))
     shown += [_residuals(run, say), _network(run, say)]
     return (*shown, _test(run, told, say), _checks(run, say))
 
@@ -133,8 +137,9 @@ def _test(run: Run, told: tuple[Finding, ...], say: Catalogue) -> Highlight:
     return Highlight(say("highlight.test"), say(f"highlight.{key}"), remark)
 
 
-def _principal_point(camera: Camera, say: Catalogue) -> Highlight:
-    x, y = (measured(camera.value(n), camera.sigma_of(n), say.mark) for n in ("x0", "y0"))
+def _principal_point(run: Run, camera_id: str, say: Catalogue) -> Highlight:
+    camera = run.result.cameras[camera_id]
+    x, y = (measured(camera.value(n), run.stated(camera_id, n)[0], say.mark) for n in ("x0", "y0"))
     remark = say("word.held")
     if x.sigma and y.sigma:
         remark = say("highlight.x0y0_sigma", x=x.sigma, y=y.sigma, unit=camera.unit)

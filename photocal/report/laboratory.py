@@ -59,7 +59,8 @@ def uncertainty(title: str, run: Run, particulars: Particulars, say: Catalogue) 
     Notes
     -----
     JCGM 100:2008, 5.1.2 (combination), G.4.1 (effective degrees of freedom, Welch and Satterthwaite), 6.2
-    (expansion). The adjustment's own part is scaled by the a posteriori factor where that is above 1.
+    (expansion). The adjustment's own part is scaled by the a posteriori factor where that is above 1, or by
+    what images say of each other, see `Run.stated`.
     """
     pieces = tuple(
         _budget(name, run, particulars, say)
@@ -79,10 +80,15 @@ def combined(parts: list[tuple[float, float]]) -> tuple[float, float, float]:
 
 def _budget(camera_id: str, run: Run, particulars: Particulars, say: Catalogue) -> Table:
     result, camera = run.result, run.result.cameras[camera_id]
-    factor = math.sqrt(max(result.sigma0_squared or 1.0, 1.0))
-    own = factor * camera.sigma_of("c")
+    stated, whose = run.stated(camera_id)
+    own = max(math.sqrt(max(result.sigma0_squared or 1.0, 1.0)) * camera.sigma_of("c"), stated)
+    factor = own / camera.sigma_of("c") if camera.sigma_of("c") > 0.0 else 1.0
     entered = particulars.uncertainty.of_c
-    parts = [(own, float(result.degrees_of_freedom))]
+    # What images say together hangs on their number, not on that of the rays.
+    images = max(
+        int((result.images.camera == list(result.cameras).index(camera_id)).sum()) - len(camera.free), 1
+    )
+    parts = [(own, float(result.degrees_of_freedom if whose == "formal" else images))]
     parts += [(entered[key], math.inf) for key in ENTERED if key in entered]
     total, freedom, k = combined(parts)
     columns = (

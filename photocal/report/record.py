@@ -90,6 +90,9 @@ def _camera(run: Run, known: DerivedFigures) -> dict[str, Any]:
     return {
         "pixel_mm": known.pixel_mm,
         "principal_distance_mm": known.focal_mm,
+        "stated": dict(
+            zip(("value", "sigma", "of"), (camera.value("c"), *run.stated(known.camera_id)), strict=True)
+        ),
         "flying_height_m": known.height_m,
         "gsd_cm": known.gsd_cm,
         "air_base_m": known.base_m,

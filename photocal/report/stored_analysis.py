@@ -108,6 +108,20 @@ class JackknifeRecord:
         pair = self.sandwich.get(parameter), (self.bootstrap or {}).get(parameter)
         return pair if any(apart(formal, one) for one in pair) else (None, None)
 
+    def largest(self, parameter: str, formal: float) -> tuple[float, str]:
+        """Largest opinion that is more than a third above the formal one, and whose it is; else "formal".
+
+        Leaving out images stands in for the sandwich where there are too few of them.
+        """
+        others = {
+            "sandwich": self.sandwich.get(parameter),
+            "bootstrap": (self.bootstrap or {}).get(parameter),
+        }
+        if others["sandwich"] is None:
+            others = {"jackknife": self.standard_error.get(parameter), **others}
+        sigma, whose = max((one or 0.0, name) for name, one in others.items())
+        return (sigma, whose) if sigma > formal and apart(formal, sigma) else (formal, "formal")
+
 
 @dataclass(frozen=True)
 class ExteriorDifference:
@@ -165,6 +179,15 @@ class Run:
     result: Result
     files: tuple[InputFile, ...]
     analysis: StoredAnalysis | None = None
+
+    def stated(self, camera_id: str, parameter: str = "c") -> tuple[float, str]:
+        """Standard deviation that a client is told: scaled where the global test is rejected, or larger.
+
+        returns: it, and whose it is: see `JackknifeRecord.largest`.
+        """
+        formal = (self.result.scale or 1.0) * self.result.cameras[camera_id].sigma_of(parameter)
+        record = self.analysis.jackknife.get(camera_id) if self.analysis else None
+        return (formal, "formal") if record is None else record.largest(parameter, formal)
 
 
 def read_run(folder: Path) -> Run:

@@ -11,7 +11,7 @@ from pathlib import Path
 from acquire.outputs import output_folder
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.readout import with_readouts
-from photocal.adjustment.snooping import Test, snoop
+from photocal.adjustment.snooping import Test, snoop, subset
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.variance_components import Component, estimate_components, rays_by_camera
@@ -19,6 +19,7 @@ from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.block.motion import require_motion
 from photocal.block.network import NetworkOfBlock, assemble
+from photocal.block.start import behind_cameras
 from photocal.results.adjusted import result_of
 from photocal.results.folder import write_result
 from photocal.results.more_tables import Wanted, more_figures, write_more
@@ -96,14 +97,22 @@ def _with_origin(facts: BlockFacts, source: Path, block: Block, output: Path) ->
 def adjusted(
     assembly: NetworkOfBlock, snooping: Test | None = None, report: Report | None = None
 ) -> tuple[NetworkOfBlock, Solution]:
-    """Adjust the network of an assembly.
+    """Adjust the network of an assembly; points that no start value brings before their cameras take no part.
 
     raises PhotocalError: for an ill-posed network.
     """
+    network = assembly.network
+    known = network.points.held.any(axis=1) | network.points.weight.any(axis=(1, 2))
+    lost = behind_cameras(network.exposures, network.rays, network.points.values) & ~known
+    if lost.any():
+        network, taken, points = subset(network, ~lost[network.rays.point])
+        assembly = replace(
+            assembly, network=network, points=assembly.points[points], rays=assembly.rays[taken]
+        )
     if snooping is None:
-        solution = adjust(assembly.network, report)
+        solution = adjust(network, report)
     else:
-        found = snoop(assembly.network, snooping, report)
+        found = snoop(network, snooping, report)
         points, rays = assembly.points[found.points], assembly.rays[found.accepted]
         assembly, solution = (
             replace(assembly, network=found.network, points=points, rays=rays),

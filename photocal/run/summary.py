@@ -9,8 +9,7 @@ from typing import Any
 
 from photocal.findings.catalogue import catalogue
 from photocal.findings.texts import finding_json
-from photocal.results.folder import read_result
-from photocal.results.result import Result
+from photocal.report.stored_analysis import Run, read_run
 from photocal.run.stage import StageResult
 from photocal.run.warnings import gather, kind, project_verdict, read_json
 
@@ -29,7 +28,7 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
 
     ppk, exposures = figures("ppk", "ppk.json"), figures("exposures", "exposures.json")
     check = figures("georeferencing", "check.json")
-    result = read_result(work / "calibration") if "calibration" in done else None
+    adjusted = next((one for one in ("analysis", "calibration") if one in done), None)
     final = project_verdict(work, done)
     return {
         "schema": SCHEMA,
@@ -41,7 +40,7 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
         ],
         "ppk": None if ppk is None else _ppk(ppk),
         "exposures": None if exposures is None else _exposures(exposures),
-        "calibration": None if result is None else _calibration(result),
+        "calibration": None if adjusted is None else _calibration(read_run(work / adjusted)),
         "check_points": None if check is None else _check_points(check),
         "classes": None if check is None else _classes(check),
         "warnings": [{"kind": kind(one), **finding_json(one, say)} for one in gather(work, done)],
@@ -65,7 +64,8 @@ def _exposures(figures: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _calibration(result: Result) -> dict[str, Any]:
+def _calibration(run: Run) -> dict[str, Any]:
+    result = run.result
     return {
         "images": len(result.images),
         "observations": result.observations,
@@ -76,7 +76,12 @@ def _calibration(result: Result) -> dict[str, Any]:
             name: {
                 "unit": camera.unit,
                 "parameters": {
-                    key: {"value": camera.value(key), "sigma": camera.sigma_of(key)} for key in camera.free
+                    key: {
+                        "value": camera.value(key),
+                        "sigma": camera.sigma_of(key),
+                        "stated": run.stated(name, key)[0],
+                    }
+                    for key in camera.free
                 },
             }
             for name, camera in result.cameras.items()
@@ -163,7 +168,7 @@ def _calibration_lines(figures: dict[str, Any]) -> Iterator[str]:
     for name, camera in figures["cameras"].items():
         values = camera["parameters"]
         texts = [
-            f"{key} {with_sigma(values[key]['value'], values[key]['sigma'])}"
+            f"{key} {with_sigma(values[key]['value'], values[key]['stated'])}"
             for key in values
             if key in ("c", "x0", "y0")
         ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drivers.arrays import Floats
+from photocal.adjustment.factored import covariance_column
 from photocal.analysis.estimates import Estimates, scaled
 from photocal.analysis.significance import f_test
 from photocal.analysis.systematic_errors.extra_parameter import ExtraParameter
@@ -73,10 +74,25 @@ def _left_px(one: Round) -> float:
 
 def _points_moved(one: Round) -> float:
     """By how many standard deviations the error moves object points, root mean square."""
-    sigma = np.sqrt(np.diagonal(one.before.solution.point_covariance, axis1=1, axis2=2))
-    moved = one.after.solution.points - one.before.solution.points
+    return _in_sigmas(one.before, one.after.solution.points - one.before.solution.points)
+
+
+def _in_sigmas(fitted: Fit, moved: Floats) -> float:
+    """How far points move, (points, 3), in their standard deviations, root mean square."""
+    sigma = np.sqrt(np.diagonal(fitted.solution.point_covariance, axis1=1, axis2=2))
     ratio = np.divide(moved, sigma, out=np.zeros_like(moved), where=sigma > 0.0)
     return float(np.sqrt(np.mean(ratio**2))) if ratio.size else 0.0
+
+
+def moved_with_c(fitted: Fit, camera: int, change: float) -> float:
+    """By how many standard deviations points move when c is another and all observations are kept."""
+    problem = fitted.factored.problem
+    active, columns = problem.layout.camera_columns[camera]
+    right = np.zeros(problem.layout.size)
+    right[columns[active == 0]] = 1.0
+    step, moved = covariance_column(fitted.factored, right, np.zeros_like(fitted.state.points))
+    variance = float(right @ step)
+    return _in_sigmas(fitted, moved * (change / variance)) if variance > 0.0 else 0.0
 
 
 def _graded(
@@ -189,7 +205,11 @@ def of_sigma(search: Search) -> list[Finding]:
 
 
 def of_bias(search: Search) -> list[Finding]:
-    """Describe the bias of every c, when it is beyond its precision."""
+    """Describe the bias of every c, when it is beyond its precision, formal and by images left out.
+
+    It is grave where it moves the object points of this block, too: else control or positions hold them, and
+    only who carries c to another flight is misled.
+    """
     if not search.rounds and search.shift is None:
         return []
     listed = []
@@ -197,9 +217,12 @@ def of_bias(search: Search) -> list[Finding]:
         before, after = search.first.solution.cameras[k, 0], search.last.solution.cameras[k, 0]
         sigma = float(np.sqrt(search.first.solution.camera_covariance[k, 0, 0]))
         bias = float(before - after)
-        if not sigma > 0.0 or abs(bias) < SMALL_SIGMAS * sigma:
+        # A bias below the spread over the images is lost in it (mean square error).
+        spread = float(np.nan_to_num(search.jackknife_last.standard_error[k, 0]))
+        if not sigma > 0.0 or abs(bias) < max(SMALL_SIGMAS * sigma, spread):
             continue
         ground = ground_effect(search.first, k, bias)
+        moved = _in_sigmas(search.first, search.last.state.points - search.first.state.points)
         figures: dict[str, Figure] = {
             "camera": camera.id,
             "bias": bias,
@@ -209,9 +232,13 @@ def of_bias(search: Search) -> list[Finding]:
             "formal": abs(bias) / sigma,
             "ground_m": ground,
             "share": abs(bias) / float(after),
+            "moved": moved,
         }
         size = Size(bias, camera.unit, sigma, bias, ground)
-        listed.append(Finding("c-bias", "doubtful", camera.id, figures, size=size))
+        if moved < SMALL_MOVE:
+            listed.append(Finding("c-bias", "doubtful", camera.id, figures, ("only_carried",), size))
+        else:
+            listed.append(Finding("c-bias", "grave", camera.id, figures, size=size))
     return listed
 
 
@@ -263,10 +290,15 @@ def of_jackknife(search: Search) -> list[Finding]:
             "formal": float(formal[worst]),
         }
         effect = float(before[0]) if worst == 0 else None
-        ground = ground_effect(search.first, k, effect) if effect is not None else None
+        clauses = ["once_corrected" if search.rounds else "as_adjusted"]
+        ground = None
+        if effect is not None:
+            ground = ground_effect(search.first, k, effect)
+            moved = moved_with_c(search.first, k, effect)
+            figures |= {"ground_m": ground, "moved": moved}
+            clauses.append("only_carried" if moved < SMALL_MOVE else "heights_hang")
         size = Size(float(before[worst]), camera.unit, None, effect, ground)
-        clauses = ("once_corrected",) if search.rounds else ("as_adjusted",)
-        listed.append(Finding("jackknife", "doubtful", camera.id, figures, clauses, size))
+        listed.append(Finding("jackknife", "doubtful", camera.id, figures, tuple(clauses), size))
     return listed
 
 

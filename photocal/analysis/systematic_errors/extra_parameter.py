@@ -1,4 +1,4 @@
-"""Testing one more parameter: how much the sum of squares falls when it is allowed."""
+"""Testing one more parameter: how much the sum of squares falls when it is allowed, and if images agree."""
 
 from __future__ import annotations
 
@@ -6,9 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.arrays import Floats
+from drivers.errors import IllPosedError, NotConvergedError
+from photocal.adjustment.factored import factored
+from photocal.adjustment.kernels.residuals import evaluate
+from photocal.adjustment.near import Removals
+from photocal.adjustment.normal import values_of
 from photocal.adjustment.score import score
+from photocal.analysis.robust import FEWEST, LEAST_CHECKED
 from photocal.analysis.systematic_errors.candidates import Candidate
-from photocal.analysis.systematic_errors.refit import Fit
+from photocal.analysis.systematic_errors.jackknife import groups_of, standard_error, state_without
+from photocal.analysis.systematic_errors.refit import Fit, left_without, without_images
 
 # What the unknowns take up cannot be tested: less than a thousandth of the displacement is left.
 LEFT = 1e-6
@@ -59,3 +67,49 @@ def judged(fit: Fit, candidate: Candidate, amount: float, sigma: float, fall: fl
     moved = np.abs(amount) * np.linalg.norm(candidate.displacement / np.array(pitch), axis=1)
     p_value = float(stats.f.sf(statistic, 1, redundancy))
     return ExtraParameter(candidate, amount, sigma, fall, statistic, p_value, float(moved.max(initial=0.0)))
+
+
+def agreed(fit: Fit, candidate: Candidate, amount: float) -> float:
+    """Probability of an amount that is none, by how the images differ about it; 1 where too few can be asked.
+
+    fit: with the amount corrected.
+
+    Notes
+    -----
+    The F test takes rays for independent. What matching, focus or a moving shutter do to one image they do to
+    all of its rays, and the next image has it otherwise: a test over images as they are (Liang and Zeger
+    1986) sees that. With many images by the sandwich, see `robust.sandwich`, with few by the jackknife.
+    """
+    from scipy import stats
+
+    image, camera = fit.network.rays.image, fit.network.cameras[candidate.camera]
+    images = int(np.sum(fit.network.exposures.camera == candidate.camera))
+    freedom = images - int(camera.estimated.sum()) - 1
+    if freedom >= FEWEST:
+        one = score(fit.factored, fit.solution.residuals, -candidate.displacement[None])
+        checked = np.maximum(fit.solution.redundancy, LEAST_CHECKED)
+        pull = fit.network.rays.sigma**-2.0 * fit.solution.residuals / np.sqrt(checked)
+        by_image = np.bincount(image, np.einsum("rk,rk->r", one.visible[0], pull), images)
+        sigma = float(np.linalg.norm(by_image)) * (images / freedom) ** 0.5 / float(one.information[0, 0])
+    else:
+        amounts = _left_out(fit, candidate)
+        freedom, sigma = len(amounts) - 1, float(standard_error(amounts))
+    return float(2 * stats.t.sf(abs(amount) / sigma, freedom)) if sigma > 0.0 else 1.0
+
+
+def _left_out(fit: Fit, candidate: Candidate) -> Floats:
+    """What is left of an amount when images are left out, (m,)."""
+    removals, amounts = Removals(fit.factored.problem, fit.state), []
+    for out in groups_of(fit):
+        try:
+            network, state = without_images(fit.network, state_without(fit, removals, out), out)
+            at = factored(network, state)
+        except (IllPosedError, NotConvergedError):
+            continue
+        residuals, depth = np.empty(network.rays.plane.shape), np.empty(len(network.rays.image))
+        evaluate(at.problem.design, values_of(at.problem, at.state), residuals, depth)
+        kept = left_without(fit.network, out)[1]
+        one = score(at, residuals, -candidate.displacement[None, kept])
+        if one.share[0] > LEFT:
+            amounts.append(-float(one.slope[0]) / float(one.information[0, 0]))
+    return np.array(amounts)

@@ -73,16 +73,21 @@ def with_sigmas(network: Network, factor: float) -> Network:
     return replace(network, rays=replace(network.rays, sigma=network.rays.sigma * factor))
 
 
-def without_images(network: Network, state: State, left_out: Flags) -> tuple[Network, State]:
-    """Take images out of a network, and the points that are then not determined."""
-    image_place = np.cumsum(~left_out) - 1
+def left_without(network: Network, left_out: Flags) -> tuple[Flags, Flags]:
+    """Points that are determined without some images, (points,), and rays that stay, (rays,)."""
     kept = ~left_out[network.rays.image]
     count = np.bincount(network.rays.point[kept], minlength=len(network.point_names))
     known = network.points.held.any(axis=1) | (np.diagonal(network.points.weight, axis1=1, axis2=2) > 0).any(
         axis=1
     )
-    points = (count >= 2) | (known & (count >= 1))
-    kept &= points[network.rays.point]
+    points: Flags = (count >= 2) | (known & (count >= 1))
+    return points, kept & points[network.rays.point]
+
+
+def without_images(network: Network, state: State, left_out: Flags) -> tuple[Network, State]:
+    """Take images out of a network, and the points that are then not determined."""
+    image_place = np.cumsum(~left_out) - 1
+    points, kept = left_without(network, left_out)
     point_place = np.cumsum(points) - 1
     rays = network.rays
     relations = network.relations

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,12 @@ from drivers.arrays import Floats
 from photocal.adjustment.groups import GroupTest, group_tests
 from photocal.analysis.estimates import Estimates
 from photocal.analysis.systematic_errors.candidates import Candidate, candidates, steps_of_c
-from photocal.analysis.systematic_errors.extra_parameter import ExtraParameter, estimated_amount, judged
+from photocal.analysis.systematic_errors.extra_parameter import (
+    ExtraParameter,
+    agreed,
+    estimated_amount,
+    judged,
+)
 from photocal.analysis.systematic_errors.image_shift import ImageShift, image_shifts
 from photocal.analysis.systematic_errors.jackknife import Jackknife, jackknife
 from photocal.analysis.systematic_errors.position_shift import (
@@ -98,8 +103,8 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
     shift = positions if positions is not None and positions.p_value < LEVEL else None
     last = first if shift is None else fit(with_free_shift(first.network), first.state)
     while len(rounds) < ROUNDS:
-        worst = _worst(last, tuple(one.parameter.candidate for one in rounds), done)
-        step = None if worst is None else _corrected(last, worst)
+        suspected = _suspected(last, tuple(one.parameter.candidate for one in rounds), done)
+        step = next((one for worst in suspected if (one := _corrected(last, worst)) is not None), None)
         if step is None:
             break
         rounds.append(step)
@@ -144,8 +149,8 @@ def camera_estimates(fitted: Fit, camera: int) -> Estimates:
     )
 
 
-def _worst(last: Fit, found: tuple[Candidate, ...], done: Callable[[], None]) -> ExtraParameter | None:
-    """Test every candidate that was not yet found; give the most significant one, or None."""
+def _suspected(last: Fit, found: tuple[Candidate, ...], done: Callable[[], None]) -> Iterator[ExtraParameter]:
+    """Test every candidate that was not yet found; give the significant ones, the worst first."""
     tested = []
     for candidate in candidates(last.network, last.state, last.computed):
         if any(_same(candidate, one) for one in found):
@@ -155,20 +160,26 @@ def _worst(last: Fit, found: tuple[Candidate, ...], done: Callable[[], None]) ->
             tested.append(outcome)
         done()
     significant = [one for one in tested if one.p_value < LEVEL / len(tested)]
-    if not significant:
-        return None
-    worst = max(significant, key=lambda one: one.statistic)
-    if worst.candidate.kind == "c-drift":
-        steps = steps_of_c(last.network, last.state, last.computed, worst.candidate.camera)
-        tried = [one for step in steps if (one := estimated_amount(last, step)) is not None]
-        best = max(tried, key=lambda one: one.statistic, default=worst)
-        worst = best if best.statistic > worst.statistic + STEP_ADVANTAGE else worst
-    alike = tuple(
-        one.candidate.name
-        for one in significant
-        if one is not worst and one.statistic > ALIKE * worst.statistic and _parallel(last, one, worst)
-    )
-    return replace(worst, alike=alike, tested=len(tested))
+    for one in sorted(significant, key=lambda one: -one.statistic):
+        worst = _step_or_drift(last, one)
+        alike = tuple(
+            other.candidate.name
+            for other in significant
+            if other is not worst
+            and other.statistic > ALIKE * worst.statistic
+            and _parallel(last, other, worst)
+        )
+        yield replace(worst, alike=alike, tested=len(tested))
+
+
+def _step_or_drift(last: Fit, drift: ExtraParameter) -> ExtraParameter:
+    """A step of c in place of a drift of it, where it explains so much more."""
+    if drift.candidate.kind != "c-drift":
+        return drift
+    steps = steps_of_c(last.network, last.state, last.computed, drift.candidate.camera)
+    tried = [one for step in steps if (one := estimated_amount(last, step)) is not None]
+    best = max(tried, key=lambda one: one.statistic, default=drift)
+    return best if best.statistic > drift.statistic + STEP_ADVANTAGE else drift
 
 
 def _parallel(last: Fit, one: ExtraParameter, other: ExtraParameter) -> bool:
@@ -179,6 +190,7 @@ def _parallel(last: Fit, one: ExtraParameter, other: ExtraParameter) -> bool:
 def _corrected(before: Fit, worst: ExtraParameter) -> Round | None:
     """Correct an error step by step, as large ones are not linear; None when it then is not significant.
 
+    It is neither when the images do not agree about it.
     A step that does not lower v'Pv is halved. What is claimed is what the last adjustment shows.
     """
     amount, step, after = 0.0, worst.amount, before
@@ -195,7 +207,8 @@ def _corrected(before: Fit, worst: ExtraParameter) -> Round | None:
         step = rest.amount
     fall = before.solution.chi_squared - after.solution.chi_squared
     outcome = judged(before, worst.candidate, amount, worst.sigma, fall)
-    if outcome.p_value >= LEVEL / worst.tested:
+    level = LEVEL / worst.tested
+    if outcome.p_value >= level or agreed(after, worst.candidate, amount) >= level:
         return None
     return Round(replace(outcome, alike=worst.alike, tested=worst.tested), before, after)
 

@@ -16,6 +16,7 @@ from photocal.analysis.systematic_errors.search import Search, search
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
 from photocal.findings.finding import Finding
+from photocal.findings.verdict import verdict
 from photocal.geometry.camera import PARAMETERS
 from tests.photocal.analysis.findings import said, sized
 
@@ -84,6 +85,9 @@ def test_c_is_biased(told_nothing: Search) -> None:
     found = of_kind(findings(told_nothing), "c-bias")
     assert sized(found).figure == pytest.approx(0.028, abs=0.0005)
     assert "c is biased by +0.028 mm (20.4721 adjusted, 20.4443 corrected; 3.2 formal" in said(found)
+    # It moves the points of the block, too.
+    assert found.severity == "grave"
+    assert verdict(findings(told_nothing)).code == "not-usable"
     # Distance times the relative error: some 10 m from the wall.
     assert sized(found).ground_m == pytest.approx(0.0277 / 20.4721 * 9.9, rel=0.03)
 

@@ -198,7 +198,7 @@ def test_an_image_gets_its_own_geometry_as_the_adjustment_would_give_it() -> Non
     """Scale, principal point and significance against a camera of its own for that image."""
     made = convergent(("c", "x0", "y0"), model="brown-ideal")
     mine = (made.network.rays.image == 5)[:, None]
-    network = noisy(made, 16, made.exact + mine * np.array([1.5, -1.0]))
+    network = noisy(made, 17, made.exact + mine * np.array([1.5, -1.0]))
     fitted = fit(network)
     found = joint_shift(fitted, "i5")
     assert found is not None
@@ -249,3 +249,19 @@ def test_a_principal_distance_that_changes_within_the_flight_is_named(shape: str
     assert abs(amount - expected) < 4 * sigma
     if time is not None:
         assert c.drifts["time"][0] == pytest.approx(c.drifts["order"][0], rel=1e-6)
+
+
+def test_what_each_image_has_otherwise_is_no_missing_term(networks: dict[str, Simulated]) -> None:
+    """A radial field of each image's own: rays by the hundred agree with K3, the images do not."""
+    made = networks["flight"]
+    x = made.exact - made.network.cameras[0].values[1:3]
+    image = made.network.rays.image
+    amount = 5e-24 * np.random.default_rng(17).standard_normal(len(made.network.image_names))
+    network = noisy(made, 17, made.exact - amount[image, None] * x * np.sum(x**2, axis=1, keepdims=True) ** 3)
+    fitted = fit(network)
+    (radial,) = [one for one in candidates(network, fitted.state, fitted.computed) if one.kind == "radial"]
+    outcome = estimated_amount(fitted, radial)
+    assert outcome is not None
+    assert outcome.p_value < 1e-6
+    codes = {one.code for one in findings(search(fitted))}
+    assert not codes & {"radial", "decentring", "c-bias"}

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import csv
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from drivers.errors import IllPosedError, InputMalformedError
+from photocal.block.folder import read_block
+from photocal.geometry.camera import plane_to_pixel
+from photocal.geometry.rotation import matrix_from_angles
+from photocal.results.adjusting import adjust_network
 from tests.photocal.blocks import adjusted_json
+from tests.photocal.georeferencing.flights import Plan, fly
 
 DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"
 
@@ -86,3 +93,31 @@ def test_a_sigma_needs_its_value(tmp_path: Path) -> None:
     folder = without_orientation(tmp_path / "block", frozenset({"8"}), extra="0.05")
     with pytest.raises(InputMalformedError, match="a value with a sigma is empty"):
         adjusted_json(folder, tmp_path / "run")
+
+
+def test_tie_points_that_start_behind_their_cameras_are_placed_again_or_counted(tmp_path: Path) -> None:
+    """Other people's blocks have them: an adjustment of the others must not hang on them."""
+    block = read_block(fly(tmp_path / "flight", np.random.default_rng(3), plan=Plan(tie=40)))
+    expected = adjust_network(block)
+    row = {name: k for k, name in enumerate(expected.points.names)}
+    values, tie = block.points.values.copy(), np.flatnonzero(block.points.of_role("tie"))
+    values[tie] = expected.points.values[[row[block.points.names[k]] for k in tie]]
+    values[tie[:5], 2] += 1000.0
+    moved = replace(block, points=replace(block.points, values=values))
+    found = adjust_network(moved)
+    assert found.chi_squared == pytest.approx(expected.chi_squared, rel=1e-9)
+    assert not found.rejected
+    # Rays that part in front of their cameras meet behind them: those of a point in the sky.
+    seen, point, camera = block.observations, tie[0], block.cameras[0]
+    mine = np.flatnonzero(seen.point == point)
+    pose = block.images.values[seen.image[mine]]
+    away = values[point] + np.array([0.0, 0.0, 1000.0]) - pose[:, 3:]
+    q = np.einsum("nab,nb->na", matrix_from_angles(pose[:, :3]), away)
+    measured = seen.values.copy()
+    plane = -camera.value("c") * q[:, :2] / q[:, 2:]
+    measured[mine] = plane_to_pixel(camera.size_px, camera.pitch, plane)
+    parted = replace(moved, observations=replace(seen, values=measured))
+    left = adjust_network(parted)
+    assert {ray.point for ray in left.rejected} == {block.points.names[point]}
+    assert len(left.rejected) == len(mine)
+    assert left.chi_squared < expected.chi_squared

@@ -25,7 +25,7 @@ def test_the_gravest_decides(severities: tuple[Severity, ...], code: str) -> Non
     assert verdict(Finding("time-offset", one) for one in severities).code == code
 
 
-@pytest.mark.parametrize("code", ["c-bias", "rolling-shutter"])
+@pytest.mark.parametrize("code", ["c-drift", "rolling-shutter"])
 def test_an_error_of_what_the_client_uses_withholds(code: str) -> None:
     assert verdict([Finding(code, "doubtful")]).code == "not-usable"
     assert verdict([Finding(code, "note")]).code == "usable"
