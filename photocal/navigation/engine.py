@@ -119,6 +119,9 @@ class Rtklib:
         settings.write_text(configuration(mode, direction, options))
         output = folder / f"{files[0].stem}-{mode}-{direction}.pos"
         arguments = ["-k", str(settings), "-o", str(output)]
+        if mode == "ppp-static":
+            # Multipath lasts about a minute: more epochs tell nothing new, but the engine would think so.
+            arguments += ["-ti", "30"]
         if base_m is not None:
             arguments += ["-r", *(f"{v:.4f}" for v in base_m)]
         _run("rnx2rtkp", [*arguments, *map(str, files)])
@@ -175,9 +178,10 @@ def configuration(mode: Mode, direction: Direction, options: ProcessingOptions) 
     if mode in ("kinematic", "static") and direction == "forward":
         settings["out-outstat"] = "residual"
     if mode == "ppp-static":
-        # Two frequencies remove the ionosphere; the wet troposphere is an unknown, the earth's tides are not.
+        # Two frequencies remove the ionosphere; the wet troposphere is an unknown, the earth's tides and the
+        # turn of the satellites against the antenna are not. An ambiguity that is not fixed stays a constant.
         settings |= {"pos1-ionoopt": "dual-freq", "pos1-tropopt": "est-ztd", "pos1-tidecorr": "on"}
-        settings["pos2-armode"] = "off"
+        settings |= {"pos1-posopt3": "on", "pos2-armode": "off", "stats-prnbias": "0"}
     if mode == "single":
         # Without a base there is nothing that removes the ionosphere's and troposphere's common part.
         settings["pos1-frequency"] = "l1"

@@ -52,6 +52,7 @@ class Link:
     range_m, range_rate_m_s (n,): way of the signal that arrives at the epoch, and its derivative.
     azimuth, elevation (n,): radians.
     clock_s, clock_rate (n,): satellite clock at the moment of transmission.
+    wind_up (n,): cycles by which the phase grows as satellite and antenna turn against each other.
     """
 
     range_m: Floats
@@ -60,6 +61,7 @@ class Link:
     elevation: Floats
     clock_s: Floats
     clock_rate: Floats
+    wind_up: Floats
 
 
 def link(satellite: Satellite, seconds: Floats, origin_gps_ns: int, at: Place) -> Link:
@@ -87,7 +89,8 @@ def link(satellite: Satellite, seconds: Floats, origin_gps_ns: int, at: Place) -
     east, north, up = np.moveaxis(axes(at.lat, at.lon), 1, 0)
     e, n, u = (np.einsum("ij,ij->i", axis, unit) for axis in (east, north, up))
     clock_rate = state.clock_rate * (1 - rate / LIGHT_M_S)
-    return Link(distance, rate, np.arctan2(e, n), np.arcsin(u), state.clock_s, clock_rate)
+    turns = _wind_up(position, -unit, _sun(seconds, origin_gps_ns), (east, north))
+    return Link(distance, rate, np.arctan2(e, n), np.arcsin(u), state.clock_s, clock_rate, turns)
 
 
 def axes(lat: Floats, lon: Floats) -> Floats:
@@ -97,6 +100,37 @@ def axes(lat: Floats, lon: Floats) -> Floats:
     north = np.stack([-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)], axis=1)
     up = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
     return np.stack([east, north, up], axis=1)
+
+
+def _wind_up(satellite: Floats, ray: Floats, sun: Floats, antenna: tuple[Floats, Floats]) -> Floats:
+    """Turns between a satellite with its panels to the sun and an antenna on the ground (Wu et al. 1993)."""
+    down = -_unit(satellite)
+    across = _unit(np.cross(down, sun))
+    along = np.cross(across, down)
+
+    def dipole(x: Floats, y: Floats, sign: float) -> Floats:
+        return x - ray * np.einsum("ij,ij->i", ray, x)[:, None] + sign * np.cross(ray, y)
+
+    sent, received = dipole(along, across, -1.0), dipole(*antenna, 1.0)
+    cosine = np.einsum("ij,ij->i", _unit(sent), _unit(received))
+    sense = np.sign(np.einsum("ij,ij->i", ray, np.cross(sent, received)))
+    return np.asarray(np.unwrap(sense * np.arccos(np.clip(cosine, -1, 1))) / (2 * np.pi))
+
+
+def _sun(seconds: Floats, origin_gps_ns: int) -> Floats:
+    """Direction of the sun, earth-fixed, to a hundredth of a degree (Montenbruck and Gill 2000, 3.3.2)."""
+    # Days since 2000 January 1, 12 h; universal time lies 18 s and less behind GPS time.
+    days = (origin_gps_ns / 1e9 + seconds - 18.0) / 86_400 - 7_300.5
+    anomaly = np.radians(357.5256 + 0.985600259 * days)
+    longitude = anomaly + np.radians(282.94 + (6892 * np.sin(anomaly) + 72 * np.sin(2 * anomaly)) / 3600)
+    tilt = np.radians(23.4393)
+    x, y = np.cos(longitude), np.cos(tilt) * np.sin(longitude)
+    inertial = np.stack([x, y, np.sin(tilt) * np.sin(longitude)], axis=1)
+    return _turned(inertial, np.radians(280.46062 + 360.98564737 * days))
+
+
+def _unit(vectors: Floats) -> Floats:
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 def _turned(vectors: Floats, angle: Floats) -> Floats:

@@ -244,7 +244,11 @@ def _rows(
     # The ambiguity brings the phase near the code (u-blox F9 HPG 1.32, RXM-RAWX), the same for all arcs.
     near = np.rint((code_m[:1] - phase_m[:1]) / signal.wavelength_m)
     rows["phase_cycles"] = (
-        phase / signal.wavelength_m + near + held.ambiguity[chosen] + fine * rng.standard_normal(len(chosen))
+        phase / signal.wavelength_m
+        + near
+        + held.ambiguity[chosen]
+        + way.wind_up[chosen]
+        + fine * rng.standard_normal(len(chosen))
     )
     rows["phase_cycles"][~held.phase[chosen]] = 0.0
     rate = way.range_rate_m_s + LIGHT_M_S * (clock.rate - way.clock_rate)

@@ -21,6 +21,7 @@ from photocal.navigation.time import GpsTime
 from tests.acquire.simulate.gnss.flights import AXES, BASE_M, SECOND, ecef, gps_ns
 from tests.photocal.conftest import Answer
 from tests.photocal.navigation.conftest import Run, needs_engine
+from tests.photocal.navigation.tides import displacement
 
 Photocal = Callable[..., Answer]
 LIGHT_M_S = 299_792_458.0
@@ -72,26 +73,28 @@ rover_antenna_m = 0.0
     assert float(rows[1]["sZ"]) == pytest.approx(mark["sigma_enu_m"][2], rel=1e-3)
 
 
-def sp3(session: Session) -> str:
+def sp3(session: Session, hours: int) -> str:
     """Orbits and clocks of the simulated sky as a product of an analysis centre, every five minutes."""
-    epochs = np.arange(-12, 25) * 300.0
-    gps = [s for s in session.satellites if s.system == "G"]
-    names = "".join(s.name for s in gps).ljust(51 * ((len(gps) + 16) // 17), " ")
+    epochs = np.arange(-18, 12 * hours + 19) * 300.0
+    satellites = [s for s in session.satellites if s.system in "GE"]
+    names = "".join(s.name for s in satellites).ljust(51 * 5, " ")
     lines = [
-        f"#cP2025  6 15 12  0  0.00000000      {len(epochs):2d} ORBIT IGS14 HLM  IGS",
-        "## 2371 43200.0 300.0 60841 0.5",
+        f"#cP2025  6 15 11 30  0.00000000     {len(epochs):3d} ORBIT IGS14 HLM  IGS",
+        "## 2371 41400.0 300.0 60841 0.5",
     ]
     for part in range(5):
         chunk = names[51 * part : 51 * part + 51]
-        lines.append(f"+  {len(gps) if part == 0 else '':>3}   {chunk.ljust(51).replace('   ', '  0')}")
+        lines.append(
+            f"+  {len(satellites) if part == 0 else '':>3}   {chunk.ljust(51).replace('   ', '  0')}"
+        )
     lines += ["++         " + "  0" * 17] * 5
-    lines += ["%c G  cc GPS ccc cccc cccc cccc cccc ccccc ccccc ccccc ccccc"] * 2
+    lines += ["%c M  cc GPS ccc cccc cccc cccc cccc ccccc ccccc ccccc ccccc"] * 2
     lines += ["%f  0.0000000  0.000000000  0.00000000000  0.000000000000000"] * 2
     lines += ["%i    0    0    0    0      0      0      0      0         0"] * 2 + ["/* SIMULATED"] * 4
     for seconds in epochs.tolist():
         minutes = round(seconds / 60) + 13 * 60
         lines.append(f"*  2025  6 15 {minutes // 60:2d} {minutes % 60:2d}  0.00000000")
-        for satellite in gps:
+        for satellite in satellites:
             state = satellite.state(np.array([seconds]), START)
             x, y, z = state.position_m[0] / 1e3
             # Products leave the relativistic term to the user (IS-GPS-200, 20.3.3.3.3.1).
@@ -102,13 +105,14 @@ def sp3(session: Session) -> str:
 
 def test_a_precise_point(photocal: Photocal, tmp_path: Path) -> None:
     needs_engine()
+    on_earth = Antenna(lambda t: BASE_M + displacement(t, BASE_M), lambda t: np.zeros((len(t), 3)))
     session = simulate(
-        Antenna.still(BASE_M), Antenna.still(BASE_M), START, START + 1800 * SECOND,
-        rng=np.random.default_rng(3), rover_model=replace(BASE, interval_s=30.0),
-        base_model=replace(BASE, interval_s=1.0, slips_per_hour=0.0, code_bias_m=0.0),
+        Antenna.still(BASE_M), on_earth, START, START + 7200 * SECOND,
+        rng=np.random.default_rng(3), rover_model=replace(BASE, interval_s=300.0),
+        base_model=replace(BASE, slips_per_hour=0.0, code_bias_m=0.0),
     )  # fmt: skip
     Rtklib().convert(base_ubx(session).data, "ubx", tmp_path / "base", GpsTime(np.array([START])))
-    (tmp_path / "orbits.sp3").write_text(sp3(session))
+    (tmp_path / "orbits.sp3").write_text(sp3(session, 2))
     path = tmp_path / "survey.toml"
     path.write_text("""
 required_minutes = 20
@@ -124,7 +128,7 @@ rover_antenna_m = 1.5
     figures = json.loads(answer.out)
     mark = figures["marks"][0]
     off = AXES @ (ecef(mark["lat_deg"], mark["lon_deg"], mark["height_m"]) - BASE_M) + [0, 0, 1.5]
-    # The simulated earth has no tides: up to 0.3 m in height are left.
-    assert np.abs(off[:2]).max() < 0.25
-    assert abs(off[2]) < 0.5
+    assert np.hypot(*off[:2]) < 0.02
+    assert abs(off[2]) < 0.04
+    assert (np.abs(off) < 3 * np.array(mark["sigma_enu_m"])).all()
     assert figures["sessions"][0]["long_enough"]
