@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from photocal.adjustment.factored import factored
 from photocal.adjustment.kernels.residuals import evaluate
 from photocal.adjustment.near import Removals
 from photocal.adjustment.normal import values_of
-from photocal.adjustment.score import score
+from photocal.adjustment.score import Score, score
 from photocal.analysis.robust import FEWEST, LEAST_CHECKED
 from photocal.analysis.systematic_errors.candidates import Candidate
 from photocal.analysis.systematic_errors.jackknife import groups_of, standard_error, state_without
@@ -31,6 +31,8 @@ class ExtraParameter:
     fall: by how much the sum of squares falls with it.
     statistic, p_value: F = fall over the variance that remains, and its probability without the error.
     effect_px: largest displacement of a ray, px.
+    by_images: the same probability by how the images differ, to first order; too small for few of them, see
+        `agreed`.
     tested: candidates that were looked at: the level is shared by them (Bonferroni).
     alike: other candidates that explain the residuals as well: the network does not separate them.
     """
@@ -42,6 +44,7 @@ class ExtraParameter:
     statistic: float
     p_value: float
     effect_px: float
+    by_images: float = 0.0
     tested: int = 1
     alike: tuple[str, ...] = ()
 
@@ -53,7 +56,12 @@ def estimated_amount(fit: Fit, candidate: Candidate) -> ExtraParameter | None:
     slope, information = float(one.slope[0]), float(one.information[0, 0])
     if not one.share[0] > LEFT:
         return None
-    return judged(fit, candidate, -slope / information, information**-0.5, slope**2 / information)
+    amount = -slope / information
+    outcome = judged(fit, candidate, amount, information**-0.5, slope**2 / information)
+    corrected = fit.solution.residuals + amount * one.visible[0]
+    images = int(np.sum(fit.network.exposures.camera == candidate.camera))
+    sigma = _spread(fit, one, corrected) * (images / max(images - 1, 1)) ** 0.5
+    return replace(outcome, by_images=_probability(amount, sigma, images - 1))
 
 
 def judged(fit: Fit, candidate: Candidate, amount: float, sigma: float, fall: float) -> ExtraParameter:
@@ -80,21 +88,29 @@ def agreed(fit: Fit, candidate: Candidate, amount: float) -> float:
     all of its rays, and the next image has it otherwise: a test over images as they are (Liang and Zeger
     1986) sees that. With many images by the sandwich, see `robust.sandwich`, with few by the jackknife.
     """
-    from scipy import stats
-
-    image, camera = fit.network.rays.image, fit.network.cameras[candidate.camera]
+    camera = fit.network.cameras[candidate.camera]
     images = int(np.sum(fit.network.exposures.camera == candidate.camera))
     freedom = images - int(camera.estimated.sum()) - 1
     if freedom >= FEWEST:
         one = score(fit.factored, fit.solution.residuals, -candidate.displacement[None])
         checked = np.maximum(fit.solution.redundancy, LEAST_CHECKED)
-        pull = fit.network.rays.sigma**-2.0 * fit.solution.residuals / np.sqrt(checked)
-        by_image = np.bincount(image, np.einsum("rk,rk->r", one.visible[0], pull), images)
-        sigma = float(np.linalg.norm(by_image)) * (images / freedom) ** 0.5 / float(one.information[0, 0])
-    else:
-        amounts = _left_out(fit, candidate)
-        freedom, sigma = len(amounts) - 1, float(standard_error(amounts))
-    return float(2 * stats.t.sf(abs(amount) / sigma, freedom)) if sigma > 0.0 else 1.0
+        sigma = _spread(fit, one, fit.solution.residuals / np.sqrt(checked)) * (images / freedom) ** 0.5
+        return _probability(amount, sigma, freedom)
+    amounts = _left_out(fit, candidate)
+    return _probability(amount, float(standard_error(amounts)), len(amounts) - 1)
+
+
+def _spread(fit: Fit, one: Score, residuals: Floats) -> float:
+    """Standard deviation of an amount when the residuals of an image are one observation of it."""
+    pull = fit.network.rays.sigma**-2.0 * residuals
+    by_image = np.bincount(fit.network.rays.image, np.einsum("rk,rk->r", one.visible[0], pull))
+    return float(np.linalg.norm(by_image)) / float(one.information[0, 0])
+
+
+def _probability(amount: float, sigma: float, freedom: int) -> float:
+    from scipy import stats
+
+    return float(2 * stats.t.sf(abs(amount) / sigma, freedom)) if sigma > 0.0 and freedom > 0 else 1.0
 
 
 def _left_out(fit: Fit, candidate: Candidate) -> Floats:

@@ -159,7 +159,7 @@ def _suspected(last: Fit, found: tuple[Candidate, ...], done: Callable[[], None]
         if outcome is not None:
             tested.append(outcome)
         done()
-    significant = [one for one in tested if one.p_value < LEVEL / len(tested)]
+    significant = [one for one in tested if max(one.p_value, one.by_images) < LEVEL / len(tested)]
     for one in sorted(significant, key=lambda one: -one.statistic):
         worst = _step_or_drift(last, one)
         alike = tuple(

@@ -198,7 +198,7 @@ def test_an_image_gets_its_own_geometry_as_the_adjustment_would_give_it() -> Non
     """Scale, principal point and significance against a camera of its own for that image."""
     made = convergent(("c", "x0", "y0"), model="brown-ideal")
     mine = (made.network.rays.image == 5)[:, None]
-    network = noisy(made, 17, made.exact + mine * np.array([1.5, -1.0]))
+    network = noisy(made, 16, made.exact + mine * np.array([1.5, -1.0]))
     fitted = fit(network)
     found = joint_shift(fitted, "i5")
     assert found is not None
