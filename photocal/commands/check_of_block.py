@@ -39,6 +39,7 @@ def judge_block(
     from photocal.georeferencing.comparison import check_block
     from photocal.georeferencing.methods import METHODS
     from photocal.run.georeferencing import own_calibration
+    from photocal.run.stage import is_stage
     from photocal.run.warnings import project_verdict
 
     read = read_any_block(source)
@@ -49,8 +50,8 @@ def judge_block(
         calibration = own_calibration(read) if on_the_job else None
         result = check_block(read, standards, question, noise, lambda _: advance(1), calibration)
     content, text = to_json(result), to_text(result)
-    # A project has one verdict: that over all its stages.
-    final = project_verdict(source.parent) if on_the_job else None
+    # A project has one verdict, however its block is named: that over all its stages.
+    final = project_verdict(source.parent) if on_the_job or is_stage(source) else None
     if final is not None:
         own, content["verdict"] = content["verdict"]["text"], finding_json(final, catalogue("en"))
         text = text.replace(own, content["verdict"]["text"])

@@ -102,6 +102,11 @@ def made_in(work: Path) -> Path:
     return work / ".stages"
 
 
+def is_stage(folder: Path) -> bool:
+    """Whether a folder is what a run of a project has published."""
+    return (made_in(folder.resolve().parent) / folder.resolve().name).is_dir()
+
+
 def _made(
     stage: Stage, folder: Path, digests: Digests, progress: Progress, *, again: bool
 ) -> tuple[bool, float]:

@@ -15,7 +15,7 @@ from photocal.findings.texts import findings_of
 from photocal.findings.verdict import of_global_test, verdict
 from photocal.geometry.camera import PARAMETERS
 from photocal.results.folder import RESULT, read_result
-from photocal.run.stage import made_in
+from photocal.run.stage import is_stage
 
 # A parameter that goes so many of its prior sigmas away.
 CONTRADICTED = 4.0
@@ -43,7 +43,7 @@ def gather(work: Path, stages: Container[str] | None = None) -> tuple[Finding, .
 def told_beside(run: Path) -> tuple[Finding, ...]:
     """Give what the whole processing found to a certificate that is made of one of its stages."""
     work = run.resolve().parent
-    if not (made_in(work) / run.resolve().name).is_dir():
+    if not is_stage(run):
         return ()
     return gather(work) if (work / "georeferencing").is_dir() else (*gather(work), _NOT_CHECKED)
 

@@ -76,6 +76,19 @@ def test_a_fault_is_named_and_reaches_the_certificate(shifted: tuple[Path, Resul
     assert BASE in (folder / "certificate.html").read_text(encoding="utf-8")
 
 
+def test_one_verdict_everywhere(shifted: tuple[Path, Result]) -> None:
+    path, said = shifted
+    work = path.parent / "work"
+    certified = json.loads((work / "certificate" / "certificate.json").read_text(encoding="utf-8"))
+    sentence = certified["verdict"]["text"]
+    assert sentence == json.loads(said.stdout)["verdict"]["text"]
+    assert sentence in (work / "certificate" / "certificate.html").read_text(encoding="utf-8")
+    for place in (path, work / "block"):
+        assert sentence in CliRunner().invoke(app, ["check", str(place)]).stdout
+        answer = CliRunner().invoke(app, ["check", str(place), "--json"]).stdout
+        assert json.loads(answer)["verdict"]["text"] == sentence
+
+
 def test_no_certificate_of_a_stage_is_silent(shifted: tuple[Path, Result], tmp_path: Path) -> None:
     work = shifted[0].parent / "work"
     said = CliRunner().invoke(app, ["certificate", str(work / "calibration"), "-o", str(tmp_path / "c")])
