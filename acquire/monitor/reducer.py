@@ -21,8 +21,8 @@ from acquire.monitor.vehicle import vehicle_after
 from acquire.recording.alarms import ALARM
 from drivers.frames import Wire
 
-# Error and worse, as MAVLink counts severity.
-_SEVERE = 3
+# Critical, as a failsafe is, and error, as MAVLink counts severity from the worst.
+_CRITICAL, _SEVERE = 2, 3
 _LEVELS = {"lost": "bad", "silent": "bad", "disk_full": "bad", "disk_low": "bad", "clock_jump": "bad"}
 _LEVELS |= {"source_changed": "warn", "device": "warn", "flood": "warn"}
 _TEXTS = {"link", "edge", "fix", "kind", "text"}
@@ -173,8 +173,10 @@ def _alarm(state: State, part: Messages) -> State:
 def _health(state: State, part: Messages) -> State:
     for row, time_ns in _rows(part):
         name = row["link"]
-        if row.get("text") and row.get("severity", 7) <= _SEVERE:
-            state = raised(state, "warn", name, f"says: {row['text']}", time_ns)
+        severity = row.get("severity", 7)
+        if row.get("text") and severity <= _SEVERE:
+            level = "bad" if severity <= _CRITICAL else "warn"
+            state = raised(state, level, name, f"says: {row['text']}", time_ns)
         voltage, percent = number(row, "voltage_v"), number(row, "battery_percent")
         if voltage is not None:
             battery = Battery(voltage, None if percent is None or percent < 0 else round(percent))

@@ -261,8 +261,8 @@ def test_alarms_of_the_recorder_and_texts_of_the_vehicle_are_passed_on() -> None
     state = state_after(
         State(), [raw("rover", [0.0]), rows("/alarm", ALARM, *alarms), rows("/health", HEALTH, *texts)]
     )
-    assert told(state, "bad") == ["lost", "silent", "disk_low", "clock_jump"]
-    assert told(state, "warn") == ["says: severity 2", "says: severity 3", "source_changed"]
+    assert told(state, "bad") == ["says: severity 2", "lost", "silent", "disk_low", "clock_jump"]
+    assert told(state, "warn") == ["says: severity 3", "source_changed"]
     assert told(state, "note") == ["note", "back"]
     assert [alarm.number for alarm in state.alarms] == list(range(1, 10))
     # Silent was the last word on this link.
