@@ -164,7 +164,12 @@ def serve(
         text = record_settings(flight, urls, Path("recording"))
         with output_file(settings) as aside:
             aside.write_text(text, encoding="utf-8")
-        figures = {"schema": "acquire.simulate.serve/1", "record": str(settings), "flight_s": end_s, **urls}
+        figures = {
+            "schema": "acquire.simulate.hardware/1",
+            "record": str(settings),
+            "flight_s": end_s,
+            **urls,
+        }
         answer(
             as_json,
             lambda: figures,

@@ -2,15 +2,159 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import select
 import socket
-from collections.abc import Iterator, Mapping
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Protocol
 
+from acquire.operating_system import pseudo_terminal
 from acquire.simulate.playback import FlightClock, FlownAutopilot, FlownReceiver
 from acquire.simulate.played_flight import PlayedFlight
-from acquire.simulate.serve import on_pty, on_tcp, on_udp
 from acquire.simulate.world.tables import toml_text
+
+_TICK_S = 0.005
+# A reader that was quick enough before is waited for; one that has taken nothing for so long is gone.
+_PATIENCE_S = 10.0
+_DATAGRAM_BYTES = 8192
+
+
+class Device(Protocol):
+    """A simulated device: what it sends by itself and what it answers."""
+
+    def due(self, time_s: float) -> bytes:
+        """Return what is sent of its own accord up to a moment, seconds after the start."""
+        ...
+
+    def receive(self, data: bytes, time_s: float) -> bytes:
+        """Take bytes of the host; return the answers."""
+        ...
+
+
+@contextlib.contextmanager
+def on_udp(device: Device, host: str, port: int) -> Iterator[None]:
+    """Let a device speak to a UDP port, each answer in a datagram of its own."""
+    line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    line.bind(("127.0.0.1", 0))
+
+    def send(data: bytes, _stop: threading.Event) -> None:
+        with contextlib.suppress(OSError):
+            for at in range(0, len(data), _DATAGRAM_BYTES):
+                line.sendto(data[at : at + _DATAGRAM_BYTES], (host, port))
+
+    with line, _serving(device, line.fileno(), line.recv, send):
+        yield
+
+
+@contextlib.contextmanager
+def on_pty(device: Device) -> Iterator[str]:
+    """Let a device speak on a pseudo terminal; yields the path of the port."""
+    ours, theirs, path = pseudo_terminal()
+    os.set_blocking(ours, False)  # type: ignore[attr-defined, unused-ignore]
+
+    gone = False
+
+    def send(data: bytes, stop: threading.Event) -> None:
+        # A line without a listener fills up; a receiver would lose the bytes, too. A listener that is busy
+        # for a moment takes them piece by piece: such a line holds no more than some kilobytes.
+        nonlocal gone
+        taken = time.monotonic()
+        with contextlib.suppress(OSError):
+            while data and not stop.is_set():
+                _, ready, _ = select.select([], [ours], [], 0.0 if gone else _TICK_S)
+                if ready:
+                    data = data[os.write(ours, data) :]
+                    taken, gone = time.monotonic(), False
+                elif gone or time.monotonic() - taken > _PATIENCE_S:
+                    gone = True
+                    return
+
+    try:
+        with _serving(device, ours, lambda size: os.read(ours, size), send):
+            yield path
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+@contextlib.contextmanager
+def on_tcp(device: Device, host: str = "127.0.0.1", port: int = 0) -> Iterator[int]:
+    """Let a device speak to whoever connects, one after the other; yields the port.
+
+    A connection is told to the device as bytes of no length.
+    """
+    server = socket.create_server((host, port))
+    stop = threading.Event()
+    start = time.monotonic()
+
+    def run() -> None:
+        server.settimeout(0.1)
+        while not stop.is_set():
+            with contextlib.suppress(OSError):
+                line, _ = server.accept()
+                with line:
+                    _converse(device, line, stop, start)
+            # What is sent while nobody is connected is lost.
+            device.due(time.monotonic() - start)
+
+    thread = threading.Thread(target=run, daemon=True)
+    with server:
+        thread.start()
+        try:
+            yield int(server.getsockname()[1])
+        finally:
+            stop.set()
+            thread.join(5)
+
+
+def _converse(device: Device, line: socket.socket, stop: threading.Event, start: float) -> None:
+    """Speak with one host until it goes away."""
+    line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    line.settimeout(1.0)
+    data = b""
+    while not stop.is_set():
+        now = time.monotonic() - start
+        line.sendall(device.receive(data, now) + device.due(now))
+        data = b""
+        ready, _, _ = select.select([line], [], [], _TICK_S)
+        if ready and not (data := line.recv(65536)):
+            return
+
+
+class _Send(Protocol):
+    def __call__(self, data: bytes, stop: threading.Event, /) -> None: ...
+
+
+@contextlib.contextmanager
+def _serving(device: Device, descriptor: int, read: Callable[[int], bytes], send: _Send) -> Iterator[None]:
+    stop = threading.Event()
+    start = time.monotonic()
+
+    def run() -> None:
+        while not stop.is_set():
+            ready, _, _ = select.select([descriptor], [], [], _TICK_S)
+            now = time.monotonic() - start
+            data = b""
+            if ready:
+                with contextlib.suppress(OSError):
+                    data = read(65536)
+            out = (device.receive(data, now) if data else b"") + device.due(now)
+            if out:
+                send(out, stop)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join(5)
+
 
 HOST = "127.0.0.1"
 SPOKEN_TO = ("vehicle", "rover", "base")

@@ -12,10 +12,10 @@ from photocal.commands.check_of_block import (
     judge_block,
     judge_experiment,
     judge_numbers,
+    judge_product,
     noise_of,
     with_project,
 )
-from photocal.commands.check_of_product import judge_product
 from photocal.commands.options import AsJson
 
 

@@ -13,7 +13,7 @@ from drivers.errors import ConfigurationError
 from photocal.exchange.formats import exported
 
 if TYPE_CHECKING:
-    from photocal.exchange.choices import Angle, Origin
+    from photocal.exchange.formats import Angle, Origin
     from photocal.exchange.reconstruction import Reconstruction
 
 FORMATS = ", ".join(exported())
@@ -39,9 +39,8 @@ def export(
     Example: `photocal export run --format colmap -o colmap`
     """
     from acquire.outputs import output_folder
-    from photocal.exchange.choices import Choices
+    from photocal.exchange.formats import Choices, named
     from photocal.exchange.formats import export as write
-    from photocal.exchange.formats import named
     from photocal.exchange.reconstruction import of_result
     from photocal.results.folder import read_result
 
@@ -84,7 +83,7 @@ def _angle_unit(text: str) -> Angle | None:
 
 
 def _origin(text: str) -> Origin | None:
-    from photocal.exchange.choices import Origin
+    from photocal.exchange.formats import Origin
 
     if text == "":
         return None

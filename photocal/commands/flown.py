@@ -45,7 +45,7 @@ def flown(
     from drivers.errors import InputMalformedError
     from photocal.accuracy.geopackage import reference_system
     from photocal.block.motion import strips, velocity_of_neighbours
-    from photocal.commands.check_of_product import changed_utc
+    from photocal.commands.check_of_block import changed_utc
     from photocal.measurement.image_facts import read_facts
     from photocal.measurement.image_file import list_images
     from photocal.planning.flown import figures_of, flown_block, ground_through

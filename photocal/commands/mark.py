@@ -89,7 +89,7 @@ def _figures(scene: Scene, store: MarkStore) -> dict[str, object]:
 def _show(scene: Scene, store: MarkStore, address: str, cache: Path | None) -> None:
     from acquire.operating_system import cache_folder, stopped_by_signals
     from acquire.web import read_address, serving
-    from photocal.measurement.marking.page import application
+    from photocal.measurement.marking.service import application
 
     stop = stopped_by_signals()
     for name, own in scene.pictures.items():

@@ -50,8 +50,8 @@ def volume(
     figures: dict[str, Any] = {"schema": SCHEMA}
     lines: list[str] = []
     if sections is not None:
-        from photocal.products.ring_plot import draw_rings
         from photocal.products.sections import measure_tank, read_ring_points
+        from photocal.products.volume_answer import draw_rings
 
         if vertical not in ("X", "Y", "Z"):
             raise ConfigurationError(f"--vertical {vertical} is no axis", remedy="use X, Y or Z")

@@ -17,10 +17,14 @@ import numpy as np
 from drivers.arrays import Floats, Integers
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block
-from photocal.exchange.choices import Choices
-from photocal.exchange.colmap_binary import read_binary_model, write_binary_model
 from photocal.exchange.colmap_content import MODELS, NO_POINT, NUMBERS, Content, Lens, Shot
-from photocal.exchange.colmap_text import read_text_model, write_text_model
+from photocal.exchange.colmap_files import (
+    read_binary_model,
+    read_text_model,
+    write_binary_model,
+    write_text_model,
+)
+from photocal.exchange.formats import Choices
 from photocal.exchange.parts import whole_numbers
 from photocal.exchange.pinhole import (
     LARGEST,

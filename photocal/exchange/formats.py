@@ -18,9 +18,43 @@ from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoun
 
 if TYPE_CHECKING:
     from photocal.block.model import Block
-    from photocal.exchange.choices import Choices
     from photocal.exchange.reconstruction import Reconstruction
     from photocal.geometry.conversion import Conversion
+
+Angle = Literal["deg", "gon"]
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a local frame touches the ellipsoid.
+
+    height_m: ellipsoidal.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What some formats must be told.
+
+    angle_unit: for tables of angles.
+    origin: of a local frame, for geographic formats.
+    changed_utc: time that a file may note as that of its making.
+    """
+
+    angle_unit: Angle | None = None
+    origin: Origin | None = None
+    changed_utc: str = "1970-01-01T00:00:00.000Z"
+
+
+def file_name(name: str) -> str:
+    """A name that stays inside the folder: letters, digits and a few signs."""
+    kept = "".join(letter if letter.isalnum() or letter in "-_. " else "_" for letter in name)
+    return kept.strip(". ") or "camera"
+
 
 Part = Literal["cameras", "orientations", "points", "marks"]
 # cartesian: a block in a reference system is taken to its topocentric frame; own: coordinates as they are;
@@ -100,25 +134,25 @@ FORMATS: tuple[Format, ...] = (
     Format("odm", "ODM, gcp_list.txt and geo.txt", ("points", "marks"), "own", CENTRE, "none", "none",
            "px, m", "ground_points:export", ""),
     Format("metashape", "Metashape, camera XML", ("cameras", "orientations", "points", "marks"),
-           "cartesian", CORNER, VISION, "brown-ideal", "px, m, 4 x 4 matrix", "metashape_writer:export",
+           "cartesian", CORNER, VISION, "brown-ideal", "px, m, 4 x 4 matrix", "metashape:export",
            "metashape:read_back", "metashape:read_camera_block", ("*.xml",), "metashape:recognises"),
     Format("metashape-csv", "Metashape, reference tables", ("points",), "own", "none", "none", "none", "m",
            "reference_table:export", ""),
     Format("pix4d", "Pix4D, .cam", ("cameras",), "none", CORNER, VISION, "brown-ideal",
-           "mm on a nominal sensor", "pix4d:export", ""),
+           "mm on a nominal sensor", "pix4d_project:export", ""),
     Format("opf", "Open Photogrammetry Format 1.0", WHOLE, "cartesian", CORNER, PHOTO, "brown-ideal",
-           "px, m, deg", "opf_writer:export", "opf:read_back", "opf:read_project_block", ("*.opf",)),
+           "px, m, deg", "opf:export", "opf:read_back", "opf:read_project_block", ("*.opf",)),
     Format("photomodeler", "PhotoModeler, text export", WHOLE, "cartesian", CORNER, PHOTO, "brown-observed",
-           "px, mm in the camera, m, deg", "photomodeler_writer:export", "photomodeler:read_back",
-           "photomodeler:read_with_control", ("*.txt",), "photomodeler_export:looks_like_export"),
+           "px, mm in the camera, m, deg", "photomodeler:export", "photomodeler:read_back",
+           "photomodeler:read_with_control", ("*.txt",), "photomodeler:looks_like_export"),
     Format("dbat", "DBAT, XML set-up", ("cameras", "points", "marks"), "cartesian", CORNER, PHOTO,
-           "brown-observed", "px, mm in the camera, m", "dbat_writer:export", "dbat:read_back",
+           "brown-observed", "px, mm in the camera, m", "dbat:export", "dbat:read_back",
            "dbat:read_dbat", ("*.xml",), "dbat:recognises"),
     Format("jaicov", "JAICOV and AICON 3D Studio", WHOLE, "cartesian", "middle of the sensor, y up", PHOTO,
-           "brown-ideal", "mm, rad", "jaicov_writer:export", "jaicov:read_back", "jaicov:read_jaicov",
+           "brown-ideal", "mm, rad", "jaicov:export", "jaicov:read_back", "jaicov:read_jaicov",
            ("*.ior", "*.eor", "*.obc", "*.phc")),
     Format("micmac", "MicMac, XML", WHOLE, "cartesian", CENTRE, VISION, "brown-ideal", "px, m, matrix",
-           "micmac_writer:export", "micmac_writer:read_back"),
+           "micmac:export", "micmac:read_back"),
     Format("patb", "PATB style, tables", ("orientations",), "own", "none", PHOTO, "none",
            "m; deg or gon, as asked; matrix from camera to object", "orientation_tables:export",
            "orientation_tables:read_back"),

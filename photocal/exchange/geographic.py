@@ -19,10 +19,10 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.exchange.cartesian import to_cartesian, to_wgs84
-from photocal.exchange.choices import Choices, Origin
-from photocal.exchange.markup import write_xml
+from photocal.exchange.formats import Choices, Origin
 from photocal.exchange.pinhole import to_vision
 from photocal.exchange.reconstruction import Reconstruction
+from photocal.exchange.source import write_xml
 from photocal.geometry.conversion import Conversion
 from photocal.geometry.distortion import undistorted
 

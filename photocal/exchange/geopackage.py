@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from photocal.exchange.choices import Choices
+from photocal.exchange.formats import Choices
 from photocal.exchange.geographic import ToGeographic, features, located
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.conversion import Conversion

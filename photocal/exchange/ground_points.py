@@ -20,7 +20,7 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
-from photocal.exchange.choices import Choices
+from photocal.exchange.formats import Choices
 from photocal.exchange.parts import digits, require_no_blanks, require_unique
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import Line, number, numbers, read_lines

@@ -18,7 +18,7 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
-from photocal.exchange.choices import Choices
+from photocal.exchange.formats import Choices
 from photocal.exchange.parts import digits, poses_of_matrices, require_unique
 from photocal.exchange.reconstruction import Reconstruction, orientations_alone
 from photocal.exchange.source import Line, numbers, read_lines

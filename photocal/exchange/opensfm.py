@@ -21,11 +21,10 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block
-from photocal.exchange.choices import Choices
-from photocal.exchange.json_source import read_json, structured
+from photocal.exchange.formats import Choices
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, to_pinhole, to_vision
 from photocal.exchange.reconstruction import Reconstruction, vision_block
-from photocal.exchange.source import image_size, number, read_lines
+from photocal.exchange.source import image_size, number, read_json, read_lines, structured
 from photocal.geometry.camera import Camera
 from photocal.geometry.conversion import Conversion
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
-from photocal.exchange.choices import Angle, Choices
+from photocal.exchange.formats import Angle, Choices
 from photocal.exchange.parts import digits, poses_of_matrices, require_no_blanks, require_unique
 from photocal.exchange.reconstruction import Reconstruction, orientations_alone
 from photocal.exchange.source import numbers, read_lines

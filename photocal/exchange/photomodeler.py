@@ -10,20 +10,167 @@ mark with sigma 0 (a SmartPoint) has the default of 1 px.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
-from photocal.block.model import Block
+from photocal.block.model import Block, InputFile
 from photocal.exchange import parts
-from photocal.exchange.dbat_tables import read_rows
-from photocal.exchange.photomodeler_export import Export, read_export
+from photocal.exchange.dbat_camera import read_rows, to_column_row
+from photocal.exchange.formats import Choices
+from photocal.exchange.parts import digits, require_file_name, whole_numbers
 from photocal.exchange.reconstruction import Reconstruction, of_block
-from photocal.exchange.source import fingerprint, read_lines
+from photocal.exchange.source import Line, fingerprint, image_size, numbers, read_lines, read_text
 from photocal.geometry.camera import Camera, camera
+from photocal.geometry.conversion import Conversion, converted
+
+DEFAULT_SIGMA_PX = 1.0
+
+
+@dataclass(frozen=True)
+class Photo:
+    """One photo of an export.
+
+    number: from 0.
+    name: file name without folders.
+    pose (6,): omega, phi, kappa in radians, X, Y, Z.
+    interior: principal distance, principal point, format (mm), K1, K2, K3, P1, P2.
+    """
+
+    number: int
+    name: str
+    pose: Floats
+    interior: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Export:
+    """What a text export holds.
+
+    interior: default camera of the head, with one digit more than the photos have.
+    control: coordinates of the control points by their name.
+    points: coordinates of all object points by their name, SmartPoints renumbered behind the others.
+    marks: column and row.
+    """
+
+    title: str
+    size_px: tuple[int, int]
+    interior: tuple[float, ...]
+    photos: tuple[Photo, ...]
+    control: dict[str, Floats]
+    points: dict[str, Floats]
+    marks: tuple[parts.Mark, ...]
+    file: InputFile
+
+
+class _Cursor:
+    """Goes through the lines of an export, whose sections end at a blank line."""
+
+    def __init__(self, path: Path) -> None:
+        self.lines = [Line(path, k, text) for k, text in enumerate(read_text(path).split("\n"), start=1)]
+        self.path, self.at = path, 0
+
+    def next(self) -> Line:
+        if self.at >= len(self.lines):
+            raise InputMalformedError(
+                "ends before its tables do", where=self.path, remedy="was it written completely?"
+            )
+        self.at += 1
+        return self.lines[self.at - 1]
+
+    def values(self, what: str, count: int) -> list[float]:
+        line = self.next()
+        return numbers(line.text, line.place, what, count)
+
+    def section(self) -> list[Line]:
+        begin = self.at
+        while self.next().text.strip():
+            pass
+        return self.lines[begin : self.at - 1]
+
+
+def looks_like_export(path: Path) -> bool:
+    """Whether a text file has the head of a PhotoModeler export: title, tolerances, and image size."""
+    head = read_text(path).split("\n", 2)
+    return len(head) == 3 and len(head[1].split()) == 4 and head[1].split()[2].isdecimal()
+
+
+def read_export(path: Path) -> Export:
+    """Read a text export."""
+    cursor = _Cursor(path)
+    title = cursor.next().text.strip()
+    line = cursor.next()
+    head = numbers(line.text, line.place, "tolerance, iterations and image size", 4)
+    size_px = image_size(head[2], head[3], line.place)
+    cursor.next()
+    interior = tuple(cursor.values("default camera", 10))
+    cursor.next()
+    photos = list[Photo]()
+    while cursor.lines[cursor.at].text.strip():
+        photos.append(_photo(cursor, len(photos)))
+    cursor.next()
+    control = dict(_points(cursor.section()))
+    objects = _points(cursor.section())
+    shift, first_smart = _smart_shift([int(name) for name, _ in objects])
+    points = {
+        str(int(name) + shift) if k >= first_smart else name: xyz for k, (name, xyz) in enumerate(objects)
+    }
+    parts.require_unique([name for name, _ in objects[:first_smart]], "object point", path)
+    marks = tuple(_mark(row, photos, shift) for row in cursor.section())
+    if not marks:
+        raise InputMalformedError("has no marked points", where=path, remedy="export the marks too")
+    return Export(title, size_px, interior, tuple(photos), control, points, marks, fingerprint(path))
+
+
+def _photo(cursor: _Cursor, expected: int) -> Photo:
+    line = cursor.next()
+    cells = line.text.split(maxsplit=1)
+    if len(cells) != 2 or not cells[0].isdecimal() or int(cells[0]) != expected:
+        raise InputMalformedError(f"is not the head of photo {expected}", where=line.place)
+    pose = cursor.values("orientation", 7)[1:]
+    cursor.values("its standard deviations", 7)
+    covariance = cursor.next()
+    if covariance.text.strip():
+        numbers(covariance.text, covariance.place, "its covariances", 4)
+    interior = cursor.values("interior orientation", 11)[1:]
+    cursor.values("its standard deviations", 11)
+    name = cells[1].strip().replace("\\", "/").rsplit("/", 1)[-1]
+    return Photo(expected, name, np.array([*np.radians(pose[:2:-1]), *pose[:3]]), tuple(interior))
+
+
+def _points(lines: list[Line]) -> list[tuple[str, Floats]]:
+    rows = []
+    for line in lines:
+        values = numbers(line.text, line.place, "point, coordinates and standard deviations", 7)
+        rows.append((str(int(values[0])), np.array(values[1:4])))
+    return rows
+
+
+def _smart_shift(ids: list[int]) -> tuple[int, int]:
+    """By how much the numbers of SmartPoints are raised, and the row of the first of them.
+
+    SmartPoints have numbers of their own, after the object points in the table; where they begin the
+    numbers fall.
+    """
+    falls = [k for k in range(1, len(ids)) if ids[k] < ids[k - 1]]
+    if len(falls) != 1:
+        return 0, len(ids)
+    first = falls[0]
+    return max(ids[:first]) + 1 - min(ids[first:]), first
+
+
+def _mark(line: Line, photos: list[Photo], shift: int) -> parts.Mark:
+    photo, point, x, y, sx, sy = numbers(line.text, line.place, "photo, point, x, y and sigmas", 6)
+    if not 0 <= photo < len(photos):
+        raise InputMalformedError(f"observes photo {photo:g}, which is not in the file", where=line.place)
+    smart = sx == 0 and sy == 0
+    sigma = (DEFAULT_SIGMA_PX, DEFAULT_SIGMA_PX) if smart else (sx, sy)
+    name = str(int(point) + shift) if smart else str(int(point))
+    return parts.Mark(photos[int(photo)].name, name, *to_column_row(x, y), sigma, line.place)
 
 
 def read_control(path: Path) -> dict[str, tuple[Floats, Floats]]:
@@ -171,3 +318,102 @@ def read_with_control(path: Path) -> Block:
     """Read a text export with the table of control points that lies beside it."""
     control = control_beside(path)
     return read_photomodeler(path, control if control.exists() else None)
+
+
+# Tolerance and number of iterations of the head; nothing depends on them.
+_HEAD = "0.0005 20"
+_TERMS = ("K1", "K2", "K3", "P1", "P2", "B1")
+
+
+def write_photomodeler(path: Path, given: Reconstruction) -> tuple[Conversion, ...]:
+    """Write an export, and `NAME-control.txt` beside it where there is control."""
+    sizes = {own.size_px for own in given.cameras}
+    if len(sizes) != 1 or any(own.unit != "mm" for own in given.cameras):
+        raise InputMalformedError(
+            "a PhotoModeler export has images of one size, and cameras in mm",
+            remedy="give the pixel pitch, and export cameras of other sizes apart",
+        )
+    for name in given.image_names:
+        require_file_name(name)
+    made = tuple(_converted(own) for own in given.cameras)
+    interiors = [_interior(conversion.camera) for conversion in made]
+    numbers = whole_numbers(given.point_names)
+    order = sorted(range(len(numbers)), key=lambda j: int(numbers[j]))
+    rows = [_point(given, j, numbers[j]) for j in order]
+    control = [row for row, j in zip(rows, order, strict=True) if given.roles and given.roles[j] == "control"]
+    width, height = sizes.pop()
+    lines = [
+        given.name,
+        f"{_HEAD} {width} {height}",
+        digits([1.0] * 9),
+        digits(interiors[0]),
+        digits([0.0] * 10),
+    ]
+    for k, name in enumerate(given.image_names):
+        lines += _photo_lines(k, name, given, interiors[int(given.image_camera[k])])
+    # Every section ends with a blank line.
+    lines += ["", *control, "", *rows, "", *_marks(given, numbers), "", ""]
+    path.write_text("\n".join(lines), encoding="utf-8", newline="\n")
+    if control:
+        text = "".join(_surveyed(given, j, numbers[j]) for j in order if given.roles[j] == "control")
+        control_beside(path).write_text(text, encoding="utf-8", newline="\n")
+    return made
+
+
+def _converted(own: Camera) -> Conversion:
+    """A camera that corrects measurements, with its affinity in the width of the pixels."""
+    if own.value("B2"):
+        raise InputMalformedError(
+            f"camera {own.id} has a skew (B2), which PhotoModeler cannot hold", remedy="adjust without B2"
+        )
+    terms = _TERMS if own.value("B1") else _TERMS[:-1]
+    return converted(own, "brown-observed", "before", terms)
+
+
+def _interior(own: Camera) -> list[float]:
+    """Principal distance, principal point, format, K1, K2, K3, P1, P2."""
+    stretch = 1 + own.value("B1")
+    width, height = own.size_px[0] * own.pitch[0] * stretch, own.size_px[1] * own.pitch[1]
+    point = [own.value("x0") * stretch + width / 2, height / 2 - own.value("y0")]
+    terms = [-own.value(name) for name in ("K1", "K2", "K3", "P1", "P2")]
+    return [own.value("c"), *point, width, height, *terms]
+
+
+def _photo_lines(k: int, name: str, given: Reconstruction, interior: Sequence[float]) -> list[str]:
+    angles = np.degrees(given.poses[k, [2, 1, 0]])
+    sigma = np.zeros(6)
+    if len(given.pose_sigma):
+        spread = np.nan_to_num(given.pose_sigma[k])
+        sigma = np.concatenate([spread[3:], np.degrees(spread[[2, 1, 0]])])
+    return [
+        f"{k} {name}",
+        f"{k} {digits([*given.poses[k, 3:], *angles])}",
+        f"{k} {digits(sigma)}",
+        "",
+        f"{k} {digits(interior)}",
+        f"{k} {digits([0.0] * 10)}",
+    ]
+
+
+def _point(given: Reconstruction, j: int, number: str) -> str:
+    return f"{number} {digits([*given.xyz[j], *_sigma(given, j)])}"
+
+
+def _surveyed(given: Reconstruction, j: int, number: str) -> str:
+    values = ", ".join(repr(float(value)) for value in (*given.xyz[j], *_sigma(given, j)))
+    return f"{number}, {number}, {values}\n"
+
+
+def _sigma(given: Reconstruction, j: int) -> Floats:
+    return np.nan_to_num(given.xyz_sigma[j]) if len(given.xyz_sigma) else np.zeros(3)
+
+
+def _marks(given: Reconstruction, numbers: Sequence[str]) -> Iterable[str]:
+    for ray in np.argsort(given.image, kind="stable"):
+        x, y = (given.pixels[ray] + 0.5).tolist()
+        yield f"{given.image[ray]} {numbers[given.point[ray]]} {x!r} {y!r} 1.0 1.0"
+
+
+def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """A text export and its table of control points."""
+    return write_photomodeler(folder / "block.txt", given)

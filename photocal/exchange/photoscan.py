@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block
 from photocal.exchange import parts
-from photocal.exchange.markup import MAX_XML_BYTES, child, parse_xml
 from photocal.exchange.metashape import Chunk, chunk_of, chunk_transform
-from photocal.exchange.source import fingerprint, number, require_readable
+from photocal.exchange.source import MAX_XML_BYTES, child, fingerprint, number, parse_xml, require_readable
 
 _TYPES = {
     "char": "i1",

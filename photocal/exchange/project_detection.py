@@ -73,7 +73,7 @@ def _of_file(path: Path) -> ForeignProject:
     given = bare_project(program, block, weighted=weighted)
     if kind != ".xml":
         return given
-    from photocal.exchange.markup import read_xml
+    from photocal.exchange.source import read_xml
 
     if read_xml(path).get("dbat_script_version"):
         return replace(given, program="DBAT", cameras=_dbat_results(path, block))
@@ -96,8 +96,8 @@ def _dbat_results(path: Path, block: Block) -> tuple[Camera, ...]:
 
 
 def _micmac(path: Path) -> ForeignProject:
-    from photocal.exchange.markup import read_xml
     from photocal.exchange.micmac import PLACEHOLDER, read_micmac
+    from photocal.exchange.source import read_xml
 
     tables: dict[str, Path] = {}
     for one in sorted(path.parent.parent.glob("*.xml")):
@@ -120,7 +120,7 @@ def _micmac(path: Path) -> ForeignProject:
 
 def _metashape_sigmas(path: Path, block: Block) -> dict[str, dict[str, float]]:
     """Standard deviations of the adjusted calibration, where the XML has their covariance."""
-    from photocal.exchange.markup import read_xml
+    from photocal.exchange.source import read_xml
 
     found: dict[str, dict[str, float]] = {}
     power = {"k1": ("K1", 2), "k2": ("K2", 4), "k3": ("K3", 6), "k4": ("K4", 8), "p1": ("P1", 1)}

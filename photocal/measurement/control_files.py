@@ -14,9 +14,8 @@ import numpy as np
 from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import ObjectPoints
 from photocal.exchange.ground_points import read_gcp_list
-from photocal.exchange.markup import read_xml
 from photocal.exchange.parts import Mark, PointEntry, object_points
-from photocal.exchange.source import number, require_readable
+from photocal.exchange.source import number, read_xml, require_readable
 from photocal.measurement.marks import BY_HAND_PX
 
 Sizes = Mapping[str, tuple[int, int]]

@@ -39,8 +39,8 @@ from photocal.measurement.orientation import Orientation
 from photocal.measurement.oriented_ties import FEWEST_CONTROL, Progress, figures, orient_ties
 from photocal.measurement.pair_selection import Footprints, footprints
 from photocal.measurement.placing import position_sigmas
+from photocal.measurement.plain_targets import targets_of_project
 from photocal.measurement.position_files import Given, read_positions
-from photocal.measurement.project_targets import targets_of_project
 from photocal.measurement.ray_sigmas import GROSS
 from photocal.measurement.released import camera_figures
 from photocal.measurement.start_block import (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from drivers.arrays import Floats
+from photocal.accuracy.figures import draw_histogram, draw_vectors
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import MINUS, fixed, significant, symbol
 from photocal.geometry.camera import Camera
@@ -19,7 +22,6 @@ from photocal.report.sensor import Vectors
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
 
 # Width of the text of an A4 page, inches: figures are drawn at the size at which they are printed.
 WIDTH = 6.69
@@ -235,3 +237,35 @@ def drawing(width: float, height: float) -> Iterator[tuple[Figure, Callable[[], 
             return re.sub(r"^.*?(?=<svg)", "", buffer.getvalue(), count=1, flags=re.DOTALL).rstrip()
 
         yield figure, out
+
+
+def difference_map(names: tuple[str, ...], place: Floats, d: Floats, say: Catalogue) -> str:
+    """Draw the differences in plane as vectors at their points, those in height beside the names."""
+
+    def height(dz: float) -> str:
+        return f"{'+' if dz > 0 else ''}{fixed(1e3 * dz, 0, say.mark)}"
+
+    def length(unit: float) -> str:
+        return f"{fixed(1e3 * unit, max(0, -math.floor(math.log10(1e3 * unit))), say.mark)} mm"
+
+    with drawing(WIDTH, 4.4) as (figure, out):
+        ax = figure.add_axes((0.135, 0.1, 0.845, 0.84))
+        draw_vectors(ax, names, np.column_stack((place[:, :2], d)), height, length, INK)
+        ax.set_xlabel("X [m]")
+        ax.set_ylabel("Y [m]")
+        localised(ax, say.mark)
+        return out()
+
+
+def difference_histograms(d: Floats, say: Catalogue) -> str:
+    """Draw a histogram of each component."""
+    with drawing(WIDTH, 2.1) as (figure, out):
+        for k, axis in enumerate("XYZ"):
+            ax = figure.add_axes((0.07 + 0.32 * k, 0.22, 0.26, 0.66))
+            draw_histogram(ax, 1e3 * d[:, k], SHADE, INK)
+            ax.set_xlabel(f"Δ{axis} [mm]")
+            if k == 0:
+                ax.set_ylabel(say("figure.checks.count"))
+            ax.spines["right"].set_visible(False)
+            localised(ax, say.mark)
+        return out()

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import csv
 import json
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from drivers.errors import ConfigurationError, IllPosedError, InputNotFoundError
+from photocal.block.motion import strips
+from photocal.block.mounting import ATTITUDE_COLUMNS, POSITION_COLUMNS, POSITION_EXTRAS, RATE_COLUMNS
+from photocal.navigation.exposure_files import projected, with_images
+from photocal.navigation.exposures import Exposures
 from photocal.project import Project
 from photocal.run.measurements import pictures_of
 from photocal.run.ppk import FIGURES as PPK_FIGURES
@@ -54,8 +62,7 @@ def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
         write_geo_txt,
     )
     from photocal.navigation.exposure_plot import plot_exposures
-    from photocal.run.antenna_tables import write_attitudes, write_positions
-    from photocal.run.trajectory_file import kept_trajectory
+    from photocal.run.ppk import kept_trajectory
 
     trajectory = kept_trajectory(ppk / TRAJECTORY)
     figures_of_ppk = json.loads((ppk / PPK_FIGURES).read_text(encoding="utf-8"))
@@ -101,8 +108,8 @@ def exposures_of(project: Project, show: Progress) -> tuple[ExposureRun, Rig, st
     from photocal.navigation.ppk_inputs import Sources
     from photocal.navigation.rig import Rig
     from photocal.run.digests import Digests
+    from photocal.run.ppk import kept_trajectory
     from photocal.run.stage import made_in, update_stage
-    from photocal.run.trajectory_file import kept_trajectory
 
     if project.contents.flight is None:
         choices = Choices(Sources(), project.picture_folder)
@@ -118,3 +125,46 @@ def exposures_of(project: Project, show: Progress) -> tuple[ExposureRun, Rig, st
     folder = made_in(project.output) / stage.name
     figures = json.loads((folder / PPK_FIGURES).read_text(encoding="utf-8"))
     return *_placed(project, kept_trajectory(folder / TRAJECTORY), figures), ""
+
+
+# Of a rate between two attitudes of an autopilot, some hundredths of a second apart, deg/s.
+_RATE_SIGMA = 2.0
+
+
+def write_positions(path: Path, antenna: Exposures, crs: str) -> None:
+    """Write where the antenna was."""
+    rows = with_images(antenna)
+    p = antenna.placed
+    xyz, turn = projected(p.lat_deg[rows], p.lon_deg[rows], p.height_m[rows], crs)
+    covariance = turn @ p.covariance_m2[rows] @ np.swapaxes(turn, 1, 2)
+    velocity = np.einsum("nab,nb->na", turn, p.velocity_m_s[rows])
+    seconds = (antenna.time.ns[rows] - antenna.time.ns[rows[0]]) / 1e9
+    strip, elapsed = strips(seconds, velocity)
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    lines = []
+    for k, row in enumerate(rows.tolist()):
+        cells = [f"{v:.4f}" for v in xyz[k]] + [f"{v:.5f}" for v in sigma[k]]
+        cells += [f"{covariance[k][a, b]:.4e}" for a, b in ((0, 1), (0, 2), (1, 2))]
+        cells += [f"{v:.4f}" for v in velocity[k]] + [f"strip {strip[k] + 1}", f"{elapsed[k]:.3f}"]
+        lines += [[name, *cells] for name in antenna.image[row].split()]
+    _write(path, (*POSITION_COLUMNS, *POSITION_EXTRAS), lines)
+
+
+def write_attitudes(path: Path, antenna: Exposures) -> None:
+    """Write how the vehicle was turned, degrees; exposures without attitude are left out."""
+    lines = []
+    for row in with_images(antenna).tolist():
+        angles, sigma = antenna.angles[row], antenna.angle_sigma[row]
+        if np.isfinite(angles).all():
+            cells = [f"{v:.6f}" for v in np.degrees([*angles, *sigma])]
+            rate = np.degrees(antenna.attitude.rate[row])
+            cells += [f"{v:.4f}" for v in rate] + 3 * [f"{_RATE_SIGMA}"] if rate.any() else [""] * 6
+            lines += [[name, *cells] for name in antenna.image[row].split()]
+    _write(path, (*ATTITUDE_COLUMNS, *RATE_COLUMNS), lines)
+
+
+def _write(path: Path, columns: tuple[str, ...], lines: Iterable[list[str]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(lines)

@@ -4,14 +4,109 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from photocal.block.folder import read_images
+from drivers.errors import InputMalformedError
+from photocal.block.folder import read_images, read_observations, read_points
+from photocal.block.model import ROLES, Block, Images, ObjectPoints, fingerprint
+from photocal.block.network import observed_plane
+from photocal.block.setup import ObservationKeys
+from photocal.block.table import read_table
+from photocal.geometry.distortion import undistorted
+from photocal.geometry.rotation import matrix_from_angles
 from photocal.project import Project
 from photocal.run.stage import Progress, Stage
+
+
+def given_block(project: Project, images: Images, without_exposure: Collection[str] = ()) -> Block:
+    """Make the block of given observations: points that the control table does not have are tie points."""
+    given = project.contents.measurements
+    path = given.observations if given is not None and given.observations is not None else Path()
+    control = read_points(project.control.points or Path())
+    table = read_table(path, ("image", "point", "x", "y"), ("sx", "sy"))
+    named = table.names("point")[1]
+    ties = tuple(sorted(set(named) - set(control.names)))
+    left_out = tuple(sorted(set(without_exposure) - set(images.names)))
+    unknown = sorted(set(table.names("image")[1]) - set(images.names) - set(left_out))
+    if unknown:
+        raise InputMalformedError(
+            f"image {unknown[0]} has no exposure" + (f", as {len(unknown) - 1} more" if unknown[1:] else ""),
+            where=path,
+            remedy="take its observations out, or complete the exposures",
+        )
+    count = len(ties)
+    points = ObjectPoints(
+        control.names + ties,
+        np.vstack([control.values, np.full((count, 3), np.nan)]),
+        np.vstack([control.sigma, np.full((count, 3), np.inf)]),
+        np.concatenate([control.role, np.full(count, ROLES.index("tie"))]),
+        None if control.cross is None else np.vstack([control.cross, np.zeros((count, 3))]),
+    )
+    sigma = None if given is None else given.sigma_px
+    keys = ObservationKeys(unit="px", axes="pixel", sigma=sigma)
+    seen, _ = read_observations(path, keys, images.names + left_out, points.names)
+    kept = seen.image < len(images.names)
+    # Points that the images left out alone made determined go with them.
+    before, after = (
+        np.bincount(seen.point[some], minlength=count + len(control.names)) for some in (..., kept)
+    )
+    starved = (before >= 2) & (after < 2) & (points.role != ROLES.index("control"))
+    kept &= ~starved[seen.point]
+    block = Block(
+        project.name,
+        project.crs,
+        project.height,
+        "control",
+        (),
+        project.cameras,
+        images,
+        points,
+        replace(
+            seen,
+            image=seen.image[kept],
+            point=seen.point[kept],
+            values=seen.values[kept],
+            sigma=seen.sigma[kept],
+        ),
+        (fingerprint(path),),
+    )
+    return with_points_on_the_ground(block)
+
+
+def with_points_on_the_ground(block: Block) -> Block:
+    """Give points without coordinates the place where their rays meet the level of the control points.
+
+    Rays of two neighbouring images, turned by what the attitude is wrong, may well meet behind the camera;
+    the ground is below it.
+    """
+    level = float(np.nanmedian(block.points.values[:, 2]))
+    seen = block.observations
+    plane, _ = observed_plane(block)
+    camera = block.images.camera[seen.image]
+    sight = np.empty((len(plane), 3))
+    for k, own in enumerate(block.cameras):
+        mine = camera == k
+        sight[mine, :2] = undistorted(own, plane[mine])
+        sight[mine, 2] = -own.value("c")
+    rotation = matrix_from_angles(block.images.values[:, :3])[seen.image]
+    direction = np.einsum("nji,nj->ni", rotation, sight)
+    centre = block.images.values[seen.image, 3:]
+    drop = level - centre[:, 2]
+    down = np.isfinite(direction[:, 2]) & (direction[:, 2] * drop > 0)
+    reach = np.divide(drop, direction[:, 2], out=np.zeros(len(drop)), where=down)
+    place = centre + reach[:, None] * direction
+    count = np.bincount(seen.point[down], minlength=len(block.points.names))
+    values = block.points.values.copy()
+    missing = np.isnan(values).any(axis=1) & (count > 0)
+    for axis in range(3):
+        total = np.bincount(seen.point[down], place[down, axis], len(count))
+        values[missing, axis] = total[missing] / count[missing]
+    return replace(block, points=replace(block.points, values=values))
+
 
 RECORD = "measurement.json"
 _UNMATCHED = ("unmatched_images", "ambiguous_images")
@@ -63,7 +158,6 @@ def _without_exposure(exposures: Path) -> list[str]:
 def _make(project: Project, exposures: Path | None, folder: Path, show: Progress) -> None:
     from photocal.measurement.block_files import write_block
     from photocal.measurement.project_block import control_points
-    from photocal.run.given_observations import given_block
     from photocal.run.project_checks import check_near, picture_places
 
     if exposures is None:

@@ -5,8 +5,32 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
+
+from photocal.navigation.time import GpsTime
+from photocal.navigation.trajectory import Trajectory
 from photocal.project import Project
 from photocal.run.stage import Progress, Stage
+
+_COLUMNS = ("lat_deg", "lon_deg", "height_m", "status", "covariance_m2", "velocity_m_s")
+
+
+def keep_trajectory(path: Path, trajectory: Trajectory) -> None:
+    """Write a trajectory."""
+    columns = {name: getattr(trajectory, name) for name in _COLUMNS}
+    sigma = trajectory.velocity_sigma_m_s
+    np.savez(path, time_gps_ns=trajectory.time.ns, velocity_sigma_m_s=sigma, **columns)
+
+
+def kept_trajectory(path: Path) -> Trajectory:
+    """Read what `keep_trajectory` has written."""
+    with np.load(path) as kept:
+        return Trajectory(
+            time=GpsTime(kept["time_gps_ns"]),
+            velocity_sigma_m_s=float(kept["velocity_sigma_m_s"]),
+            **{name: kept[name] for name in _COLUMNS},
+        )
+
 
 TRAJECTORY = "trajectory.npz"
 FIGURES = "ppk.json"
@@ -45,7 +69,6 @@ def _make(project: Project, folder: Path, show: Progress) -> None:
     from photocal.navigation.ppk_inputs import gather_inputs
     from photocal.navigation.ppk_report import plot_ppk, ppk_figures
     from photocal.navigation.trajectory import write_trajectory
-    from photocal.run.trajectory_file import keep_trajectory
 
     engine = Rtklib()
     sources = choices_of_project(project).sources

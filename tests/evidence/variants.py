@@ -22,7 +22,7 @@ from typing import Any
 import numba
 
 from drivers.errors import PhotocalError
-from photocal.demo.truth import Row, against_truth
+from photocal.demo.simulated import Row, against_truth
 from photocal.run.campaign import run_one
 from tests.simulated import FLIGHT, fly
 

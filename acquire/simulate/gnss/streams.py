@@ -2,18 +2,79 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import struct
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from acquire.simulate.gnss import navigation_solution, rawx, rtcm_station, subframes, time_marks
+from acquire.simulate.gnss import lnav, msm, navigation_solution, time_marks
 from acquire.simulate.gnss.msm import observation_messages
 from acquire.simulate.gnss.navigation_solution import OwnPosition
+from acquire.simulate.gnss.observations import Observations
 from acquire.simulate.gnss.session import Session
+from acquire.simulate.gnss.signals import SIGNALS, UBX_SYSTEM
 from acquire.simulate.gnss.time_marks import Events
 from drivers import rtcm3, ubx
-from drivers.arrays import Integers
+from drivers.arrays import Floats, Integers
+from drivers.gnsstime import SECOND_NS, WEEK_S
+
+KIND = 0x0215
+# From the measurement until the message is complete on a fast line.
+_LATENCY_NS = 60_000_000
+_LEAP_KNOWN, _CLOCK_RESET, _VERSION = 0x01, 0x02, 1
+_LONGEST_LOCK_MS = 64_500
+_SIGNAL = np.dtype(
+    [
+        *[("code", "<f8"), ("phase", "<f8"), ("doppler", "<f4"), ("system", "u1"), ("satellite", "u1")],
+        *[("signal", "u1"), ("slot", "u1"), ("lock", "<u2"), ("cn0", "u1"), ("code_sigma", "u1")],
+        *[("phase_sigma", "u1"), ("doppler_sigma", "u1"), ("status", "u1"), ("reserved", "u1")],
+    ]
+)
+
+
+def messages(observations: Observations, leap_s: int) -> Iterator[tuple[int, bytes]]:
+    """Yield time of sending (GPS ns) and payload, one per epoch that has signals."""
+    rows = observations.rows
+    records = _records(observations).tobytes()
+    clock = observations.clock
+    bounds = np.searchsorted(rows["epoch"], np.arange(len(clock) + 1))
+    true_ns = clock.true_gps_ns
+    for epoch, (first, after) in enumerate(zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)):
+        if first == after:
+            continue
+        week, of_week = divmod(int(clock.tag_gps_ns[epoch]), WEEK_S * SECOND_NS)
+        status = _LEAP_KNOWN | (_CLOCK_RESET if clock.step[epoch] else 0)
+        head = struct.pack("<dHbBBB2x", of_week / SECOND_NS, week, leap_s, after - first, status, _VERSION)
+        yield int(true_ns[epoch]) + _LATENCY_NS, head + records[first * 32 : after * 32]
+
+
+def _records(observations: Observations) -> NDArray[np.void]:
+    rows = observations.rows
+    satellites = observations.satellites
+    out = np.zeros(len(rows), _SIGNAL)
+    systems = np.array([UBX_SYSTEM[s.system] for s in satellites], np.uint8)
+    numbers = np.array([s.truth.number for s in satellites], np.uint8)
+    signals = np.array([[signal.ubx for signal in SIGNALS[s.system]] for s in satellites], np.uint8)
+    out["code"], out["phase"], out["doppler"] = rows["code_m"], rows["phase_cycles"], rows["doppler_hz"]
+    out["system"], out["satellite"] = systems[rows["satellite"]], numbers[rows["satellite"]]
+    out["signal"] = signals[rows["satellite"], rows["signal"]]
+    out["lock"] = np.minimum(np.floor(rows["lock_s"] * 1e3), _LONGEST_LOCK_MS)
+    out["cn0"] = np.rint(rows["cn0_dbhz"])
+    out["code_sigma"] = _power_of_two(rows["code_sigma_m"], 0.01)
+    phase_sigma = np.clip(np.ceil(rows["phase_sigma_cycles"] / 0.004), 1, 15)
+    out["phase_sigma"] = np.where(rows["has_phase"], phase_sigma, 15)
+    out["doppler_sigma"] = _power_of_two(rows["doppler_sigma_hz"], 0.002)
+    out["status"] = (
+        1 + 2 * rows["has_phase"].astype(np.uint8) + 4 * rows["half_valid"] + 8 * rows["half_subtracted"]
+    )
+    return out
+
+
+def _power_of_two(sigma: Floats, unit: float) -> Floats:
+    return np.clip(np.ceil(np.log2(np.maximum(sigma, unit) / unit)), 0, 15)
+
 
 Timed = tuple[int, bytes]
 
@@ -45,8 +106,8 @@ def rover_ubx(
     """Return the rover's stream: RXM-RAWX, RXM-SFRBX, NAV-PVT and TIM-TM2."""
     for_position, for_marks = rng.spawn(2)
     parts = [
-        _ubx(rawx.KIND, rawx.messages(session.rover, session.sky.leap_s)),
-        _ubx(subframes.KIND, subframes.messages(session.rover, session.span_gps_ns, session.sky)),
+        _ubx(KIND, messages(session.rover, session.sky.leap_s)),
+        _ubx(lnav.KIND, lnav.messages(session.rover, session.span_gps_ns, session.sky)),
         _ubx(
             navigation_solution.KIND,
             navigation_solution.messages(
@@ -64,8 +125,8 @@ def base_ubx(session: Session) -> Stream:
     """Return the base's stream of u-blox: RXM-RAWX, RXM-SFRBX and NAV-SVIN with the announced position."""
     return _stream(
         [
-            _ubx(rawx.KIND, rawx.messages(session.base, session.sky.leap_s)),
-            _ubx(subframes.KIND, subframes.messages(session.base, session.span_gps_ns, session.sky)),
+            _ubx(KIND, messages(session.base, session.sky.leap_s)),
+            _ubx(lnav.KIND, lnav.messages(session.base, session.span_gps_ns, session.sky)),
             _ubx(
                 navigation_solution.SURVEY_KIND,
                 navigation_solution.survey_messages(session.base, session.announced_m),
@@ -79,12 +140,12 @@ def base_rtcm(
 ) -> Stream:
     """Return the base's stream of RTCM 3: 1006, 1013, 1077 and 1097, with ephemerides 1019 and 1046."""
     parts = [
-        rtcm_station.positions(session, station),
-        rtcm_station.dates(session, station),
+        msm.positions(session, station),
+        msm.dates(session, station),
         observation_messages(session.base, station, every_s),
     ]
     if ephemerides:
-        parts.append(rtcm_station.ephemerides(session))
+        parts.append(msm.ephemerides(session))
     return _stream([[(time, rtcm3.encode(payload)) for time, payload in part] for part in parts])
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +17,197 @@ from numpy.typing import NDArray
 from acquire.simulate.world.camera import Camera
 from acquire.simulate.world.exposures import TO_OPENCV, Pose, pose_at
 from acquire.simulate.world.observations import row_time, seen_rolling
-from acquire.simulate.world.plates import SAMPLES, Plate, make_plate
-from acquire.simulate.world.texture import Ground, paint
+from acquire.simulate.world.terrain import Terrain
 from acquire.simulate.world.world import STREAMS, World
 from drivers.arrays import Bytes, Floats
+from drivers.errors import ConfigurationError
+
+COLOUR_M = 0.25
+# Blue, green, red at the mean grey of the detail.
+_SOIL, _GRASS = np.array([95.0, 125.0, 150.0]), np.array([62.0, 118.0, 96.0])
+_SUN = np.array([-0.45, 0.45, 0.77])
+_STONES_PER_M2, _STONE_M = 0.6, (0.03, 0.2)
+_FADE, _CONTRAST = 0.82, 15.0
+_TRACKS = 6
+MEAN_GREY = 128
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A painted square around the origin, rows from north to south.
+
+    detail (n, n): brightness, 128 where it is that of the colour.
+    texel_m: size of an element of the detail.
+    colour (m, m, 3): blue, green, red at steps of `COLOUR_M`.
+    half_m: half the side of the square.
+    """
+
+    detail: Bytes
+    texel_m: float
+    colour: Bytes
+    half_m: float
+
+    def softened(self, seen_m: float) -> Ground:
+        """Give the ground without detail finer than a pixel of `seen_m` on the ground can show."""
+        import cv2
+
+        sigma = 0.4 * seen_m / self.texel_m
+        soft: Any = cv2.GaussianBlur(self.detail, (0, 0), sigma)
+        return Ground(np.asarray(soft, np.uint8), self.texel_m, self.colour, self.half_m)
+
+    def seen_at(self, east_m: NDArray[np.float32], north_m: NDArray[np.float32]) -> Bytes:
+        """Give blue, green, red at places, shape (h, w, 3)."""
+        import cv2
+
+        parts: list[Any] = []
+        for picture, step in ((self.detail, self.texel_m), (self.colour, COLOUR_M)):
+            column = (east_m + self.half_m) / np.float32(step) - np.float32(0.5)
+            row = (self.half_m - north_m) / np.float32(step) - np.float32(0.5)
+            parts.append(cv2.remap(picture, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT))
+        detail, colour = parts
+        return np.asarray(cv2.multiply(colour, cv2.merge([detail] * 3), scale=1 / MEAN_GREY), np.uint8)
+
+
+def paint(terrain: Terrain, half_m: float, texel_m: float, random: np.random.Generator) -> Ground:
+    """Paint the ground."""
+    count = int(np.ceil(2 * half_m / texel_m))
+    side = count * texel_m / 2
+    detail = _detail(count, random)
+    _scatter(detail, texel_m, random)
+    return Ground(detail, texel_m, _colour(terrain, side, random), side)
+
+
+def _detail(count: int, random: np.random.Generator) -> Bytes:
+    """Add noise of equal strength at every octave, from a few metres down to one element."""
+    import cv2
+
+    size = 16
+    noise: Any = random.standard_normal((size, size), dtype=np.float32)
+    while size < count:
+        size = min(2 * size, count)
+        # The older octaves fade: patches of metres belong to the colours.
+        noise = cv2.resize(noise * np.float32(_FADE), (size, size), interpolation=cv2.INTER_LINEAR)
+        noise += random.standard_normal((size, size), dtype=np.float32)
+    np.clip(noise, -4, 4, out=noise)
+    return np.asarray(cv2.convertScaleAbs(noise, alpha=_CONTRAST, beta=MEAN_GREY), np.uint8)
+
+
+def _scatter(detail: Bytes, texel_m: float, random: np.random.Generator) -> None:
+    """Lay stones and tufts on the ground, and tracks of vehicles across it."""
+    import cv2
+
+    count = detail.shape[0]
+    stones = int(_STONES_PER_M2 * (count * texel_m) ** 2)
+    centres = random.integers(0, count * 16, (stones, 2))
+    low, high = np.log(_STONE_M).tolist()
+    radii = np.exp(random.uniform(low, high, stones)) / texel_m
+    greys = np.clip(MEAN_GREY + random.choice([-1, 1], stones) * random.uniform(25, 75, stones), 30, 225)
+    for centre, radius, grey in zip(centres.tolist(), radii.tolist(), greys.tolist(), strict=True):
+        cv2.circle(detail, centre, max(round(radius * 16), 8), grey, -1, cv2.LINE_AA, 4)
+    for _ in range(_TRACKS):
+        ends = random.integers(0, count, (2, 2))
+        middle = ends.mean(axis=0) + random.normal(0, count / 10, 2)
+        share = np.linspace(0, 1, 60)[:, None]
+        curve = (1 - share) ** 2 * ends[0] + 2 * share * (1 - share) * middle + share**2 * ends[1]
+        width = max(round(0.25 / texel_m), 1)
+        cv2.polylines(detail, [np.rint(curve).astype(np.int32)], False, 160, width, cv2.LINE_AA)
+
+
+def _colour(terrain: Terrain, half_m: float, random: np.random.Generator) -> Bytes:
+    import cv2
+
+    count = int(np.ceil(2 * half_m / COLOUR_M))
+    at = (np.arange(count) + 0.5) * COLOUR_M - half_m
+    east, north = np.meshgrid(at, -at)
+    heights = terrain.height(east.ravel(), north.ravel()).reshape(east.shape)
+    fall, rise = np.gradient(heights, COLOUR_M)
+    normal = np.stack([-rise, fall, np.ones_like(rise)], axis=-1)
+    light = normal @ _SUN / np.linalg.norm(normal, axis=-1) / _SUN[2]
+    coarse = random.standard_normal((14, 14))
+    patches: Any = cv2.resize(coarse, (count, count), interpolation=cv2.INTER_CUBIC)
+    grass = 1 / (1 + np.exp(-2.5 * patches))[..., None]
+    colour = (grass * _GRASS + (1 - grass) * _SOIL) * np.clip(light, 0.5, 1.3)[..., None]
+    return np.asarray(np.clip(colour, 0, 255), np.uint8)
+
+
+# Samples along the side of a pixel.
+SAMPLES = 5
+MARGIN_CELLS = 1
+BLACK, WHITE = 25.0, 225.0
+
+
+@dataclass(frozen=True)
+class Plate:
+    """A horizontal square plate.
+
+    centre_m (3,).
+    turn: direction of its upper edge, from east towards north, rad.
+    cell_m: size of a cell.
+    cells (k, k): grey values, the first row at the upper edge, with the light margin.
+    """
+
+    centre_m: Floats
+    turn: float
+    cell_m: float
+    cells: Floats
+
+    @property
+    def half_m(self) -> float:
+        """Half of its side."""
+        return float(self.cells.shape[0] * self.cell_m / 2)
+
+    @property
+    def corners_m(self) -> Floats:
+        """Its corners, shape (4, 3)."""
+        corners = np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]]) * self.half_m
+        return np.asarray(self.centre_m + np.pad(corners @ self._axes, ((0, 0), (0, 1))))
+
+    @property
+    def _axes(self) -> Floats:
+        """Rows: direction of the upper edge and of the sides, in east and north."""
+        cos, sin = np.cos(self.turn), np.sin(self.turn)
+        return np.array([[cos, sin], [-sin, cos]])
+
+    def grey(self, start_m: Floats, direction: Floats) -> Floats:
+        """Give what rays see of it, NaN where they pass beside it, shape (n,)."""
+        along = (self.centre_m[2] - start_m[..., 2]) / direction[..., 2]
+        place = start_m[..., :2] + along[..., None] * direction[..., :2] - self.centre_m[:2]
+        own = place @ self._axes.T / self.cell_m
+        count = self.cells.shape[0]
+        column = np.floor(own[..., 0] + count / 2).astype(np.int64)
+        row = np.floor(count / 2 - own[..., 1]).astype(np.int64)
+        inside = (column >= 0) & (column < count) & (row >= 0) & (row < count)
+        greys = self.cells[np.clip(row, 0, count - 1), np.clip(column, 0, count - 1)]
+        return np.asarray(np.where(inside, greys, np.nan))
+
+
+def make_plate(centre_m: Floats, turn: float, code: int, dictionary: str, side_m: float) -> Plate:
+    """Make the plate of a code; `side_m` is the side of the dark border, as surveyors give it."""
+    codes = dictionary_of(dictionary)
+    if code >= len(codes.bytesList):
+        raise ConfigurationError(
+            f"{dictionary} has no more than {len(codes.bytesList) - 1} codes for plates",
+            where="[targets]",
+            remedy="lay fewer, or take a larger dictionary",
+        )
+    cells = int(codes.markerSize) + 2
+    marker = codes.generateImageMarker(code, cells)
+    pattern = np.where(np.asarray(marker) > 0, WHITE, BLACK)
+    pattern = np.pad(pattern, MARGIN_CELLS, constant_values=WHITE)
+    return Plate(centre_m, turn, side_m / cells, pattern)
+
+
+def dictionary_of(name: str) -> Any:
+    """Give OpenCV's dictionary of a name such as ``apriltag_36h11``."""
+    import cv2
+
+    number = getattr(cv2.aruco, f"DICT_{name.upper()}", None)
+    if number is None:
+        raise ConfigurationError(
+            f"there is no dictionary {name!r}", where="[targets]", remedy="for example apriltag_36h11"
+        )
+    return cv2.aruco.getPredefinedDictionary(number)
+
 
 GRID_PX = 8
 

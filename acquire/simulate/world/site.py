@@ -8,14 +8,156 @@ from typing import Any
 
 import numpy as np
 
-from acquire.simulate.world.block_folder import write_block, write_observations
-from acquire.simulate.world.configuration import Configuration, Level
+from acquire.simulate.world.block_folder import camera_keys, write_block, write_observations
+from acquire.simulate.world.configuration import Air, Configuration, Level
 from acquire.simulate.world.observations import kept_images, observe
-from acquire.simulate.world.project_file import write_particulars, write_project
 from acquire.simulate.world.streams import Streams, make_streams, telemetry_log
-from acquire.simulate.world.tables import write_table
+from acquire.simulate.world.survey import FieldBook, take_notes
+from acquire.simulate.world.tables import toml_text, write_table
 from acquire.simulate.world.truth import write_truth
 from acquire.simulate.world.world import World, make_world, picture_stamps
+
+_SIGMAS = ("sX", "sY", "sZ")
+
+
+def write_project(world: World, site: Path) -> None:
+    """Write `project.toml`, and but for the level block `control.csv`."""
+    given = world.configuration
+    block = given.level is Level.BLOCK
+    crs, height = ("local", "local") if block else (given.place.crs, "ellipsoidal")
+    sections: list[tuple[str, dict[str, Any]]] = []
+    sections.append(("[project]", {"name": given.name, "crs": crs, "height": height, "output": "work"}))
+    if block:
+        sections.append(("[measurements]", {"block": "block"}))
+    else:
+        notes = take_notes(world, world.place.to_projected(world.targets.surveyed_m))
+        _write_control(world, notes, site / "control.csv")
+        sections += _flight(world, notes)
+    judgement = {"scale": given.judgement.scale} if given.judgement.scale else {}
+    if given.judgement.standards:
+        judgement["standards"] = given.judgement.standards  # type: ignore[assignment]
+    sections += [("[judgement]", judgement)] if judgement else []
+    sections.append(("[certificate]", {"particulars": "particulars.toml"}))
+    (site / "project.toml").write_text(toml_text(sections), encoding="utf-8")
+
+
+def _flight(world: World, notes: FieldBook) -> list[tuple[str, dict[str, Any]]]:
+    given, rig = world.configuration, world.configuration.rig
+    base = world.place.to_geodetic(notes.base_m[None])[0]
+    place = [
+        round(float(np.degrees(base[0])), 10),
+        round(float(np.degrees(base[1])), 10),
+        round(float(base[2]), 4),
+    ]
+    pictures = given.level is Level.PICTURES
+    control: dict[str, Any] = {"points": "control.csv"}
+    if pictures:
+        codes = zip(world.targets.codes.tolist(), world.targets.names, strict=True)
+        control["targets"] = {
+            "dictionary": given.targets.dictionary,
+            "side_m": given.targets.side_m,
+            "names": {str(code): name for code, name in codes},
+        }
+    sections: list[tuple[str, dict[str, Any]]] = [
+        (
+            "[flight]",
+            {
+                "logs": ["flight.mcap"],
+                "vehicle": "vehicle",
+                "rover": "rover",
+                "base": "base",
+                "base_position": place,
+                "base_antenna_height_m": round(notes.base_antenna_height_m, 4),
+                "rover_antenna_height_m": 0.0,
+                "weather": _weather(given.air, float(base[2])),
+                "edge": "rising",
+                "clock_offset_s": 30.0,
+            },
+        ),
+        ("[images]", {"folder": "images"} if pictures else {"times": "times.csv"}),
+        (
+            "[rig]",
+            {
+                "camera_to_antenna_m": notes.camera_to_antenna_m,
+                "camera_to_antenna_sigma_m": rig.camera_to_antenna_sigma_m,
+                "boresight_deg": rig.boresight_deg,
+                "boresight_sigma_deg": rig.boresight_sigma_deg,
+                "attitude_sigma_deg": rig.attitude_sigma_deg,
+                "time_offset_s": rig.time_offset_s,
+                "time_offset_sigma_s": rig.time_offset_sigma_s,
+                "camera_axes": ["right", "forward", "up"],
+            },
+        ),
+        ("[[camera]]", camera_keys(given)),
+        ("[control]", control),
+    ]
+    if not pictures:
+        measured = {"observations": "observations.csv", "sigma_px": given.observing.sigma_px}
+        sections.append(("[measurements]", measured))
+    return sections
+
+
+def _weather(air: Air, height_m: float) -> dict[str, float]:
+    """Give what thermometer and hygrometer show at the base."""
+    return {
+        "temperature_c": round(air.temperature_c - 6.5e-3 * height_m, 1),
+        "relative_humidity_percent": round(100 * air.relative_humidity, 1),
+    }
+
+
+def _write_control(world: World, notes: FieldBook, path: Path) -> None:
+    sigma = ",".join(f"{s:g}" for s in world.configuration.targets.sigma_m)
+    lines = [
+        f"{name},{','.join(texts)},{sigma},{role}"
+        for name, texts, role in zip(world.targets.names, notes.control, world.targets.roles, strict=True)
+    ]
+    header = ",".join(("point", "X", "Y", "Z", *_SIGMAS, "role"))
+    path.write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")
+
+
+def write_particulars(world: World, path: Path) -> None:
+    """Write what a person gives for a certificate; it says that the flight never took place."""
+    given, camera = world.configuration, world.configuration.camera
+    plan = given.plan
+    sensor = [round(side * camera.pitch_mm, 3) for side in camera.size_px]
+    text = toml_text(
+        [
+            (
+                "[document]",
+                {
+                    "client": "SIMULATED FLIGHT, it never took place",
+                    "operator": "simulator",
+                    "comments": f"Simulated flight {given.name!r}, seed {given.seed}.",
+                },
+            ),
+            (
+                "[camera]",
+                {
+                    "model": camera.id,
+                    "manufacturer": "simulated",
+                    "serial": f"{given.seed:04d}",
+                    "lens_type": f"fixed, {camera.nominal_mm:g} mm",
+                    "sensor_size_mm": sensor,
+                    "effective_pixels": float(camera.size_px[0] * camera.size_px[1]),
+                    "nominal_focal_length_mm": camera.nominal_mm,
+                    "pixel_size_mm": camera.pitch_mm,
+                },
+            ),
+            (
+                "[campaign]",
+                {
+                    "method": "on-the-job calibration",
+                    "test_field": given.name,
+                    "platform": "multirotor, simulated",
+                    "flying_height_m": plan.passes[0].height_m,
+                    "exposure_time_s": camera.exposure_s,
+                    "forward_overlap": plan.passes[0].forward_overlap,
+                },
+            ),
+        ]
+    )
+    path.write_text(text, encoding="utf-8")
+
 
 Advance = Callable[[float], None]
 

@@ -16,7 +16,7 @@ from acquire.channels.vehicle import VehicleDecoder
 from acquire.cli import app
 from acquire.recording import vehicle_dialogue
 from acquire.simulate.autopilot import Autopilot
-from acquire.simulate.serve import on_udp
+from acquire.simulate.hardware import on_udp
 from drivers.frames import Wire
 from drivers.framing import StreamFramer
 from drivers.mavlink.dialect import ardupilotmega

@@ -14,8 +14,7 @@ from playwright.sync_api import Browser
 
 from acquire.importing.importer import import_recordings
 from acquire.log.reader import LogReader
-from acquire.monitor.foxglove_server import serving_foxglove
-from acquire.monitor.token_proxy import has_token
+from acquire.monitor.foxglove_server import has_token, serving_foxglove
 from acquire.web import Address, read_address
 from drivers.errors import ConfigurationError, ProgramMissingError
 from tests.acquire.live import PATIENCE_S

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from acquire.simulate.autopilot import Autopilot
+from acquire.simulate.hardware import on_pty, on_udp
 from acquire.simulate.receiver import Receiver
-from acquire.simulate.serve import on_pty, on_udp
 from tests.acquire.live import free_port
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]

@@ -15,8 +15,8 @@ from pymavlink.dialects.v20 import ardupilotmega as tables
 from acquire.recording.configuration import Link
 from acquire.recording.vehicle_dialogue import VehicleDialogue
 from acquire.simulate.autopilot import Autopilot
+from acquire.simulate.hardware import on_pty, on_udp
 from acquire.simulate.receiver import Receiver
-from acquire.simulate.serve import on_pty, on_udp
 from acquire.transports.of_link import source_of_link
 from acquire.transports.sources import Source
 from drivers import rtcm3, ubx

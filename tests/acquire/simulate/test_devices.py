@@ -13,8 +13,8 @@ from pymavlink.dialects.v20 import ardupilotmega as tables
 from pyubx2 import POLL, SET, UBXMessage, UBXReader
 
 from acquire.simulate.autopilot import Autopilot
+from acquire.simulate.hardware import on_pty, on_udp
 from acquire.simulate.receiver import Receiver
-from acquire.simulate.serve import on_pty, on_udp
 from tests.acquire.live import PATIENCE_S
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from photocal.demo.truth import against_truth, table
+from photocal.demo.simulated import against_truth, table
 from photocal.geometry.camera import PARAMETERS, camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.results.folder import write_result

@@ -12,8 +12,7 @@ from drivers.errors import InputMalformedError
 from photocal.adjustment.adjust import adjust
 from photocal.block.model import Block
 from photocal.block.network import assemble
-from photocal.exchange.dbat import read_dbat
-from photocal.exchange.dbat_writer import lens_model, write_dbat
+from photocal.exchange.dbat import lens_model, read_dbat, write_dbat
 from photocal.geometry.camera import PARAMETERS, camera
 
 pytestmark = pytest.mark.shared

@@ -11,8 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError
-from photocal.exchange.choices import Choices
-from photocal.exchange.formats import FORMATS, Format, export, named, page
+from photocal.exchange.formats import FORMATS, Choices, Format, export, named, page
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.camera import MODELS, Camera, Model, camera
 from photocal.geometry.conversion import in_pixels

@@ -14,7 +14,7 @@ from xml.etree.ElementTree import parse
 import numpy as np
 import pytest
 
-from photocal.exchange.choices import Origin
+from photocal.exchange.formats import Origin
 from photocal.exchange.geographic import footprints, topocentric, write_geojson, write_kml
 from photocal.exchange.geopackage import write_geopackage
 from photocal.exchange.reconstruction import Reconstruction

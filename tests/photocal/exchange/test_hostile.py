@@ -23,7 +23,7 @@ from photocal.exchange.dbat import read_dbat, read_dbat_cameras
 from photocal.exchange.formats import read_foreign_block
 from photocal.exchange.metashape import read_metashape
 from photocal.exchange.micmac import read_calibration, read_ground_points, read_measures, read_orientation
-from photocal.exchange.photomodeler_export import read_export
+from photocal.exchange.photomodeler import read_export
 
 XML_READERS: list[Callable[[Path], Any]] = [
     read_dbat,

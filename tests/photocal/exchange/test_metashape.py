@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputMalformedError
-from photocal.exchange.metashape import read_metashape
-from photocal.exchange.metashape_writer import to_metashape, write_metashape
+from photocal.exchange.metashape import read_metashape, to_metashape, write_metashape
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.camera import camera, plane_to_pixel
 from photocal.geometry.distortion import projected
@@ -109,7 +108,7 @@ def test_photogrammetric_camera_is_fitted() -> None:
 @pytest.mark.shared
 def test_photoscan_project(shared: Path, tmp_path: Path) -> None:
     """SXB's own project: the older form, with the marks that PhotoModeler's export has too."""
-    from photocal.exchange.photomodeler_export import read_export
+    from photocal.exchange.photomodeler import read_export
 
     folder = shared / "data" / "dbat-sxb"
     with zipfile.ZipFile(folder / "psprojects" / "sxb.psz") as project:

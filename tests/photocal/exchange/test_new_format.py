@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from photocal.exchange import formats
-from photocal.exchange.choices import Choices
-from photocal.exchange.formats import read_any_block
+from photocal.exchange.formats import Choices, read_any_block
 from photocal.exchange.reconstruction import Reconstruction
 
 TOY = formats.Format(

@@ -14,8 +14,8 @@ from pyopf.io import load  # type: ignore[import-untyped]
 from pyopf.resolve import resolve  # type: ignore[import-untyped]
 
 from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.exchange.opf import export as write_opf
 from photocal.exchange.opf import read_opf
-from photocal.exchange.opf_writer import export as write_opf
 from photocal.exchange.reconstruction import Reconstruction
 from tests.photocal.exchange.conftest import reconstruction_of, vision_camera
 

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputMalformedError
-from photocal.exchange.choices import Choices
 from photocal.exchange.colmap import read_colmap, write_colmap
-from photocal.exchange.formats import export, named
-from photocal.exchange.metashape_writer import write_metashape
+from photocal.exchange.formats import Choices, export, named
+from photocal.exchange.metashape import write_metashape
 from photocal.exchange.opencv import read_opencv, write_opencv
 from photocal.exchange.opensfm import export as write_opensfm
 from photocal.exchange.opensfm import read_reconstruction

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputMalformedError
-from photocal.exchange.photomodeler import read_photomodeler
-from photocal.exchange.photomodeler_writer import write_photomodeler
+from photocal.exchange.photomodeler import read_photomodeler, write_photomodeler
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.distortion import projected

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputMalformedError
-from photocal.exchange.pix4d import read_pix4d, write_pix4d
+from photocal.exchange.pix4d_project import read_pix4d, write_pix4d
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.distortion import projected

@@ -11,8 +11,7 @@ import pytest
 from photocal.accuracy.standard import Question
 from photocal.exchange.formats import read_foreign_block
 from photocal.exchange.micmac import read_micmac
-from photocal.exchange.photomodeler import block_from_export, read_control, read_positions
-from photocal.exchange.photomodeler_export import read_export
+from photocal.exchange.photomodeler import block_from_export, read_control, read_export, read_positions
 from photocal.georeferencing.comparison import check_block
 from photocal.georeferencing.differences import differences
 from photocal.georeferencing.methods import of_method, with_roles

@@ -14,9 +14,9 @@ from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.centre import Centre, ground_bend
 from photocal.measurement.line_targets import cross_centre, saddle_centre
+from photocal.measurement.markers import quadrilateral_centre
 from photocal.measurement.patterns import flattened
 from photocal.measurement.round_targets import disc_centre, ring_centre
-from photocal.measurement.square_targets import quadrilateral_centre
 
 from .rendering import DARK, LIGHT, bend, perspective, render
 

@@ -18,8 +18,12 @@ from photocal.block.folder import read_block, read_points
 from photocal.block.model import digest
 from photocal.measurement.image_file import list_images
 from photocal.measurement.orientation import of_exposures
-from photocal.measurement.plain_targets import PlainMarks, find_plain_targets, predicted_sights
-from photocal.measurement.project_targets import targets_of_project
+from photocal.measurement.plain_targets import (
+    PlainMarks,
+    find_plain_targets,
+    predicted_sights,
+    targets_of_project,
+)
 from photocal.measurement.refine import Source
 from photocal.project import Project, read_project
 

@@ -16,10 +16,9 @@ from pyproj import Geod
 from photocal.block.folder import read_block
 from photocal.measurement.cache import cached
 from photocal.measurement.features import Features, FeatureSettings, detect
-from photocal.measurement.guided import search_windows
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.match_images import MatchingPlan, detect_all, match_all
-from photocal.measurement.matching import MatchSettings, match, mutual_matches
+from photocal.measurement.matching import MatchSettings, match, mutual_matches, search_windows
 from photocal.measurement.pair_selection import Footprints, footprints, select_pairs
 from photocal.measurement.tracks import Tracks, join_tracks, spaced, thin
 from photocal.tasks.workers import run_tasks

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from photocal.navigation.combination import between_directions
 from photocal.navigation.engine_output import EngineSolution
+from photocal.navigation.ppk import between_directions
 from photocal.navigation.time import GpsTime
 
 METRE_N = 1 / 110_850

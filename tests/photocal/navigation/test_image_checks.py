@@ -13,10 +13,9 @@ import pytest
 from photocal.measurement.features import FeatureSettings
 from photocal.measurement.match_images import MatchingPlan
 from photocal.navigation.exposure_run import Choices, place_exposures
-from photocal.navigation.image_checks import TieMatching
+from photocal.navigation.image_checks import PairRotation, TieMatching, stored_turns
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.rig import Rig
-from photocal.navigation.rotation_check import PairRotation, stored_turns
 from tests.photocal.conftest import Answer
 from tests.photocal.findings.english import english
 

@@ -17,11 +17,15 @@ from photocal.navigation.attitude import from_angles
 from photocal.navigation.events import Events
 from photocal.navigation.exposure_run import Choices, place_exposures
 from photocal.navigation.exposures import Exposures, at_events, orientations
-from photocal.navigation.image_checks import oriented_images
+from photocal.navigation.image_checks import (
+    boresight_check,
+    compare_with_oriented,
+    oriented_images,
+    rotation_check,
+)
 from photocal.navigation.interpolation import Placed
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.rig import Rig
-from photocal.navigation.rotation_check import boresight_check, compare_with_oriented, rotation_check
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import enu_axes, geocentric, geodetic
 from tests.photocal.findings.english import english

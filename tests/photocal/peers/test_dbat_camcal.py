@@ -15,8 +15,7 @@ from drivers.errors import IllPosedError, InputMalformedError
 from photocal.block.network import assemble
 from photocal.exchange.dbat import read_dbat
 from photocal.exchange.dbat_camera import NAMES, to_dbat
-from photocal.exchange.photomodeler import block_from_export, read_control
-from photocal.exchange.photomodeler_export import read_export
+from photocal.exchange.photomodeler import block_from_export, read_control, read_export
 
 pytestmark = pytest.mark.shared
 

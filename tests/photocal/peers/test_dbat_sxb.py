@@ -13,8 +13,7 @@ import pytest
 
 from photocal.block.model import Block
 from photocal.exchange.formats import read_foreign_block
-from photocal.exchange.photomodeler import block_from_export, read_control, read_positions
-from photocal.exchange.photomodeler_export import read_export
+from photocal.exchange.photomodeler import block_from_export, read_control, read_export, read_positions
 
 pytestmark = pytest.mark.shared
 

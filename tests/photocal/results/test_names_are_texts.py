@@ -15,8 +15,7 @@ import pytest
 import photocal
 from drivers.errors import PhotocalError
 from photocal.block.model import Block
-from photocal.exchange.choices import Choices, Origin
-from photocal.exchange.formats import FORMATS, export, read_foreign_block
+from photocal.exchange.formats import FORMATS, Choices, Origin, export, read_foreign_block
 from photocal.exchange.reconstruction import Reconstruction, of_result
 from photocal.measurement.block_files import write_block
 from photocal.navigation.image_checks import oriented_images

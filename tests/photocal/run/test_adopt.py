@@ -13,8 +13,7 @@ import pytest
 
 from drivers.errors import InputMalformedError
 from photocal.block.model import ROLES
-from photocal.exchange.choices import Choices
-from photocal.exchange.formats import export, named
+from photocal.exchange.formats import Choices, export, named
 from photocal.exchange.pinhole import to_pinhole, to_vision
 from photocal.exchange.project_detection import read_foreign_project
 from photocal.exchange.reconstruction import Reconstruction, as_block, of_result

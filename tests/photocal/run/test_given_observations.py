@@ -11,7 +11,7 @@ from drivers.errors import InputMalformedError
 from photocal.block.folder import read_images
 from photocal.block.model import Images
 from photocal.project import Project, read_project
-from photocal.run.given_observations import given_block
+from photocal.run.measurements import given_block
 
 PROJECT = """
 [project]

@@ -19,8 +19,7 @@ import pytest
 from drivers.errors import InputNotFoundError, OutputError
 from photocal.run.digests import Digests
 from photocal.run.folders import alone
-from photocal.run.source import needed_modules
-from photocal.run.stage import Progress, Stage, made_in, update_stage
+from photocal.run.stage import Progress, Stage, made_in, needed_modules, update_stage
 from tests.photocal.run.toy_stages import sequence
 
 
@@ -114,7 +113,7 @@ def test_only_imported_code_counts(tmp_path: Path) -> None:
 
 
 def test_a_stage_does_not_depend_on_rooms_that_it_does_not_use() -> None:
-    from photocal.run.source import _modules
+    from photocal.run.stage import _modules
 
     ppk = needed_modules("photocal.run.ppk", _modules())
     assert "photocal.navigation.engine" in ppk

@@ -9,11 +9,11 @@ import pytest
 
 from acquire.simulate.gnss.antenna import Antenna
 from acquire.simulate.gnss.clock import run
+from acquire.simulate.gnss.observations import track
 from acquire.simulate.gnss.session import Session, simulate
 from acquire.simulate.gnss.settings import Faults, Outage, ReceiverModel, SkySettings
 from acquire.simulate.gnss.streams import base_rtcm, base_ubx, rover_ubx
 from acquire.simulate.gnss.time_marks import Events, messages
-from acquire.simulate.gnss.tracking import track
 from drivers.errors import ConfigurationError
 from tests.acquire.simulate.gnss.flights import BASE_M, SECOND, START, fly, gps_ns, streams
 from tests.acquire.simulate.gnss.rtklib import to_rinex

@@ -13,8 +13,7 @@ from PIL import Image
 
 from acquire.simulate.world.exposures import Pose
 from acquire.simulate.world.observations import seen, seen_rolling
-from acquire.simulate.world.plates import dictionary_of
-from acquire.simulate.world.render import make_scene, render
+from acquire.simulate.world.render import dictionary_of, make_scene, render
 from acquire.simulate.world.world import picture_stamps
 from tests.acquire.simulate.world.conftest import Flight
 

@@ -14,8 +14,8 @@ import pytest
 from PIL import Image
 
 from acquire.web import Address, serving
-from photocal.measurement.marking.page import application
 from photocal.measurement.marking.scene import scene_of_folder, scene_of_project
+from photocal.measurement.marking.service import application
 from photocal.measurement.marking.store import MarkStore
 from photocal.project import read_project
 from tests.photocal.conftest import Answer
