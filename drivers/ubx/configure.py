@@ -100,7 +100,8 @@ def read_settings(kind: int, payload: bytes) -> dict[int, int]:
         found, at = {}, 4
         while at + 5 <= len(payload):
             (key,) = struct.unpack_from("<I", payload, at)
-            width = _width(key)
+            # Bits 28 to 30 of a key tell the size of its value.
+            width = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8}.get(key >> 28 & 7, 1)
             found[key] = int.from_bytes(payload[at + 4 : at + 4 + width], "little")
             at += 4 + width
         return found
@@ -116,11 +117,6 @@ def acknowledged(kind: int, payload: bytes) -> tuple[int, bool] | None:
     if kind not in (ACK_ACK, ACK_NAK) or len(payload) != 2:
         return None
     return int.from_bytes(payload, "big"), kind == ACK_ACK
-
-
-def _width(key: int) -> int:
-    # Bits 28 to 30 of a key tell the size of its value.
-    return {1: 1, 2: 1, 3: 2, 4: 4, 5: 8}.get(key >> 28 & 7, 1)
 
 
 def _text(field: bytes) -> str:

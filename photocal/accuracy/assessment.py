@@ -159,7 +159,9 @@ def assess(discrepancies: Discrepancies, standards: tuple[Standard, ...], questi
         ),
         _plane(plane) if len(plane) else None,
         _height(height[:, 0]) if len(height) else None,
-        _space(space) if len(space) else None,
+        VectorResult(length_statistics(lengths(space)), None, counted_error(lengths(space), PROBABLE_ERROR))
+        if len(space)
+        else None,
         _similarity(discrepancies),
         tables,
         values,
@@ -197,12 +199,6 @@ def _height(values: Floats) -> VectorResult:
         statistics,
         linear_error(statistics.rms_m, PROBABLE_ERROR),
         counted_error(np.abs(values), PROBABLE_ERROR),
-    )
-
-
-def _space(vectors: Floats) -> VectorResult:
-    return VectorResult(
-        length_statistics(lengths(vectors)), None, counted_error(lengths(vectors), PROBABLE_ERROR)
     )
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
+from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block
 from photocal.exchange.colmap_content import MODELS, NO_POINT, NUMBERS, Content, Lens, Shot
@@ -99,7 +99,7 @@ def write_colmap(folder: Path, given: Reconstruction, *, binary: bool = False) -
     ]
     rotation, translation = to_vision(given.poses)
     quaternion = quaternion_from_rotation(rotation)
-    keys = _point_keys(given.point_names)
+    keys = np.array([int(name) for name in whole_numbers(given.point_names)], dtype=np.int64)
     order = np.argsort(given.image, kind="stable")
     bounds = np.searchsorted(given.image[order], np.arange(len(given.image_names) + 1))
     place = np.empty(len(order), dtype=np.int64)
@@ -118,11 +118,6 @@ def write_colmap(folder: Path, given: Reconstruction, *, binary: bool = False) -
     content = Content(tuple(lenses), tuple(shots), keys, given.xyz, _errors(given), tuple(tracks))
     (write_binary_model if binary else write_text_model)(folder, content)
     return tuple(conversion for _, conversion in made)
-
-
-def _point_keys(names: tuple[str, ...]) -> Integers:
-    """Numbers of the points: their names where all are numbers, else counted from 1."""
-    return np.array([int(name) for name in whole_numbers(names)], dtype=np.int64)
 
 
 def _parameters(pinhole: Pinhole) -> tuple[float, ...]:

@@ -167,7 +167,8 @@ def _markers(chunk: Element, path: Path) -> dict[str, PointEntry]:
         given = element.find("reference")
         xyz = sigma = UNKNOWN
         if given is not None and given.get("x"):
-            xyz = _triple(given, ("x", "y", "z"), path)
+            one, two, three = (number(given.get(key, ""), path, f"marker {key}") for key in "xyz")
+            xyz = one, two, three
             sigma = _accuracy(given, path)
         enabled = given is not None and given.get("enabled", "true") in ("true", "1")
         name = element.get("label") or element.get("id") or ""
@@ -184,11 +185,6 @@ def _accuracy(given: Element, path: Path) -> tuple[float, float, float]:
         text = next((given.get(key) for key in keys if given.get(key)), None)
         found.append(float("nan") if text is None else number(text, path, "marker accuracy"))
     return found[0], found[1], found[2]
-
-
-def _triple(element: Element, keys: tuple[str, str, str], path: Path) -> tuple[float, float, float]:
-    one, two, three = (number(element.get(key, ""), path, f"marker {key}") for key in keys)
-    return one, two, three
 
 
 def _numbers(element: Element, path: Path, count: int) -> list[float]:

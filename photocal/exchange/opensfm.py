@@ -104,7 +104,9 @@ def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tup
     names = [own.id for own in given.cameras]
     cameras = {name: _keys(pinhole) for name, (pinhole, _) in zip(names, made, strict=True)}
     rotation, translation = to_vision(given.poses)
-    turns = _vectors(rotation)
+    from scipy.spatial.transform import Rotation
+
+    turns = np.asarray(Rotation.from_matrix(rotation).as_rotvec(), dtype=float)
     shots = {
         name: {
             "rotation": turns[k].tolist(),
@@ -186,12 +188,6 @@ def _rotations(vectors: Floats) -> Floats:
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_rotvec(vectors).as_matrix(), dtype=float)
-
-
-def _vectors(rotations: Floats) -> Floats:
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(rotations).as_rotvec(), dtype=float)
 
 
 def read_back(folder: Path) -> Reconstruction:

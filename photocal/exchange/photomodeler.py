@@ -339,7 +339,7 @@ def write_photomodeler(path: Path, given: Reconstruction) -> tuple[Conversion, .
     interiors = [_interior(conversion.camera) for conversion in made]
     numbers = whole_numbers(given.point_names)
     order = sorted(range(len(numbers)), key=lambda j: int(numbers[j]))
-    rows = [_point(given, j, numbers[j]) for j in order]
+    rows = [f"{numbers[j]} {digits([*given.xyz[j], *_sigma(given, j)])}" for j in order]
     control = [row for row, j in zip(rows, order, strict=True) if given.roles and given.roles[j] == "control"]
     width, height = sizes.pop()
     lines = [
@@ -393,10 +393,6 @@ def _photo_lines(k: int, name: str, given: Reconstruction, interior: Sequence[fl
         f"{k} {digits(interior)}",
         f"{k} {digits([0.0] * 10)}",
     ]
-
-
-def _point(given: Reconstruction, j: int, number: str) -> str:
-    return f"{number} {digits([*given.xyz[j], *_sigma(given, j)])}"
 
 
 def _surveyed(given: Reconstruction, j: int, number: str) -> str:

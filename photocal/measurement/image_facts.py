@@ -104,7 +104,9 @@ def read_facts(path: Path) -> ImageFacts:
     """
     with opened(path) as image:
         main, exif, gps = _tags(image)
-        xmp = _xmp(image)
+        packet = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
+        text = packet.decode("utf-8", "replace") if isinstance(packet, bytes) else str(packet)
+        xmp = {name: (a or b).strip() for _, name, a, b in _XMP.findall(text)}
         size = stored_size(image)
     orientation = _number(main.get(0x0112))
     return ImageFacts(
@@ -182,12 +184,6 @@ def _tags(image: Image) -> tuple[Mapping[int, Any], Mapping[int, Any], Mapping[i
             return dict(exif), dict(exif.get_ifd(_EXIF_IFD)), dict(exif.get_ifd(_GPS_IFD))
     except (SyntaxError, ValueError, KeyError, TypeError, OSError, struct.error, IndexError, OverflowError):
         return none, none, none
-
-
-def _xmp(image: Image) -> dict[str, str]:
-    packet = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
-    text = packet.decode("utf-8", "replace") if isinstance(packet, bytes) else str(packet)
-    return {name: (a or b).strip() for _, name, a, b in _XMP.findall(text)}
 
 
 def _text(value: object) -> str:

@@ -155,7 +155,8 @@ def mutual_matches(
         high = likeness[each, nearest]
         likeness[each, nearest] = -1.0
         forward[rows], best[rows] = np.arange(len(b))[columns][nearest], high
-        clear[rows] = _is_clear(high, likeness.max(axis=1), ratio)
+        # Of likenesses: distance^2 = 2 - 2 likeness.
+        clear[rows] = np.asarray(1 - high < ratio**2 * (1 - likeness.max(axis=1)))
     # The nearest of my nearest is me when nobody is nearer to it than I am.
     good = clear & (best >= best_back[forward])
     return np.column_stack([np.flatnonzero(good), forward[good]]).astype(np.int64)
@@ -188,8 +189,3 @@ def _rooted(descriptors: Bytes) -> Floats32:
     values = descriptors.astype(np.float32)
     values /= np.maximum(values.sum(axis=1, keepdims=True), 1e-6)
     return np.sqrt(values, out=values)
-
-
-def _is_clear(best: Floats32, other: Floats32, ratio: float) -> Flags:
-    """Whether the best match is clearly nearer, from likenesses (distance^2 = 2 - 2 likeness)."""
-    return np.asarray(1 - best < ratio**2 * (1 - other))

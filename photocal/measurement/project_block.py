@@ -129,7 +129,7 @@ def measure_project(
         "marks": {
             "by_hand": len(by_hand),
             "targets": len(found.marks),
-            "used": _marked(released, control),
+            "used": int(np.count_nonzero(released.block.observations.point < len(control.names))),
         },
         "targets": found.record,
         "positions": None if starts is not None else position_figures(sighted.facts, given.sigma[:, 3:]),
@@ -355,10 +355,6 @@ def _expected_of_c(finding: Finding, cameras: Sequence[Camera]) -> bool:
     own = next(camera for camera in cameras if camera.id == finding.subject)
     change = abs(finding.figures["value"] - finding.figures["given"])
     return bool(own.estimated[0]) and change <= CREDIBLE_SIGMAS * float(own.prior_sigma[0])
-
-
-def _marked(adjusted: Adjusted, control: ObjectPoints) -> int:
-    return int(np.count_nonzero(adjusted.block.observations.point < len(control.names)))
 
 
 def suspected_marks(adjusted: Adjusted, control: ObjectPoints) -> list[dict[str, Any]]:

@@ -149,7 +149,9 @@ def _jump(device: Integers, reference: Integers, least_s: float) -> int | None:
     step = np.zeros(n)
     for i in range(_LEAST_READINGS, n - _LEAST_READINGS + 1):
         before, after = residual[max(0, i - width) : i], residual[i : i + width]
-        trend = _trend(residual, i, width)
+        low, high = max(0, i - width), min(len(residual), i + width)
+        steps = np.diff(residual[low:high])
+        trend = float(np.median(steps)) * (high - low) / 2
         step[i] = np.median(after) - np.median(before) - trend
     noise = 1.4826 * float(np.median(np.abs(np.diff(residual) - np.median(np.diff(residual)))))
     limit = max(_JUMP_SIGMAS * noise, least_s)
@@ -161,12 +163,6 @@ def _jump(device: Integers, reference: Integers, least_s: float) -> int | None:
     sharp = near.start + int(np.argmax(change))
     # A drift that was not removed gives many small steps, a jump one that is as large as the whole.
     return sharp if change.max() > 0.5 * abs(step[worst]) else None
-
-
-def _trend(residual: Floats, at: int, width: int) -> float:
-    low, high = max(0, at - width), min(len(residual), at + width)
-    steps = np.diff(residual[low:high])
-    return float(np.median(steps)) * (high - low) / 2
 
 
 def _fit(device: Integers, reference: Integers, resolution_s: float) -> ClockSegment:

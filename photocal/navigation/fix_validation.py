@@ -57,7 +57,8 @@ def judge(
     origin = np.array([combined.lat_deg[0], combined.lon_deg[0], combined.height_m[0]])
     here = _enu(combined, origin)
     fore, back = forward.at(combined.time), backward.at(combined.time)
-    separation = _difference(forward, fore, backward, back, origin)
+    difference = _enu(forward, origin)[fore] - _enu(backward, origin)[back]
+    separation = np.where(((fore >= 0) & (back >= 0))[:, None], difference, np.nan)
     fixed = combined.quality == FIXED
     directions = np.column_stack([_quality(forward, fore), _quality(backward, back)])
     both = (directions == FIXED).all(axis=1)
@@ -85,17 +86,6 @@ def _enu(solution: EngineSolution, origin: Floats) -> Floats:
 
 def _quality(solution: EngineSolution, row: Integers) -> Integers:
     return np.where(row >= 0, solution.quality[row], 0)
-
-
-def _difference(
-    forward: EngineSolution,
-    fore: Integers,
-    backward: EngineSolution,
-    back: Integers,
-    origin: Floats,
-) -> Floats:
-    difference = _enu(forward, origin)[fore] - _enu(backward, origin)[back]
-    return np.where(((fore >= 0) & (back >= 0))[:, None], difference, np.nan)
 
 
 def _velocity(time: GpsTime, here: Floats, fixed: Flags, code: EngineSolution) -> tuple[Floats, float]:

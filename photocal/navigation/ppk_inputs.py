@@ -14,7 +14,7 @@ from drivers.gnsstime import GPS_EPOCH_NS
 from photocal.navigation.engine import Engine, RinexFiles
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk import Inputs, parse_position
-from photocal.navigation.precise_results import PreciseResult, read_precise_result
+from photocal.navigation.precise_results import read_precise_result
 from photocal.navigation.receiver_recording import (
     ReceiverRecording,
     pick,
@@ -109,7 +109,8 @@ def gather_inputs(sources: Sources, engine: Engine, folder: Path) -> tuple[Input
             if not count_ephemerides(Path(name)):
                 raise IllPosedError("has no ephemerides", where=name, remedy="give a RINEX navigation file")
             navigation.append(Path(name))
-    precise = _precise_base(sources)
+    given = sources.base_position
+    precise = None if given is None or "," in given else read_precise_result(Path(given))
     position, source = (
         _base_position(sources, base_recording)
         if precise is None
@@ -174,12 +175,6 @@ def _remarks(recording: ReceiverRecording, role: str) -> list[str]:
     if recording.untimed_epochs:
         remarks.append(f"{role}: {recording.untimed_epochs} epochs of week 0 left out")
     return remarks
-
-
-def _precise_base(sources: Sources) -> PreciseResult | None:
-    """Read the base's position where it is that of a file."""
-    given = sources.base_position
-    return None if given is None or "," in given else read_precise_result(Path(given))
 
 
 def _base_position(sources: Sources, recording: ReceiverRecording | None) -> tuple[Floats, str]:

@@ -171,7 +171,9 @@ def plan_grid(
     pitch = np.array([max(camera.pitch) / camera.value("c") for camera in shots.cameras])[shots.camera]
     pixel = float(np.median(pitch * (given[:, 2] - mean)))
     if cell is None:
-        cell = _round_up(pixel)
+        # Two digits, so that nobody reads 0.083461.
+        power = 10.0 ** (math.floor(math.log10(pixel)) - 1)
+        cell = math.ceil(pixel / power) * power
     if bounds is None:
         shown = footprints(shots, frame, low)
         reach = raster.bounds
@@ -187,12 +189,6 @@ def plan_grid(
     left, top = math.floor(west / cell + 1e-9) * cell, math.ceil(north / cell - 1e-9) * cell
     columns, rows = math.ceil((east - left) / cell - 1e-9), math.ceil((top - south) / cell - 1e-9)
     return Grid(left, top, cell, columns, rows), pixel
-
-
-def _round_up(length: float) -> float:
-    """Round to two digits, so that nobody reads 0.083461."""
-    power = 10.0 ** (math.floor(math.log10(length)) - 1)
-    return math.ceil(length / power) * power
 
 
 def write_orthophoto(

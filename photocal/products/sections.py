@@ -104,7 +104,9 @@ def read_ring_points(path: Path, vertical: Vertical, sigma_m: float | None) -> R
     )
     refuse(table, np.asarray((sigma <= 0).any(axis=1)), "a standard deviation is not positive", "correct it")
     xy, xz, yz = (_correlation(table, name) for name in CORRELATIONS)
-    covariance = _covariances(sigma, xy, xz, yz)
+    one = np.ones(len(sigma))
+    correlation = np.moveaxis(np.array([[one, xy, xz], [xy, one, yz], [xz, yz, one]]), -1, 0)
+    covariance = np.asarray(correlation * sigma[:, :, None] * sigma[:, None, :])
     refuse(
         table,
         np.asarray(np.linalg.eigvalsh(covariance)[:, 0] <= 0),
@@ -131,12 +133,6 @@ def read_ring_points(path: Path, vertical: Vertical, sigma_m: float | None) -> R
 
 def _correlation(table: Table, name: str) -> Floats:
     return table.numbers(name, empty=0.0) if table.has(name) else np.zeros(len(table))
-
-
-def _covariances(sigma: Floats, xy: Floats, xz: Floats, yz: Floats) -> Floats:
-    one = np.ones(len(sigma))
-    correlation = np.moveaxis(np.array([[one, xy, xz], [xy, one, yz], [xz, yz, one]]), -1, 0)
-    return np.asarray(correlation * sigma[:, :, None] * sigma[:, None, :])
 
 
 def measure_tank(points: RingPoints, wall_thickness: float = 0.0) -> Tank:

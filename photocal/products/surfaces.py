@@ -176,7 +176,7 @@ def fit_cylinder(points: Floats, covariance: Floats) -> Cylinder:
     covariances = found.covariance
     return Cylinder(
         point - (point @ axis) * axis + middle,
-        _upward(axis),
+        np.asarray(axis * np.sign(axis[int(np.argmax(np.abs(axis)))])),
         radius,
         basis.T @ covariances[:2, :2] @ basis,
         basis.T @ covariances[2:4, 2:4] @ basis,
@@ -216,10 +216,6 @@ def _across(direction: Floats) -> Floats:
     first = np.cross(direction, helper)
     first /= np.linalg.norm(first)
     return np.array([first, np.cross(direction, first)])
-
-
-def _upward(direction: Floats) -> Floats:
-    return np.asarray(direction * np.sign(direction[int(np.argmax(np.abs(direction)))]))
 
 
 def _tilted(direction: Floats, step: Floats) -> Floats:

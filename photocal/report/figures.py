@@ -121,7 +121,9 @@ def residual_map(camera: Camera, vectors: Vectors, say: Catalogue) -> str:
         }
         if len(vectors.place):
             ax.quiver(*vectors.place.T, *(vectors.residual_px * scale).T, width=0.0013, **style)
-        _principal_point(ax, camera)
+        x0, y0 = camera.value("x0"), camera.value("y0")
+        ax.plot([x0], [y0], marker="+", markersize=11, markeredgewidth=1.8, color="white", zorder=4)
+        ax.plot([x0], [y0], marker="+", markersize=9, markeredgewidth=1.0, color=INK, zorder=5)
         above = h / 2 + 0.2 * w / across
         ax.quiver([-w / 2], [above], [arrow * scale], [0.0], width=0.0022, **style)
         ax.text(-w / 2 + arrow * scale * 1.15, above, _arrow_label(camera, arrow, say), va="center")
@@ -184,12 +186,6 @@ def _disc(ax: Axes, x: float, y: float, r: float, *, clip: bool = True) -> None:
             clip_on=clip,
         )
     )
-
-
-def _principal_point(ax: Axes, camera: Camera) -> None:
-    x0, y0 = camera.value("x0"), camera.value("y0")
-    ax.plot([x0], [y0], marker="+", markersize=11, markeredgewidth=1.8, color="white", zorder=4)
-    ax.plot([x0], [y0], marker="+", markersize=9, markeredgewidth=1.0, color=INK, zorder=5)
 
 
 def _arrow_label(camera: Camera, arrow: float, say: Catalogue) -> str:

@@ -135,13 +135,9 @@ def _check_system(project: Project, place: Place | None) -> None:
 def _proposal(place: Place | None) -> str:
     if place is None:
         return 'write the map system of the control points, such as "EPSG:31982"'
-    zone = _zone(place[0], place[1])
+    entry = PointEntry("place", "control", (place[1], place[0], 0.0), (1.0, 1.0, 1.0))
+    zone = in_map_system(ControlMarks("EPSG:4326", object_points([entry]), ())).crs
     return f"write a map system, such as {zone} for the place of {place[2]}"
-
-
-def _zone(latitude: float, longitude: float) -> str:
-    entry = PointEntry("place", "control", (longitude, latitude, 0.0), (1.0, 1.0, 1.0))
-    return in_map_system(ControlMarks("EPSG:4326", object_points([entry]), ())).crs
 
 
 def _check_heights(project: Project, control: ObjectPoints) -> None:

@@ -65,7 +65,9 @@ def messages(
     true_ns = clock.true_gps_ns
     for k in np.flatnonzero(numbers >= _LEAST_SATELLITES).tolist():
         nominal = int(clock.tag_gps_ns[k])
-        civil, nano = _civil(int(true_ns[k]), leap_s)
+        utc_ns = int(true_ns[k]) + GPS_EPOCH_NS - leap_s * SECOND_NS
+        second = (utc_ns + 5_000_000) // SECOND_NS
+        civil, nano = dt.datetime.fromtimestamp(second, dt.UTC), utc_ns - second * SECOND_NS
         yield (
             int(true_ns[k]) + _LATENCY_NS,
             struct.pack(
@@ -156,10 +158,3 @@ def dilution(observations: Observations) -> tuple[Integers, Floats]:
     good = (numbers >= _LEAST_SATELLITES) & (np.linalg.cond(normal) < 1e8)
     pdop[good] = np.sqrt(np.trace(np.linalg.inv(normal[good])[:, :3, :3], axis1=1, axis2=2))
     return numbers, pdop
-
-
-def _civil(gps_ns: int, leap_s: int) -> tuple[dt.datetime, int]:
-    """Return UTC to the nearest hundredth of a second and the signed rest in nanoseconds of the second."""
-    utc_ns = gps_ns + GPS_EPOCH_NS - leap_s * SECOND_NS
-    second = (utc_ns + 5_000_000) // SECOND_NS
-    return dt.datetime.fromtimestamp(second, dt.UTC), utc_ns - second * SECOND_NS

@@ -14,7 +14,7 @@ from acquire.simulate.world.observations import Observations, kept_images
 from acquire.simulate.world.survey import take_notes
 from acquire.simulate.world.tables import toml_text, write_table
 from acquire.simulate.world.world import World
-from drivers.arrays import Flags, Floats, Integers
+from drivers.arrays import Floats, Integers
 from drivers.errors import ConfigurationError
 
 
@@ -32,7 +32,9 @@ def write_block(world: World, observed: Observations, folder: Path) -> None:
     names = np.array(world.exposures.names, dtype=object)
     positions, attitudes = _navigation(world, kept)
     write_table(folder / "positions.csv", {"image": ("", names[kept]), **positions})
-    heard = _heard(world, kept)
+    event = world.exposures.event_s[kept]
+    begin, end = telemetry_gap(world)
+    heard = np.asarray((event < begin) | (event >= end))
     write_table(
         folder / "attitudes.csv",
         {"image": ("", names[kept][heard]), **{k: (f, v[heard]) for k, (f, v) in attitudes.items()}},
@@ -94,13 +96,6 @@ def _navigation(
         **{f"s{name}": ("g", rig.attitude_sigma_deg[k] * wide) for k, name in enumerate(names)},
     }
     return positions, attitudes
-
-
-def _heard(world: World, kept: Integers) -> Flags:
-    """Tell at which events telemetry was received."""
-    event = world.exposures.event_s[kept]
-    begin, end = telemetry_gap(world)
-    return np.asarray((event < begin) | (event >= end))
 
 
 def telemetry_gap(world: World) -> tuple[float, float]:
