@@ -158,7 +158,7 @@ def adjust(block: Block, *, snooping: Literal["w", "tau"] | None = None, compone
     PhotocalError
         For a block that does not determine its unknowns, or an adjustment that does not converge.
     """
-    from photocal.results.adjusting import adjust_network
+    from photocal.results.adjusted import adjust_network
 
     return adjust_network(block, snooping, _wanted(components=components))
 

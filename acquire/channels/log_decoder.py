@@ -1,19 +1,25 @@
-"""What the decoders of autopilots' own logs share: times of the records, and records by their names."""
+"""Decoders of autopilots' own logs (ULog, DataFlash) and of event lists, records by their names."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from acquire.channels.decoded import Decoded, in_order
-from acquire.channels.logged import Logged
-from drivers.arrays import Integers
+from acquire.channels.decoded import Decoded, Times, in_order
+from acquire.channels.logged import Logged, fix_names
+from acquire.channels.receiver import ELLIPSOIDAL
+from acquire.log import foxglove
+from drivers import mrk
+from drivers.arrays import Floats, Integers
+from drivers.dataflash import DataflashFormats
 from drivers.frames import Batch
-from drivers.logged import Definitions
+from drivers.gnsstime import gps_to_utc_ns, week_to_ns
+from drivers.logged import Definitions, Records
+from drivers.ulog import UlogFormats
 
 # A receiver's time further than this from the middle of all is a lag or a leap, not what ties the clocks.
 _LIKELY_NS = 500_000_000
@@ -103,3 +109,229 @@ class LogDecoder(ABC, Generic[Formats]):
     @abstractmethod
     def _decoded(self, part: Part[Formats]) -> Iterator[Decoded]:
         """Decode a batch."""
+
+
+_YEAR_2000_US, _YEAR_2100_US = 946_684_800e6, 4_102_444_800e6
+_RECEIVERS = {"vehicle_gps_position": "", "sensor_gps": "-sensor", "sensor_gps[1]": "-sensor-2"}
+
+
+class UlogDecoder(LogDecoder[UlogFormats]):
+    """Decodes the records of a PX4 log; a `Decoder`.
+
+    link: name of the link.
+    boot: when the autopilot started.
+    """
+
+    def __init__(self, link: str, boot: BootTime) -> None:
+        super().__init__(link, boot, UlogFormats())
+
+    def _decoded(self, part: Part[UlogFormats]) -> Iterator[Decoded]:
+        for topic, receiver in _RECEIVERS.items():
+            yield from _receiver(part.logged(topic), receiver, part)
+        position = part.logged("vehicle_global_position")
+        found = position.records
+        place = found.number("lat"), found.number("lon"), found.number("alt")
+        yield position.location(f"/{part.link}/position", place)
+        attitude = part.logged("vehicle_attitude")
+        # PX4 turns body vectors (forward, right, down) into north, east, down, as the log does.
+        yield attitude.attitude(_quaternion(attitude)[:, [1, 2, 3, 0]])
+        for topic, edge in (("camera_capture", "feedback"), ("camera_trigger", "trigger")):
+            yield _exposure(part.logged(topic), edge)
+        texts = part.formats.texts(part.batch)
+        logged = Logged(part.link, "logging", texts, part.utc_ns[texts.index])
+        yield logged.health({"severity": texts["severity"], "text": texts["text"]})
+        parameters = part.formats.parameters(part.batch)
+        told = Logged(part.link, "parameter", parameters, part.utc_ns[parameters.index])
+        yield told.parameters("name", "value")
+        yield part.logged("battery_status").battery("voltage_v", "current_a")
+
+
+def _receiver(logged: Logged, receiver: str, part: Part[UlogFormats]) -> Iterator[Decoded]:
+    found = logged.records
+    if not len(found):
+        return
+    fix = found.number("fix_type")
+    kept = logged.rows(fix >= 2)
+    claimed = kept.records.number("eph"), kept.records.number("epv")
+    yield kept.location(f"/gnss/{part.link}{receiver}/fix", _gps_place(kept), claimed)
+    quality = {
+        "hdop": found.number("hdop"),
+        "horizontal_m": found.number("eph"),
+        "vertical_m": found.number("epv"),
+    }
+    yield logged.status(receiver, fix_names(fix), {**logged.whole(satellites="satellites_used"), **quality})
+    device = _told_utc(found.number("time_utc_usec"), earliest_us=0.0)
+    yield logged.clock(device, part.boot_ns[found.index])
+
+
+def _gps_place(logged: Logged) -> tuple[Floats, Floats, Floats]:
+    found = logged.records
+    if "latitude_deg" in found:  # since 1.15
+        height = found.number("altitude_msl_m")
+        return found.number("latitude_deg"), found.number("longitude_deg"), height
+    return found.number("lat") * 1e-7, found.number("lon") * 1e-7, found.number("alt") * 1e-3
+
+
+def _quaternion(logged: Logged) -> Floats:
+    found = logged.records
+    if "q" not in found or found["q"].shape[1:] != (4,):
+        return np.full((len(found), 4), np.nan)
+    with np.errstate(invalid="ignore"):  # a damaged number may be a signalling NaN
+        return np.asarray(found["q"], float)
+
+
+def _exposure(logged: Logged, edge: str) -> Decoded:
+    found = logged.records
+    gps = _told_utc(found.number("timestamp_utc"), earliest_us=_YEAR_2000_US)
+    columns: dict[str, Any] = {"time": Times(np.where(gps >= 0, gps, logged.utc_ns))}
+    names = {"latitude_deg": "lat", "longitude_deg": "lon", "altitude_msl_m": "alt"}
+    columns |= {name: found.number(member) for name, member in names.items() if member in found}
+    return logged.exposure(edge, {**columns, **logged.whole(sequence="seq")})
+
+
+def _told_utc(microseconds: Floats, earliest_us: float) -> Integers:
+    """Return UTC that records tell, nanoseconds since 1970; -1 where they tell none."""
+    told = (microseconds > earliest_us) & (microseconds < _YEAR_2100_US)
+    return np.where(told, np.where(told, microseconds, 0).astype(np.int64) * 1000, -1)
+
+
+# Flag of the receiver.
+_FIXES = {50: "rtk_fixed", 34: "rtk_float", 16: "3d"}
+
+
+class EventListClock:
+    """Gives each event its UTC."""
+
+    def __init__(self) -> None:
+        self.sources: set[str] = set()
+
+    def feed(self, batch: Batch) -> Integers:
+        """Return UTC of each frame, nanoseconds since 1970; -1 where it is not told."""
+        events = mrk.decode(batch)
+        utc = np.full(len(batch), -1, np.int64)
+        gps = mrk.event_gps_ns(events)
+        utc[events.index] = np.where(gps >= 0, gps_to_utc_ns(gps), -1)
+        self.sources |= {"event list"} if (utc >= 0).any() else set()
+        return utc
+
+    def restart(self, near_ns: int) -> None:
+        """Do nothing: each event tells its whole time."""
+
+
+class EventListDecoder:
+    """Decodes the events of a list; a `Decoder`."""
+
+    def __init__(self, link: str) -> None:
+        self._link = link
+        self._clock = EventListClock()
+
+    def feed(self, batch: Batch, log_ns: Integers) -> tuple[Integers, list[Decoded]]:
+        """Return the time of each event and the decoded messages."""
+        told = self._clock.feed(batch)
+        utc = np.where(told >= 0, told, log_ns)
+        events = Logged(self._link, "MRK", mrk.decode(batch), utc)
+        if not len(events):
+            return utc, []
+        found = events.records
+        horizontal = np.hypot(found["sigma_north_m"], found["sigma_east_m"])
+        place = found["latitude_deg"], found["longitude_deg"], found["height_m"]
+        claimed = horizontal, found["sigma_up_m"]
+        columns = {
+            "sequence": found["number"].astype(np.int64),
+            "time": Times(told),
+            "latitude_deg": found["latitude_deg"],
+            "longitude_deg": found["longitude_deg"],
+        }
+        quality = {"horizontal_m": horizontal, "vertical_m": found["sigma_up_m"]}
+        return utc, [
+            events.exposure("feedback", columns),
+            events.location(f"/gnss/{self._link}/fix", place, claimed, ELLIPSOIDAL),
+            events.status("", [_FIXES.get(int(flag), "3d") for flag in found["flag"].tolist()], quality),
+        ]
+
+
+class DataflashDecoder(LogDecoder[DataflashFormats]):
+    """Decodes the records of a DataFlash log; a `Decoder`.
+
+    link: name of the link.
+    boot: when the autopilot started.
+    """
+
+    def __init__(self, link: str, boot: BootTime) -> None:
+        super().__init__(link, boot, DataflashFormats())
+        self._positions_told = False
+
+    def _decoded(self, part: Part[DataflashFormats]) -> Iterator[Decoded]:
+        for name in ("GPS", "GPS2"):
+            yield from _dataflash_receiver(part.logged(name), part)
+        for position in self._positions(part):
+            yield position.location(f"/{part.link}/position", _place(position))
+        attitude = part.logged("ATT")
+        angles = (np.deg2rad(attitude.records.number(name)) for name in ("Roll", "Pitch", "Yaw"))
+        yield attitude.attitude(foxglove.quaternion_from_euler(*angles))
+        for name, edge in (("CAM", "feedback"), ("TRIG", "trigger")):
+            yield _dataflash_exposure(part.logged(name), edge, part)
+        texts = part.logged("MSG")
+        if "Message" in texts.records:
+            yield texts.health({"text": texts.records["Message"]})
+        yield part.logged("PARM").parameters("Name", "Value")
+        yield part.logged("BAT").battery("Volt", "Curr")
+
+    def _positions(self, part: Part[DataflashFormats]) -> Iterator[Logged]:
+        position = part.logged("POS")
+        # Logs of before POS have the place beside the attitude of the second filter: good until POS comes.
+        second = part.logged("AHR2")
+        first = min([0] * self._positions_told + position.records.index.tolist(), default=len(part.batch))
+        self._positions_told |= len(position) > 0
+        yield second.rows(second.records.index < first)
+        yield position
+
+
+def _dataflash_receiver(every: Logged, part: Part[DataflashFormats]) -> Iterator[Decoded]:
+    instance = every.records.number("I")
+    for number in np.unique(instance[np.isfinite(instance)]).tolist() or [-1.0]:
+        receiver = "-2" if every.source == "GPS2" else f"-{number + 1:.0f}" if number > 0 else ""
+        logged = every.rows(instance == number) if number >= 0 else every
+        found = logged.records
+        fix = found.number("Status")
+        kept = logged.rows(fix >= 2)
+        yield kept.location(f"/gnss/{part.link}{receiver}/fix", _place(kept))
+        quality = {**logged.whole(satellites="NSats"), "hdop": found.number("HDop")}
+        yield logged.status(receiver, fix_names(fix), quality)
+        yield logged.clock(
+            _dataflash_utc(found, ("GWk", "Week"), ("GMS", "TimeMS")), part.boot_ns[found.index]
+        )
+
+
+def _place(logged: Logged) -> tuple[Floats, Floats, Floats]:
+    found = logged.records
+    return found.number("Lat"), found.number("Lng"), found.number("Alt")
+
+
+def _dataflash_exposure(logged: Logged, edge: str, part: Part[DataflashFormats]) -> Decoded:
+    found = logged.records
+    # GPSTime is that of the last fix before: the record's own time is nearer, where it has one.
+    own = part.boot_ns[found.index] >= 0
+    return logged.exposure(
+        edge,
+        {
+            "time": Times(np.where(own, logged.utc_ns, _dataflash_utc(found, ("GPSWeek",), ("GPSTime",)))),
+            "latitude_deg": found.number("Lat"),
+            "longitude_deg": found.number("Lng"),
+            "altitude_msl_m": found.number("Alt"),
+            "roll_deg": found.number("Roll", "R"),
+            "pitch_deg": found.number("Pitch", "P"),
+            "yaw_deg": found.number("Yaw", "Y"),
+            **logged.whole(sequence="Img"),
+        },
+    )
+
+
+def _dataflash_utc(
+    found: Records, week_names: tuple[str, ...], millisecond_names: tuple[str, ...]
+) -> Integers:
+    """Return UTC of the GPS times that records tell, nanoseconds since 1970; -1 where they tell none."""
+    week, milliseconds = found.number(*week_names), found.number(*millisecond_names)
+    told = (week > 0) & (week < 1 << 16) & (milliseconds >= 0)
+    gps = week_to_ns(np.where(told, week, 0), np.where(told, milliseconds, 0) * 1e-3)
+    return np.where(told, gps_to_utc_ns(gps), -1)

@@ -91,10 +91,9 @@ def _in_terminal(
     from rich.console import Console
     from rich.live import Live
 
-    from acquire.monitor.chart import layers
     from acquire.monitor.tail import follow, read_all
     from acquire.monitor.terminal import render
-    from acquire.monitor.view_model import view_of
+    from acquire.monitor.view_model import layers, view_of
 
     console = Console()
     if not console.is_terminal:

@@ -142,8 +142,7 @@ def serve(
 
     from acquire.outputs import output_file
     from acquire.simulate.hardware import awaited, on_ports, record_settings
-    from acquire.simulate.playback import FlightClock
-    from acquire.simulate.played_flight import read_flight
+    from acquire.simulate.playback import FlightClock, read_flight
 
     start_s = time.time() + _LEAD_S
     if now and speed != 1:

@@ -13,8 +13,7 @@ from pathlib import Path
 
 from drivers.dataflash import DataflashFramer
 from drivers.errors import InputMalformedError, InputNotFoundError
-from drivers.frames import Framer
-from drivers.framing import GNSS, StreamFramer
+from drivers.frames import GNSS, Framer, StreamFramer
 from drivers.mavlink.dialect import Dialect
 from drivers.mrk import MrkFramer
 from drivers.tlog import TlogFramer

@@ -135,19 +135,19 @@ def way_of(source: Source, form: Format, link: str, dialect: Dialect, near_ns: i
         # Host stamps are UTC already; what a receiver tells in GPS time needs the leap seconds.
         return Way(VehicleDecoder(link, dialect), stamped, lambda: HOST_TIME, lambda _: "")
     if form is DATAFLASH_LOG:
-        from acquire.channels.dataflash import DataflashDecoder
+        from acquire.channels.log_decoder import DataflashDecoder
         from drivers.dataflash import DataflashFormats
 
         boot = _boot(source, form, dialect, DataflashFormats())
         return _logged(DataflashDecoder(link, boot), boot, DataflashFormats(), expiry_warning)
     if form is PX4_LOG:
-        from acquire.channels.ulog import UlogDecoder
+        from acquire.channels.log_decoder import UlogDecoder
         from drivers.ulog import UlogFormats
 
         boot = _boot(source, form, dialect, UlogFormats())
         return _logged(UlogDecoder(link, boot), boot, UlogFormats(), lambda _: "")
     if form is EVENT_LIST:
-        from acquire.channels.event_list import EventListClock, EventListDecoder
+        from acquire.channels.log_decoder import EventListClock, EventListDecoder
 
         return _self_timed(EventListDecoder(link), EventListClock(), source, near_ns)
     from acquire.channels.receiver import ReceiverDecoder

@@ -14,7 +14,7 @@ from acquire.log.records import ARRIVED_ENCODING, ARRIVED_HEAD
 from acquire.log.writer import LogWriter
 from acquire.outputs import output_file
 from drivers.errors import InputMalformedError
-from drivers.framing import StreamFramer, wires_of
+from drivers.frames import StreamFramer, wires_of
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,8 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
-from acquire.monitor.chart import layers
 from acquire.monitor.state import State
-from acquire.monitor.view_model import view_of
+from acquire.monitor.view_model import layers, view_of
 from acquire.web import packaged
 
 _SCRIPTS = ("figures", "alarms", "map", "monitor")

@@ -15,9 +15,8 @@ from rich.text import Text
 
 from acquire.channels.decoded import SECOND_NS
 from acquire.console import printable
-from acquire.monitor.chart import Layer
 from acquire.monitor.state import Alarm
-from acquire.monitor.view_model import CameraRow, LinkRow, ReceiverRow, View, Word
+from acquire.monitor.view_model import CameraRow, Layer, LinkRow, ReceiverRow, View, Word
 from drivers.arrays import Floats, Integers
 
 # Dots of a Braille cell by column and row (Unicode 15, chapter 21.1).

@@ -22,8 +22,7 @@ from acquire.recording.vehicle_dialogue import VehicleDialogue
 from acquire.transports.sources import LinkLostError, Source
 from drivers.arrays import Integers
 from drivers.errors import ConfigurationError
-from drivers.frames import Batch, Wire
-from drivers.framing import StreamFramer, wires_of
+from drivers.frames import Batch, StreamFramer, Wire, wires_of
 from drivers.mavlink.dialect import Dialect
 
 

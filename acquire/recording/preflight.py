@@ -17,8 +17,7 @@ from acquire.recording.configuration import Configuration, Link
 from acquire.recording.reader import MOST_AT_ONCE, left_behind, start_readers
 from acquire.recording.recorder import Host
 from acquire.transports.sources import LinkLostError, Source
-from drivers.frames import Batch, Wire
-from drivers.framing import StreamFramer, wires_of
+from drivers.frames import Batch, StreamFramer, Wire, wires_of
 from drivers.gnsstime import utc_date_ns
 from drivers.mavlink.decode import decode
 from drivers.mavlink.dialect import Dialect

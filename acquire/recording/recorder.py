@@ -16,8 +16,7 @@ from acquire.log.writer import LogWriter
 from acquire.recording.alarms import LEAST_JUMP_S, Alarm, ClockWatch, FloodWatch, SilenceWatch, write_alarms
 from acquire.recording.caster_position import CasterPosition, caster_positions
 from acquire.recording.configuration import Configuration
-from acquire.recording.disk import WholeWrites, new_file, unclosed
-from acquire.recording.files import Limits, LogFiles, Told
+from acquire.recording.files import Limits, LogFiles, Told, WholeWrites, new_file, unclosed
 from acquire.recording.link_session import LinkSession, link_sessions
 from acquire.recording.reader import Inbox, left_behind, start_readers
 from acquire.transports.of_link import source_of_link

@@ -8,9 +8,8 @@ import numpy as np
 
 from acquire.recording.receiver_dialogue import Said
 from drivers.frames import Batch
-from drivers.mavlink.decode import Messages, decode
+from drivers.mavlink.decode import FRAGMENT_BYTES, FRAGMENTS, Messages, decode, encode, fragments
 from drivers.mavlink.dialect import Dialect
-from drivers.mavlink.encode import FRAGMENT_BYTES, FRAGMENTS, encode, fragments
 
 # Not the 255 of a ground station: a failsafe that waits for the pilot's station must not take us for it. For
 # the same reason no heartbeat is sent.

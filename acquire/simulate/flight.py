@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from drivers.mavlink.decode import encode
 from drivers.mavlink.dialect import Dialect
-from drivers.mavlink.encode import encode
 
 LABEL = "SYNTHETIC FLIGHT, made by photocal"
 START_UTC_US = 1_777_626_000_000_000  # 2026-05-01 09:00:00 UTC

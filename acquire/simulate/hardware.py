@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Protocol
 
 from acquire.operating_system import pseudo_terminal
-from acquire.simulate.playback import FlightClock, FlownAutopilot, FlownReceiver
-from acquire.simulate.played_flight import PlayedFlight
+from acquire.simulate.playback import FlightClock, FlownAutopilot, FlownReceiver, PlayedFlight
 from acquire.simulate.world.tables import toml_text
 
 _TICK_S = 0.005

@@ -1,4 +1,4 @@
-"""MAVLink payloads to arrays: all messages of one kind at once."""
+"""MAVLink payloads to arrays, all messages of one kind at once, and single messages to frames."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arrays import Bytes, Integers
+from drivers.checksums import x25
 from drivers.frames import Batch, Wire, gather
 from drivers.mavlink.dialect import V2, Dialect
 
@@ -57,3 +58,55 @@ def sequences(batch: Batch, index: Integers) -> Bytes:
     start = batch.start[index]
     octets = np.frombuffer(batch.data, np.uint8)
     return np.asarray(octets[start + np.where(octets[start] == V2, 4, 2)])
+
+
+def encode(
+    dialect: Dialect,
+    message: int,
+    values: dict[str, Any],
+    *,
+    sequence: int,
+    system: int,
+    component: int,
+) -> bytes:
+    """Return the MAVLink 2 frame of a message, unsigned and with its trailing zeros left out.
+
+    values: values by field name, in the units of the definition; fields that are missing are zero.
+    sequence: number of the frame; taken modulo 256.
+    raises KeyError: when a field is not one of the message.
+    """
+    row = np.zeros(1, dialect.layout(message))
+    names = row.dtype.names or ()
+    for name, value in values.items():
+        if name not in names:
+            raise KeyError(name)
+        row[name] = value
+    # At least one byte of payload is always sent.
+    payload = row.tobytes().rstrip(b"\0") or b"\0"
+    header = bytes((len(payload), 0, 0, sequence & 0xFF, system, component)) + message.to_bytes(3, "little")
+    check = x25(header + payload, dialect.seeds[message])
+    return bytes((V2,)) + header + payload + check.to_bytes(2, "little")
+
+
+FRAGMENT_BYTES, FRAGMENTS = 180, 4
+
+
+def fragments(message: bytes, sequence: int) -> list[dict[str, Any]]:
+    """Return the fields of the GPS_RTCM_DATA messages that carry an RTCM message.
+
+    message: A whole RTCM 3 frame.
+    """
+    if len(message) > FRAGMENT_BYTES * FRAGMENTS:
+        return []
+    if len(message) <= FRAGMENT_BYTES:
+        return [_fields((sequence & 31) << 3, message)]
+    pieces = [message[at : at + FRAGMENT_BYTES] for at in range(0, len(message), FRAGMENT_BYTES)]
+    if len(pieces[-1]) == FRAGMENT_BYTES and len(pieces) < FRAGMENTS:
+        # Only a shorter fragment ends the message before the fourth.
+        pieces.append(b"")
+    return [_fields((sequence & 31) << 3 | number << 1 | 1, piece) for number, piece in enumerate(pieces)]
+
+
+def _fields(flags: int, piece: bytes) -> dict[str, Any]:
+    data = np.frombuffer(piece.ljust(FRAGMENT_BYTES, b"\0"), np.uint8)
+    return {"flags": flags, "len": len(piece), "data": data}

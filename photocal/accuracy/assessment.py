@@ -11,7 +11,6 @@ from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.accuracy.classes import AdmittedSize, ClassDecision, Sample, admitted_size, decide, sample
 from photocal.accuracy.discrepancies import COMPONENTS, Discrepancies
-from photocal.accuracy.probable_error import circular_error, counted_error, linear_error
 from photocal.accuracy.significance_tests import (
     BiasTest,
     NormalityTest,
@@ -27,8 +26,11 @@ from photocal.accuracy.statistics import (
     LengthStatistics,
     Moments,
     Spread,
+    circular_error,
+    counted_error,
     length_statistics,
     lengths,
+    linear_error,
     moments,
     spread,
 )

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.arrays import Floats
-from photocal.accuracy.probable_error import counted_error
 from photocal.accuracy.significance_tests import PrecisionTest, precision_quantile, precision_test
 from photocal.accuracy.standard import ClassLimit, LimitTable
-from photocal.accuracy.statistics import Moments, combined_rmse, lengths, moments
+from photocal.accuracy.statistics import Moments, combined_rmse, counted_error, lengths, moments
 
 
 @dataclass(frozen=True)

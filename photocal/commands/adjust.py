@@ -49,7 +49,7 @@ def adjust(
     Example: `photocal adjust my-block -o run`
     """
     from photocal.exchange.formats import read_any_block
-    from photocal.results.adjusting import adjust_block
+    from photocal.results.adjusted import adjust_block
     from photocal.results.folder import result_json
     from photocal.results.more_tables import Wanted, parse_joint
 

@@ -57,14 +57,13 @@ def analyse(
     """
     from acquire.console import answer, progress
     from photocal.findings.catalogue import catalogue
-    from photocal.report.analysis_file import analyse_run
-    from photocal.report.analysis_record import analysis_record
+    from photocal.report.analysis_record import analyse_run, analysis_record
     from photocal.report.analysis_text import analysis_text
 
     say = catalogue(language)
     if run.is_file():
         from photocal.analysis.published import analyse_published
-        from photocal.report.published import published_record, published_text
+        from photocal.report.analysis_text import published_record, published_text
 
         sets = analyse_published(run, matrix, set_name, degrees_of_freedom, alpha, correlation)
         answer(as_json, lambda: published_record(sets), lambda: published_text(sets, say))

@@ -122,7 +122,7 @@ def with_project(path: Path, question: Question) -> tuple[Project, Question]:
 
     from photocal.accuracy.standard import parse_scale
     from photocal.project import read_project
-    from photocal.run.workflow import run_project
+    from photocal.run.campaign import run_project
 
     project = read_project(path)
     asked = project.contents.judgement

@@ -70,7 +70,7 @@ def _origin_of(given: Reconstruction) -> dict[str, Any] | None:
     """Where the frame of a Cartesian format has its origin, for a block in a reference system."""
     if given.frame == "local":
         return None
-    from photocal.exchange.cartesian import middle
+    from photocal.exchange.reconstruction import middle
 
     x, y, z = middle(given).tolist()
     return {"frame": given.frame, "height": given.height, "x": x, "y": y, "z": z}

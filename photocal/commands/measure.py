@@ -14,9 +14,9 @@ from drivers.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from photocal.block.model import Block
+    from photocal.measurement.maker_camera import GivenLens
     from photocal.measurement.match_images import MatchingPlan
     from photocal.measurement.measure_ties import TieBlock
-    from photocal.measurement.start_camera import GivenLens
     from photocal.results.result import Result
     from photocal.tasks.workers import Workers
 
@@ -157,7 +157,7 @@ def _field(images: Path, field: str, distances: Path | None, lens: GivenLens, ou
 
 
 def _adjusted(block: Path, run: Path) -> Result:
-    from photocal.results.adjusting import adjust_block
+    from photocal.results.adjusted import adjust_block
 
     return adjust_block(block, run)
 
@@ -275,7 +275,7 @@ def _marked_text(record: dict[str, Any], output: Path) -> str:
 
 
 def _lens(c_px: float, focal_mm: float) -> GivenLens:
-    from photocal.measurement.start_camera import GivenLens
+    from photocal.measurement.maker_camera import GivenLens
 
     return GivenLens(c_px, focal_mm)
 

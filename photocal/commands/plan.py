@@ -88,11 +88,11 @@ def plan(
     """
     from photocal.accuracy.standard import parse_scale
     from photocal.accuracy.standard_file import load_standard
-    from photocal.planning.area_file import read_area
+    from photocal.planning.area import read_area
     from photocal.planning.control_layout import suggest_layout
     from photocal.planning.flight import Wish, plan_flight
     from photocal.planning.frame import Frame, flying_height, scale_denominator
-    from photocal.planning.output import write_plan
+    from photocal.planning.mission import write_plan
     from photocal.planning.summary import remarks, targets_of, to_json, to_text
 
     columns, rows = _image_size(image_px)

@@ -36,9 +36,8 @@ def survey(
 
     from acquire.outputs import output_folder
     from photocal.navigation.engine import Rtklib
-    from photocal.navigation.survey import Survey, run_survey
+    from photocal.navigation.survey import Survey, read_setup, run_survey
     from photocal.navigation.survey_report import survey_figures, survey_text, write_points
-    from photocal.navigation.survey_setup import read_setup
 
     plan = read_setup(setup)
     with tempfile.TemporaryDirectory() as scratch:

@@ -35,8 +35,7 @@ def targets(
     from acquire.outputs import output_file
     from photocal.measurement.boards import parse_board
     from photocal.measurement.markers import DICTIONARIES
-    from photocal.measurement.target_shapes import board_target, coded_target, plain_target
-    from photocal.measurement.target_sheets import sheets_pdf
+    from photocal.measurement.target_shapes import board_target, coded_target, plain_target, sheets_pdf
 
     if not 1 <= size_mm <= 1000:
         raise ConfigurationError(f"a size of {size_mm:g} mm is impossible", remedy="give 1 to 1000 mm")

@@ -122,8 +122,15 @@ def _repeat(
 ) -> tuple[list[str], list[Difference], list[str]]:
     """Compute and print a certificate anew: changed inputs, other figures, pages that say something else."""
     from photocal.report.record import certified_result
-    from photocal.report.repetition import as_certified, pages_of, record_of, repeated
-    from photocal.report.verification import PAGES, changed_pages, differences
+    from photocal.report.verification import (
+        PAGES,
+        as_certified,
+        changed_pages,
+        differences,
+        pages_of,
+        record_of,
+        repeated,
+    )
     from photocal.results.origin import changed_inputs
 
     source = _source(certified, folder, block)

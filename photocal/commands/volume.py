@@ -43,7 +43,7 @@ def volume(
     Example: `photocal volume sections.csv --sigma 0.014 --height 9.5 --height-sigma 0.004 --plot rings.pdf`
     or `photocal volume --radius 6.479 --radius-sigma 0.003 --height 9.5 --height-sigma 0.004`
     """
-    from photocal.products.volume import cylinder_volume
+    from photocal.products.sections import cylinder_volume
     from photocal.products.volume_answer import SCHEMA, tank_json, tank_text, volume_json, volume_text
 
     _require_pairs(sections, radius, radius_sigma, height, height_sigma)

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from drivers.errors import PhotocalError
 from photocal.block.model import digest
 from photocal.findings.finding import Finding
-from photocal.measurement.cache import Arrays, cached, combined_key
-from photocal.measurement.features import FeatureSettings, detect
+from photocal.measurement.features import Arrays, FeatureSettings, cached, combined_key, detect
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import as_eight_bit, read_grey
 from photocal.measurement.match_images import FEATURES, MatchingPlan

@@ -12,13 +12,12 @@ from drivers.errors import PhotocalError
 from photocal.findings.finding import Finding, untested
 from photocal.geometry.camera import Camera
 from photocal.measurement.image_facts import ImageFacts
-from photocal.measurement.image_places import local_places
-from photocal.measurement.match_images import MatchingPlan, match_all
+from photocal.measurement.match_images import MatchingPlan, match_all, select_pairs
 from photocal.measurement.measure_ties import stated_footprints
 from photocal.measurement.oriented_ties import Progress, first_orientation
-from photocal.measurement.pair_selection import select_pairs
-from photocal.measurement.released import camera_figures
+from photocal.measurement.position_files import local_places
 from photocal.measurement.start_block import start_block
+from photocal.measurement.tie_adjustment import camera_figures
 from photocal.navigation.exposures import Exposures
 
 # A principal distance of the quick orientation that differs by so many sigmas of both, and by this share.

@@ -26,7 +26,7 @@ def published(output: Path) -> None:
 def calibrate(block: Path, output: Path) -> None:
     """Adjust a block into `run` and write its `certificate`, which prints what it says."""
     from photocal.commands.certificate import certificate
-    from photocal.results.adjusting import adjust_block
+    from photocal.results.adjusted import adjust_block
 
     adjust_block(block, output / "run")
     certificate(output / "run", output / "certificate", block=block)

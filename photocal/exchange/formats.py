@@ -157,13 +157,14 @@ FORMATS: tuple[Format, ...] = (
            "m; deg or gon, as asked; matrix from camera to object", "orientation_tables:export",
            "orientation_tables:read_back"),
     Format("inpho", "Inpho, .prj", ("orientations",), "own", CENTRE, PHOTO, "none",
-           "mm in the camera, m, matrix from object to camera", "inpho:export", "inpho:read_back"),
+           "mm in the camera, m, matrix from object to camera", "orientation_tables:export",
+           "orientation_tables:read_back"),
     Format("geojson", "GeoJSON", ("orientations", "points"), "wgs84", CENTRE, PHOTO, "none", "deg, m, px",
            "geographic:export_geojson", ""),
     Format("kml", "KML", ("orientations", "points"), "wgs84", CENTRE, PHOTO, "none", "deg, m, px",
            "geographic:export_kml", ""),
     Format("geopackage", "GeoPackage", ("orientations", "points", "marks"), "wgs84", CENTRE, PHOTO, "none",
-           "deg, m, px", "geopackage:export", ""),
+           "deg, m, px", "geographic:export_geopackage", ""),
     Format("photoscan", "PhotoScan, project", WHOLE, "own", CORNER, VISION, "brown-ideal", "px, m", "", "",
            "photoscan:read_photoscan", ("*.psz",)),
 )  # fmt: skip
@@ -192,7 +193,7 @@ def export(form: Format, folder: Path, given: Reconstruction, choices: Choices) 
         missing.
     """
     if form.space == "cartesian":
-        from photocal.exchange.cartesian import to_cartesian
+        from photocal.exchange.reconstruction import to_cartesian
 
         given = to_cartesian(given)
     made: tuple[Conversion, ...] = _loaded(form.writes)(folder, given, choices)

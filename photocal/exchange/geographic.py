@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
@@ -18,13 +18,13 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
-from photocal.exchange.cartesian import to_cartesian, to_wgs84
 from photocal.exchange.formats import Choices, Origin
 from photocal.exchange.pinhole import to_vision
-from photocal.exchange.reconstruction import Reconstruction
+from photocal.exchange.reconstruction import Reconstruction, to_cartesian, to_wgs84
 from photocal.exchange.source import write_xml
 from photocal.geometry.conversion import Conversion
 from photocal.geometry.distortion import undistorted
+from photocal.geopackage import LOCAL, Feature, Layer, Value, add_layer, add_table, geopackage, wgs84
 
 # Turns local coordinates, shape (n, 3), into longitude, latitude, height.
 ToGeographic = Callable[[Floats], Floats]
@@ -197,3 +197,75 @@ def located(given: Reconstruction, choices: Choices) -> tuple[Reconstruction, To
             remedy="name its origin: --origin LATITUDE,LONGITUDE,HEIGHT (deg, m above the ellipsoid)",
         )
     return given, topocentric(choices.origin)
+
+
+_SIGMAS = {"sX_m": "DOUBLE", "sY_m": "DOUBLE", "sZ_m": "DOUBLE"}
+_ANGLES = {"omega_deg": "DOUBLE", "phi_deg": "DOUBLE", "kappa_deg": "DOUBLE"}
+_EXPOSURES = Layer(
+    "exposures",
+    "POINT",
+    has_heights=True,
+    columns={"name": "TEXT", "camera": "TEXT", **_ANGLES, **_SIGMAS},
+)
+_FOOTPRINTS = Layer(
+    "footprints", "POLYGON", has_heights=False, columns={"name": "TEXT", "plane_z_m": "DOUBLE"}
+)
+_POINTS = Layer(
+    "points",
+    "POINT",
+    has_heights=True,
+    columns={"name": "TEXT", "kind": "TEXT", "rays": "INTEGER", **_SIGMAS, "residual_rms_px": "DOUBLE"},
+)
+_KINDS = {"exposure": _EXPOSURES, "footprint": _FOOTPRINTS}
+_RESIDUALS = {
+    "image": "TEXT",
+    "point": "TEXT",
+    "column_px": "DOUBLE",
+    "row_px": "DOUBLE",
+    "vx_px": "DOUBLE",
+    "vy_px": "DOUBLE",
+}
+
+
+def write_geopackage(
+    path: Path, given: Reconstruction, to_geographic: ToGeographic | None, changed_utc: str
+) -> None:
+    """Write a GeoPackage.
+
+    to_geographic: from `geographic.topocentric`; None keeps local coordinates.
+    """
+    system = LOCAL if to_geographic is None else wgs84()
+    layers: dict[str, tuple[Layer, list[Feature]]] = {
+        one.name: (one, []) for one in (_EXPOSURES, _FOOTPRINTS, _POINTS)
+    }
+    for geometry, properties in features(given, to_geographic or np.array):
+        layer = _KINDS.get(properties["kind"], _POINTS)
+        values = [properties.get(column) for column in layer.columns]
+        layers[layer.name][1].append((_corners(geometry), values))
+    with geopackage(path, system) as database:
+        for layer, found in layers.values():
+            add_layer(database, layer, system, found, changed_utc)
+        add_table(database, "image_residuals", _RESIDUALS, _residuals(given), changed_utc)
+
+
+def _corners(geometry: dict[str, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Corners of a geometry as in GeoJSON, shape (n, 2) or (n, 3)."""
+    polygon = geometry["type"] == "Polygon"
+    return np.array(geometry["coordinates"][0] if polygon else [geometry["coordinates"]], dtype=float)
+
+
+def _residuals(given: Reconstruction) -> Iterator[Sequence[Value]]:
+    residuals = given.residuals_px if len(given.residuals_px) else np.full(given.pixels.shape, np.nan)
+    for i, j, pixel, residual in zip(
+        given.image.tolist(), given.point.tolist(), given.pixels.tolist(), residuals.tolist(), strict=True
+    ):
+        yield given.image_names[i], given.point_names[j], *pixel, *residual
+
+
+def export(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
+    """A layer for each kind of thing."""
+    turn: ToGeographic | None = None
+    if choices.origin is not None or given.frame != "local":
+        given, turn = located(given, choices)
+    write_geopackage(folder / "block.gpkg", given, turn, choices.changed_utc)
+    return ()

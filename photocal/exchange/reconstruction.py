@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -14,6 +14,8 @@ from photocal.block.model import ROLES, Block, InputFile, ObjectPoints, Observat
 from photocal.exchange.parts import images
 from photocal.exchange.source import fingerprint
 from photocal.geometry.camera import Camera, plane_to_pixel
+from photocal.geometry.frames import ReferenceFrame, nearest_rotation, parsed, reference_frame
+from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.results.result import Result
 
 UNIT_SIGMA_PX = 1.0
@@ -188,3 +190,51 @@ def vision_block(name: str, given: Reconstruction, files: list[Path]) -> Block:
     if not len(given.pixels):
         raise InputMalformedError("has no measurements of points", where=files[0], remedy="export them too")
     return as_block(given, name, UNIT_SIGMA_PX, tuple(fingerprint(path) for path in files))
+
+
+def to_cartesian(given: Reconstruction) -> Reconstruction:
+    """Take a block to the topocentric frame at its middle; a local frame stays as it is."""
+    if given.frame == "local":
+        return given
+    frame = reference_frame(given.frame, given.height, middle(given))
+    return replace(
+        given, frame="local", height="", poses=_turned(given.poses, frame), xyz=frame.to_local(given.xyz)
+    )
+
+
+def middle(given: Reconstruction) -> Floats:
+    """Where the topocentric frame of a block has its origin, in the block's coordinates, shape (3,)."""
+    return np.asarray(np.nanmean(np.vstack([given.poses[:, 3:], given.xyz]), axis=0))
+
+
+def to_wgs84(given: Reconstruction) -> Callable[[Floats], Floats]:
+    """Make the way from the topocentric frame of `to_cartesian` to WGS 84."""
+    from pyproj import Transformer
+    from pyproj.exceptions import ProjError
+
+    def turn(xyz: Floats) -> Floats:
+        x, y, z = frame.to_given(xyz).T
+        return np.column_stack(transformer.transform(x, y, z, errcheck=True)).reshape(-1, 3)
+
+    frame = reference_frame(given.frame, given.height, middle(given))
+    system = parsed(frame.crs)
+    try:
+        source = system if len(system.axis_info) == 3 else system.to_3d()
+        transformer = Transformer.from_crs(
+            source, "EPSG:4979", always_xy=True, allow_ballpark=False, only_best=True
+        )
+        turn(np.zeros((1, 3)))
+    except ProjError as failure:
+        raise ConfigurationError(
+            f"no way leads from {given.frame} to WGS 84 ({failure})",
+            remedy="install the grids of PROJ, or export a format that keeps the block's own coordinates",
+        ) from failure
+    return turn
+
+
+def _turned(poses: Floats, frame: ReferenceFrame) -> Floats:
+    if not len(poses):
+        return poses
+    turn = nearest_rotation(frame.derivative(poses[:, 3:]))
+    matrix = matrix_from_angles(poses[:, :3]) @ np.swapaxes(turn, 1, 2)
+    return np.hstack([angles_from_matrix(matrix), frame.to_local(poses[:, 3:])])

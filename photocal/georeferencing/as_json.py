@@ -12,8 +12,8 @@ from photocal.accuracy.as_json import finite
 from photocal.accuracy.as_json import to_json as assessment_json
 from photocal.accuracy.discrepancies import SIGN
 from photocal.findings.catalogue import Catalogue, catalogue
+from photocal.findings.finding import verdict
 from photocal.findings.texts import finding_json
-from photocal.findings.verdict import verdict
 from photocal.georeferencing.comparison import BlockCheck, Judged
 from photocal.georeferencing.differences import CRITICAL_W, ELLIPSE_PROBABILITY, Differences, JointTest
 from photocal.georeferencing.findings import block_findings

@@ -9,8 +9,8 @@ import numpy as np
 from photocal.accuracy.as_text import findings_text
 from photocal.accuracy.discrepancies import SIGN
 from photocal.findings.catalogue import catalogue
+from photocal.findings.finding import verdict
 from photocal.findings.texts import finding_text
-from photocal.findings.verdict import verdict
 from photocal.georeferencing.comparison import BlockCheck, Judged
 from photocal.georeferencing.differences import Differences
 from photocal.georeferencing.findings import block_findings, estimate_text

@@ -20,7 +20,7 @@ from photocal.geometry.rotation import angles_from_matrix
 from photocal.measurement.boards import Board, BoardView, find_board
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import read_grey
-from photocal.measurement.start_camera import group_cameras, principal_distance_px, start_camera
+from photocal.measurement.maker_camera import group_cameras, principal_distance_px, start_camera
 
 ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2", "B1")
 FEWEST_VIEWS = 3

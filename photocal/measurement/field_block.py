@@ -16,8 +16,8 @@ from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observation
 from photocal.measurement.board_block import ESTIMATE, BoardMeasurement, with_common_sigma
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import read_grey
+from photocal.measurement.maker_camera import GivenLens, group_cameras, principal_distance_px, start_camera
 from photocal.measurement.markers import dictionary, find_markers
-from photocal.measurement.start_camera import GivenLens, group_cameras, principal_distance_px, start_camera
 
 # Of fewer pictures or targets no camera is calibrated.
 FEWEST_PICTURES, FEWEST_TARGETS = 4, 8

@@ -14,16 +14,15 @@ from photocal.findings.finding import Finding
 from photocal.findings.texts import told
 from photocal.measurement.control_files import ControlMarks, in_map_system, read_control_marks
 from photocal.measurement.image_facts import ImageFacts
-from photocal.measurement.image_places import map_places
-from photocal.measurement.maker_camera import stated_camera
+from photocal.measurement.maker_camera import NO_LENS, GivenLens, stated_camera
 from photocal.measurement.marks import with_marks
 from photocal.measurement.marks_files import named_after
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.measure_ties import TieBlock, sight, stated_footprints, tie_record
 from photocal.measurement.oriented_ties import FEWEST_CONTROL, Progress, orient_ties
+from photocal.measurement.position_files import map_places
 from photocal.measurement.project_block import OTHER_SURFACE_M, findings_of_marks, suspected_marks
 from photocal.measurement.start_block import start_block
-from photocal.measurement.start_camera import NO_LENS, GivenLens
 from photocal.measurement.tie_block import marked_control
 
 

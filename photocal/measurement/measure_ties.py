@@ -14,16 +14,20 @@ from drivers.errors import InputNotFoundError, PhotocalError
 from photocal.block.model import Block
 from photocal.findings.texts import told
 from photocal.measurement.image_facts import ImageFacts, read_facts
-from photocal.measurement.image_places import local_places
-from photocal.measurement.left_out import explained
-from photocal.measurement.maker_camera import stated_camera
-from photocal.measurement.match_images import MatchingPlan, detect_all, match_all
+from photocal.measurement.maker_camera import NO_LENS, GivenLens, stated_camera
+from photocal.measurement.match_images import (
+    Footprints,
+    MatchingPlan,
+    detect_all,
+    footprints,
+    match_all,
+    select_pairs,
+)
 from photocal.measurement.oriented_ties import Oriented, Progress, figures, orient_ties
-from photocal.measurement.pair_selection import Footprints, footprints, select_pairs
+from photocal.measurement.position_files import local_places
 from photocal.measurement.refine import Source
-from photocal.measurement.released import camera_figures
-from photocal.measurement.start_block import position_sigma, start_block
-from photocal.measurement.start_camera import NO_LENS, GivenLens
+from photocal.measurement.start_block import explained, position_sigma, start_block
+from photocal.measurement.tie_adjustment import camera_figures
 from photocal.measurement.tracks import Tracks, of_images
 
 

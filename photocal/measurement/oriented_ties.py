@@ -16,11 +16,10 @@ from photocal.block.network import block_frame
 from photocal.findings.finding import Finding
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.placing import oriented, position_sigmas, softened
-from photocal.measurement.ray_sigmas import GROSS
 from photocal.measurement.refine import HALF, Source, refine_reduced
 from photocal.measurement.start_block import without_images
 from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, pixel_residuals
-from photocal.measurement.tie_block import intersected, marked_control, misses, views_of, with_ties
+from photocal.measurement.tie_block import GROSS, intersected, marked_control, misses, views_of, with_ties
 from photocal.measurement.tracks import Tracks, of_images, spaced, thin, without_twins
 from photocal.tasks.workers import Workers
 

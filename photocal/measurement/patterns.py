@@ -14,6 +14,8 @@ from drivers.arrays import Floats
 # Of a plane parallel to an image without distortion: see `eccentricity.ground_bend`.
 FLAT = np.zeros((2, 2, 2))
 _FINEST_BLUR_PX = 0.15
+# The bars of a cross are a fifth as wide as long, a ring's hole is half as wide.
+BAR, HOLE = 1 / 5, 1 / 2
 
 
 def saddle(p: Floats, x: Floats, y: Floats) -> Floats:

@@ -15,15 +15,13 @@ from photocal.block.model import ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS, Camera
-from photocal.measurement.cache import Arrays, array_key, cached, combined_key
-from photocal.measurement.centre import ground_bend, measurable
-from photocal.measurement.coded_targets import COMMON_PX, find_coded_targets
+from photocal.measurement.centre import PARTS, SMALLEST_PX, Look, ground_bend, measurable
+from photocal.measurement.features import Arrays, array_key, cached, combined_key
 from photocal.measurement.image_file import read_grey
-from photocal.measurement.orientation import Orientation
+from photocal.measurement.markers import COMMON_PX, find_coded_targets
+from photocal.measurement.orientation import Orientation, predict
 from photocal.measurement.oriented_ties import Progress
-from photocal.measurement.prediction import predict
 from photocal.measurement.refine import Source
-from photocal.measurement.target_look import PARTS, SMALLEST_PX, Look
 from photocal.measurement.target_search import find_targets
 from photocal.project import Project
 from photocal.project_tables import PlainTargets

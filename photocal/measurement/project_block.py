@@ -23,10 +23,10 @@ from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import list_images
-from photocal.measurement.image_places import map_places
+from photocal.measurement.maker_camera import NO_LENS
 from photocal.measurement.marks import read_marks, with_marks
 from photocal.measurement.marks_files import read_any_marks
-from photocal.measurement.match_images import MatchingPlan
+from photocal.measurement.match_images import Footprints, MatchingPlan, footprints
 from photocal.measurement.measure_ties import (
     Sighted,
     TieBlock,
@@ -37,12 +37,9 @@ from photocal.measurement.measure_ties import (
 )
 from photocal.measurement.orientation import Orientation
 from photocal.measurement.oriented_ties import FEWEST_CONTROL, Progress, figures, orient_ties
-from photocal.measurement.pair_selection import Footprints, footprints
 from photocal.measurement.placing import position_sigmas
 from photocal.measurement.plain_targets import targets_of_project
-from photocal.measurement.position_files import Given, read_positions
-from photocal.measurement.ray_sigmas import GROSS
-from photocal.measurement.released import camera_figures
+from photocal.measurement.position_files import Given, map_places, read_positions
 from photocal.measurement.start_block import (
     NO_OBSERVATIONS,
     NO_POINTS,
@@ -50,9 +47,8 @@ from photocal.measurement.start_block import (
     position_sigma,
     without_images,
 )
-from photocal.measurement.start_camera import NO_LENS
-from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, pixel_residuals
-from photocal.measurement.tie_block import marked_control, place, with_ties
+from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, camera_figures, pixel_residuals
+from photocal.measurement.tie_block import GROSS, marked_control, place, with_ties
 from photocal.project import Project
 
 # While gross errors are sought these are held: a level block determines them only with precise positions,

@@ -7,11 +7,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from drivers.arrays import Floats
-from photocal.measurement.centre import Centre
+from photocal.measurement.centre import Centre, Look
 from photocal.measurement.image_file import Grey
-from photocal.measurement.line_targets import cross_centre, saddle_centre
-from photocal.measurement.round_targets import disc_centre, ring_centre
-from photocal.measurement.target_look import Look
+from photocal.measurement.round_targets import cross_centre, disc_centre, ring_centre, saddle_centre
 
 Place = tuple[float, float]
 

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from drivers.arrays import Flags, Floats
 from photocal.geometry.rotation import object_to_body
-from photocal.navigation.interpolation import LARGEST_GAP_S, local_mean_square
 from photocal.navigation.time import GpsTime
+from photocal.navigation.trajectory import LARGEST_GAP_S, local_mean_square
 
 # East, north, up to north, east, down.
 _TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])

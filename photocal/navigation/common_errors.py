@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Floats
-from photocal.navigation.satellite_residuals import (
+from photocal.navigation.engine_output import (
     SatelliteResiduals,
     correlation_time_s,
     shift_by_zenith_delay,

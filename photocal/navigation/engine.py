@@ -14,8 +14,12 @@ from typing import Literal, Protocol
 
 from drivers.arrays import Floats
 from drivers.errors import IllPosedError, ProgramMissingError
-from photocal.navigation.engine_output import EngineSolution, read_solution
-from photocal.navigation.satellite_residuals import SatelliteResiduals, read_satellite_residuals
+from photocal.navigation.engine_output import (
+    EngineSolution,
+    SatelliteResiduals,
+    read_satellite_residuals,
+    read_solution,
+)
 from photocal.navigation.time import GpsTime
 
 Mode = Literal["kinematic", "static", "single", "ppp-static"]

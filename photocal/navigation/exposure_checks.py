@@ -10,16 +10,14 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import IllPosedError
 from photocal.findings.finding import Finding, untested
-from photocal.navigation.events import Events
+from photocal.navigation.events import CameraEventList, Events
 from photocal.navigation.exposures import Exposures, at_camera
 from photocal.navigation.image_metadata import ImageMetadata
-from photocal.navigation.interpolation import interpolate
-from photocal.navigation.mrk import CameraEventList
 from photocal.navigation.position_comparison import PositionPairs, compare_positions, judge_positions
 from photocal.navigation.receiver_recording import ReceiverRecording
 from photocal.navigation.rig import Rig, check_mounting
 from photocal.navigation.time import leap_seconds
-from photocal.navigation.trajectory import Trajectory, enu_offsets
+from photocal.navigation.trajectory import Trajectory, enu_offsets, interpolate
 from photocal.navigation.vehicle import VehicleTrack
 
 # Heights above sea level of autopilots drift by metres with the air pressure.

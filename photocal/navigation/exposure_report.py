@@ -14,7 +14,7 @@ from photocal.navigation.common_errors import common_text
 from photocal.navigation.device_clocks import ComparedClocks, clock_sentences
 from photocal.navigation.events import Events
 from photocal.navigation.exposures import CameraMatch, Exposures
-from photocal.navigation.interpolation import LARGEST_GAP_S
+from photocal.navigation.trajectory import LARGEST_GAP_S
 
 _LISTED = 12
 

@@ -14,7 +14,7 @@ from photocal.navigation.attitude import Attitudes
 from photocal.navigation.common_errors import CommonErrors
 from photocal.navigation.device_clocks import ComparedClocks, device_by_arrival
 from photocal.navigation.engine import Engine
-from photocal.navigation.events import Events
+from photocal.navigation.events import CameraEventList, Events, listed_in, read_mrk
 from photocal.navigation.exposure_checks import Evidence, check_exposures
 from photocal.navigation.exposure_report import exposure_figures
 from photocal.navigation.exposure_sources import (
@@ -31,7 +31,6 @@ from photocal.navigation.exposures import CameraMatch, Exposures, at_camera, at_
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.image_checks import TieMatching, check_images, check_oriented, oriented_images
 from photocal.navigation.image_metadata import ImageMetadata, clock_time_s, read_images
-from photocal.navigation.mrk import CameraEventList, listed_in, read_mrk
 from photocal.navigation.ppk import options_for, process
 from photocal.navigation.ppk_inputs import Sources, gather_inputs
 from photocal.navigation.ppk_report import ppk_figures

@@ -9,15 +9,20 @@ import numpy as np
 from drivers.arrays import Flags
 from drivers.errors import ConfigurationError
 from photocal.navigation.attitude import LINE_OF_SIGHT, Attitudes, at_instants, from_angles, no_attitudes
-from photocal.navigation.events import Events, boot_exposures, logged_exposures, time_marks
+from photocal.navigation.events import (
+    CameraEventList,
+    Events,
+    boot_exposures,
+    logged_exposures,
+    moved,
+    time_marks,
+)
 from photocal.navigation.image_metadata import ImageMetadata, clock_time_s
-from photocal.navigation.interpolation import Placed, interpolate
-from photocal.navigation.mrk import CameraEventList, moved
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.receiver_recording import ReceiverRecording
 from photocal.navigation.rig import Rig
 from photocal.navigation.time import GpsTime, UtcTime
-from photocal.navigation.trajectory import Trajectory
+from photocal.navigation.trajectory import Placed, Trajectory, interpolate
 from photocal.navigation.vehicle import VehicleTrack
 
 ELLIPSOIDAL, SEA_LEVEL = "ellipsoidal", "above mean sea level, as the autopilot computes it"

@@ -11,13 +11,12 @@ from drivers.arrays import Floats, Integers
 from drivers.errors import ConfigurationError
 from photocal.geometry.rotation import angles_from_matrix, left_jacobian, skew, turn_per_angle
 from photocal.navigation.attitude import Attitudes
-from photocal.navigation.events import Events
+from photocal.navigation.events import Events, moved
 from photocal.navigation.image_metadata import ImageMetadata, clock_time_s
-from photocal.navigation.interpolation import LARGEST_GAP_S, Placed
 from photocal.navigation.matching import Matching, match
-from photocal.navigation.mrk import moved
 from photocal.navigation.rig import Rig
 from photocal.navigation.time import GpsTime
+from photocal.navigation.trajectory import LARGEST_GAP_S, Placed
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,9 @@ from drivers.errors import ConfigurationError, IllPosedError
 from photocal.navigation.antex import antenna_named, read_antennas
 from photocal.navigation.common_errors import CommonErrors, common_errors
 from photocal.navigation.engine import Direction, Engine, Mode, ProcessingOptions
-from photocal.navigation.engine_output import EngineSolution
+from photocal.navigation.engine_output import EngineSolution, SatelliteResiduals
 from photocal.navigation.fix_validation import Judgement, judge
-from photocal.navigation.rinex import ObservationFile, count_ephemerides
-from photocal.navigation.satellite_residuals import SatelliteResiduals
+from photocal.navigation.precise_results import ObservationFile, count_ephemerides
 from photocal.navigation.static_position import in_order, static_position, trajectory_of
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory, enu_axes, enu_offsets, geocentric, geodetic

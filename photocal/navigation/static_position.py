@@ -10,7 +10,7 @@ from drivers.arrays import Floats
 from drivers.errors import IllPosedError
 from photocal.navigation.engine import Engine, ProcessingOptions
 from photocal.navigation.engine_output import EngineSolution
-from photocal.navigation.rinex import ObservationFile
+from photocal.navigation.precise_results import ObservationFile
 from photocal.navigation.trajectory import Trajectory, enu_offsets, geocentric
 
 _STATUS = {1: "fixed", 2: "float"}

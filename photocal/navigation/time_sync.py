@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from drivers.arrays import Floats, Integers
 from drivers.errors import IllPosedError
-from photocal.navigation.clock_model import ClockModel, fit_clock
 from photocal.navigation.device_clocks import (
     AutopilotClock,
+    ClockModel,
     ComparedClocks,
     autopilot_clock,
     device_by_arrival,
+    fit_clock,
 )
 from photocal.navigation.time import GpsTime
 

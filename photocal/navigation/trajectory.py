@@ -1,4 +1,4 @@
-"""The path of an antenna: positions with full covariance, status and velocity, and its file."""
+"""Positions of an antenna, and between two epochs, with what the interpolation adds to their uncertainty."""
 
 from __future__ import annotations
 
@@ -123,3 +123,161 @@ def geodetic(xyz_m: Floats) -> tuple[Floats, Floats, Floats]:
 _SEMI_MAJOR_M = 6_378_137.0
 _FLATTENING = 1 / 298.257223563
 _ECCENTRICITY2 = _FLATTENING * (2 - _FLATTENING)
+
+
+LARGEST_GAP_S = 1.5
+_LEAST_TRIALS = 20
+_PRIOR_TRIALS = 10
+_WINDOW_NS = 30_000_000_000
+# Acceleration of a vehicle that is not known better, per component (small multirotors manoeuvre below it).
+_DEFAULT_ROUGHNESS = 0.5
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Positions at given instants.
+
+    placed: whether there are epochs close enough on both sides; the other columns are NaN where not.
+    gap_s (n,): distance of the epochs around each instant; infinite outside the trajectory.
+    lat_deg, lon_deg, height_m (n,): position, ellipsoidal height.
+    velocity_m_s (n, 3): east, north, up.
+    covariance_m2 (n, 3, 3): east, north, up; of the epochs, the interpolation and the time.
+    status: the worse one of the two epochs.
+    """
+
+    placed: Flags
+    gap_s: Floats
+    lat_deg: Floats
+    lon_deg: Floats
+    height_m: Floats
+    velocity_m_s: Floats
+    covariance_m2: Floats
+    status: NDArray[np.str_]
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Fixes that were left out and interpolated from their neighbours.
+
+    time: their epochs.
+    error_m (n, 3): measured less interpolated, east, north, up.
+    gap_s (n,): distance of the neighbours.
+    """
+
+    time: GpsTime
+    error_m: Floats
+    gap_s: Floats
+
+    def rows(self, chosen: slice) -> LeftOut:
+        """Return some of them."""
+        return LeftOut(self.time[chosen], self.error_m[chosen], self.gap_s[chosen])
+
+
+def left_out(trajectory: Trajectory) -> LeftOut:
+    """Leave out every fix between two fixes in turn.
+
+    Only fixes are used: the step between a fix and a float position is no motion.
+    """
+    i = np.arange(1, len(trajectory) - 1)
+    time = trajectory.time.ns
+    gap = (time[i + 1] - time[i - 1]) / 1e9
+    fixed = trajectory.status == "fixed"
+    i = i[fixed[i] & fixed[i - 1] & fixed[i + 1] & (gap <= 2 * LARGEST_GAP_S)]
+    gap = (time[i + 1] - time[i - 1]) / 1e9
+    local, _ = _local(trajectory)
+    u = (time[i] - time[i - 1]) / (time[i + 1] - time[i - 1])
+    position, _ = _hermite(local, trajectory.velocity_m_s, i - 1, i + 1, gap, u)
+    return LeftOut(trajectory.time[i], local[i] - position, np.asarray(gap, np.float64))
+
+
+def roughness(trials: LeftOut, time: GpsTime) -> Floats:
+    """Return how far the path strays from its interpolation around instants."""
+    if len(trials.gap_s) < _LEAST_TRIALS:
+        return np.full((len(time), 3), _DEFAULT_ROUGHNESS)
+    square = (trials.error_m / trials.gap_s[:, None] ** 1.5) ** 2
+    return np.asarray(np.maximum(np.sqrt(local_mean_square(trials.time, square, time)), 1e-4))
+
+
+def local_mean_square(trial: GpsTime, square: Floats, time: GpsTime) -> Floats:
+    """Return the mean of squares (n, 3) of trials within 30 s of instants, drawn to that of all."""
+    total = np.mean(square, axis=0)
+    sums = np.vstack([np.zeros(3), np.cumsum(square, axis=0)])
+    low = np.searchsorted(trial.ns, time.ns - _WINDOW_NS)
+    high = np.searchsorted(trial.ns, time.ns + _WINDOW_NS, side="right")
+    number = (high - low)[:, None]
+    return np.asarray((sums[high] - sums[low] + _PRIOR_TRIALS * total) / (number + _PRIOR_TRIALS))
+
+
+def interpolate(
+    trajectory: Trajectory, time: GpsTime, time_sigma_s: Floats, rough: Floats | None = None
+) -> Placed:
+    """Return positions at instants by cubic interpolation with the Doppler velocities."""
+    q = roughness(left_out(trajectory), time) if rough is None else rough
+    stamps = trajectory.time.ns
+    after = np.searchsorted(stamps, time.ns, side="right")
+    inside = (after > 0) & (after < len(stamps))
+    # An instant exactly at the last epoch lies on it.
+    last = time.ns == stamps[-1]
+    after = np.clip(np.where(last, len(stamps) - 1, after), 1, max(len(stamps) - 1, 1))
+    inside |= last
+    before = after - 1
+    gap = (stamps[after] - stamps[before]) / 1e9
+    placed = inside & (gap <= LARGEST_GAP_S)
+    u = np.clip((time.ns - stamps[before]) / (stamps[after] - stamps[before]), 0.0, 1.0)
+    local, origin = _local(trajectory)
+    position, velocity = _hermite(local, trajectory.velocity_m_s, before, after, gap, u)
+    # Errors of neighbouring epochs are nearly the same: their mean is no better than either of them.
+    w = u[:, None, None]
+    covariance = (1 - w) * trajectory.covariance_m2[before] + w * trajectory.covariance_m2[after]
+    own = q * (gap**1.5 * (4 * u * (1 - u)) ** 1.5)[:, None]
+    covariance = covariance + own[:, :, None] ** 2 * np.eye(3)
+    covariance = covariance + time_sigma_s[:, None, None] ** 2 * velocity[:, :, None] * velocity[:, None, :]
+    axes = enu_axes(origin[0], origin[1])
+    centre = geocentric(origin[None, 0], origin[None, 1], origin[None, 2])[0]
+    lat, lon, height = geodetic(position @ axes + centre)
+    rank = np.array([{"fixed": 0, "float": 1}.get(s, 2) for s in trajectory.status.tolist()])
+    worse = np.maximum(rank[before], rank[after])
+    blank = np.where(placed, 1.0, np.nan)
+    return Placed(
+        placed,
+        np.where(inside, gap, np.inf),
+        lat * blank,
+        lon * blank,
+        height * blank,
+        velocity * blank[:, None],
+        covariance * blank[:, None, None],
+        np.array(["fixed", "float", "single"])[worse],
+    )
+
+
+def _local(trajectory: Trajectory) -> tuple[Floats, Floats]:
+    t = trajectory
+    origin = np.array([np.median(t.lat_deg), np.median(t.lon_deg), np.median(t.height_m)])
+    return enu_offsets(t.lat_deg, t.lon_deg, t.height_m, origin), origin
+
+
+def _hermite(
+    local: Floats,
+    velocity: Floats,
+    before: Integers,
+    after: Integers,
+    gap: Floats,
+    u: Floats,
+) -> tuple[Floats, Floats]:
+    """Return position and velocity of the cubic through two positions with two velocities.
+
+    Where a velocity is missing the chord takes its place (Fritsch and Carlson 1980, eq. 2).
+    """
+    p0, p1 = local[before], local[after]
+    chord = (p1 - p0) / gap[:, None]
+    v0 = np.where(np.isfinite(velocity[before]), velocity[before], chord)
+    v1 = np.where(np.isfinite(velocity[after]), velocity[after], chord)
+    u, h = u[:, None], gap[:, None]
+    position = (
+        (1 + 2 * u) * (1 - u) ** 2 * p0
+        + u * (1 - u) ** 2 * h * v0
+        + u**2 * (3 - 2 * u) * p1
+        + u**2 * (u - 1) * h * v1
+    )
+    rate = 6 * u * (u - 1) * (p0 - p1) / h + (1 - u) * (1 - 3 * u) * v0 + u * (3 * u - 2) * v1
+    return np.asarray(position), np.asarray(rate)

@@ -9,7 +9,7 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.planning.area import inside, polygon_area
-from photocal.planning.strips import best_azimuth
+from photocal.planning.flight import best_azimuth
 
 # Control points and check points, east and north in the plane of the flight, m.
 Layout = tuple[Floats, Floats]

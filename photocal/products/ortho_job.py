@@ -16,11 +16,10 @@ from photocal.geometry.frames import Frame
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.coverage import footprints
 from photocal.products.displacement import Displacement, displacement
-from photocal.products.grid import Grid
 from photocal.products.kernels import BILINEAR, CUBIC, NEAREST
 from photocal.products.orthophoto import ImageStore, Recipe, orthophoto
 from photocal.products.raster import RasterFile, describe, geotiff, read_image, same_system, system_wkt
-from photocal.products.terrain import Bounds, Terrain, TerrainSource
+from photocal.products.terrain import Bounds, Grid, Terrain, TerrainSource
 
 METHODS = {"nearest": NEAREST, "bilinear": BILINEAR, "cubic": CUBIC}
 # A terrain model is sampled at most so densely to learn its mean height.

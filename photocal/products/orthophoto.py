@@ -17,10 +17,9 @@ from drivers.errors import ConfigurationError
 from photocal.geometry.frames import Frame
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.coverage import border_directions, candidates
-from photocal.products.grid import Grid, ground_points
 from photocal.products.kernels import look_up, resample
 from photocal.products.lens_tables import lens_tables
-from photocal.products.terrain import TerrainSource
+from photocal.products.terrain import Grid, TerrainSource, ground_points
 
 TILE = 512
 # What a pixel needs of memory while its tile is worked on is some 200 bytes; images are the larger part.

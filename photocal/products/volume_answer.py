@@ -10,8 +10,7 @@ import numpy as np
 from acquire.outputs import output_file
 from drivers.errors import ConfigurationError
 from photocal.adjustment.solution import global_test
-from photocal.products.sections import Section, Tank
-from photocal.products.volume import Volume
+from photocal.products.sections import Section, Tank, Volume
 
 SCHEMA = "photocal.volume/1"
 

@@ -11,9 +11,9 @@ from drivers.arrays import Floats
 from photocal.block.model import InputFile
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import decimals_of, fixed, probability, significant, symbol
-from photocal.report.distortion import RADIAL
 from photocal.report.document import Column, Figure, KeyValues, Paragraph, Piece, Section, Table
 from photocal.report.figures import difference_histograms, difference_map
+from photocal.report.sensor import RADIAL
 from photocal.report.stored_analysis import Run
 from photocal.results.result import CheckPoint
 

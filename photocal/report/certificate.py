@@ -8,9 +8,8 @@ import math
 from drivers.errors import InputMalformedError
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import fixed, measured, relation, significant
-from photocal.findings.finding import Finding
+from photocal.findings.finding import Finding, of_global_test, verdict
 from photocal.findings.texts import finding_text, identity
-from photocal.findings.verdict import of_global_test, verdict
 from photocal.geometry.camera import Camera
 from photocal.report.acceptance import verdict as keeps
 from photocal.report.analysis_sections import (

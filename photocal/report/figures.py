@@ -16,8 +16,7 @@ from photocal.accuracy.figures import draw_histogram, draw_vectors
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import MINUS, fixed, significant, symbol
 from photocal.geometry.camera import Camera
-from photocal.report.distortion import RadialProfile
-from photocal.report.sensor import Vectors
+from photocal.report.sensor import RadialProfile, Vectors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,10 +7,16 @@ import numpy as np
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import fixed
 from photocal.geometry.camera import Camera
-from photocal.report.distortion import RADIAL, farthest_corner, radial_profile
 from photocal.report.document import Column, Figure, Paragraph, Piece, Section, Table
 from photocal.report.figures import radial_curve, residual_map
-from photocal.report.sensor import SensorResiduals, sensor_residuals, thinned
+from photocal.report.sensor import (
+    RADIAL,
+    SensorResiduals,
+    farthest_corner,
+    radial_profile,
+    sensor_residuals,
+    thinned,
+)
 from photocal.report.stored_analysis import Run
 
 ROWS = 60

@@ -20,8 +20,7 @@ from photocal.report.document import (
     Table,
     Tone,
 )
-from photocal.report.ministry import entries, read_layout
-from photocal.report.ministry_rows import Context, corners
+from photocal.report.ministry_rows import Context, corners, entries, read_layout
 
 TONES: dict[str, Tone] = {"acceptable": "good", "new_calibration": "bad", "not_determined": "note"}
 

@@ -19,9 +19,8 @@ from photocal.report.acceptance import verdict
 from photocal.report.certificate import certificate_number, overall
 from photocal.report.certificate_metadata import Particulars
 from photocal.report.derived_figures import DerivedFigures, derived_figures
-from photocal.report.distortion import farthest_corner, radial_profile
-from photocal.report.ministry import entries, read_layout
-from photocal.report.ministry_rows import Context
+from photocal.report.ministry_rows import Context, entries, read_layout
+from photocal.report.sensor import farthest_corner, radial_profile
 from photocal.report.stored_analysis import Run
 from photocal.results.folder import checked, result_json
 from photocal.results.result import Figures

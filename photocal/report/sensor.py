@@ -8,7 +8,73 @@ import numpy as np
 
 from drivers.arrays import Flags, Floats, Integers
 from photocal.geometry.camera import Camera
+from photocal.geometry.distortion import radial_profile as beyond
 from photocal.report.stored_analysis import Run
+
+RADIAL = ("K1", "K2", "K3", "K4")
+_PRISM = ("S1", "S2", "S3", "S4")
+
+
+@dataclass(frozen=True)
+class RadialProfile:
+    """Radial displacement over the radius, all in the unit of the camera, shape (n,).
+
+    radius: distance from the principal point.
+    displacement: measured less ideal radius: positive outwards.
+    sigma: its standard deviation from the covariance of the radial coefficients.
+    decentering: largest displacement by P1 to P4 at that radius.
+    """
+
+    radius: Floats
+    displacement: Floats
+    sigma: Floats
+    decentering: Floats
+
+
+def radial_profile(camera: Camera, radius: Floats) -> RadialProfile:
+    """Evaluate the radial distortion and its standard deviation.
+
+    Notes
+    -----
+    d(r) = K1 (r^3 - R0^2 r) + K2 (r^5 - R0^4 r) + ..., Brown (1971), the part of the camera equations
+    that is added to the projection. The decentring part along the line of its largest effect is
+    3 sqrt(P1^2 + P2^2) r^2 (1 + P3 r^2 + P4 r^4) (Brown 1966).
+    """
+    r = np.asarray(radius, dtype=np.float64)
+    if camera.lens.relative:
+        return _of_other_lens(camera, r)
+    powers = np.arange(2, 2 * len(RADIAL) + 1, 2)
+    basis = r[:, None] * (r[:, None] ** powers - camera.reference_radius**powers)
+    displacement = basis @ np.array([camera.value(name) for name in RADIAL])
+    names = [name for name in camera.free if name in RADIAL]
+    jacobian = basis[:, [RADIAL.index(name) for name in names]]
+    variance = np.einsum("ni,ij,nj->n", jacobian, camera.covariance_of(names), jacobian)
+    swell = np.abs(1.0 + camera.value("P3") * r**2 + camera.value("P4") * r**4)
+    tangential = 3.0 * np.hypot(camera.value("P1"), camera.value("P2")) * r**2 * swell
+    return RadialProfile(r, displacement, np.sqrt(np.maximum(variance, 0.0)), tangential)
+
+
+def _of_other_lens(camera: Camera, r: Floats) -> RadialProfile:
+    """The same of a lens that is not Brown's, its sigmas by differences."""
+    names = [name for name in camera.free if name.startswith("K") and camera.sigma_of(name) > 0]
+    # By the steps of one sigma each: what they move, correlated as they are.
+    moved = np.zeros((len(r), len(names)))
+    for k, n in enumerate(names):
+        ends = (camera.changed(**{n: camera.value(n) + side * camera.sigma_of(n)}) for side in (1, -1))
+        more, less = (beyond(one, r) for one in ends)
+        moved[:, k] = (more - less) / 2
+    variance = np.einsum("ni,ij,nj->n", moved, camera.correlation_of(names), moved)
+    c = camera.value("c")
+    ray = r / c
+    prism = np.hypot(*(camera.value(a) + camera.value(b) * ray**2 for a, b in (_PRISM[:2], _PRISM[2:])))
+    swing = c * ray**2 * (3.0 * np.hypot(camera.value("P1"), camera.value("P2")) + prism)
+    return RadialProfile(r, beyond(camera, r), np.sqrt(np.maximum(variance, 0.0)), swing)
+
+
+def farthest_corner(camera: Camera) -> float:
+    """Distance of the principal point from the farthest corner of the image, in the unit of the camera."""
+    half = np.array(camera.size_px) * np.array(camera.pitch) / 2
+    return float(np.hypot(half[0] + abs(camera.value("x0")), half[1] + abs(camera.value("y0"))))
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,7 @@ from drivers.errors import IllPosedError, NotConvergedError
 from photocal.block.folder import read_block
 from photocal.block.network import assemble, block_frame
 from photocal.block.setup import MountingKeys
-from photocal.exchange.foreign_project import (
-    ForeignProject,
-    estimating_what_it_has,
-    without_weak_points,
-)
+from photocal.exchange.foreign_project import ForeignProject, estimating_what_it_has, without_weak_points
 from photocal.exchange.project_detection import read_foreign_project
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.geometry.similarity import similarity
@@ -31,8 +27,7 @@ from photocal.measurement.marks import with_marks
 from photocal.measurement.marks_files import named_after
 from photocal.measurement.tie_block import intersected, views_of
 from photocal.measurement.tracks import Tracks
-from photocal.results.adjusted import result_of
-from photocal.results.adjusting import adjust_block, adjusted
+from photocal.results.adjusted import adjust_block, adjusted, result_of
 from photocal.results.result import Result
 from photocal.run.adoption_figures import (
     camera_figures,
@@ -63,7 +58,7 @@ def adopt(
 
     raises PhotocalError: for a project that cannot be read or adjusted.
     """
-    from photocal.report.analysis_file import analyse_run
+    from photocal.report.analysis_record import analyse_run
     from photocal.report.issue import issue
 
     with progress("reading the project", None):

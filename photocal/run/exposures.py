@@ -56,12 +56,12 @@ def exposures_stage(project: Project, ppk: Path) -> Stage:
 
 def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
     from photocal.navigation.exposure_files import (
+        plot_exposures,
         with_images,
         write_block_images,
         write_exposures,
         write_geo_txt,
     )
-    from photocal.navigation.exposure_plot import plot_exposures
     from photocal.run.ppk import kept_trajectory
 
     trajectory = kept_trajectory(ppk / TRAJECTORY)
@@ -107,7 +107,7 @@ def exposures_of(project: Project, show: Progress) -> tuple[ExposureRun, Rig, st
     from photocal.navigation.exposure_run import Choices, place_exposures
     from photocal.navigation.ppk_inputs import Sources
     from photocal.navigation.rig import Rig
-    from photocal.run.digests import Digests
+    from photocal.run.folders import Digests
     from photocal.run.ppk import kept_trajectory
     from photocal.run.stage import made_in, update_stage
 

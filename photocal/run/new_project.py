@@ -17,9 +17,8 @@ from photocal.exchange.parts import Mark
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.measurement.control_files import ControlMarks, in_map_system
 from photocal.measurement.image_facts import ImageFacts
-from photocal.measurement.maker_camera import StatedCamera, stated_camera
+from photocal.measurement.maker_camera import StatedCamera, group_cameras, stated_camera
 from photocal.measurement.marks_files import named_after
-from photocal.measurement.start_camera import group_cameras
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.vehicle import told_mounting
 from photocal.project_tables import ASKED
@@ -310,7 +309,7 @@ def _zone_of(placed: Sequence[ImageFacts]) -> str:
 
 def _system_of(points: ObjectPoints, placed: Sequence[ImageFacts]) -> str:
     """The zone of the pictures, when the control points lie among them in it; else empty."""
-    from photocal.measurement.image_places import map_places
+    from photocal.measurement.position_files import map_places
 
     zone = _zone_of(placed)
     try:

@@ -18,8 +18,7 @@ from typing import Any
 
 from acquire.outputs import output_file
 from drivers.errors import InputNotFoundError
-from photocal.run.digests import Digests
-from photocal.run.folders import RECORD, publish, replaced_folder, sweep
+from photocal.run.folders import RECORD, Digests, publish, replaced_folder, sweep
 
 _PACKAGES = ("drivers", "acquire", "photocal")
 

@@ -9,10 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from photocal.findings.finding import Finding
+from photocal.findings.finding import Finding, of_global_test, verdict
 from photocal.findings.hypotheses import FAULTS, Fault, fault
 from photocal.findings.texts import findings_of
-from photocal.findings.verdict import of_global_test, verdict
 from photocal.geometry.camera import PARAMETERS
 from photocal.results.folder import RESULT, read_result
 from photocal.run.stage import is_stage

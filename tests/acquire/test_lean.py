@@ -22,7 +22,7 @@ from acquire.cli import app
 from acquire.recording.configuration import Configuration
 from acquire.recording.recorder import record
 from drivers.mavlink.dialect import ardupilotmega
-from drivers.mavlink.encode import encode
+from drivers.mavlink.decode import encode
 from drivers.ubx import encode as ubx
 
 folder = Path(sys.argv[1])

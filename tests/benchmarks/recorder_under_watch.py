@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from acquire.log.records import Channel, Payloads
 from acquire.recording.configuration import read_configuration
-from acquire.recording.disk import WholeWrites
-from acquire.recording.files import LogFiles, Told
+from acquire.recording.files import LogFiles, Told, WholeWrites
 from acquire.recording.recorder import Host, record
 
 # Delays are counted by the tenth of a millisecond: so the measuring needs no memory.

@@ -13,8 +13,7 @@ from typing import Any
 import pytest
 from pyubx2 import UBXReader
 
-from drivers.frames import Wire
-from drivers.framing import StreamFramer
+from drivers.frames import StreamFramer, Wire
 from drivers.ubx.decode import RXM_RAWX, decode_rawx
 
 pytestmark = [pytest.mark.shared, pytest.mark.benchmark(group="acquire")]

@@ -21,8 +21,8 @@ import numpy as np
 import pytest
 
 from drivers import rtcm3, ubx
+from drivers.mavlink.decode import encode
 from drivers.mavlink.dialect import ardupilotmega
-from drivers.mavlink.encode import encode
 
 pytestmark = pytest.mark.benchmark(group="recording")
 

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from photocal.project import read_project
-from photocal.run.workflow import stages
+from photocal.run.campaign import stages
 from tests.benchmarks.test_engine_speed import RESULTS, ROOT
 
 PICTURES = [int(size) for size in os.environ.get("PHOTOCAL_BENCH_PICTURES", "40").split()]

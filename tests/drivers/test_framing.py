@@ -16,11 +16,10 @@ from hypothesis import strategies as st
 
 from drivers import nmea, rtcm3, ubx
 from drivers.checksums import x25
-from drivers.frames import Batch, Frame, Wire
-from drivers.framing import GNSS, StreamFramer
+from drivers.frames import GNSS, Batch, Frame, StreamFramer, Wire
 from drivers.identify import kind_name
+from drivers.mavlink.decode import encode as encode_mavlink
 from drivers.mavlink.dialect import ardupilotmega
-from drivers.mavlink.encode import encode as encode_mavlink
 
 Scanner = Callable[[bytes], list[tuple[str, int, int]]]
 DIALECT = ardupilotmega()

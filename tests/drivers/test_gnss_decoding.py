@@ -15,8 +15,7 @@ from pyrtcm import RTCMReader
 from pyubx2 import UBXMessage, UBXReader
 
 from drivers import nmea, rtcm3
-from drivers.frames import Batch, Wire
-from drivers.framing import GNSS, StreamFramer
+from drivers.frames import GNSS, Batch, StreamFramer, Wire
 from drivers.gnsstime import EXPIRES, GPS_EPOCH_NS, expiry_warning, gps_to_utc_ns, utc_date_ns, week_to_ns
 from drivers.ubx import decode as ubx
 

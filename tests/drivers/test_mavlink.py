@@ -11,11 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as peer
 
-from drivers.frames import Batch, Wire
-from drivers.framing import StreamFramer
-from drivers.mavlink.decode import decode, sequences
+from drivers.frames import Batch, StreamFramer, Wire
+from drivers.mavlink.decode import decode, encode, sequences
 from drivers.mavlink.dialect import ardupilotmega
-from drivers.mavlink.encode import encode
 
 DIALECT = ardupilotmega()
 

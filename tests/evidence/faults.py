@@ -25,7 +25,7 @@ from typing import Any
 
 import numba
 
-from acquire.simulate.world.faults import Fault
+from acquire.simulate.world.configuration import Fault
 from drivers.errors import PhotocalError
 from photocal.run.campaign import run_one
 from photocal.run.summary import summary_text

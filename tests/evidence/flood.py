@@ -29,8 +29,7 @@ from acquire.recording.configuration import Configuration
 from acquire.recording.recorder import record
 from acquire.transports.of_link import source_of_link
 from drivers import ubx
-from drivers.frames import Wire
-from drivers.framing import GNSS, StreamFramer
+from drivers.frames import GNSS, StreamFramer, Wire
 from tests.acquire.live import Recorder, free_port, is_bound, until
 from tests.acquire.recording.hanging import DeadPort, FailingPort, HangingServer
 

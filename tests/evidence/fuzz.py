@@ -22,19 +22,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.channels.dataflash import DataflashDecoder
 from acquire.channels.decoded import Decoder
-from acquire.channels.event_list import EventListDecoder
-from acquire.channels.log_decoder import BootTime
+from acquire.channels.log_decoder import BootTime, DataflashDecoder, EventListDecoder, UlogDecoder
 from acquire.channels.receiver import ReceiverDecoder
-from acquire.channels.ulog import UlogDecoder
 from acquire.channels.vehicle import VehicleDecoder
 from drivers import nmea, rtcm3, ubx
 from drivers.dataflash import DataflashFramer
-from drivers.frames import Batch, Framer, Wire
-from drivers.framing import GNSS, StreamFramer
+from drivers.frames import GNSS, Batch, Framer, StreamFramer, Wire
+from drivers.mavlink.decode import encode as encode_mavlink
 from drivers.mavlink.dialect import ardupilotmega
-from drivers.mavlink.encode import encode as encode_mavlink
 from drivers.mrk import MrkFramer
 from drivers.tlog import TlogFramer
 from drivers.ubx import decode as ubx_decode

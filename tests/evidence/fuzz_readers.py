@@ -41,8 +41,8 @@ from photocal.exchange.ground_points import read_gcp_list, read_geo
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import read_grey
 from photocal.navigation.engine_output import read_solution
-from photocal.navigation.mrk import read_mrk
-from photocal.navigation.rinex import read_observation_file
+from photocal.navigation.events import read_mrk
+from photocal.navigation.precise_results import read_observation_file
 from photocal.project import read_project
 from photocal.results.folder import read_result
 

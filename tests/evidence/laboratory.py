@@ -24,8 +24,8 @@ from photocal.geometry.camera import PARAMETERS
 from photocal.measurement.block_files import write_block
 from photocal.measurement.field_block import measure_field
 from photocal.measurement.image_file import list_images
-from photocal.measurement.start_camera import GivenLens
-from photocal.results.adjusting import adjust_block
+from photocal.measurement.maker_camera import GivenLens
+from photocal.results.adjusted import adjust_block
 from tests.photocal.measurement.laboratory import (
     ESTIMATED,
     LENS,

@@ -24,8 +24,7 @@ import numpy as np
 
 from acquire.log.replay import raw_frames
 from acquire.simulate.hardware import awaited, on_ports, record_settings
-from acquire.simulate.playback import FlightClock
-from acquire.simulate.played_flight import Line, PlayedFlight, read_flight
+from acquire.simulate.playback import FlightClock, Line, PlayedFlight, read_flight
 from tests.acquire.live import Recorder, free_port
 
 HOURS_S = 7200.0

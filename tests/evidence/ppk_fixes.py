@@ -23,7 +23,7 @@ from acquire.simulate.gnss.settings import BASE, ROVER, ReceiverModel, SkySettin
 from acquire.simulate.gnss.streams import base_ubx, rover_ubx
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.ppk import Inputs, PpkResult, options_for, process
-from photocal.navigation.rinex import read_observation_file
+from photocal.navigation.precise_results import read_observation_file
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import geocentric
 from tests.acquire.simulate.gnss.flights import AXES, BASE_M, SECOND, Loop, gps_ns

@@ -25,10 +25,10 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from drivers.errors import PhotocalError
-from photocal.measurement.image_places import local_places
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.measure_ties import Sighted, sight, stated_footprints
 from photocal.measurement.oriented_ties import first_orientation
+from photocal.measurement.position_files import local_places
 from photocal.measurement.start_block import start_block
 from photocal.measurement.tie_adjustment import pixel_residuals
 from tests.photocal.measurement.site import SIDE, flight, texture

@@ -32,10 +32,9 @@ from photocal.geometry.rotation import matrix_from_angles
 from photocal.geometry.similarity import similarity
 from photocal.measurement.gcp_block import measure_gcp
 from photocal.measurement.image_file import list_images
-from photocal.measurement.match_images import MatchingPlan
+from photocal.measurement.match_images import MatchingPlan, footprints, select_pairs
 from photocal.measurement.measure_ties import TieBlock, measure_ties, sight, stated_footprints
 from photocal.measurement.oriented_ties import Oriented, orient_ties
-from photocal.measurement.pair_selection import footprints, select_pairs
 from photocal.measurement.tie_block import TIE
 from photocal.results.adjusted import given_exposures, given_points
 

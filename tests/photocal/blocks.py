@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from photocal.results.adjusting import adjust_block
+from photocal.results.adjusted import adjust_block
 from photocal.results.folder import result_json
 from tests.photocal import networks
 

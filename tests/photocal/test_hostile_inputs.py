@@ -29,7 +29,7 @@ from photocal.measurement.image_file import opened
 from photocal.measurement.marking.tiles import TileAddress, Tiles
 from photocal.measurement.marks_files import read_any_marks
 from photocal.navigation.image_metadata import read_images
-from photocal.planning.area_file import read_area
+from photocal.planning.area import read_area
 from photocal.project import read_project
 from photocal.report.record import read_record
 

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acquire.simulate.gnss.settings import SkySettings
-from acquire.simulate.gnss.signals import L1CA, LIGHT_M_S
+from acquire.simulate.gnss.settings import L1CA, LIGHT_M_S, SkySettings
 from drivers.arrays import Floats, Integers
 from drivers.gnsstime import DAY_NS
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquire.simulate.gnss.ephemeris import Ephemeris, gravity, quantised, renewed
-from acquire.simulate.gnss.signals import EARTH_RATE_RAD_S, GALILEO, GPS, LIGHT_M_S
+from acquire.simulate.gnss.settings import EARTH_RATE_RAD_S, GALILEO, GPS, LIGHT_M_S
 from drivers.arrays import Floats
 from drivers.gnsstime import SECOND_NS
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acquire.simulate.gnss.signals import EARTH_RATE_RAD_S, GPS, SEMICIRCLE_RAD
+from acquire.simulate.gnss.settings import EARTH_RATE_RAD_S, GPS, SEMICIRCLE_RAD
 from drivers.gnsstime import SECOND_NS, WEEK_S
 
 _WEEK_NS = WEEK_S * SECOND_NS

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquire.simulate.gnss.constellation import Satellite
-from acquire.simulate.gnss.signals import EARTH_RATE_RAD_S, LIGHT_M_S
+from acquire.simulate.gnss.settings import EARTH_RATE_RAD_S, LIGHT_M_S
 from drivers.arrays import Floats, Integers
 
 

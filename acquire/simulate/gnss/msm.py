@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from acquire.simulate.gnss.bits import field, joined, octets
 from acquire.simulate.gnss.ephemeris import Ephemeris
-from acquire.simulate.gnss.inav import GST_BEHIND_WEEKS
+from acquire.simulate.gnss.navigation_messages import GST_BEHIND_WEEKS
 from acquire.simulate.gnss.observations import Observations
 from acquire.simulate.gnss.session import Session
-from acquire.simulate.gnss.signals import GALILEO, GPS, LIGHT_M_S
+from acquire.simulate.gnss.settings import GALILEO, GPS, LIGHT_M_S
 from drivers.gnsstime import DAY_NS, GPS_EPOCH_NS, SECOND_NS, WEEK_S
 
 _NUMBER = {GPS: 1077, GALILEO: 1097}

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.simulate.gnss import lnav, msm, navigation_solution, time_marks
+from acquire.simulate.gnss import msm, navigation_messages, navigation_solution, time_marks
 from acquire.simulate.gnss.msm import observation_messages
 from acquire.simulate.gnss.navigation_solution import OwnPosition
 from acquire.simulate.gnss.observations import Observations
 from acquire.simulate.gnss.session import Session
-from acquire.simulate.gnss.signals import SIGNALS, UBX_SYSTEM
+from acquire.simulate.gnss.settings import SIGNALS, UBX_SYSTEM
 from acquire.simulate.gnss.time_marks import Events
 from drivers import rtcm3, ubx
 from drivers.arrays import Floats, Integers
@@ -107,7 +107,10 @@ def rover_ubx(
     for_position, for_marks = rng.spawn(2)
     parts = [
         _ubx(KIND, messages(session.rover, session.sky.leap_s)),
-        _ubx(lnav.KIND, lnav.messages(session.rover, session.span_gps_ns, session.sky)),
+        _ubx(
+            navigation_messages.KIND,
+            navigation_messages.messages(session.rover, session.span_gps_ns, session.sky),
+        ),
         _ubx(
             navigation_solution.KIND,
             navigation_solution.messages(
@@ -126,7 +129,10 @@ def base_ubx(session: Session) -> Stream:
     return _stream(
         [
             _ubx(KIND, messages(session.base, session.sky.leap_s)),
-            _ubx(lnav.KIND, lnav.messages(session.base, session.span_gps_ns, session.sky)),
+            _ubx(
+                navigation_messages.KIND,
+                navigation_messages.messages(session.base, session.span_gps_ns, session.sky),
+            ),
             _ubx(
                 navigation_solution.SURVEY_KIND,
                 navigation_solution.survey_messages(session.base, session.announced_m),

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from acquire.simulate.world.configuration import LEAP_S, Configuration
+from acquire.simulate.world.configuration import LEAP_S, Configuration, Fault
 from acquire.simulate.world.exposures import antenna_at, antenna_velocity
-from acquire.simulate.world.faults import Fault
 from acquire.simulate.world.observations import Observations, kept_images
 from acquire.simulate.world.survey import take_notes
 from acquire.simulate.world.tables import toml_text, write_table

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquire.simulate.world.camera import Camera
+from acquire.simulate.world.configuration import Fault
 from acquire.simulate.world.exposures import TO_OPENCV, Exposures, Pose, Rig, pose_at
-from acquire.simulate.world.faults import Fault
 from acquire.simulate.world.motion import Motion
 from acquire.simulate.world.world import World
 from drivers.arrays import Flags, Floats, Integers

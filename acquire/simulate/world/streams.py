@@ -14,8 +14,8 @@ from acquire.simulate.gnss.streams import Stream, base_rtcm, base_ubx, rover_ubx
 from acquire.simulate.gnss.time_marks import Events
 from acquire.simulate.world import telemetry
 from acquire.simulate.world.block_folder import telemetry_gap
+from acquire.simulate.world.configuration import Fault
 from acquire.simulate.world.exposures import antenna_at, antenna_velocity
-from acquire.simulate.world.faults import Fault
 from acquire.simulate.world.world import World
 from drivers.arrays import Floats, Integers
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acquire.simulate.world.faults import Fault
+from acquire.simulate.world.configuration import Fault
 from acquire.simulate.world.world import World
 from drivers.arrays import Floats
 

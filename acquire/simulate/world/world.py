@@ -9,12 +9,10 @@ import numpy as np
 
 from acquire.simulate.world import configuration
 from acquire.simulate.world.camera import Camera
-from acquire.simulate.world.configuration import LEAP_S, Configuration
+from acquire.simulate.world.configuration import LEAP_S, Configuration, Fault
 from acquire.simulate.world.exposures import Exposures, Rig, make_exposures, make_rig
-from acquire.simulate.world.faults import Fault
-from acquire.simulate.world.motion import Motion, make_motion
+from acquire.simulate.world.motion import Motion, legs, make_motion, strips
 from acquire.simulate.world.place import Place
-from acquire.simulate.world.plan import legs, strips
 from acquire.simulate.world.terrain import Terrain, make_terrain
 from drivers.arrays import Flags, Floats, Integers
 from drivers.errors import ConfigurationError

@@ -57,8 +57,7 @@ class Adjusted:
 def adjust_marks(orientation: Orientation, points: ObjectPoints, marks: Sequence[Mark]) -> Adjusted:
     """Adjust marks."""
     from photocal.block.network import assemble
-    from photocal.results.adjusted import given_exposures, observed_residuals
-    from photocal.results.adjusting import adjusted
+    from photocal.results.adjusted import adjusted, given_exposures, observed_residuals
 
     block, left_out = block_of_marks(orientation, points, marks)
     assembly, solution = adjusted(assemble(block))

@@ -33,9 +33,8 @@ from photocal.measurement.marking.snap import KINDS, Kind, snap
 from photocal.measurement.marking.store import MarkStore
 from photocal.measurement.marking.tiles import TILE_PX, TileAddress, Tiles
 from photocal.measurement.marks import BY_HAND_PX
-from photocal.measurement.orientation import Orientation
+from photocal.measurement.orientation import Orientation, ellipse, predict
 from photocal.measurement.patterns import FLAT
-from photocal.measurement.prediction import ellipse, predict
 
 FARTHEST_REACH_PX = 60.0
 # Decimals in marks.csv: what is shown is what is written.

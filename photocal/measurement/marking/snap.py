@@ -12,10 +12,9 @@ import numpy as np
 from drivers.arrays import Floats
 from photocal.measurement.centre import Centre
 from photocal.measurement.image_file import Grey
-from photocal.measurement.line_targets import cross_centre, saddle_centre
 from photocal.measurement.markers import find_markers
 from photocal.measurement.patterns import FLAT
-from photocal.measurement.round_targets import disc_centre, ring_centre
+from photocal.measurement.round_targets import cross_centre, disc_centre, ring_centre, saddle_centre
 
 Kind = Literal["cross", "hourglass", "circle", "ring", "code"]
 KINDS: tuple[Kind, ...] = get_args(Kind)

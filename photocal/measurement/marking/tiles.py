@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from acquire.outputs import output_file
 from drivers.errors import InputNotFoundError
 from photocal.block.model import digest
-from photocal.measurement.cache import sweep, touch
+from photocal.measurement.features import sweep, touch
 from photocal.measurement.image_file import as_eight_bit, as_stored, opened, read_grey
 
 if TYPE_CHECKING:

@@ -20,10 +20,9 @@ from acquire.channels.vehicle import VehicleDecoder
 from acquire.log.records import Channel
 from acquire.simulate.flight import SYSTEM, telemetry_log
 from drivers import nmea
-from drivers.frames import Batch, Framer, Wire
-from drivers.framing import GNSS, StreamFramer
+from drivers.frames import GNSS, Batch, Framer, StreamFramer, Wire
+from drivers.mavlink.decode import encode
 from drivers.mavlink.dialect import ardupilotmega
-from drivers.mavlink.encode import encode
 from drivers.tlog import TlogFramer
 
 DIALECT = ardupilotmega()

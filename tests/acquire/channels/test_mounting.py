@@ -17,8 +17,7 @@ from acquire.cli import app
 from acquire.recording import vehicle_dialogue
 from acquire.simulate.autopilot import Autopilot
 from acquire.simulate.hardware import on_udp
-from drivers.frames import Wire
-from drivers.framing import StreamFramer
+from drivers.frames import StreamFramer, Wire
 from drivers.mavlink.dialect import ardupilotmega
 from drivers.ulog import UlogFormats, UlogFramer
 from tests.acquire.live import free_port

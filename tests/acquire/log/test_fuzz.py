@@ -23,8 +23,8 @@ from acquire.monitor.state import State
 from acquire.monitor.view_model import view_of
 from drivers import ubx
 from drivers.errors import PhotocalError
+from drivers.mavlink.decode import encode
 from drivers.mavlink.dialect import ardupilotmega
-from drivers.mavlink.encode import encode
 from photocal.navigation.events import logged_exposures
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.receiver_recording import read_receivers

@@ -21,16 +21,15 @@ from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, HEALTH, STATI
 from acquire.importing.importer import import_recordings
 from acquire.log.reader import LogReader, Messages
 from acquire.log.records import Channel
-from acquire.monitor.chart import layers
 from acquire.monitor.reducer import state_after
 from acquire.monitor.state import Look, State
 from acquire.monitor.terminal import render
 from acquire.monitor.track import LONGEST, Track, extended, place_at
 from acquire.monitor.traffic import looked
-from acquire.monitor.view_model import Word, view_of
+from acquire.monitor.view_model import Word, layers, view_of
 from acquire.recording.alarms import ALARM
+from drivers.mavlink.decode import encode
 from drivers.mavlink.dialect import ardupilotmega
-from drivers.mavlink.encode import encode
 
 SECOND = 1_000_000_000
 START = 1_777_626_000 * SECOND

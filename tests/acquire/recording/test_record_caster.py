@@ -16,8 +16,7 @@ from acquire.recording.configuration import Configuration
 from acquire.recording.recorder import sources_of
 from acquire.simulate.receiver import Receiver
 from drivers import nmea, rtcm3
-from drivers.frames import Batch, Wire
-from drivers.framing import GNSS, StreamFramer
+from drivers.frames import GNSS, Batch, StreamFramer, Wire
 from drivers.mavlink.dialect import ardupilotmega
 from tests.acquire.live import PATIENCE_S
 from tests.acquire.scripted import Script, configured, messages, run

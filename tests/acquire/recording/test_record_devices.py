@@ -20,8 +20,7 @@ from acquire.simulate.receiver import Receiver
 from acquire.transports.of_link import source_of_link
 from acquire.transports.sources import Source
 from drivers import rtcm3, ubx
-from drivers.frames import Wire
-from drivers.framing import StreamFramer
+from drivers.frames import StreamFramer, Wire
 from drivers.mavlink.dialect import ardupilotmega
 from tests.acquire.live import free_port
 from tests.acquire.scripted import Script, configured, messages, run, said

@@ -14,8 +14,7 @@ from mcap.reader import make_reader
 from acquire.log.records import Channel
 from acquire.log.recovery import recover
 from acquire.log.writer import LogWriter
-from acquire.recording.disk import WholeWrites
-from acquire.recording.files import Limits, LogFiles
+from acquire.recording.files import Limits, LogFiles, WholeWrites
 from drivers.errors import OutputError
 from tests.acquire.live import until
 from tests.acquire.scripted import messages

@@ -8,8 +8,7 @@ import struct
 from pathlib import Path
 
 from drivers import ubx
-from drivers.frames import Wire
-from drivers.framing import StreamFramer
+from drivers.frames import StreamFramer, Wire
 from drivers.ubx import decode as ubx_decode
 from photocal.navigation.flight_log import FlightLog
 from tests.acquire.live import Recorder, await_frame, free_port, is_bound, until

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from photocal.accuracy.probable_error import circular_error, counted_error, linear_error
+from photocal.accuracy.statistics import circular_error, counted_error, linear_error
 
 
 def test_linear_error_is_1_6449_times_the_rmse() -> None:

@@ -21,7 +21,7 @@ from photocal.block.network import assemble
 from photocal.cli import app
 from photocal.geometry.camera import PARAMETERS
 from photocal.report.stored_analysis import read_run
-from photocal.results.adjusting import adjust_block
+from photocal.results.adjusted import adjust_block
 from photocal.results.folder import read_result
 from photocal.results.origin import block_of_run
 

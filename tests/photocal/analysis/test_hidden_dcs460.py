@@ -15,8 +15,7 @@ from photocal.analysis.systematic_errors.refit import Fit, fit, with_measurement
 from photocal.analysis.systematic_errors.search import Search, search
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
-from photocal.findings.finding import Finding
-from photocal.findings.verdict import verdict
+from photocal.findings.finding import Finding, verdict
 from photocal.geometry.camera import PARAMETERS
 from tests.photocal.analysis.findings import said, sized
 

@@ -17,7 +17,7 @@ from photocal.block.folder import read_block
 from photocal.block.motion import motion_of, velocity_of_neighbours
 from photocal.block.network import assemble
 from photocal.geometry.rotation import object_to_body
-from photocal.results.adjusting import adjust_block
+from photocal.results.adjusted import adjust_block
 from tests.photocal import blocks
 
 PHANTOM = {

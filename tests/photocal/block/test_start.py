@@ -14,7 +14,7 @@ from drivers.errors import IllPosedError, InputMalformedError
 from photocal.block.folder import read_block
 from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.rotation import matrix_from_angles
-from photocal.results.adjusting import adjust_network
+from photocal.results.adjusted import adjust_network
 from tests.photocal.blocks import adjusted_json
 from tests.photocal.georeferencing.flights import Plan, fly
 

@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 
 from photocal.exchange.formats import Origin
-from photocal.exchange.geographic import footprints, topocentric, write_geojson, write_kml
-from photocal.exchange.geopackage import write_geopackage
+from photocal.exchange.geographic import footprints, topocentric, write_geojson, write_geopackage, write_kml
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.camera import PARAMETERS
 

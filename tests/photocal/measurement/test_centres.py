@@ -13,10 +13,9 @@ from photocal.geometry.camera import camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.centre import Centre, ground_bend
-from photocal.measurement.line_targets import cross_centre, saddle_centre
 from photocal.measurement.markers import quadrilateral_centre
 from photocal.measurement.patterns import flattened
-from photocal.measurement.round_targets import disc_centre, ring_centre
+from photocal.measurement.round_targets import cross_centre, disc_centre, ring_centre, saddle_centre
 
 from .rendering import DARK, LIGHT, bend, perspective, render
 

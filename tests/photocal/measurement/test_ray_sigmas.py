@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from photocal.measurement.ray_sigmas import GROSS, class_sigmas, ray_sigmas
+from photocal.measurement.tie_block import GROSS, class_sigmas, ray_sigmas
 
 
 def drawn(sigma: np.ndarray, redundancy: np.ndarray, rng: np.random.Generator) -> np.ndarray:

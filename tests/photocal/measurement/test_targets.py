@@ -14,11 +14,9 @@ import pytest
 from numpy.typing import NDArray
 
 from photocal.measurement.boards import find_board, parse_board
-from photocal.measurement.line_targets import cross_centre, saddle_centre
 from photocal.measurement.markers import find_markers
-from photocal.measurement.round_targets import disc_centre
-from photocal.measurement.target_shapes import coded_target, plain_target
-from photocal.measurement.target_sheets import sheets_pdf
+from photocal.measurement.round_targets import cross_centre, disc_centre, saddle_centre
+from photocal.measurement.target_shapes import coded_target, plain_target, sheets_pdf
 
 # Rendered finely, for the renderer puts edges on whole pixels, and taken together as a sensor does.
 DPI, FINER = 72, 5

@@ -14,12 +14,17 @@ from PIL import Image
 from pyproj import Geod
 
 from photocal.block.folder import read_block
-from photocal.measurement.cache import cached
-from photocal.measurement.features import Features, FeatureSettings, detect
+from photocal.measurement.features import Features, FeatureSettings, cached, detect
 from photocal.measurement.image_facts import read_facts
-from photocal.measurement.match_images import MatchingPlan, detect_all, match_all
+from photocal.measurement.match_images import (
+    Footprints,
+    MatchingPlan,
+    detect_all,
+    footprints,
+    match_all,
+    select_pairs,
+)
 from photocal.measurement.matching import MatchSettings, match, mutual_matches, search_windows
-from photocal.measurement.pair_selection import Footprints, footprints, select_pairs
 from photocal.measurement.tracks import Tracks, join_tracks, spaced, thin
 from photocal.tasks.workers import run_tasks
 

@@ -18,8 +18,7 @@ from typer.testing import CliRunner
 
 from acquire.cli import app as acquire_app
 from drivers import nmea
-from drivers.frames import Frame, Wire
-from drivers.framing import GNSS, StreamFramer
+from drivers.frames import GNSS, Frame, StreamFramer, Wire
 from photocal.cli import app as photocal_app
 
 ImportLog = Callable[..., Path]

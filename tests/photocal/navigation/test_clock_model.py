@@ -13,7 +13,7 @@ from drivers.frames import Wire
 from drivers.mavlink.decode import decode
 from drivers.mavlink.dialect import ardupilotmega
 from drivers.tlog import TlogFramer
-from photocal.navigation.clock_model import fit_clock
+from photocal.navigation.device_clocks import fit_clock
 
 SECOND = 1_000_000_000
 

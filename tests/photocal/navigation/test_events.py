@@ -14,10 +14,17 @@ from acquire.log.reader import Messages
 from acquire.log.records import Channel, Schema
 from drivers.errors import InputMalformedError
 from drivers.ubx.decode import TIM_TM2, layout
-from photocal.navigation.events import FALLING, RISING, logged_exposures, time_marks
+from photocal.navigation.events import (
+    FALLING,
+    RISING,
+    listed_in,
+    logged_exposures,
+    moved,
+    read_mrk,
+    time_marks,
+)
 from photocal.navigation.exposure_sources import events_of
 from photocal.navigation.flight_log import FlightLog
-from photocal.navigation.mrk import listed_in, moved, read_mrk
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.receiver_recording import read_receivers
 from photocal.navigation.time import GpsTime, HostTime

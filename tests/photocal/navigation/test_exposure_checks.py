@@ -14,12 +14,11 @@ from photocal.navigation.attitude import from_angles
 from photocal.navigation.events import Events
 from photocal.navigation.exposure_checks import Evidence, check_exposures
 from photocal.navigation.exposures import Exposures, at_camera, at_events
-from photocal.navigation.interpolation import interpolate
 from photocal.navigation.position_comparison import judge_positions
 from photocal.navigation.receiver_recording import ReceiverRecording
 from photocal.navigation.rig import Rig
 from photocal.navigation.time import GpsTime, HostTime
-from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric, geodetic
+from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric, geodetic, interpolate
 from photocal.navigation.vehicle import VehicleTrack
 from tests.photocal.findings.english import english
 

@@ -21,10 +21,9 @@ from photocal.navigation.attitude import from_angles
 from photocal.navigation.events import Events
 from photocal.navigation.exposures import Exposures, at_camera, at_events
 from photocal.navigation.flight_log import FlightLog
-from photocal.navigation.interpolation import Placed
 from photocal.navigation.rig import Rig, rig_of_mounting
 from photocal.navigation.time import GpsTime, UtcTime
-from photocal.navigation.trajectory import enu_offsets
+from photocal.navigation.trajectory import Placed, enu_offsets
 from photocal.navigation.vehicle import decoded_attitude, decoded_positions, read_vehicle
 from tests.photocal.conftest import Answer
 from tests.photocal.navigation.conftest import ImportLog, Run

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from photocal.navigation.events import RISING, time_marks
 from photocal.navigation.flight_log import FlightLog
-from photocal.navigation.interpolation import interpolate, left_out, roughness
 from photocal.navigation.receiver_recording import read_receivers
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import (
@@ -17,6 +16,9 @@ from photocal.navigation.trajectory import (
     enu_offsets,
     geocentric,
     geodetic,
+    interpolate,
+    left_out,
+    roughness,
 )
 from tests.photocal.navigation.conftest import Run
 

@@ -23,11 +23,10 @@ from photocal.navigation.image_checks import (
     oriented_images,
     rotation_check,
 )
-from photocal.navigation.interpolation import Placed
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.rig import Rig
 from photocal.navigation.time import GpsTime
-from photocal.navigation.trajectory import enu_axes, geocentric, geodetic
+from photocal.navigation.trajectory import Placed, enu_axes, geocentric, geodetic
 from tests.photocal.findings.english import english
 
 Floats = NDArray[np.float64]

@@ -24,9 +24,9 @@ from photocal.navigation.attitude import (
 from photocal.navigation.events import Events
 from photocal.navigation.exposure_files import write_block_images, write_geo_txt
 from photocal.navigation.exposures import Exposures, at_camera, at_events, orientations
-from photocal.navigation.interpolation import interpolate
 from photocal.navigation.rig import Rig
 from photocal.navigation.time import GpsTime
+from photocal.navigation.trajectory import interpolate
 from tests.photocal.navigation.test_interpolation import path_of
 
 Floats = NDArray[np.float64]

@@ -13,8 +13,7 @@ from acquire.log.records import Channel
 from acquire.log.writer import LogWriter
 from acquire.recording.vehicle_dialogue import VehicleDialogue
 from acquire.simulate.autopilot import Autopilot
-from drivers.frames import Wire
-from drivers.framing import StreamFramer
+from drivers.frames import StreamFramer, Wire
 from drivers.mavlink.dialect import ardupilotmega
 from photocal.navigation.device_clocks import ComparedClocks, device_by_arrival
 from photocal.navigation.events import boot_exposures

@@ -17,10 +17,9 @@ from photocal.geometry.camera import Camera, camera
 from photocal.geometry.frames import ShiftedFrame
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.displacement import terrain_points
-from photocal.products.grid import Grid
 from photocal.products.kernels import BILINEAR
 from photocal.products.orthophoto import ImageStore, Recipe, orthophoto
-from photocal.products.terrain import Terrain
+from photocal.products.terrain import Grid, Terrain
 from tests.photocal.products.conftest import rows_of
 from tests.photocal.products.photo import Lens, Photo
 

@@ -15,14 +15,13 @@ from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.frames import Frame
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.displacement import image_points, terrain_points
-from photocal.products.grid import Grid
 from photocal.products.kernels import BILINEAR
 from photocal.products.oriented import oriented
 from photocal.products.orthophoto import ImageStore, Recipe, Tile, orthophoto
 from photocal.products.raster import read_image
-from photocal.products.terrain import Terrain
+from photocal.products.terrain import Grid, Terrain
 from photocal.products.tin import grid_of_points, read_terrain_points
-from photocal.results.adjusting import adjust_block
+from photocal.results.adjusted import adjust_block
 
 CELL = 0.1
 SIDE = 100

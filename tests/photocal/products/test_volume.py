@@ -12,8 +12,12 @@ from typer.testing import CliRunner
 
 from drivers.errors import ConfigurationError
 from photocal.cli import app
-from photocal.products.sections import measure_tank, read_ring_points
-from photocal.products.volume import cylinder_volume, volume_between_sections
+from photocal.products.sections import (
+    cylinder_volume,
+    measure_tank,
+    read_ring_points,
+    volume_between_sections,
+)
 from tests.photocal.products.conftest import TANK_HEIGHT, TANK_VARIANCE, rows_of
 
 PUBLISHED = ["volume", "--radius", "6.479", "--radius-sigma", "0.003", "--height", "9.5", "--height-sigma"]

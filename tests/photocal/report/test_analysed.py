@@ -12,17 +12,16 @@ import pytest
 from photocal.block.folder import read_block
 from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding
-from photocal.report.analysis_file import analyse_run, exterior_difference
+from photocal.report.analysis_record import analyse_run, exterior_difference
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import read_particulars
 from photocal.report.derived_figures import derived_figures
 from photocal.report.document import Document, KeyValues, Paragraph, Signature, Statement, Table
 from photocal.report.html import html
-from photocal.report.ministry import entries, read_layout
-from photocal.report.ministry_rows import Context
+from photocal.report.ministry_rows import Context, entries, read_layout
 from photocal.report.record import record
 from photocal.report.stored_analysis import Run, read_run
-from photocal.results.adjusting import adjust_block
+from photocal.results.adjusted import adjust_block
 from photocal.results.folder import read_result
 from tests.photocal.georeferencing.flights import Plan, fly
 from tests.photocal.report.conftest import DAY

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from photocal.geometry.camera import camera
-from photocal.report.distortion import farthest_corner, radial_profile
+from photocal.report.sensor import farthest_corner, radial_profile
 from photocal.report.stored_analysis import Run
 from tests.photocal import oracle
 

@@ -16,8 +16,8 @@ from typer.testing import CliRunner, Result
 
 from photocal.cli import app
 from photocal.report.record import read_record
-from photocal.report.repetition import repeated
-from photocal.results.adjusting import adjust_block
+from photocal.report.verification import repeated
+from photocal.results.adjusted import adjust_block
 from photocal.results.origin import Source
 
 DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"
@@ -49,7 +49,7 @@ def office(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         certified, where = read_record(folder / "signed")
         # The inputs are the same whenever this is asked: what is not them would be named before.
         run = repeated(certified, where, Source(where / "inputs"))
-        patch.setattr("photocal.report.repetition.repeated", lambda *_: run)
+        patch.setattr("photocal.report.verification.repeated", lambda *_: run)
         yield folder
 
 

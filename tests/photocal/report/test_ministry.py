@@ -16,8 +16,7 @@ from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Particulars, read_particulars
 from photocal.report.derived_figures import derived_figures
 from photocal.report.document import Signature, Table
-from photocal.report.ministry import entries, read_layout
-from photocal.report.ministry_rows import Context, corners
+from photocal.report.ministry_rows import Context, corners, entries, read_layout
 from photocal.report.stored_analysis import Run
 
 DAY = dt.date(2026, 11, 21)

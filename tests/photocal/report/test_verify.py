@@ -17,9 +17,8 @@ from typer.testing import CliRunner, Result
 
 from photocal.cli import app
 from photocal.report.record import read_record
-from photocal.report.repetition import as_certified, record_of, repeated
-from photocal.report.verification import differences
-from photocal.results.adjusting import adjust_block
+from photocal.report.verification import as_certified, differences, record_of, repeated
+from photocal.results.adjusted import adjust_block
 from photocal.results.more_tables import Wanted
 from photocal.results.origin import Source
 

@@ -11,7 +11,7 @@ import pytest
 
 from photocal.block.folder import read_block
 from photocal.report.issue import issue
-from photocal.results.adjusting import adjust_block
+from photocal.results.adjusted import adjust_block
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
 

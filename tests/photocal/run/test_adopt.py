@@ -19,7 +19,7 @@ from photocal.exchange.project_detection import read_foreign_project
 from photocal.exchange.reconstruction import Reconstruction, as_block, of_result
 from photocal.geometry.camera import PARAMETERS, Model, camera
 from photocal.measurement.block_files import write_block
-from photocal.results.adjusting import adjust_block
+from photocal.results.adjusted import adjust_block
 from photocal.results.folder import read_result
 from photocal.run import adopt as module
 from photocal.run.adoption_figures import adoption_text
@@ -85,7 +85,7 @@ def quiet(*_: Any) -> Any:
 
 def adopted(folder: Path, monkeypatch: pytest.MonkeyPatch, **changes: Any) -> dict[str, Any]:
     """Adopt without analysis and certificate, which have tests of their own."""
-    monkeypatch.setattr("photocal.report.analysis_file.analyse_run", lambda run, _: _no_findings(run))
+    monkeypatch.setattr("photocal.report.analysis_record.analyse_run", lambda run, _: _no_findings(run))
     monkeypatch.setattr("photocal.report.issue.issue", lambda *_, **__: None)
     return module.adopt(folder, folder / "adopted", dt.date(2026, 1, 1), quiet, **changes)
 

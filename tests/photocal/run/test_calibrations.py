@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.cli import app
 from photocal.report.issue import issue
-from photocal.results.adjusting import adjust_block
+from photocal.results.adjusted import adjust_block
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 from tests.photocal.report.runs import invented
 

@@ -14,8 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from acquire.simulate.hardware import awaited, on_ports, record_settings
-from acquire.simulate.playback import FlightClock
-from acquire.simulate.played_flight import Line, PlayedFlight, read_flight
+from acquire.simulate.playback import FlightClock, Line, PlayedFlight, read_flight
 from acquire.simulate.world.configuration import read_configuration
 from acquire.simulate.world.site import simulate_flight
 from photocal.cli import app

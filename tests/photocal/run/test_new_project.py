@@ -16,8 +16,8 @@ from photocal.measurement.image_facts import read_facts
 from photocal.measurement.maker_camera import stated_camera
 from photocal.measurement.marks import read_marks
 from photocal.project import read_project
+from photocal.run.campaign import stages
 from photocal.run.new_project import new_project
-from photocal.run.workflow import stages
 
 # Curitiba, in the zone EPSG:32722: east 677864, north 7184231.
 LATITUDE, LONGITUDE = -25.4483, -49.2311

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from photocal.run.digests import Digests
+from photocal.run.folders import Digests
 from photocal.run.stage import Progress, Stage, made_in, update_stage
 
 NAMES = ("first", "second", "third")

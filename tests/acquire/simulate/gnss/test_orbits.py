@@ -9,11 +9,11 @@ import pytest
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from acquire.simulate.gnss import inav
+from acquire.simulate.gnss import navigation_messages
 from acquire.simulate.gnss.constellation import Satellite, constellation
 from acquire.simulate.gnss.ephemeris import Ephemeris, fields_of, renewed
 from acquire.simulate.gnss.geometry import link, place
-from acquire.simulate.gnss.lnav import Broadcast, subframe
+from acquire.simulate.gnss.navigation_messages import Broadcast, subframe
 from acquire.simulate.gnss.settings import SkySettings
 from tests.acquire.simulate.gnss.flights import BASE_M, SECOND, START, Flight, Floats, Loop, gps_ns
 from tests.acquire.simulate.gnss.rtklib import Rinex
@@ -216,7 +216,8 @@ def test_galileo_almanacs_are_near_the_ephemerides(flight: Flight) -> None:
         found: dict[int | None, dict[str, int]] = {None: {}, 0: {}, 1: {}, 2: {}}
         for at in (6, 8, 36, 38):
             page = "".join(
-                format(w, "032b") for w in inav.page(truths[0], minute + at, "E5b", 18, truths)[:8]
+                format(w, "032b")
+                for w in navigation_messages.page(truths[0], minute + at, "E5b", 18, truths)[:8]
             )
             word = page[2:114] + page[130:146]
             kind, bit = int(word[:6], 2), 10

@@ -10,8 +10,7 @@ import pytest
 from acquire.simulate.gnss.atmosphere import Atmosphere, Sight
 from acquire.simulate.gnss.ephemeris import Field
 from acquire.simulate.gnss.observations import correlated, thermal
-from acquire.simulate.gnss.settings import ReceiverModel, SkySettings
-from acquire.simulate.gnss.signals import E5BQ, L1CA, L2CL
+from acquire.simulate.gnss.settings import E5BQ, L1CA, L2CL, ReceiverModel, SkySettings
 from tests.acquire.simulate.gnss.flights import Floats, gps_ns
 
 QUIET = SkySettings(ionosphere_scale=1.0, wave_m=0.0, wet_sigma_m=0.0)

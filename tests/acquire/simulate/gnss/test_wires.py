@@ -12,12 +12,11 @@ import pyrtcm
 import pytest
 import pyubx2
 
-from acquire.simulate.gnss import inav, lnav
+from acquire.simulate.gnss import navigation_messages
 from acquire.simulate.gnss.msm import lock_indicator
 from acquire.simulate.gnss.observations import Observations
 from acquire.simulate.gnss.settings import SkySettings
-from drivers.frames import Wire
-from drivers.framing import GNSS, StreamFramer
+from drivers.frames import GNSS, StreamFramer, Wire
 from drivers.ubx.decode import RXM_SFRBX
 from tests.acquire.simulate.gnss.flights import BASE_M, DURATION_S, SECOND, START, Flight, Times
 from tests.acquire.simulate.gnss.rtklib import Rinex, to_rinex
@@ -194,7 +193,7 @@ def test_words_of_a_real_receiver_are_made_again(shared: Path) -> None:
             words = np.frombuffer(payload[8:48], "<u4").tolist()
             bits = [format(word >> 6 & 0xFF_FFFF, "024b") for word in words]
             bits[1], bits[9] = bits[1][:22], bits[9][:22]
-            assert lnav.with_parity(bits) == words
+            assert navigation_messages.with_parity(bits) == words
             count += 1
     assert count == 182
 
@@ -213,7 +212,9 @@ def test_galileo_pages(flight: Flight) -> None:
     kinds: Counter[tuple[str, int]] = Counter()
     for band, shift in (("E1B", 1), ("E5b", 0)):
         for k in range(15):
-            words = inav.page(truths[0], START // SECOND + shift + 2 * k + 10, band, 18, truths)
+            words = navigation_messages.page(
+                truths[0], START // SECOND + shift + 2 * k + 10, band, 18, truths
+            )
             bits = "".join(format(word, "032b") for word in words[:8])
             even, odd = bits[:128], bits[128:]
             assert (even[:2], odd[:2]) == ("00", "10")

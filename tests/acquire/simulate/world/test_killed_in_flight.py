@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.simulate.hardware import awaited, on_ports, record_settings
-from acquire.simulate.playback import FlightClock
-from acquire.simulate.played_flight import Line, read_flight
+from acquire.simulate.playback import FlightClock, Line, read_flight
 from photocal.project import read_project
 from tests.acquire.live import Recorder, await_frame, free_port, until
 from tests.acquire.simulate.world.conftest import Flight

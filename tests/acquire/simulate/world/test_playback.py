@@ -19,8 +19,7 @@ from pymavlink.dialects.v20 import ardupilotmega
 from acquire.recording.configuration import Configuration, read_configuration
 from acquire.recording.recorder import Recorded, record
 from acquire.simulate.hardware import awaited, on_ports, record_settings
-from acquire.simulate.playback import FlightClock, FlownAutopilot
-from acquire.simulate.played_flight import Line, PlayedFlight, read_flight
+from acquire.simulate.playback import FlightClock, FlownAutopilot, Line, PlayedFlight, read_flight
 from drivers.errors import InputMalformedError, InputNotFoundError
 from tests.acquire.live import frames_in, until
 from tests.acquire.simulate.world.conftest import DEMO, Flight, flown

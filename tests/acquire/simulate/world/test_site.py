@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from acquire.simulate.world.faults import Fault
+from acquire.simulate.world.configuration import Fault
 from drivers.errors import ConfigurationError
 from tests.acquire.simulate.world.conftest import DEMO, Flight, configured, flown
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from drivers.errors import InputMalformedError, InputNotFoundError
-from photocal.measurement.cache import sweep, touch
+from photocal.measurement.features import sweep, touch
 from photocal.measurement.marking.tiles import TILE_PX, TileAddress, Tiles, coarsest_level
 
 Floats = NDArray[np.float64]
