@@ -1,7 +1,7 @@
 """Navigation messages as broadcast: LNAV of GPS in subframes with parity, I/NAV of Galileo in pages.
 
-Source: IS-GPS-200N, figures 20-1 (subframes), 20-2 (TLM and HOW), sections 20.3.3.5 (pages), 20.3.5 (parity); Galileo OS SIS ICD
-2.1, sections 4.3.2 (pages), 4.3.4 (sequence), 4.3.5 (words) and 5.1.9.4 (CRC).
+Sources: IS-GPS-200N, figures 20-1 (subframes), 20-2 (TLM and HOW), sections 20.3.3.5 (pages), 20.3.5
+(parity); Galileo OS SIS ICD 2.1, sections 4.3.2 (pages), 4.3.4 (sequence), 4.3.5 (words) and 5.1.9.4 (CRC).
 """
 
 from __future__ import annotations
