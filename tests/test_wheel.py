@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -46,7 +47,28 @@ def python(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     (own / "packages.pth").write_text(sysconfig.get_path("purelib") + "\n", encoding="utf-8")
     pip = [sys.executable, "-m", "pip", "--python", str(folder / "bin" / "python"), "install", "--quiet"]
     subprocess.run([*pip, "--no-deps", "--force-reinstall", str(wheel)], check=True)
+    lend_kernels(own / "photocal")
     return folder / "bin" / "python"
+
+
+def lend_kernels(installed: Path) -> None:
+    """Lend the package what is compiled for the sources: the same text, which need not be compiled again.
+
+    The compiler's cache knows a source by its folder's name, its time and its size.
+    """
+    import numba
+    from numba.core.caching import _CacheLocator
+
+    from photocal.compiled import PACKAGE
+
+    ours = Path(str(numba.config.CACHE_DIR))  # type: ignore[attr-defined]
+    for source in PACKAGE.rglob("*.py"):
+        copy = installed / source.relative_to(PACKAGE)
+        os.utime(copy, ns=(source.stat().st_mtime_ns,) * 2)
+        kept, taken = (_CacheLocator.get_suitable_cache_subpath(str(path)) for path in (source, copy))
+        if (ours / kept).is_dir():
+            target = installed / "__pycache__" / ours.name / taken
+            shutil.copytree(ours / kept, target, dirs_exist_ok=True)
 
 
 def run(python: Path, folder: Path, *arguments: str) -> str:
