@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -21,14 +22,14 @@ def output_file(path: Path) -> Iterator[Path]:
     """
     if path.is_dir():
         raise OutputError("is a folder, a file was expected", where=path, remedy="name a file")
-    with _refusals(path):
+    with refusals(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent)
         os.close(handle)
     aside = Path(name)
     try:
         yield aside
-        with _refusals(path):
+        with refusals(path):
             # mkstemp makes private files; a result is as readable as any file that the user makes.
             aside.chmod(0o666 & ~_umask())
             replace(aside, path)
@@ -46,12 +47,12 @@ def output_folder(path: Path) -> Iterator[Path]:
     """
     if path.exists() and not path.is_dir():
         raise OutputError("is a file, a folder was expected", where=path, remedy="name a folder")
-    with _refusals(path):
+    with refusals(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         aside = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent))
     try:
         yield aside
-        with _refusals(path):
+        with refusals(path):
             for made in sorted(p for p in aside.rglob("*") if p.is_file()):
                 final = path / made.relative_to(aside)
                 final.parent.mkdir(parents=True, exist_ok=True)
@@ -60,15 +61,20 @@ def output_folder(path: Path) -> Iterator[Path]:
         shutil.rmtree(aside, ignore_errors=True)
 
 
+def write_rows(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a CSV table with its head."""
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        csv.writer(stream, lineterminator="\n").writerows([columns, *rows])
+
+
 @contextmanager
-def _refusals(path: Path) -> Iterator[None]:
+def refusals(path: Path, remedy: str = "choose a place that you may write to") -> Iterator[None]:
+    """Say in one line why something cannot be written."""
     try:
         yield
     except OSError as refusal:
         reason = refusal.strerror or str(refusal)
-        raise OutputError(
-            f"cannot be written ({reason})", where=path, remedy="choose a place that you may write to"
-        ) from refusal
+        raise OutputError(f"cannot be written ({reason})", where=path, remedy=remedy) from refusal
 
 
 def _umask() -> int:

@@ -120,23 +120,14 @@ def with_project(path: Path, question: Question) -> tuple[Project, Question]:
     import datetime as dt
     from dataclasses import replace
 
-    from photocal.accuracy.standard import parse_scale
     from photocal.project import read_project
     from photocal.run.campaign import run_project
+    from photocal.run.georeferencing import question_of
 
     project = read_project(path)
-    asked = project.contents.judgement
     run_project(project, dt.datetime.now().astimezone().date(), progress, until="block")
-    own_scale = None if asked.scale is None else parse_scale(asked.scale)
-    return project, replace(
-        question,
-        scale_denominator=question.scale_denominator or own_scale,
-        interval_m=question.interval_m or asked.contour_interval_m,
-        survey_horizontal_m=question.survey_horizontal_m or asked.survey_horizontal_m,
-        survey_vertical_m=question.survey_vertical_m or asked.survey_vertical_m,
-        target_horizontal_m=question.target_horizontal_m or asked.target_horizontal_m,
-        target_vertical_m=question.target_vertical_m or asked.target_vertical_m,
-    )
+    asked = {name: value for name, value in vars(question).items() if value is not None}
+    return project, replace(question_of(project), **asked)
 
 
 def judge_experiment(path: Path, output: Path | None, *, as_json: bool) -> None:

@@ -262,7 +262,7 @@ def _residuals(given: Reconstruction) -> Iterator[Sequence[Value]]:
         yield given.image_names[i], given.point_names[j], *pixel, *residual
 
 
-def export(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
+def export_geopackage(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
     """A layer for each kind of thing."""
     turn: ToGeographic | None = None
     if choices.origin is not None or given.frame != "local":

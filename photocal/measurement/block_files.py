@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from acquire.outputs import write_rows
 from photocal.adjustment.network import RELATIONS
 from photocal.block.folder import POINT_CROSS
 from photocal.block.model import ROLES, Block
@@ -21,7 +21,7 @@ def write_block(folder: Path, block: Block, record: dict[str, Any]) -> None:
     """Write a block with observations in px of the stored pixel grid."""
     (folder / "block.toml").write_text(_setup(block), encoding="utf-8", newline="\n")
     images, points, seen = block.images, block.points, block.observations
-    _write(
+    write_rows(
         folder / "images.csv",
         ("image", "camera", "X", "Y", "Z", "omega", "phi", "kappa", "sX", "sY", "sZ", "so", "sp", "sk"),
         (
@@ -39,7 +39,7 @@ def write_block(folder: Path, block: Block, record: dict[str, Any]) -> None:
         ),
     )
     cross = np.zeros((len(points.names), 0)) if points.cross is None else points.cross
-    _write(
+    write_rows(
         folder / "points.csv",
         ("point", "X", "Y", "Z", "sX", "sY", "sZ", *(POINT_CROSS if cross.size else ()), "role"),
         (
@@ -49,7 +49,7 @@ def write_block(folder: Path, block: Block, record: dict[str, Any]) -> None:
             )
         ),
     )
-    _write(
+    write_rows(
         folder / "observations.csv",
         ("image", "point", "x", "y", "sx", "sy"),
         (
@@ -71,7 +71,7 @@ def write_block(folder: Path, block: Block, record: dict[str, Any]) -> None:
             numbers = (relations.values[mine] * scale, relations.sigma[mine] * scale)
             rows = zip(ends, *numbers, strict=True)
             cells = ([*pair, _cell(v, 8), _cell(s, 8)] for pair, v, s in rows)
-            _write(folder / f"{kind}s.csv", ("from", "to", "value", "sigma"), cells)
+            write_rows(folder / f"{kind}s.csv", ("from", "to", "value", "sigma"), cells)
     (folder / "measurement.json").write_text(
         json.dumps(record, indent=2, allow_nan=False) + "\n", encoding="utf-8", newline="\n"
     )
@@ -125,10 +125,3 @@ def _camera(own: Camera) -> Iterable[str]:
 def _cell(value: float, digits: int) -> str:
     """Write a number; one that is not known, or a free sigma, stays empty."""
     return f"{value:.{digits}f}" if math.isfinite(value) else ""
-
-
-def _write(path: Path, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(columns)
-        table.writerows(rows)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import datetime as dt
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from acquire.outputs import write_rows
 from drivers.arrays import Floats, Integers
 from drivers.errors import ConfigurationError
 from photocal.navigation.exposure_run import ExposureRun
@@ -21,7 +21,6 @@ from photocal.navigation.trajectory import (
     covariance_cells,
     enu_axes,
     enu_offsets,
-    geocentric,
 )
 
 COLOURS = {"fixed": "tab:green", "float": "tab:orange", "single": "tab:red"}
@@ -119,23 +118,21 @@ def write_exposures(path: Path, exposures: Exposures) -> None:
     p = exposures.placed
     all_angles, all_sigmas = exposures.angles, np.degrees(exposures.angle_sigma)
     second = exposures.above_take_off_m
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(EVENT_COLUMNS)
-        for i in range(len(exposures)):
-            cells = [""] * 10
-            if p.placed[i]:
-                position = (f"{p.lat_deg[i]:.10f}", f"{p.lon_deg[i]:.10f}", f"{p.height_m[i]:.4f}")
-                known = np.isfinite(p.covariance_m2[i]).all()
-                sigmas = covariance_cells(p.covariance_m2[i]) if known else [""] * 6
-                cells = [*position, str(p.status[i]), *sigmas]
-            angles = ["" if np.isnan(v) else f"{np.degrees(v):.5f}" for v in all_angles[i].tolist()]
-            angles[2] = angles[2] and f"{float(angles[2]) % 360:.5f}"
-            note = exposures.reason(i)
-            row = [int(exposures.time.ns[i]), *cells, exposures.image[i], *angles]
-            spread = ["" if np.isnan(v) else f"{v:.5f}" for v in all_sigmas[i].tolist()]
-            above = "" if second is None or np.isnan(second[i]) else f"{second[i]:.3f}"
-            writer.writerow([*row, int(exposures.number[i]), note, *spread, above])
+    rows = []
+    for i in range(len(exposures)):
+        cells = [""] * 10
+        if p.placed[i]:
+            position = (f"{p.lat_deg[i]:.10f}", f"{p.lon_deg[i]:.10f}", f"{p.height_m[i]:.4f}")
+            known = np.isfinite(p.covariance_m2[i]).all()
+            sigmas = covariance_cells(p.covariance_m2[i]) if known else [""] * 6
+            cells = [*position, str(p.status[i]), *sigmas]
+        angles = ["" if np.isnan(v) else f"{np.degrees(v):.5f}" for v in all_angles[i].tolist()]
+        angles[2] = angles[2] and f"{float(angles[2]) % 360:.5f}"
+        row = [int(exposures.time.ns[i]), *cells, exposures.image[i], *angles]
+        spread = ["" if np.isnan(v) else f"{v:.5f}" for v in all_sigmas[i].tolist()]
+        above = "" if second is None or np.isnan(second[i]) else f"{second[i]:.3f}"
+        rows.append([*row, int(exposures.number[i]), exposures.reason(i), *spread, above])
+    write_rows(path, EVENT_COLUMNS, rows)
 
 
 def with_images(exposures: Exposures) -> Integers:
@@ -159,16 +156,8 @@ def write_block_images(
     rows = with_images(exposures)
     p = exposures.placed
     lat, lon, height = p.lat_deg[rows], p.lon_deg[rows], p.height_m[rows]
-    if crs is None:
-        origin = np.array([np.mean(lat), np.mean(lon), np.mean(height)])
-        centre = geocentric(origin[None, 0], origin[None, 1], origin[None, 2])
-        axes = enu_axes(float(origin[0]), float(origin[1]))
-        xyz = (geocentric(lat, lon, height) - centre) @ axes.T
-        turn = np.array([axes @ enu_axes(a, b).T for a, b in zip(lat.tolist(), lon.tolist(), strict=True)])
-        frame: dict[str, Any] = {"frame": "local", "origin_lat_lon_height": origin.tolist()}
-    else:
-        xyz, turn = projected(lat, lon, height, crs)
-        frame = {"frame": crs}
+    origin = np.array([np.mean(lat), np.mean(lon), np.mean(height)])
+    xyz, turn, frame = in_frame(lat, lon, height, origin, crs)
     whole = orientations(exposures, rig or Rig())
     angles, covariance = Orientations(whole.rotation[rows], whole.covariance[rows]).in_frame(turn)
     unit = np.array([1.0, 1.0, 1.0, *[180 / np.pi] * 3])
@@ -184,16 +173,9 @@ def write_block_images(
             if np.isfinite(covariance[k]).all():
                 names.append(name)
                 kept.append(covariance[k][np.tril_indices(6)])
-    _write_table(path, IMAGE_COLUMNS, lines)
+    write_rows(path, IMAGE_COLUMNS, lines)
     _write_covariances(path.with_name("covariance.parquet"), names, kept)
     return frame
-
-
-def _write_table(path: Path, columns: tuple[str, ...], lines: list[list[str]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(lines)
 
 
 def _write_covariances(path: Path, names: list[str], lower: list[Floats]) -> None:
@@ -207,6 +189,18 @@ def _write_covariances(path: Path, names: list[str], lower: list[Floats]) -> Non
         "lower": pa.array(lower, pa.list_(pa.float64())),
     }
     pyarrow.parquet.write_table(pa.table(table), path)
+
+
+def in_frame(
+    lat: Floats, lon: Floats, height: Floats, origin: Floats, crs: str | None
+) -> tuple[Floats, Floats, dict[str, Any]]:
+    """Coordinates, turns from local east, north, up, and the frame: a system, or topocentric at `origin`."""
+    if crs is not None:
+        return *projected(lat, lon, height, crs), {"frame": crs}
+    axes = enu_axes(float(origin[0]), float(origin[1]))
+    turn = np.array([axes @ enu_axes(a, b).T for a, b in zip(lat.tolist(), lon.tolist(), strict=True)])
+    frame = {"frame": "local", "origin_lat_lon_height": origin.tolist()}
+    return enu_offsets(lat, lon, height, origin), turn, frame
 
 
 def projected(lat: Floats, lon: Floats, height: Floats, crs: str) -> tuple[Floats, Floats]:
@@ -272,9 +266,7 @@ def write_geopackage_of(path: Path, exposures: Exposures, rig: Rig, camera: str,
     p = exposures.placed
     lat, lon, height = p.lat_deg[rows], p.lon_deg[rows], p.height_m[rows]
     origin = np.array([np.mean(lat), np.mean(lon), np.mean(height)])
-    xyz = enu_offsets(lat, lon, height, origin)
-    axes = enu_axes(float(origin[0]), float(origin[1]))
-    turn = np.array([axes @ enu_axes(a, b).T for a, b in zip(lat.tolist(), lon.tolist(), strict=True)])
+    xyz, turn, _ = in_frame(lat, lon, height, origin, None)
     whole = orientations(exposures, rig)
     angles, covariance = Orientations(whole.rotation[rows], whole.covariance[rows]).in_frame(turn)
     sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))[:, [3, 4, 5, 0, 1, 2]]

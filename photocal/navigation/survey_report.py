@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from acquire.outputs import write_rows
 from drivers.arrays import Floats
 from photocal.adjustment.ellipses import ellipses
 from photocal.navigation.baseline_network import NetworkSolution
-from photocal.navigation.exposure_files import projected
-from photocal.navigation.trajectory import enu_axes, enu_offsets, geodetic
+from photocal.navigation.exposure_files import in_frame
+from photocal.navigation.trajectory import enu_axes, geodetic
 
 COLUMNS = ("point", "X", "Y", "Z", "sX", "sY", "sZ", "sXY", "sXZ", "sYZ", "role")
 _PROBABILITY = 0.95
@@ -91,24 +91,15 @@ def write_points(path: Path, solution: NetworkSolution, crs: str | None) -> dict
     """Write the block's `points.csv` with full covariances; return the frame of its coordinates."""
     lat, lon, height = geodetic(solution.xyz_m)
     local = _local_covariances(solution, lat, lon)
-    if crs is None:
-        origin = np.array([lat[0], lon[0], height[0]])
-        xyz = enu_offsets(lat, lon, height, origin)
-        axes = enu_axes(float(lat[0]), float(lon[0]))
-        turn = np.array([axes @ enu_axes(a, b).T for a, b in zip(lat.tolist(), lon.tolist(), strict=True)])
-        frame: dict[str, Any] = {"frame": "local", "origin_lat_lon_height": origin.tolist()}
-    else:
-        xyz, turn = projected(lat, lon, height, crs)
-        frame = {"frame": crs}
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for i, name in enumerate(solution.names):
-            c = turn[i] @ local[i] @ turn[i].T
-            sigma = np.sqrt(np.maximum(np.diag(c), 0.0))
-            cross = [f"{v:.10f}" for v in (c[0, 1], c[0, 2], c[1, 2])]
-            place = [f"{v:.5f}" for v in xyz[i].tolist()]
-            writer.writerow([name, *place, *(f"{v:.6f}" for v in sigma.tolist()), *cross, "control"])
+    xyz, turn, frame = in_frame(lat, lon, height, np.array([lat[0], lon[0], height[0]]), crs)
+    rows = []
+    for i, name in enumerate(solution.names):
+        c = turn[i] @ local[i] @ turn[i].T
+        sigma = np.sqrt(np.maximum(np.diag(c), 0.0))
+        cross = [f"{v:.10f}" for v in (c[0, 1], c[0, 2], c[1, 2])]
+        place = [f"{v:.5f}" for v in xyz[i].tolist()]
+        rows.append([name, *place, *(f"{v:.6f}" for v in sigma.tolist()), *cross, "control"])
+    write_rows(path, COLUMNS, rows)
     return frame
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquire.outputs import write_rows
 from drivers.arrays import Flags, Floats, Integers
 from photocal.navigation.time import GpsTime
 
@@ -68,14 +68,11 @@ def covariance_cells(covariance_m2: Floats) -> list[str]:
 
 def write_trajectory(path: Path, trajectory: Trajectory) -> None:
     """Write the trajectory as CSV with `COLUMNS`."""
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        t = trajectory
-        for i in range(len(t)):
-            position = (f"{t.lat_deg[i]:.10f}", f"{t.lon_deg[i]:.10f}", f"{t.height_m[i]:.4f}")
-            cells = covariance_cells(t.covariance_m2[i])
-            writer.writerow([int(t.time.ns[i]), *position, str(t.status[i]), *cells])
+    t, rows = trajectory, []
+    for i in range(len(t)):
+        position = (f"{t.lat_deg[i]:.10f}", f"{t.lon_deg[i]:.10f}", f"{t.height_m[i]:.4f}")
+        rows.append([int(t.time.ns[i]), *position, str(t.status[i]), *covariance_cells(t.covariance_m2[i])])
+    write_rows(path, COLUMNS, rows)
 
 
 def enu_offsets(lat_deg: Floats, lon_deg: Floats, height_m: Floats, origin: Floats) -> Floats:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from acquire.outputs import output_folder
+from acquire.outputs import output_folder, write_rows
 from drivers.arrays import Floats
 from photocal.geopackage import Feature, Layer, ReferenceSystem, add_layer, geopackage
 from photocal.planning.flown import FEWEST_RAYS, FlownBlock, gaps
@@ -99,13 +98,10 @@ def write_flown(
     ]
     with output_folder(folder) as aside:
         (aside / "flown.json").write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
-        with (aside / "flown.csv").open("w", newline="", encoding="utf-8") as stream:
-            writer = csv.writer(stream, lineterminator="\n")
-            writer.writerow(_IMAGES.columns)
-            writer.writerows(
-                [name, strip, *("" if v != v else f"{v:.6g}" for v in values)]
-                for name, strip, *values in rows
-            )
+        cells = (
+            [name, strip, *("" if v != v else f"{v:.6g}" for v in values)] for name, strip, *values in rows
+        )
+        write_rows(aside / "flown.csv", list(_IMAGES.columns), cells)
         with geopackage(aside / "flown.gpkg", system) as database:
             places = to_given(stations)[:, :2]
             images = zip(places[:, None], rows, strict=True)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import datetime as dt
 import json
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import f
 
+from acquire.outputs import write_rows
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.block.folder import read_block
 from photocal.block.network import assemble, block_frame
@@ -181,7 +180,7 @@ def _write(folder: Path, foreign: ForeignProject) -> None:
             )
             if has
         ]
-        _table(folder / "positions.csv", ("image", "X", "Y", "Z", "sX", "sY", "sZ"), rows)
+        write_rows(folder / "positions.csv", ("image", "X", "Y", "Z", "sX", "sY", "sZ"), rows)
         keys = MountingKeys(lever_arm_sigma_m=0.0, flight_shift_sigma_m="free" if controlled else 0.0)
         setup = folder / "block.toml"
         setup.write_text(setup.read_text(encoding="utf-8") + "\n" + mounting_text(keys), encoding="utf-8")
@@ -204,11 +203,6 @@ def _determined(folder: Path, foreign: ForeignProject) -> ForeignProject:
         foreign = replace(foreign, block=block, remarks=(*foreign.remarks, remark))
         _write(folder, foreign)
     return foreign
-
-
-def _table(path: Path, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        csv.writer(stream, lineterminator="\n").writerows([head, *rows])
 
 
 def _weighted(folder: Path, foreign: ForeignProject) -> None:

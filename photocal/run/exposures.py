@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import json
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from acquire.outputs import write_rows
 from drivers.errors import ConfigurationError, IllPosedError, InputNotFoundError
 from photocal.block.motion import strips
 from photocal.block.mounting import ATTITUDE_COLUMNS, POSITION_COLUMNS, POSITION_EXTRAS, RATE_COLUMNS
@@ -147,7 +146,7 @@ def write_positions(path: Path, antenna: Exposures, crs: str) -> None:
         cells += [f"{covariance[k][a, b]:.4e}" for a, b in ((0, 1), (0, 2), (1, 2))]
         cells += [f"{v:.4f}" for v in velocity[k]] + [f"strip {strip[k] + 1}", f"{elapsed[k]:.3f}"]
         lines += [[name, *cells] for name in antenna.image[row].split()]
-    _write(path, (*POSITION_COLUMNS, *POSITION_EXTRAS), lines)
+    write_rows(path, (*POSITION_COLUMNS, *POSITION_EXTRAS), lines)
 
 
 def write_attitudes(path: Path, antenna: Exposures) -> None:
@@ -160,11 +159,4 @@ def write_attitudes(path: Path, antenna: Exposures) -> None:
             rate = np.degrees(antenna.attitude.rate[row])
             cells += [f"{v:.4f}" for v in rate] + 3 * [f"{_RATE_SIGMA}"] if rate.any() else [""] * 6
             lines += [[name, *cells] for name in antenna.image[row].split()]
-    _write(path, (*ATTITUDE_COLUMNS, *RATE_COLUMNS), lines)
-
-
-def _write(path: Path, columns: tuple[str, ...], lines: Iterable[list[str]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(lines)
+    write_rows(path, (*ATTITUDE_COLUMNS, *RATE_COLUMNS), lines)

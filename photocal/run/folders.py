@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
 from acquire.operating_system import lock as take
-from acquire.outputs import output_file
+from acquire.outputs import output_file, refusals
 from drivers.errors import OutputError
 from photocal.block.model import digest
 
@@ -75,18 +75,19 @@ class Digests:
 
 # What a stage was made from and what it wrote.
 RECORD = "stage.json"
+_REMEDY = "choose another output in the project file"
 _ASIDE, _OLD = ".partial", ".old.partial"
 
 
 @contextmanager
 def replaced_folder(folder: Path) -> Iterator[Path]:
     """Give an empty folder aside; on success it takes the place of `folder`, old files and all."""
-    with _refusals(folder):
+    with refusals(folder, _REMEDY):
         folder.parent.mkdir(parents=True, exist_ok=True)
         aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=_ASIDE, dir=folder.parent))
     try:
         yield aside
-        with _refusals(folder):
+        with refusals(folder, _REMEDY):
             aside.chmod(0o755)
             old = aside.with_name(aside.name.removesuffix(_ASIDE) + _OLD)
             if folder.exists():
@@ -107,7 +108,7 @@ def publish(made: Path, public: Path, record: Path) -> tuple[str, ...]:
     """Bring the public copy of a stage's files up to date; what the stages have not written stays."""
     new = {path.relative_to(made).as_posix(): _digest(path) for path in _files(made) if path != made / RECORD}
     owned = _published(record)
-    with _refusals(public):
+    with refusals(public, _REMEDY):
         # A run that is killed from here on knows both its old and its new files.
         both = {name: owned.get(name, []) for name in owned.keys() | new.keys()}
         _remember(record, {name: [*old, new[name]] if name in new else old for name, old in both.items()})
@@ -183,7 +184,7 @@ def _remember(record: Path, content: dict[str, list[str]]) -> None:
 @contextmanager
 def alone(work: Path) -> Iterator[None]:
     """Keep other runs out of a work folder; the lock ends with the process, however that ends."""
-    with _refusals(work):
+    with refusals(work, _REMEDY):
         work.mkdir(parents=True, exist_ok=True)
         lock = (work / ".lock").open("w")
     with lock:
@@ -192,14 +193,3 @@ def alone(work: Path) -> Iterator[None]:
                 "another run is working in this folder", where=work, remedy="wait for its end, or stop it"
             )
         yield
-
-
-@contextmanager
-def _refusals(folder: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as refusal:
-        reason = refusal.strerror or str(refusal)
-        raise OutputError(
-            f"cannot be written ({reason})", where=folder, remedy="choose another output in the project file"
-        ) from refusal

@@ -16,6 +16,7 @@ from photocal.run.stage import Progress, Stage
 from photocal.run.warnings import gather
 
 if TYPE_CHECKING:
+    from photocal.accuracy.standard import Question
     from photocal.block.model import Block
     from photocal.georeferencing.calibrated import Calibration
 
@@ -40,7 +41,6 @@ def _files(project: Project) -> list[str]:
 
 def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
     from photocal.accuracy.geopackage import reference_system
-    from photocal.accuracy.standard import Question, parse_scale
     from photocal.accuracy.standard_file import SHIPPED, load_standard
     from photocal.block.folder import read_block
     from photocal.findings.texts import told
@@ -50,16 +50,7 @@ def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
     from photocal.georeferencing.output import write_check
     from photocal.measurement.oriented_ties import NOT_PLACED
 
-    asked = project.contents.judgement
-    question = Question(
-        None if asked.scale is None else parse_scale(asked.scale),
-        asked.contour_interval_m,
-        survey_horizontal_m=asked.survey_horizontal_m,
-        survey_vertical_m=asked.survey_vertical_m,
-        target_horizontal_m=asked.target_horizontal_m,
-        target_vertical_m=asked.target_vertical_m,
-    )
-    standards = tuple(load_standard(name) for name in asked.standards or SHIPPED)
+    standards = tuple(load_standard(name) for name in project.contents.judgement.standards or SHIPPED)
     block = read_block(source)
     if block.datum != "control":
         # Nothing can be judged in a relative block; that is no failure.
@@ -68,13 +59,28 @@ def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
         return
     with show("three georeferencings", len(METHODS) + 2) as done:
         result = check_block(
-            block, standards, question, done=lambda _: done(1), calibration=own_calibration(block)
+            block, standards, question_of(project), done=lambda _: done(1), calibration=own_calibration(block)
         )
     system = reference_system(None if block.frame == "local" else block.frame)
     changed = datetime.fromtimestamp((source / "points.csv").stat().st_mtime, UTC)
     content = to_json(result)
     write_check(result, content, folder, system, f"{changed:%Y-%m-%dT%H:%M:%S}.000Z")
     (folder / FIGURES).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def question_of(project: Project) -> Question:
+    """What a project wants its products to be judged for."""
+    from photocal.accuracy.standard import Question, parse_scale
+
+    asked = project.contents.judgement
+    return Question(
+        None if asked.scale is None else parse_scale(asked.scale),
+        asked.contour_interval_m,
+        survey_horizontal_m=asked.survey_horizontal_m,
+        survey_vertical_m=asked.survey_vertical_m,
+        target_horizontal_m=asked.target_horizontal_m,
+        target_vertical_m=asked.target_vertical_m,
+    )
 
 
 def own_calibration(block: Block) -> Calibration | None:
