@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
@@ -13,13 +13,14 @@ from acquire.console import answer, numbers_of, progress
 from drivers.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from photocal.block.model import Block
+    from photocal.measurement.block_files import Measured
+    from photocal.measurement.image_block import GivenControl
     from photocal.measurement.maker_camera import GivenLens
     from photocal.measurement.match_images import MatchingPlan
-    from photocal.measurement.measure_ties import TieBlock
     from photocal.results.result import Result
     from photocal.tasks.workers import Workers
 
+Work: TypeAlias = "Callable[[], Measured]"
 # A principal distance that is known no better than this is worth a warning.
 WEAK = 0.005
 
@@ -115,93 +116,48 @@ def measure(
             raise ConfigurationError(
                 "a project names its own control", remedy="give --images with --board or --gcp"
             )
-        record = _project(project or Path(), marks or [], crew, cache, output)
-        answer(as_json, lambda: record, lambda: _project_text(record, output))
+        work = _project(project or Path(), marks or [], crew, cache)
     elif field:
-        record = _field(images, field, distances, _lens(c_px, focal_mm), output)
-        adjusted = "" if run is None else repr(_adjusted(output, run))
-        answer(as_json, lambda: record, lambda: "\n".join([_field_text(record, output), adjusted]))
+        work = _field(images, field, distances, _lens(c_px, focal_mm))
     elif board:
-        record = _board(images, board, square_m, charuco, output)
-        answer(as_json, lambda: record, lambda: _board_text(record, output))
-    elif gcp is not None:
-        record = _gcp(
-            images, gcp, (crs, height), gcp_sigma, _lens(c_px, focal_mm), _plan(crew, cache, images), output
-        )
-        answer(as_json, lambda: record, lambda: _marked_text(record, output))
+        work = _board(images, board, square_m, charuco)
     else:
-        record = _ties(images, _lens(c_px, focal_mm), crew, cache, output)
-        answer(as_json, lambda: record, lambda: _ties_text(record, output))
+        control = None if gcp is None else _control(gcp, gcp_sigma, crs, height)
+        work = _images(images, _lens(c_px, focal_mm), _plan(crew, cache, images), control)
+    record = _written(work, output)
+    adjusted = [] if run is None or not field else [repr(_adjusted(output, run))]
+    answer(as_json, lambda: record, lambda: "\n".join([*_text(record, output), *adjusted]))
 
 
-def _board(images: Path, board: str, square_m: float, charuco: str, output: Path) -> dict[str, Any]:
+def _board(images: Path, board: str, square_m: float, charuco: str) -> Work:
     from photocal.measurement.board_block import measure_board
     from photocal.measurement.boards import parse_board
     from photocal.measurement.image_file import list_images
 
     wanted = parse_board(board, square_m, charuco)
     paths = list_images(images)
-    with progress("measuring the board", len(paths)) as done:
-        measured = measure_board(paths, wanted, images.resolve().name, done)
-    return _written(measured.block, measured.record, output)
+
+    def work() -> Measured:
+        with progress("measuring the board", len(paths)) as done:
+            return measure_board(paths, wanted, images.resolve().name, done)
+
+    return work
 
 
-def _field(images: Path, field: str, distances: Path | None, lens: GivenLens, output: Path) -> dict[str, Any]:
+def _field(images: Path, field: str, distances: Path | None, lens: GivenLens) -> Work:
     from photocal.measurement.field_block import measure_field
     from photocal.measurement.image_file import list_images
 
     paths = list_images(images)
-    with progress("measuring the targets", len(paths)) as done:
-        measured = measure_field(paths, field, distances, images.resolve().name, lens, done)
-    return _written(measured.block, measured.record, output)
+
+    def work() -> Measured:
+        with progress("measuring the targets", len(paths)) as done:
+            return measure_field(paths, field, distances, images.resolve().name, lens, done)
+
+    return work
 
 
-def _adjusted(block: Path, run: Path) -> Result:
-    from photocal.results.adjusted import adjust_block
-
-    return adjust_block(block, run)
-
-
-def _field_text(record: dict[str, Any], output: Path) -> str:
-    found = record["images"]
-    corners = sum(image["corners"] for image in found)
-    lengths = f"{record['distances']} distances" if record["distances"] else "no distance: the unit is free"
-    return "\n".join(
-        [
-            f"{record['targets']} targets in {len(found)} pictures, {corners} corners, {lengths}",
-            *_weak_and_left_out(record),
-            f"block folder: {output}",
-        ]
-    )
-
-
-def _weak_and_left_out(record: dict[str, Any]) -> list[str]:
-    return [
-        f"common part of a corner's sigma: {record['common_sigma_px']:.3f} px",
-        *(
-            f"the views determine the principal distance to {100 * ratio:.2g} % only: take more, tilted ones"
-            for ratio in record["principal_distance_sigma_ratio"]
-            if ratio > WEAK
-        ),
-        *(f"left out: {entry['image']}: {entry['reason']}" for entry in record["left_out"]),
-    ]
-
-
-def _board_text(record: dict[str, Any], output: Path) -> str:
-    found = record["images"]
-    corners = sum(image["corners"] for image in found)
-    unit = "" if record["board"]["square_m"] != 1.0 else " (lengths in squares: no --square-m was given)"
-    lines = [
-        f"{len(found)} images show the board, {corners} corners{unit}",
-        *_weak_and_left_out(record),
-        f"block folder: {output}; next: photocal adjust {output} -o RUN",
-    ]
-    return "\n".join(lines)
-
-
-def _project(
-    path: Path, marks: list[Path], crew: Workers, cache: Path | None, output: Path
-) -> dict[str, Any]:
+def _project(path: Path, marks: list[Path], crew: Workers, cache: Path | None) -> Work:
     from photocal.measurement.orientation import of_exposures
     from photocal.measurement.project_block import measure_project
     from photocal.project import read_project
@@ -211,67 +167,31 @@ def _project(
     folder = project.output / "exposures"
     exposures = of_exposures(project, folder) if (folder / "images.csv").exists() else None
     plan = _plan(crew, cache, project.picture_folder)
-    return _written_anyway(partial(measure_project, project, exposures, plan, progress, marks), output)
+    return partial(measure_project, project, exposures, plan, progress, marks)
 
 
-def _project_text(record: dict[str, Any], output: Path) -> str:
-    marks = record["marks"]
-    return "\n".join(
-        [
-            f"marks by hand: {marks['by_hand']}, targets found: {marks['targets']}, used: {marks['used']}",
-            *_plain_lines(record["targets"]),
-            *record["warnings"],
-            _ties_text(record, output),
-        ]
-    )
-
-
-def _plain_lines(targets: dict[str, Any]) -> list[str]:
-    plain = targets.get("plain")
-    return [] if plain is None else [f"uncoded targets: {plain['found']} of {plain['predicted']} predicted"]
-
-
-def _gcp(
-    images: Path,
-    gcp: Path,
-    system: tuple[str, str],
-    sigma: str,
-    lens: GivenLens,
-    plan: MatchingPlan,
-    output: Path,
-) -> dict[str, Any]:
-    from photocal.measurement.gcp_block import measure_gcp
+def _images(images: Path, lens: GivenLens, plan: MatchingPlan, control: GivenControl | None) -> Work:
+    from photocal.measurement.image_block import measure_images
     from photocal.measurement.image_file import list_images
+
+    name = images.resolve().name
+    return partial(measure_images, list_images(images), name, plan, progress, lens, control)
+
+
+def _control(gcp: Path, sigma: str, crs: str, height: str) -> GivenControl:
+    from photocal.measurement.image_block import GivenControl
 
     form = "HORIZONTAL,VERTICAL: metres, such as 0.02,0.03"
     horizontal, vertical = numbers_of(sigma, "--gcp-sigma", form)
     if not (horizontal > 0 and vertical > 0):
         raise ConfigurationError(f"--gcp-sigma {sigma} is not positive", remedy=f"give {form}")
-    return _written_anyway(
-        partial(
-            measure_gcp,
-            list_images(images),
-            gcp,
-            (horizontal, vertical),
-            system,
-            images.resolve().name,
-            plan,
-            progress,
-            lens,
-        ),
-        output,
-    )
+    return GivenControl(gcp, (horizontal, vertical), crs, height)
 
 
-def _marked_text(record: dict[str, Any], output: Path) -> str:
-    control, system = record["control"], record["system"]
-    return "\n".join(
-        [
-            f"{control['marks']} marks of control points in {control['file']}, system {system['crs']}",
-            *record["warnings"],
-            _ties_text(record, output),
-        ]
-    )
+def _adjusted(block: Path, run: Path) -> Result:
+    from photocal.results.adjusted import adjust_block
+
+    return adjust_block(block, run)
 
 
 def _lens(c_px: float, focal_mm: float) -> GivenLens:
@@ -303,42 +223,76 @@ def _plan(crew: Workers, cache: Path | None, images: Path) -> MatchingPlan:
     return MatchingPlan(folder, crew)
 
 
-def _ties(images: Path, lens: GivenLens, crew: Workers, cache: Path | None, output: Path) -> dict[str, Any]:
-    from photocal.measurement.image_file import list_images
-    from photocal.measurement.measure_ties import measure_ties
-
-    paths = list_images(images)
-    plan = _plan(crew, cache, images)
-    return _written_anyway(partial(measure_ties, paths, images.resolve().name, plan, progress, lens), output)
-
-
-def _written(block: Block, record: dict[str, Any], output: Path) -> dict[str, Any]:
-    from acquire.outputs import output_folder
-    from photocal.measurement.block_files import write_block
-
-    with output_folder(output) as aside:
-        write_block(aside, block, record)
-    return record
-
-
-def _written_anyway(measure_it: Callable[[], TieBlock], output: Path) -> dict[str, Any]:
+def _written(work: Work, output: Path) -> dict[str, Any]:
     """Measure and write; images that cannot be oriented cost nobody the minutes of measuring."""
+    from acquire.outputs import output_folder
+    from photocal.measurement.block_files import Measured, write_block
     from photocal.measurement.oriented_ties import UnorientedError
 
+    refused = None
     try:
-        measured = measure_it()
-        return _written(measured.block, measured.record, output)
+        measured = work()
     except UnorientedError as refusal:
+        refused = refusal
         record = {"schema": "photocal.measurement/1", "refused": str(refusal)}
-        _written(refusal.block, record, output)
-        refusal.remedy += f" (what was measured is in {output})"
-        raise
+        measured = Measured(refusal.block, record)
+    with output_folder(output) as aside:
+        write_block(aside, measured.block, measured.record)
+    if refused is not None:
+        refused.remedy += f" (what was measured is in {output})"
+        raise refused
+    return measured.record
 
 
-def _ties_text(record: dict[str, Any], output: Path) -> str:
+def _text(record: dict[str, Any], output: Path) -> list[str]:
+    kind, next_step = record["kind"], f"block folder: {output}; next: photocal adjust {output} -o RUN"
+    if kind in ("board", "field of coded targets"):
+        return [*_corner_lines(record), next_step if kind == "board" else f"block folder: {output}"]
+    lines = []
+    if kind == "project":
+        marks, plain = record["marks"], record["targets"].get("plain")
+        lines = [
+            f"marks by hand: {marks['by_hand']}, targets found: {marks['targets']}, used: {marks['used']}"
+        ]
+        if plain is not None:
+            lines.append(f"uncoded targets: {plain['found']} of {plain['predicted']} predicted")
+    elif kind == "tie and control points":
+        control, system = record["control"], record["system"]["crs"]
+        lines = [f"{control['marks']} marks of control points in {control['file']}, system {system}"]
+    told_first = record["warnings"] if kind != "tie points" else []
+    return [*lines, *told_first, *_tie_lines(record), next_step]
+
+
+def _corner_lines(record: dict[str, Any]) -> list[str]:
+    shown = record["images"]
+    corners = sum(image["corners"] for image in shown)
+    if record["kind"] == "board":
+        unit = "" if record["board"]["square_m"] != 1.0 else " (lengths in squares: no --square-m was given)"
+        head = f"{len(shown)} images show the board, {corners} corners{unit}"
+    else:
+        lengths = record["distances"]
+        scale = f"{lengths} distances" if lengths else "no distance: the unit is free"
+        head = f"{record['targets']} targets in {len(shown)} pictures, {corners} corners, {scale}"
+    return [
+        head,
+        f"common part of a corner's sigma: {record['common_sigma_px']:.3f} px",
+        *(
+            f"the views determine the principal distance to {100 * ratio:.2g} % only: take more, tilted ones"
+            for ratio in record["principal_distance_sigma_ratio"]
+            if ratio > WEAK
+        ),
+        *_left_out(record),
+    ]
+
+
+def _left_out(record: dict[str, Any]) -> list[str]:
+    return [f"left out: {entry['image']}: {entry['reason']}" for entry in record["left_out"]]
+
+
+def _tie_lines(record: dict[str, Any]) -> list[str]:
     pairs, tracks = record["pairs"], record["tracks"]
     share = 100 * record["share_of_four_and_more"]
-    lines = [
+    return [
         f"{len(record['images'])} images in one block",
         f"pairs by {pairs['rule']}: {pairs['examined']} examined, {pairs['verified']} verified",
         f"tracks of features: {tracks['of_features']}; {tracks['conflicts_removed']} in conflict, not used",
@@ -349,10 +303,8 @@ def _ties_text(record: dict[str, Any], output: Path) -> str:
         *(record["warnings"] if record["kind"] == "tie points" else ()),
         *(f"c from: {source}" for source in record.get("principal_distance_from", ())),
         *(line for own in record["cameras"] for line in _camera_lines(own)),
-        *(f"left out: {entry['image']}: {entry['reason']}" for entry in record["left_out"]),
-        f"block folder: {output}; next: photocal adjust {output} -o RUN",
+        *_left_out(record),
     ]
-    return "\n".join(lines)
 
 
 def _camera_lines(own: dict[str, Any]) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,14 @@ from photocal.adjustment.network import RELATIONS
 from photocal.block.folder import POINT_CROSS
 from photocal.block.model import ROLES, Block
 from photocal.geometry.camera import PARAMETERS, Camera
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A block that was measured, and how, for `measurement.json`."""
+
+    block: Block
+    record: dict[str, Any]
 
 
 def write_block(folder: Path, block: Block, record: dict[str, Any]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from photocal.block.network import assemble
 from photocal.geometry.camera import pixel_to_plane
 from photocal.geometry.resection import resection
 from photocal.geometry.rotation import angles_from_matrix
+from photocal.measurement.block_files import Measured
 from photocal.measurement.boards import Board, BoardView, find_board
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import read_grey
@@ -26,20 +27,7 @@ ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2", "B1")
 FEWEST_VIEWS = 3
 
 
-@dataclass(frozen=True)
-class BoardMeasurement:
-    """A measured board in a set of images.
-
-    record: how it was measured, for `measurement.json`.
-    """
-
-    block: Block
-    record: dict[str, Any]
-
-
-def measure_board(
-    paths: Sequence[Path], board: Board, name: str, done: Callable[[float], None]
-) -> BoardMeasurement:
+def measure_board(paths: Sequence[Path], board: Board, name: str, done: Callable[[float], None]) -> Measured:
     """Measure a board in images and make the block that calibrates the camera.
 
     The board's points are held. The standard deviation of a corner has two parts: what the grey values
@@ -77,7 +65,7 @@ def measure_board(
         "principal_distance_sigma_ratio": weakness,
         "pixel_origin": "centre of the upper-left stored pixel is (0, 0); EXIF orientation is not applied",
     }
-    return BoardMeasurement(block, record)
+    return Measured(block, record)
 
 
 def _views(

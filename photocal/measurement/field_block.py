@@ -13,7 +13,8 @@ from drivers.errors import InputNotFoundError, PhotocalError
 from photocal.adjustment.network import NO_RELATIONS
 from photocal.block.folder import read_relations
 from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations
-from photocal.measurement.board_block import ESTIMATE, BoardMeasurement, with_common_sigma
+from photocal.measurement.block_files import Measured
+from photocal.measurement.board_block import ESTIMATE, with_common_sigma
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import read_grey
 from photocal.measurement.maker_camera import GivenLens, group_cameras, principal_distance_px, start_camera
@@ -45,7 +46,7 @@ def measure_field(
     name: str,
     lens: GivenLens,
     done: Callable[[float], None],
-) -> BoardMeasurement:
+) -> Measured:
     """Measure the corners of all coded targets and make the block that calibrates the camera.
 
     distances: CSV with the columns from, to, value, sigma (m) between corners; without, the unit is free.
@@ -102,7 +103,7 @@ def measure_field(
         "principal_distance_sigma_ratio": weakness,
         "pixel_origin": "centre of the upper-left stored pixel is (0, 0); EXIF orientation is not applied",
     }
-    return BoardMeasurement(block, record)
+    return Measured(block, record)
 
 
 def _block(views: Sequence[_View], codes: list[int], distances: Path | None, name: str) -> Block:

@@ -11,10 +11,8 @@ import numpy as np
 
 from drivers.arrays import Floats, Integers
 from drivers.errors import InputNotFoundError, PhotocalError
-from photocal.block.model import Block
-from photocal.findings.texts import told
 from photocal.measurement.image_facts import ImageFacts, read_facts
-from photocal.measurement.maker_camera import NO_LENS, GivenLens, stated_camera
+from photocal.measurement.maker_camera import stated_camera
 from photocal.measurement.match_images import (
     Footprints,
     MatchingPlan,
@@ -23,23 +21,12 @@ from photocal.measurement.match_images import (
     match_all,
     select_pairs,
 )
-from photocal.measurement.oriented_ties import Oriented, Progress, figures, orient_ties
+from photocal.measurement.oriented_ties import Oriented, Progress, figures
 from photocal.measurement.position_files import local_places
 from photocal.measurement.refine import Source
-from photocal.measurement.start_block import explained, position_sigma, start_block
+from photocal.measurement.start_block import explained
 from photocal.measurement.tie_adjustment import camera_figures
 from photocal.measurement.tracks import Tracks, of_images
-
-
-@dataclass(frozen=True)
-class TieBlock:
-    """A block of tie points.
-
-    record: figures for `measurement.json`.
-    """
-
-    block: Block
-    record: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -74,31 +61,6 @@ class Sighted:
             pairs=pairs[(pairs >= 0).all(axis=1)],
             left_out=(*self.left_out, *left),
         )
-
-
-def measure_ties(
-    paths: Sequence[Path], name: str, plan: MatchingPlan, progress: Progress, lens: GivenLens = NO_LENS
-) -> TieBlock:
-    """Measure tie points in images and make their block.
-
-    raises PhotocalError: when too few images can be read, or their tie points do not orient them.
-    """
-    sighted = sight(paths, plan, progress, stated_footprints, lens.of)
-    places, origin = local_places(sighted.facts)
-    start = start_block(sighted.facts, places, name)
-    found = orient_ties(start, sighted.sources, sighted.tracks, sighted.pairs, plan.processes, progress)
-    known = np.isfinite(origin[0])
-    record = {
-        **tie_record(sighted, found),
-        "kind": "tie points",
-        **told(found.findings),
-        "principal_distance_from": sorted({stated_camera("", f).source for f in sighted.facts}),
-        "positions": position_figures(sighted.facts, position_sigma(sighted.facts)),
-        "origin": {"latitude_deg": origin[0], "longitude_deg": origin[1], "height_m": origin[2]}
-        if known
-        else None,
-    }
-    return TieBlock(found.adjusted.block, record)
 
 
 def sight(

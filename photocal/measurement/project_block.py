@@ -21,6 +21,7 @@ from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
 from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.rotation import matrix_from_angles
+from photocal.measurement.block_files import Measured
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import list_images
 from photocal.measurement.maker_camera import NO_LENS
@@ -29,7 +30,6 @@ from photocal.measurement.marks_files import read_any_marks
 from photocal.measurement.match_images import Footprints, MatchingPlan, footprints
 from photocal.measurement.measure_ties import (
     Sighted,
-    TieBlock,
     position_figures,
     sight,
     stated_footprints,
@@ -69,7 +69,7 @@ def measure_project(
     plan: MatchingPlan,
     progress: Progress,
     marks_files: Sequence[Path] = (),
-) -> TieBlock:
+) -> Measured:
     """Measure the images of a project.
 
     exposures: exterior orientations of some or all images in the project's system, NaN where unknown: good to
@@ -143,7 +143,7 @@ def measure_project(
             ]
         ),
     }
-    return TieBlock(_restored(oriented.adjusted, released, block), record)
+    return Measured(_restored(oriented.adjusted, released, block), record)
 
 
 def _with_cameras(

@@ -15,8 +15,8 @@ from photocal.block.table import read_wider_table
 from photocal.findings.finding import Finding, untested
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.similarity import similarity
+from photocal.measurement.image_block import measure_images
 from photocal.measurement.match_images import MatchingPlan
-from photocal.measurement.measure_ties import measure_ties
 from photocal.measurement.oriented_ties import Progress
 from photocal.navigation.exposures import Exposures, orientations
 from photocal.navigation.image_metadata import ImageMetadata
@@ -273,8 +273,8 @@ def oriented_images(folder: Path, images: list[str]) -> OrientedImages:
 def oriented_by_ties(
     paths: list[Path], images: list[str], plan: MatchingPlan, progress: Progress
 ) -> OrientedImages:
-    """Orient images by tie points, see `photocal.measurement.measure_ties`."""
-    block = measure_ties(paths, "images", plan, progress).block
+    """Orient images by tie points, see `photocal.measurement.image_block`."""
+    block = measure_images(paths, "images", plan, progress).block
     made = block.images
     return _in_order(OrientedImages(made.names, block.cameras, made.camera, made.values), images)
 

@@ -22,9 +22,9 @@ from photocal.adjustment.adjust import adjust
 from photocal.block.network import assemble
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.similarity import similarity
+from photocal.measurement.image_block import measure_images
 from photocal.measurement.image_file import list_images
 from photocal.measurement.match_images import MatchingPlan
-from photocal.measurement.measure_ties import measure_ties
 
 pytestmark = [pytest.mark.shared, pytest.mark.timeout(7200)]
 Floats = NDArray[np.float64]
@@ -89,7 +89,7 @@ def _own(folder: Path, cache: Path) -> list[tuple[Figures, dict[str, Floats]]]:
     """Figures with c as the EXIF has it, and with c estimated; and the positions of the EXIF."""
     began = _now()
     plan = MatchingPlan(cache, 2)
-    made = measure_ties(list_images(folder), "brighton-beach", plan, lambda *_: nullcontext(lambda _: None))
+    made = measure_images(list_images(folder), "brighton-beach", plan, lambda *_: nullcontext(lambda _: None))
     spent = _since(began)
     block, results = made.block, []
     for names in (("K1", "K2"), ("c", "K1")):

@@ -30,10 +30,11 @@ from photocal.exchange.micmac import read_micmac
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.geometry.similarity import similarity
-from photocal.measurement.gcp_block import measure_gcp
+from photocal.measurement.block_files import Measured
+from photocal.measurement.image_block import GivenControl, measure_images
 from photocal.measurement.image_file import list_images
 from photocal.measurement.match_images import MatchingPlan, footprints, select_pairs
-from photocal.measurement.measure_ties import TieBlock, measure_ties, sight, stated_footprints
+from photocal.measurement.measure_ties import sight, stated_footprints
 from photocal.measurement.oriented_ties import Oriented, orient_ties
 from photocal.measurement.tie_block import TIE
 from photocal.results.adjusted import given_exposures, given_points
@@ -183,7 +184,7 @@ def _with_ties(start: Block, folder: Path, plan: MatchingPlan) -> Oriented:
 def brighton(shared: Path, plan: MatchingPlan) -> list[str]:
     """A flight without control: positions against the images' own, with c held and released."""
     images = list_images(shared / "data/uav-brighton-beach/images")
-    made = measure_ties(images, "brighton-beach", plan, quiet)
+    made = measure_images(images, "brighton-beach", plan, quiet)
     record = made.record
     released = record["cameras"][0]["released"]
     names = (
@@ -232,25 +233,24 @@ def few_images(shared: Path, plan: MatchingPlan) -> list[str]:
     cuav, berlin = shared / "data/mavlink-tlog-cuav-images", shared / "data/opensfm-berlin-gcp"
     pictures = list_images(cuav)
     raw = [path for path in pictures if path.name.startswith("raw")]
-    control = berlin / "ground_control_points.json"
-    system = ("", "ellipsoidal")
+    given = GivenControl(berlin / "ground_control_points.json", (0.02, 0.03), "", "ellipsoidal")
     street = list_images(berlin / "images")
     return [
         "## Few images",
         "",
         "| images | outcome |",
         "|---|---|",
-        _outcome("three of a quadplane, without position", lambda: measure_ties(raw, "cuav", plan, quiet)),
-        _outcome("these and two of another flight", lambda: measure_ties(pictures, "cuav", plan, quiet)),
+        _outcome("three of a quadplane, without position", lambda: measure_images(raw, "cuav", plan, quiet)),
+        _outcome("these and two of another flight", lambda: measure_images(pictures, "cuav", plan, quiet)),
         _outcome(
             "three of a street, two control points",
-            lambda: measure_gcp(street, control, (0.02, 0.03), system, "berlin", plan, quiet),
+            lambda: measure_images(street, "berlin", plan, quiet, control=given),
         ),
-        _outcome("the same without control", lambda: measure_ties(street, "berlin", plan, quiet)),
+        _outcome("the same without control", lambda: measure_images(street, "berlin", plan, quiet)),
     ]
 
 
-def _outcome(what: str, measure: Callable[[], TieBlock]) -> str:
+def _outcome(what: str, measure: Callable[[], Measured]) -> str:
     try:
         record: dict[str, Any] = measure().record
     except PhotocalError as refusal:
