@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import IntEnum
@@ -158,31 +159,65 @@ def wires_of(protocol: str) -> tuple[Wire, ...]:
     return (Wire.MAVLINK,) if protocol == Wire.MAVLINK.encoding else GNSS
 
 
-class StreamFramer:
+class PiecewiseFramer(ABC):
+    """What framers share: the bytes that wait for more, and what the end of the stream cut off."""
+
+    stamped = False
+
+    def __init__(self) -> None:
+        self._pending = b""
+        self._offset = 0
+        self._cut = 0
+
+    @property
+    def cut(self) -> int:
+        """Number of bytes of a frame that the end of the stream cut off; 0 until `close`."""
+        return self._cut
+
+    def feed(self, data: bytes) -> Batch:
+        """Take the next bytes of the stream and return the frames that are complete."""
+        self._pending += data
+        return self._take(closed=False)
+
+    def close(self) -> Batch:
+        """Return what is left when the stream has ended."""
+        rest = len(self._pending) if self._begun() else 0
+        batch = self._take(closed=True)
+        self._cut = 0 if len(batch) else rest
+        return batch
+
+    @abstractmethod
+    def _begun(self) -> bool:
+        """Tell whether what waits can be the beginning of a frame."""
+
+    @abstractmethod
+    def _take(self, closed: bool) -> Batch:
+        """Return the frames that are complete."""
+
+    def _consumed(self, count: int) -> tuple[bytes, int]:
+        """Take so many bytes off what waits; also return where they stood in the stream."""
+        data, base = self._pending[:count], self._offset
+        self._pending = self._pending[count:]
+        self._offset += count
+        return data, base
+
+
+class StreamFramer(PiecewiseFramer):
     """Frames of any mixture of protocols on one stream of bytes; a `Framer`.
 
     At each place where one of the protocols could begin the frame is tested with its checksum; where there is
     none, the search goes on with the next byte. So damage costs the frame that it lies in and no other.
     """
 
-    stamped = False
-
     def __init__(self, wires: Iterable[Wire], dialect: Dialect | None = None) -> None:
+        super().__init__()
         self._tables = scan.tables_of(dialect or ardupilotmega())
         self._starts = np.full(256, scan.NO_WIRE, np.int32)
         for wire in wires:
             self._starts[list(_FIRST[wire])] = wire
         self._memory = scan.new_memory()
-        self._pending = b""
-        self._offset = 0
         self._needed = 1
-        self._cut = 0
         self._intact = False
-
-    @property
-    def cut(self) -> int:
-        """Number of bytes of a frame that the end of the stream cut off; 0 until `close`."""
-        return self._cut
 
     @property
     def pending(self) -> bytes:
@@ -195,12 +230,8 @@ class StreamFramer:
         # An incomplete frame is looked at again only when all that it asked for has come.
         return self._take(closed=False) if len(self._pending) >= self._needed else self._batch()
 
-    def close(self) -> Batch:
-        """Return what is left when the stream has ended."""
-        rest = len(self._pending) if self._intact else 0
-        batch = self._take(closed=True)
-        self._cut = 0 if len(batch) else rest
-        return batch
+    def _begun(self) -> bool:
+        return self._intact
 
     def _take(self, closed: bool) -> Batch:
         if len(self._pending) >= _LARGE:
@@ -220,9 +251,7 @@ class StreamFramer:
         damage: scan.Rows = np.empty((0, 2), np.int64),  # noqa: B008
         consumed: int = 0,
     ) -> Batch:
-        data, base = self._pending[:consumed], self._offset
-        self._pending = self._pending[consumed:]
-        self._offset += consumed
+        data, base = self._consumed(consumed)
         return Batch(
             data=data,
             base=base,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arrays import Flags, Floats, Integers
-from drivers.frames import Batch, Wire
+from drivers.frames import Batch, PiecewiseFramer, Wire
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def batch_of_rows(
 NOTHING, WAIT = 0, -1
 
 
-class RecordFramer(ABC):
+class RecordFramer(PiecewiseFramer):
     """Finds the records of a log; a `Framer`.
 
     A record is taken where its head can be meant and another one, or the end, follows. One that is followed
@@ -103,33 +103,15 @@ class RecordFramer(ABC):
     it. After damage only records that are followed properly are taken.
     """
 
-    stamped = False
     wire: Wire
 
     def __init__(self) -> None:
-        self._pending = b""
-        self._offset = 0
-        self._cut = 0
+        super().__init__()
         # Whether the byte before the pending ones belongs to no record.
         self._after_damage = False
 
-    @property
-    def cut(self) -> int:
-        """Number of bytes of a record that the end of the log cut off; 0 until `close`."""
-        return self._cut
-
-    def feed(self, data: bytes) -> Batch:
-        """Take the next bytes of the log and return the records that are complete."""
-        self._pending += data
-        return self._take(closed=False)
-
-    def close(self) -> Batch:
-        """Return what is left when the log has ended."""
-        whole = self._examine(self._pending, 0) == WAIT
-        rest = len(self._pending)
-        batch = self._take(closed=True)
-        self._cut = rest if whole and rest and not len(batch) else 0
-        return batch
+    def _begun(self) -> bool:
+        return self._examine(self._pending, 0) == WAIT
 
     @abstractmethod
     def _examine(self, data: bytes, at: int) -> int:
@@ -164,10 +146,7 @@ class RecordFramer(ABC):
             clean = at
         if at > clean:
             damage.append((clean, at - clean))
-        batch = batch_of_rows(self.wire, data[:at], self._offset, rows, damage)
-        self._pending = data[at:]
-        self._offset += at
-        return batch
+        return batch_of_rows(self.wire, *self._consumed(at), rows, damage)
 
     def _believed(self, data: bytes, at: int, closed: bool, *, sure: bool) -> int:
         length = self._closed_examine(data, at, closed)

@@ -11,7 +11,7 @@ import re
 import numpy as np
 
 from drivers.arrays import Integers
-from drivers.frames import Batch, Wire
+from drivers.frames import Batch, PiecewiseFramer, Wire
 from drivers.gnsstime import week_to_ns
 from drivers.logged import Records, batch_of_rows
 
@@ -34,24 +34,11 @@ def parse_event(line: str) -> tuple[float, ...] | None:
     return None if found is None else tuple(float(value) for value in found.groups())
 
 
-class MrkFramer:
-    """Lines of an event list that are events; a `Framer`."""
+class MrkFramer(PiecewiseFramer):
+    """Lines of an event list that are events, the last one also without its end; a `Framer`."""
 
-    stamped = False
-
-    def __init__(self) -> None:
-        self._pending = b""
-        self._offset = 0
-        self.cut = 0
-
-    def feed(self, data: bytes) -> Batch:
-        """Take the next bytes of the list and return the events whose lines are complete."""
-        self._pending += data
-        return self._take(closed=False)
-
-    def close(self) -> Batch:
-        """Return what is left when the list has ended; its last line needs no end."""
-        return self._take(closed=True)
+    def _begun(self) -> bool:
+        return False
 
     def _take(self, closed: bool) -> Batch:
         data = self._pending
@@ -69,10 +56,7 @@ class MrkFramer:
             else:
                 damage.append((at, end - at))
             at = end
-        batch = batch_of_rows(Wire.MRK, data[:at], self._offset, rows, damage)
-        self._pending = data[at:]
-        self._offset += at
-        return batch
+        return batch_of_rows(Wire.MRK, *self._consumed(at), rows, damage)
 
 
 def decode(batch: Batch) -> Records:

@@ -9,7 +9,7 @@ import numpy as np
 from drivers import scan
 from drivers.arrays import Bytes, Integers
 from drivers.checksums import REVERSED, x25
-from drivers.frames import Batch, Wire
+from drivers.frames import Batch, PiecewiseFramer, Wire
 from drivers.mavlink.dialect import SIGNATURE_BYTES, SIGNED, V1, V2, Dialect, ardupilotmega
 from drivers.scan import EARLIEST_US, LATEST_US, STAMP_BYTES
 
@@ -24,7 +24,7 @@ _LARGE = 2048
 _WINDOWS = (512, _LARGE - 1, _LARGE - 1, _LARGE - 1)
 
 
-class TlogFramer:
+class TlogFramer(PiecewiseFramer):
     """Frames of a telemetry log, with their host stamps; a `Framer`.
 
     Intact records follow each other, so their places are found by walking along the lengths and all checksums
@@ -35,32 +35,15 @@ class TlogFramer:
     stamped = True
 
     def __init__(self, dialect: Dialect | None = None) -> None:
+        super().__init__()
         self._dialect = dialect or ardupilotmega()
         self._memory = scan.new_memory()
-        self._pending = b""
-        self._offset = 0
         self._stamp_us = 0
-        self._cut = 0
 
-    @property
-    def cut(self) -> int:
-        """Number of bytes of a record that the end of the log cut off; 0 until `close`."""
-        return self._cut
-
-    def feed(self, data: bytes) -> Batch:
-        """Take the next bytes of the log and return the frames that are complete."""
-        self._pending += data
-        return self._take(closed=False)
-
-    def close(self) -> Batch:
-        """Return what is left when the log has ended."""
-        rest = len(self._pending)
+    def _begun(self) -> bool:
         head = self._pending[: STAMP_BYTES + 1]
         stamp = int.from_bytes(head[:STAMP_BYTES], "big")
-        whole = len(head) <= STAMP_BYTES or (EARLIEST_US < stamp < LATEST_US and head[-1] in (V1, V2))
-        batch = self._take(closed=True)
-        self._cut = rest if whole and rest and not len(batch) else 0
-        return batch
+        return len(head) <= STAMP_BYTES or (EARLIEST_US < stamp < LATEST_US and head[-1] in (V1, V2))
 
     def _take(self, closed: bool) -> Batch:
         """Walk while records are intact, search where one is not, and walk on; at last search the rest."""
@@ -169,9 +152,7 @@ class TlogFramer:
         return np.stack(rows, axis=1).astype(np.int64), seeds
 
     def _batch(self, rows: Integers, damage: Integers, consumed: int) -> Batch:
-        data, base = self._pending[:consumed], self._offset
-        self._pending = self._pending[consumed:]
-        self._offset += consumed
+        data, base = self._consumed(consumed)
         return Batch(
             data=data,
             base=base,

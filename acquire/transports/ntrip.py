@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 from urllib.parse import urlsplit
 
-from acquire.transports.sources import PIECE_BYTES, LinkLostError, Patience, connect
+from acquire.transports.sources import PIECE_BYTES, LinkLostError, Patience, TcpSource, connect
 from drivers.errors import ConfigurationError
 
 Result = TypeVar("Result")
@@ -65,7 +65,7 @@ def ntrip_address(url: str) -> Address | None:
     return Address(host, port or (443 if encrypted else 2101), mountpoint, encrypted, queries[parts.query])
 
 
-class NtripSource:
+class NtripSource(TcpSource):
     """The stream of a caster; a `Source`.
 
     user, password: as the caster knows us; empty for open streams. They appear in no message.
@@ -73,8 +73,6 @@ class NtripSource:
     position: gives the GGA sentence that the caster is told when the stream is asked for; empty while none is
         known. Version 2 takes it in the request (``Ntrip-GGA``), version 1 as the first line after that.
     """
-
-    peer, lossy, missed = "", False, 0
 
     def __init__(
         self,
@@ -84,17 +82,17 @@ class NtripSource:
         context: ssl.SSLContext | None = None,
         position: Callable[[], bytes] | None = None,
     ) -> None:
-        self._address = address
+        super().__init__(address.host, address.port)
+        self._caster = address
         self._login = f"{user}:{password}" if user or password else ""
         self._context = context
         self._position = position or bytes
-        self._port: socket.socket | None = None
         self._body: _Plain | _Chunked = _Plain()
         self._ready = b""
 
     def open(self, stop: threading.Event) -> None:
         """Connect and ask for the stream."""
-        address = self._address
+        address = self._caster
         patience = Patience(stop, _CONNECT_S)
         line = connect(address.host, address.port, patience)
         try:
@@ -122,36 +120,15 @@ class NtripSource:
         if self._ready:
             data, self._ready = self._ready, b""
             return data
-        if self._port is None:
-            raise LinkLostError("not open")
-        self._port.settimeout(timeout_s)
-        try:
-            data = self._port.recv(PIECE_BYTES)
-        except (TimeoutError, ssl.SSLWantReadError):
+        data = self._received(timeout_s)
+        if data is None:
             return b""
-        except OSError as failure:
-            raise LinkLostError(str(failure)) from failure
         if not data or self._body.ended:
             raise LinkLostError("the caster has ended the stream")
         return self._body.take(data)
 
-    def write(self, data: bytes) -> None:
-        """Send bytes to the caster: positions as NMEA sentences."""
-        if self._port is None:
-            raise LinkLostError("not open")
-        try:
-            self._port.sendall(data)
-        except OSError as failure:
-            raise LinkLostError(str(failure)) from failure
-
-    def close(self) -> None:
-        """Close the connection."""
-        if self._port is not None:
-            self._port.close()
-            self._port = None
-
     def _request(self, sentence: bytes) -> bytes:
-        address = self._address
+        address = self._caster
         lines = [f"GET /{address.mountpoint} HTTP/1.{address.version - 1}"]
         if address.version == 2:
             lines += [f"Host: {address.host}:{address.port}", "Ntrip-Version: Ntrip/2.0", "Connection: close"]

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from ssl import SSLWantReadError
 from typing import Any, Protocol
 from urllib.parse import urlsplit
 
@@ -193,18 +194,22 @@ class TcpSource:
 
     def read(self, timeout_s: float) -> bytes:
         """Return what has arrived."""
+        data = self._received(timeout_s)
+        if data == b"":
+            raise LinkLostError("the server has closed the connection")
+        return data or b""
+
+    def _received(self, timeout_s: float) -> bytes | None:
+        """Return what the connection brings: nothing when it has ended, None when nothing came in time."""
         if self._port is None:
             raise LinkLostError("not open")
         self._port.settimeout(timeout_s)
         try:
-            data = self._port.recv(PIECE_BYTES)
-        except TimeoutError:
-            return b""
+            return self._port.recv(PIECE_BYTES)
+        except (TimeoutError, SSLWantReadError):
+            return None
         except OSError as failure:
             raise LinkLostError(str(failure)) from failure
-        if not data:
-            raise LinkLostError("the server has closed the connection")
-        return data
 
     def write(self, data: bytes) -> None:
         """Send bytes to the server."""
