@@ -120,12 +120,12 @@ class NtripSource(TcpSource):
         if self._ready:
             data, self._ready = self._ready, b""
             return data
-        data = self._received(timeout_s)
-        if data is None:
+        received = self._received(timeout_s)
+        if received is None:
             return b""
-        if not data or self._body.ended:
+        if not received or self._body.ended:
             raise LinkLostError("the caster has ended the stream")
-        return self._body.take(data)
+        return self._body.take(received)
 
     def _request(self, sentence: bytes) -> bytes:
         address = self._caster
