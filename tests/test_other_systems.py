@@ -47,12 +47,13 @@ def call(*words):
     return answer.output
 folder, block = Path(sys.argv[1]), Path("photocal/demo/dcs460").resolve()
 call("adjust", block, "-o", folder / "run")
-call("analyse", folder / "run", "--block", block)
 call("certificate", folder / "run", "-o", folder / "certificate", "--block", block)
 call("keys", "--new", "Laboratory")
 call("sign", folder / "certificate")
 assert locked
 print(call("verify", folder / "certificate"))
+# Afterwards: a verification repeats what was certified, and the analysis with it.
+call("analyse", folder / "run", "--block", block)
 """
 
 
