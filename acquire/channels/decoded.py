@@ -52,7 +52,7 @@ def _merged(channel: Channel, parts: list[Decoded]) -> Decoded:
 
 
 @dataclass(frozen=True)
-class Made:
+class NewMessages:
     """Messages of one channel made from messages of one source and kind.
 
     channel: where they go.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.channels.decoded import Decoded, Made, in_order
+from acquire.channels.decoded import Decoded, NewMessages, in_order
 from acquire.channels.vehicle_messages import MAKERS, Sent
 from drivers.arrays import Integers
 from drivers.frames import Batch, Wire
@@ -102,7 +102,7 @@ class VehicleDecoder:
 
     def _placed(
         self,
-        made: Made,
+        made: NewMessages,
         source: tuple[int, int],
         index: Integers,
         publish: Integers,

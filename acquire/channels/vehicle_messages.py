@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.channels.decoded import JsonLayout, Made, Times
+from acquire.channels.decoded import JsonLayout, NewMessages, Times
 from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, HEALTH, PARAMETER
 from acquire.log import foxglove
 from acquire.log.records import Channel
@@ -40,7 +40,7 @@ class Sent:
 
     def json(
         self, topic: str, layout: JsonLayout, columns: Mapping[str, Any], *, common: bool = True
-    ) -> Made:
+    ) -> NewMessages:
         """Return messages of a JSON type, with the members that tell their source."""
         count = len(self.fields)
         source: dict[str, Any] = {
@@ -50,10 +50,10 @@ class Sent:
             "component": np.full(count, self.source[1]),
         }
         payloads = layout.rows({**source, **columns}, count)
-        return Made(Channel(topic, "json", layout.schema()), payloads, np.arange(count), common)
+        return NewMessages(Channel(topic, "json", layout.schema()), payloads, np.arange(count), common)
 
 
-def position(sent: Sent) -> Made:
+def position(sent: Sent) -> NewMessages:
     """Make positions of the autopilot's own filter."""
     f = sent.fields
     rows = np.flatnonzero((f["lat"] != 0) | (f["lon"] != 0))
@@ -61,7 +61,7 @@ def position(sent: Sent) -> Made:
     return _location(sent, f"/{sent.link}/position", rows, unknown, unknown)
 
 
-def attitude(sent: Sent) -> Made:
+def attitude(sent: Sent) -> NewMessages:
     """Make the rotation from body to north-east-down."""
     angles = (sent.fields[name].astype(float) for name in ("roll", "pitch", "yaw"))
     payloads = foxglove.frame_transforms(
@@ -76,13 +76,13 @@ def attitude(sent: Sent) -> Made:
         foxglove.schema("foxglove.FrameTransform"),
         {"source": sent.name, "rotation": "body forward-right-down to north-east-down"},
     )
-    return Made(channel, payloads, np.arange(len(payloads)))
+    return NewMessages(channel, payloads, np.arange(len(payloads)))
 
 
-def gnss_fix(receiver: str) -> Callable[[Sent], Made]:
+def gnss_fix(receiver: str) -> Callable[[Sent], NewMessages]:
     """Return what makes the positions of a receiver of the vehicle, first (``""``) or further (``"-2"``)."""
 
-    def make(sent: Sent) -> Made:
+    def make(sent: Sent) -> NewMessages:
         f = sent.fields
         rows = np.flatnonzero((f["fix_type"] >= 2) & ((f["lat"] != 0) | (f["lon"] != 0)))
         horizontal, vertical = (_claimed(f, name)[rows] for name in ("h_acc", "v_acc"))
@@ -91,10 +91,10 @@ def gnss_fix(receiver: str) -> Callable[[Sent], Made]:
     return make
 
 
-def gnss_status(receiver: str) -> Callable[[Sent], Made]:
+def gnss_status(receiver: str) -> Callable[[Sent], NewMessages]:
     """Return what makes the quality of the fixes of a receiver of the vehicle, see `gnss_fix`."""
 
-    def make(sent: Sent) -> Made:
+    def make(sent: Sent) -> NewMessages:
         f = sent.fields
         columns: dict[str, Any] = {
             "time": Times(sent.publish_ns),
@@ -111,7 +111,7 @@ def gnss_status(receiver: str) -> Callable[[Sent], Made]:
     return make
 
 
-def camera_feedback(sent: Sent) -> Made:
+def camera_feedback(sent: Sent) -> NewMessages:
     """Make the exposures that the camera's hot shoe or the autopilot's own count reported."""
     f = sent.fields
     return sent.json(
@@ -131,13 +131,13 @@ def camera_feedback(sent: Sent) -> Made:
     )
 
 
-def camera_trigger(sent: Sent) -> Made:
+def camera_trigger(sent: Sent) -> NewMessages:
     """Make the moments at which the autopilot triggered the camera."""
     columns = {"sequence": sent.fields["seq"], "edge": "trigger", "time": Times(sent.publish_ns)}
     return sent.json("/camera/exposure", EXPOSURE, columns)
 
 
-def camera_captured(sent: Sent) -> Made:
+def camera_captured(sent: Sent) -> NewMessages:
     """Make the exposures that a MAVLink camera reported."""
     f = sent.fields
     utc = f["time_utc"].astype(np.int64)
@@ -155,7 +155,7 @@ def camera_captured(sent: Sent) -> Made:
     )
 
 
-def system_time(sent: Sent) -> Made:
+def system_time(sent: Sent) -> NewMessages:
     """Make the readings of the autopilot's clock."""
     device = sent.fields["time_unix_usec"].astype(np.int64) * 1000
     known = device > 0
@@ -170,7 +170,7 @@ def system_time(sent: Sent) -> Made:
     )
 
 
-def timesync(sent: Sent) -> Made:
+def timesync(sent: Sent) -> NewMessages:
     """Make the duration of the comparisons of clocks that we began ourselves: they carry our own UTC."""
     round_trip = sent.log_ns - sent.fields["ts1"]
     answered = (sent.fields["tc1"] > 0) & (round_trip >= 0) & (round_trip < 10_000_000_000)
@@ -180,7 +180,7 @@ def timesync(sent: Sent) -> Made:
     return replace(own.json("/clock", CLOCK, columns), rows=rows)
 
 
-def sys_status(sent: Sent) -> Made:
+def sys_status(sent: Sent) -> NewMessages:
     """Make the state of battery, processor and link that the autopilot reports."""
     f = sent.fields
     return sent.json(
@@ -196,7 +196,7 @@ def sys_status(sent: Sent) -> Made:
     )
 
 
-def radio_status(sent: Sent) -> Made:
+def radio_status(sent: Sent) -> NewMessages:
     """Make the state of the telemetry radio."""
     f = sent.fields
     return sent.json(
@@ -212,12 +212,12 @@ def radio_status(sent: Sent) -> Made:
     )
 
 
-def status_text(sent: Sent) -> Made:
+def status_text(sent: Sent) -> NewMessages:
     """Make the texts that the autopilot shows to the pilot."""
     return sent.json("/health", HEALTH, {"severity": sent.fields["severity"], "text": sent.fields["text"]})
 
 
-def parameter(sent: Sent) -> Made:
+def parameter(sent: Sent) -> NewMessages:
     """Make the autopilot's parameters."""
     told = sent.fields["param_value"]
     whole = sent.fields["param_type"] < _FIRST_REAL_TYPE
@@ -229,7 +229,7 @@ def parameter(sent: Sent) -> Made:
     return sent.json(f"/{sent.link}/parameter", PARAMETER, columns, common=False)
 
 
-MAKERS: dict[str, tuple[Callable[[Sent], Made], ...]] = {
+MAKERS: dict[str, tuple[Callable[[Sent], NewMessages], ...]] = {
     "GPS_RAW_INT": (gnss_fix(""), gnss_status("")),
     "GPS2_RAW": (gnss_fix("-2"), gnss_status("-2")),
     "GLOBAL_POSITION_INT": (position,),
@@ -252,7 +252,7 @@ def _location(
     rows: Integers,
     horizontal_m: Floats,
     vertical_m: Floats,
-) -> Made:
+) -> NewMessages:
     f = sent.fields[rows]
     payloads = foxglove.location_fixes(
         f"{sent.link}/body_frd",
@@ -265,7 +265,7 @@ def _location(
     )
     metadata = {"source": sent.name, "height": SEA_LEVEL}
     channel = Channel(topic, "protobuf", foxglove.schema("foxglove.LocationFix"), metadata)
-    return Made(channel, payloads, rows)
+    return NewMessages(channel, payloads, rows)
 
 
 def _claimed(fields: NDArray[Any], name: str) -> Floats:
