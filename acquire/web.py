@@ -92,10 +92,7 @@ class Address:
 
 
 def read_address(text: str) -> Address:
-    """Read ``HOST:PORT`` or ``[IPv6]:PORT``.
-
-    raises ConfigurationError: when it is neither.
-    """
+    """Read ``HOST:PORT`` or ``[IPv6]:PORT``; raises ConfigurationError when it is neither."""
     host, colon, port = text.rpartition(":")
     bare = host.removeprefix("[").removesuffix("]")
     bracketed = host.startswith("[") and host.endswith("]")

@@ -106,10 +106,7 @@ class LinkLog:
         self.tally = Tally()
 
     def write(self, batch: Batch, log_ns: Integers) -> None:
-        """Write a batch.
-
-        log_ns (n,): time of receipt of each, UTC, nanoseconds since 1970.
-        """
+        """Write a batch; `log_ns` (n,): time of receipt of each, UTC, nanoseconds since 1970."""
         self.tally.add(batch)
         own, damage = self._numbers(batch)
         publish = log_ns

@@ -69,10 +69,7 @@ class ClockOffset:
 
 
 def verdict(offset_s: Floats, ratio: float | None) -> str:
-    """Say what the readings mean.
-
-    ratio: seconds of the autopilot's clock per second of the host's.
-    """
+    """Say what the readings mean; `ratio`: seconds of the autopilot's clock per second of the host's."""
     span = f"host minus autopilot clock from {offset_s.min():+.2f} s to {offset_s.max():+.2f} s"
     if ratio is None or abs(ratio - 1) <= _RATE_LIMIT:
         return span

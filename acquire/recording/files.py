@@ -208,10 +208,7 @@ class LogFiles:
         return told
 
     def close(self) -> list[Told]:
-        """Write what is left and the summary.
-
-        raises OutputError: when what is held can be written nowhere.
-        """
+        """Write what is left and the summary; raises OutputError when what is held can be written nowhere."""
         self._again_ns = None if self._again_ns is None else 0
         told = self.end_chunk()
         if self._again_ns is not None:

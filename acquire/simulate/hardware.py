@@ -184,10 +184,7 @@ def awaited(flight: PlayedFlight, *, base_on_tcp: bool = False) -> tuple[str, ..
 
 
 def record_settings(flight: PlayedFlight, urls: Mapping[str, str], output: Path) -> str:
-    """Write the configuration with which `acquire record` records the devices.
-
-    returns: TOML.
-    """
+    """Write the configuration with which `acquire record` records the devices: TOML."""
     sections: list[tuple[str, dict[str, object]]] = [("[recording]", {"output": str(output)})]
     protocols = {"vehicle": "mavlink", "rover": "ubx", "base": flight.base_protocol}
     for name, url in urls.items():

@@ -48,10 +48,7 @@ class Dialect:
         return str(known.msgname) if known else str(message)
 
     def number(self, name: str) -> int:
-        """Return the message id of a name.
-
-        raises KeyError: when the dialect has no such message.
-        """
+        """Return the message id of a name; raises KeyError when the dialect has no such message."""
         for message, known in self._classes.items():
             if known.msgname == name:
                 return message

@@ -17,10 +17,7 @@ SCHEMA = "photocal.check/2"
 
 
 def to_json(assessment: Assessment, say: Catalogue | None = None) -> dict[str, Any]:
-    """Give an assessment as a JSON value.
-
-    returns: lengths in m; null where a figure does not exist.
-    """
+    """Give an assessment as a JSON value: lengths in m; null where a figure does not exist."""
     question = assessment.question
     space = assessment.space
     similarity = assessment.similarity

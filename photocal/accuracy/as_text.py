@@ -25,10 +25,7 @@ _NONE = "-"
 
 
 def to_text(assessment: Assessment) -> str:
-    """Write an assessment for people.
-
-    returns: several lines, figures in m.
-    """
+    """Write an assessment for people: several lines, figures in m."""
     parts = [
         _heading(assessment),
         _points(assessment),

@@ -139,10 +139,7 @@ def _histogram(axes: Axes, name: str, values: Floats) -> None:
 
 
 def write_figures(discrepancies: Discrepancies, folder: Path) -> tuple[Path, ...]:
-    """Write the figures of the report section.
-
-    raises OutputError: when the folder cannot be written.
-    """
+    """Write the figures of the report section; raises OutputError when the folder cannot be written."""
     drawn = {"residual_map.pdf": residual_map(discrepancies), "histograms.pdf": histograms(discrepancies)}
     made = {name: figure for name, figure in drawn.items() if figure is not None}
     with output_folder(folder) as aside:

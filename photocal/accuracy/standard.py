@@ -109,10 +109,7 @@ class LimitTable:
         return listed[0] if listed and self.basis == "interval" else None
 
     def sizes(self) -> tuple[float, ...]:
-        """Give the listed sizes.
-
-        returns: scale denominators, or contour intervals in m, smallest first.
-        """
+        """Give the listed sizes: scale denominators, or contour intervals in m, smallest first."""
         key = "scale_denominator" if self.basis == "scale" else "interval_m"
         return tuple(sorted({float(getattr(entry, key)) for entry in self.published}))
 
@@ -168,10 +165,7 @@ _SCALE = re.compile(r"^(?:1:)?(?P<denominator>[0-9]+(?:\.[0-9]+)?)$")
 
 
 def parse_scale(text: str) -> float:
-    """Read a scale.
-
-    raises ConfigurationError: when it is not a scale.
-    """
+    """Read a scale; raises ConfigurationError when it is not a scale."""
     match = _SCALE.match(text.replace(" ", ""))
     if match is None or float(match["denominator"]) <= 0.0:
         raise ConfigurationError(f"{text!r} is not a scale", remedy="write it as 1:1000")

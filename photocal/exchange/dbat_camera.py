@@ -34,10 +34,7 @@ _SPREAD = {"sxy": ("sx", "sy"), "sxyz": ("sx", "sy", "sz")}
 
 @dataclass(frozen=True)
 class Row:
-    """One row of a table.
-
-    cells: text by field, blanks removed.
-    """
+    """One row of a table; `cells`: text by field, blanks removed."""
 
     line: Line
     cells: dict[str, str]

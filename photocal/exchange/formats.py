@@ -26,10 +26,7 @@ Angle = Literal["deg", "gon"]
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a local frame touches the ellipsoid.
-
-    height_m: ellipsoidal.
-    """
+    """Where a local frame touches the ellipsoid; `height_m`: ellipsoidal."""
 
     latitude_deg: float
     longitude_deg: float
@@ -175,10 +172,7 @@ def exported() -> tuple[str, ...]:
 
 
 def named(name: str) -> Format:
-    """Find a format that can be written.
-
-    raises ConfigurationError: when it is not known.
-    """
+    """Find a format that can be written; raises ConfigurationError when it is not known."""
     found = next((form for form in FORMATS if form.name == name and form.writes), None)
     if found is None:
         raise ConfigurationError(f"format {name!r} is not known", remedy=f"use {', '.join(exported())}")

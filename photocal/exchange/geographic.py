@@ -230,10 +230,7 @@ _RESIDUALS = {
 def write_geopackage(
     path: Path, given: Reconstruction, to_geographic: ToGeographic | None, changed_utc: str
 ) -> None:
-    """Write a GeoPackage.
-
-    to_geographic: from `geographic.topocentric`; None keeps local coordinates.
-    """
+    """Write a GeoPackage; `to_geographic`: from `geographic.topocentric`; None keeps local coordinates."""
     system = LOCAL if to_geographic is None else wgs84()
     layers: dict[str, tuple[Layer, list[Feature]]] = {
         one.name: (one, []) for one in (_EXPOSURES, _FOOTPRINTS, _POINTS)

@@ -124,10 +124,7 @@ def observations(
 
 
 def require_unique(names: Sequence[str], what: str, place: object) -> None:
-    """Complain when a name comes twice.
-
-    raises InputMalformedError.
-    """
+    """Complain when a name comes twice; raises InputMalformedError."""
     if len(set(names)) < len(names):
         twice = next(name for k, name in enumerate(names) if name in names[:k])
         raise InputMalformedError(

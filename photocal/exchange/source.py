@@ -140,10 +140,7 @@ def numbers(text: str, place: object, what: str, count: int | None = None) -> li
 
 
 def whole(cell: str, place: object, what: str) -> int:
-    """Read one whole number.
-
-    raises InputMalformedError: when it is no whole number.
-    """
+    """Read one whole number; raises InputMalformedError when it is no whole number."""
     value = number(cell, place, what)
     if value != int(value):
         raise InputMalformedError(f"{what} is {cell.strip()!r}, not a whole number", where=place)
@@ -210,10 +207,7 @@ T = TypeVar("T")
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON object; errors in one line.
-
-    raises InputNotFoundError, InputMalformedError.
-    """
+    """Read a JSON object; errors in one line; raises InputNotFoundError, InputMalformedError."""
     text = read_text(path)
     try:
         content = json.loads(text, parse_constant=_refuse_constant, parse_float=_finite)

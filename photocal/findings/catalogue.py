@@ -39,10 +39,7 @@ class Catalogue:
 
 
 def catalogue(language: str) -> Catalogue:
-    """Read the texts of a language.
-
-    raises ConfigurationError: for a language that there is none of.
-    """
+    """Read the texts of a language; raises ConfigurationError for a language that there is none of."""
     if language not in LANGUAGES:
         raise ConfigurationError(
             f"no texts in language {language!r}", remedy=f"choose one of {', '.join(LANGUAGES)}"

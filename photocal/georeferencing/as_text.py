@@ -18,10 +18,7 @@ from photocal.georeferencing.standards_table import standards_rows
 
 
 def to_text(check: BlockCheck) -> str:
-    """Write a block's check for people.
-
-    returns: several lines, figures in m.
-    """
+    """Write a block's check for people: several lines, figures in m."""
     lines = [f"{check.block.name}: differences are {SIGN}, in metres; sigma is predicted, a priori."]
     lines.append(
         f"{'method':<12}{'points':<9}{'n':>4}  {'RMSE X':>9}{'Y':>9}{'Z':>9}   {'sigma X':>9}{'Y':>9}{'Z':>9}"

@@ -49,10 +49,7 @@ class Calibration:
 
 
 def calibrate(block: Block) -> Calibration:
-    """Adjust a block and keep camera and mounting.
-
-    raises PhotocalError: as the adjustment does.
-    """
+    """Adjust a block and keep camera and mounting; raises PhotocalError as the adjustment does."""
     network = assemble(block).network
     solution = adjust(network)
     problem = prepare(network)

@@ -77,10 +77,7 @@ def to_text(outcome: Outcome) -> str:
 
 
 def write_experiment(outcome: Outcome, folder: Path) -> tuple[str, ...]:
-    """Write the results of an experiment.
-
-    raises OutputError: when the folder cannot be written.
-    """
+    """Write the results of an experiment; raises OutputError when the folder cannot be written."""
     texts = {
         "experiment.json": json.dumps(to_json(outcome), indent=1, allow_nan=False) + "\n",
         "runs.csv": _csv([_flat(run) for run in outcome.runs]),

@@ -50,10 +50,7 @@ class Board:
 
 
 def parse_board(text: str, square_m: float, dictionary_name: str = "") -> Board:
-    """Read a board from "10x7" (squares in a row and in a column).
-
-    raises ConfigurationError.
-    """
+    """Read a board from "10x7" (squares in a row and in a column); raises ConfigurationError."""
     try:
         columns, rows = (int(part) for part in text.lower().split("x"))
     except ValueError:
@@ -72,10 +69,7 @@ def parse_board(text: str, square_m: float, dictionary_name: str = "") -> Board:
 
 @dataclass(frozen=True)
 class BoardView:
-    """A board in an image.
-
-    corners (n,): which of the board's inner corners.
-    """
+    """A board in an image; `corners` (n,): which of the board's inner corners."""
 
     corners: Integers
     centres: tuple[Centre, ...]

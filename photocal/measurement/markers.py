@@ -104,10 +104,7 @@ class Marker:
 
 
 def dictionary(name: str) -> Any:
-    """Give a dictionary of markers by its name.
-
-    raises ConfigurationError: for another name.
-    """
+    """Give a dictionary of markers by its name; raises ConfigurationError for another name."""
     import cv2
 
     if name.lower() not in DICTIONARIES:

@@ -120,10 +120,7 @@ def tie_record(sighted: Sighted, found: Oriented) -> dict[str, Any]:
 
 
 def position_figures(facts: Sequence[ImageFacts], sigma: Floats) -> dict[str, Any]:
-    """How well the positions were taken to be known, and who said so.
-
-    sigma (images, 3).
-    """
+    """How well the positions were taken to be known, and who said so; `sigma` (images, 3)."""
     stated = [bool(np.isfinite(f.position_sigma_m).all()) for f in facts if f.has_position]
     known = sigma[np.isfinite(sigma).all(axis=1)]
     return {

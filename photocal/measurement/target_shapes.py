@@ -59,10 +59,7 @@ class Sheet:
 
 
 def plain_target(kind: str, size_mm: float) -> Sheet:
-    """Draw an uncoded target: disc, ring, cross or hourglass.
-
-    raises ConfigurationError.
-    """
+    """Draw an uncoded target: disc, ring, cross or hourglass; raises ConfigurationError."""
     half, bar = size_mm / 2, BAR * size_mm / 2
     drawn: dict[str, tuple[Shape, ...]] = {
         "disc": (Disc(size_mm),),

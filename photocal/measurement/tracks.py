@@ -94,10 +94,7 @@ def without_twins(tracks: Tracks, apart_px: float) -> Tracks:
 
 
 def of_images(tracks: Tracks, keep: Flags) -> Tracks:
-    """Rays in some of the images only, which are numbered anew.
-
-    keep (images,).
-    """
+    """Rays in some of the images only, which are numbered anew; `keep` (images,)."""
     left = tracks.some(keep[tracks.image])
     return replace(left, image=(np.cumsum(keep) - 1)[left.image])
 

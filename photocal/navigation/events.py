@@ -251,10 +251,7 @@ class CameraEventList:
 
 
 def read_mrk(path: Path) -> CameraEventList:
-    """Read a `Timestamp.MRK` file.
-
-    The columns are described in `drivers.mrk`.
-    """
+    """Read a `Timestamp.MRK` file: the columns are described in `drivers.mrk`."""
     try:
         lines = path.read_text("latin-1").splitlines()
     except OSError as refusal:

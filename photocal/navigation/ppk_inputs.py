@@ -144,10 +144,7 @@ def _refuse_without_ephemerides(recording: ReceiverRecording, sources: Sources) 
 def converted(
     recording: ReceiverRecording, engine: Engine, stem: Path, near: GpsTime | None = None
 ) -> RinexFiles:
-    """Convert what a receiver recorded to RINEX.
-
-    raises IllPosedError: when no observations come out.
-    """
+    """Convert what a receiver recorded to RINEX; raises IllPosedError when no observations come out."""
     # A base that sends both repeats the same observations; the raw ones are finer.
     form = "ubx" if recording.epochs else "rtcm3"
     frames = recording.ubx if form == "ubx" else recording.rtcm

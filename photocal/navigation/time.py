@@ -25,10 +25,7 @@ EXPIRES = gnsstime.EXPIRES
 
 @dataclass(frozen=True, eq=False)
 class Instants:
-    """Instants on one scale.
-
-    ns (n,): nanoseconds since the scale's own origin.
-    """
+    """Instants on one scale; `ns` (n,): nanoseconds since the scale's own origin."""
 
     ns: Integers
 

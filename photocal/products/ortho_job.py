@@ -27,10 +27,7 @@ _SAMPLE = 512
 
 
 def image_files(block: Block, folder: Path, wanted: tuple[str, ...]) -> dict[int, RasterFile]:
-    """Find the image files of a block.
-
-    raises InputNotFoundError, InputMalformedError, ConfigurationError.
-    """
+    """Find the image files of a block; raises InputNotFoundError, InputMalformedError, ConfigurationError."""
     unknown = sorted(set(wanted) - set(block.images.names))
     if unknown:
         raise ConfigurationError(f"image {unknown[0]} is not in the block", remedy="correct its name")
@@ -199,10 +196,7 @@ def write_orthophoto(
     workers: int,
     advance: Callable[[float], None],
 ) -> tuple[float, dict[str, int]]:
-    """Make an orthophoto and write it as GeoTIFF.
-
-    raises OutputError, InputMalformedError.
-    """
+    """Make an orthophoto and write it as GeoTIFF; raises OutputError, InputMalformedError."""
     grid, paths = recipe.grid, [file.path for file in files.values()]
     count = np.zeros(len(paths) + 1, dtype=np.int64)
 

@@ -161,10 +161,7 @@ def read_image(path: Path) -> NDArray[Any]:
 
 
 def system_wkt(name: str) -> str:
-    """Reference system as WKT.
-
-    raises ConfigurationError: for a name that is none.
-    """
+    """Reference system as WKT; raises ConfigurationError for a name that is none."""
     from rasterio.crs import CRS  # type: ignore[import-untyped]
 
     try:

@@ -28,10 +28,7 @@ def volume_json(volume: Volume) -> dict[str, float]:
 
 
 def tank_json(tank: Tank, axes: tuple[str, str, str], wall_thickness: float) -> dict[str, Any]:
-    """Give a tank as plain values.
-
-    wall_thickness: m.
-    """
+    """Give a tank as plain values; `wall_thickness`: m."""
     cylinder = tank.cylinder
     return {
         "vertical_axis": axes[2],

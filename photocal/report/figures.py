@@ -93,10 +93,7 @@ def radial_curve(camera: Camera, profile: RadialProfile, observed_to: float, say
 
 
 def residual_map(camera: Camera, vectors: Vectors, say: Catalogue) -> str:
-    """Draw residual vectors on the sensor with a scale arrow.
-
-    camera: format and unit.
-    """
+    """Draw residual vectors on the sensor with a scale arrow; `camera`: format and unit."""
     extent = np.array(camera.size_px) * np.array(camera.pitch)
     w, h = (float(side) for side in extent)
     # A residual of typical size is drawn as a fortieth of the sensor's width.

@@ -38,10 +38,7 @@ RESULT_KEYS = (
 def record(
     run: Run, particulars: Particulars, say: Catalogue, told: tuple[Finding, ...] = ()
 ) -> dict[str, Any]:
-    """Make the machine-readable certificate.
-
-    say: language of the technical report's texts.
-    """
+    """Make the machine-readable certificate; `say`: language of the technical report's texts."""
     result = {key: value for key, value in result_json(run.result).items() if key in RESULT_KEYS}
     known = tuple(derived_figures(run, name, particulars) for name in run.result.cameras)
     return {

@@ -142,10 +142,7 @@ def manifest(folder: Path) -> dict[str, str]:
 
 
 def authenticity(folder: Path, named: str, known: Mapping[str, str]) -> Authenticity:
-    """Judge the signature of a certificate.
-
-    known: names by the fingerprints of known keys.
-    """
+    """Judge the signature of a certificate; `known`: names by the fingerprints of known keys."""
     from cryptography.exceptions import InvalidSignature
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 

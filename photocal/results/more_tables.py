@@ -39,10 +39,7 @@ class Wanted:
 
 
 def parse_joint(text: str) -> tuple[tuple[str, str], ...]:
-    """Read `image:12,point:P5,camera:P4P,mounting`.
-
-    raises ConfigurationError: for a kind that is none.
-    """
+    """Read `image:12,point:P5,camera:P4P,mounting`; raises ConfigurationError for a kind that is none."""
     chosen = []
     for part in filter(None, (part.strip() for part in text.split(","))):
         kind, _, name = part.partition(":")

@@ -93,10 +93,7 @@ def _root(path: Path, setup: str) -> Path:
 
 
 def carry(inputs: Sequence[InputFile], source: Source, folder: Path) -> None:
-    """Copy the inputs of a run into the folder of a certificate.
-
-    folder: the certificate's.
-    """
+    """Copy the inputs of a run into the folder of a certificate; `folder`: the certificate's."""
     for file in inputs:
         copy = folder / CARRIED / file.path
         copy.parent.mkdir(parents=True, exist_ok=True)

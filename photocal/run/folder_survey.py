@@ -75,10 +75,7 @@ class Survey:
 
 
 def survey(folder: Path) -> Survey:
-    """Look at everything in a folder.
-
-    raises InputNotFoundError: when it is no folder.
-    """
+    """Look at everything in a folder; raises InputNotFoundError when it is no folder."""
     if not folder.is_dir():
         raise InputNotFoundError("is no folder", where=folder, remedy="name the folder of the flight")
     seen = Survey(folder)

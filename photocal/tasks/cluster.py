@@ -23,10 +23,7 @@ _AHEAD = 2
 
 @dataclass(frozen=True)
 class Cluster:
-    """A Dask scheduler.
-
-    address: such as ``tcp://10.0.0.5:8786``.
-    """
+    """A Dask scheduler; `address`: such as ``tcp://10.0.0.5:8786``."""
 
     address: str
 

@@ -35,10 +35,7 @@ class Sight:
 def sight(
     points_m: Floats, exposures: Exposures, motion: Motion, rig: Rig, readout_s: float, margin_px: float
 ) -> Sight:
-    """Give where all points appear in all pictures.
-
-    points_m (n, 3).
-    """
+    """Give where all points appear in all pictures; `points_m` (n, 3)."""
     image, point, pixels = [], [], []
     for number in range(len(exposures)):
         place = seen_rolling(points_m, exposures, number, motion, rig, readout_s)

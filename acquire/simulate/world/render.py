@@ -214,10 +214,7 @@ GRID_PX = 8
 
 @dataclass(frozen=True)
 class Scene:
-    """What is to be pictured, painted once.
-
-    grounds: for each pass, as soft as its pixels are large.
-    """
+    """What is to be pictured, painted once; `grounds`: for each pass, as soft as its pixels are large."""
 
     world: World
     plates: tuple[Plate, ...]
@@ -260,10 +257,7 @@ def _reach(world: World) -> float:
 
 
 def render(scene: Scene, number: int) -> Bytes:
-    """Take a picture.
-
-    returns (height, width, 3): blue, green, red.
-    """
+    """Take a picture, (height, width, 3): blue, green, red."""
     import cv2
 
     world = scene.world

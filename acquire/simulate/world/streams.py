@@ -51,10 +51,7 @@ def carry(
     damage: float = 0.0,
     gap_s: tuple[float, float] = (np.inf, np.inf),
 ) -> Wire:
-    """Carry frames from a device to the recording.
-
-    time_s (n,): when they are sent.
-    """
+    """Carry frames from a device to the recording; `time_s` (n,): when they are sent."""
     count = len(frames)
     late = latency_s * (0.6 + 0.4 * random.exponential(size=count))
     arrival = np.maximum.accumulate(np.asarray(time_s) + late)

@@ -14,10 +14,7 @@ Columns = dict[str, tuple[str, Iterable[Any]]]
 
 
 def write_table(path: Path, columns: Columns) -> None:
-    """Write a CSV file.
-
-    columns: format of each value and the values; NaN becomes an empty cell.
-    """
+    """Write a CSV file; `columns`: format of each value and the values; NaN becomes an empty cell."""
     cells = [[_cell(value, form) for value in values] for form, values in columns.values()]
     lines = [",".join(columns), *(",".join(row) for row in zip(*cells, strict=True))]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
