@@ -65,7 +65,8 @@ def lend_kernels(installed: Path) -> None:
     for source in PACKAGE.rglob("*.py"):
         copy = installed / source.relative_to(PACKAGE)
         os.utime(copy, ns=(source.stat().st_mtime_ns,) * 2)
-        kept, taken = (_CacheLocator.get_suitable_cache_subpath(str(path)) for path in (source, copy))
+        places = [_CacheLocator.get_suitable_cache_subpath(str(path)) for path in (source, copy)]  # type: ignore[no-untyped-call]
+        kept, taken = places
         if (ours / kept).is_dir():
             target = installed / "__pycache__" / ours.name / taken
             shutil.copytree(ours / kept, target, dirs_exist_ok=True)

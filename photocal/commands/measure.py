@@ -203,7 +203,7 @@ def _lens(c_px: float, focal_mm: float) -> GivenLens:
 def _crew(workers: int, cluster: str) -> Workers:
     import os
 
-    from photocal.tasks.cluster import Cluster
+    from photocal.tasks.workers import Cluster
 
     if cluster and workers:
         raise ConfigurationError(
@@ -215,7 +215,7 @@ def _crew(workers: int, cluster: str) -> Workers:
 def _plan(crew: Workers, cache: Path | None, images: Path) -> MatchingPlan:
     from acquire.operating_system import cache_folder
     from photocal.measurement.match_images import MatchingPlan
-    from photocal.tasks.cluster import Cluster
+    from photocal.tasks.workers import Cluster
 
     folder = (cache or cache_folder()).resolve()
     if isinstance(crew, Cluster):

@@ -13,8 +13,7 @@ from photocal.findings.finding import Finding
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import read_particulars
 from photocal.report.document import Document
-from photocal.report.html import html
-from photocal.report.pdf import pdf
+from photocal.report.pages import html, pdf
 from photocal.report.record import NAME, record, with_documents
 from photocal.report.stored_analysis import Run, read_run
 from photocal.results.origin import Source, block_of_run, carry

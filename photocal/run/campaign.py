@@ -150,8 +150,7 @@ def run_projects(
     if cluster is None and (workers == 1 or len(tasks) == 1):
         outcomes = [_outcome(task, progress, _say) for task in tasks]
     else:
-        from photocal.tasks.cluster import Cluster
-        from photocal.tasks.workers import run_tasks
+        from photocal.tasks.workers import Cluster, run_tasks
 
         crew = min(workers, len(tasks)) if cluster is None else Cluster(cluster)
         outcomes = []

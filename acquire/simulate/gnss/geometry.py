@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,26 @@ import numpy as np
 from acquire.simulate.gnss.constellation import Satellite
 from acquire.simulate.gnss.settings import EARTH_RATE_RAD_S, LIGHT_M_S
 from drivers.arrays import Floats, Integers
+
+Path = Callable[[Integers], Floats]
+
+
+@dataclass(frozen=True)
+class Antenna:
+    """The way of an antenna's phase centre.
+
+    position, velocity: from GPS nanoseconds, int64 (n,), to metres and metres per second, earth-centred,
+        earth-fixed, float64 (n, 3). They are asked up to a second before and after a session.
+    """
+
+    position: Path
+    velocity: Path
+
+    @classmethod
+    def still(cls, ecef_m: Floats) -> Antenna:
+        """Return an antenna that does not move, at float64 (3,)."""
+        place = np.array(ecef_m, np.float64)
+        return cls(lambda t: np.tile(place, (len(t), 1)), lambda t: np.zeros((len(t), 3)))
 
 
 @dataclass(frozen=True)
@@ -109,7 +130,7 @@ def _wind_up(satellite: Floats, ray: Floats, sun: Floats, antenna: tuple[Floats,
     along = np.cross(across, down)
 
     def dipole(x: Floats, y: Floats, sign: float) -> Floats:
-        return x - ray * np.einsum("ij,ij->i", ray, x)[:, None] + sign * np.cross(ray, y)
+        return np.asarray(x - ray * np.einsum("ij,ij->i", ray, x)[:, None] + sign * np.cross(ray, y))
 
     sent, received = dipole(along, across, -1.0), dipole(*antenna, 1.0)
     cosine = np.einsum("ij,ij->i", _unit(sent), _unit(received))
@@ -130,7 +151,7 @@ def _sun(seconds: Floats, origin_gps_ns: int) -> Floats:
 
 
 def _unit(vectors: Floats) -> Floats:
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 def _turned(vectors: Floats, angle: Floats) -> Floats:

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.simulate.gnss.antenna import Antenna
 from acquire.simulate.gnss.atmosphere import Atmosphere, Sight, on
 from acquire.simulate.gnss.clock import Clock, run
 from acquire.simulate.gnss.constellation import Satellite
-from acquire.simulate.gnss.geometry import Link, Place, link, place
+from acquire.simulate.gnss.geometry import Antenna, Link, Place, link, place
 from acquire.simulate.gnss.settings import GPS, LIGHT_M_S, SIGNALS, Outage, ReceiverModel, Signal
 from drivers.arrays import Flags, Floats, Integers
 from drivers.gnsstime import SECOND_NS

@@ -8,10 +8,9 @@ from re import compile as pattern
 
 import numpy as np
 
-from acquire.simulate.gnss.antenna import Antenna
 from acquire.simulate.gnss.atmosphere import Atmosphere
 from acquire.simulate.gnss.constellation import Satellite, constellation
-from acquire.simulate.gnss.geometry import axes
+from acquire.simulate.gnss.geometry import Antenna, axes
 from acquire.simulate.gnss.observations import Observations, observe
 from acquire.simulate.gnss.settings import BASE, ROVER, Faults, ReceiverModel, SkySettings
 from drivers.arrays import Floats

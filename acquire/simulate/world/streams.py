@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from acquire.simulate.gnss.antenna import Antenna
+from acquire.simulate.gnss.geometry import Antenna
 from acquire.simulate.gnss.navigation_solution import OwnPosition
 from acquire.simulate.gnss.session import Session, simulate
 from acquire.simulate.gnss.settings import BASE, ROVER, Faults, SkySettings

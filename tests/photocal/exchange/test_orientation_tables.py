@@ -9,8 +9,14 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputMalformedError
-from photocal.exchange.inpho import read_inpho, write_inpho
-from photocal.exchange.orientation_tables import read_angles, read_matrices, write_angles, write_matrices
+from photocal.exchange.orientation_tables import (
+    read_angles,
+    read_inpho,
+    read_matrices,
+    write_angles,
+    write_inpho,
+    write_matrices,
+)
 from photocal.exchange.pinhole import to_vision
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.distortion import undistorted

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquire.simulate.gnss.antenna import Antenna
+from acquire.simulate.gnss.geometry import Antenna
 from acquire.simulate.gnss.session import Session, simulate
 from acquire.simulate.gnss.settings import BASE
 from acquire.simulate.gnss.streams import base_ubx

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from acquire.simulate.gnss.antenna import Antenna
 from acquire.simulate.gnss.atmosphere import Atmosphere, Sight
+from acquire.simulate.gnss.geometry import Antenna
 from acquire.simulate.gnss.session import simulate
 from acquire.simulate.gnss.settings import ROVER, SkySettings
 from acquire.simulate.gnss.streams import base_ubx, rover_ubx

@@ -70,7 +70,7 @@ def _equatorial(longitude: Floats, latitude: Floats, distance: Floats) -> Floats
     tilt = np.radians(23.43929111)
     x, y, z = np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)
     turned = np.stack([x, np.cos(tilt) * y - np.sin(tilt) * z, np.sin(tilt) * y + np.cos(tilt) * z], axis=1)
-    return distance[:, None] * turned
+    return np.asarray(distance[:, None] * turned)
 
 
 def _earth_fixed(vectors: Floats, angle: Floats) -> Floats:

@@ -17,8 +17,8 @@ from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import read_particulars
 from photocal.report.derived_figures import derived_figures
 from photocal.report.document import Document, KeyValues, Paragraph, Signature, Statement, Table
-from photocal.report.html import html
 from photocal.report.ministry_rows import Context, entries, read_layout
+from photocal.report.pages import html
 from photocal.report.record import record
 from photocal.report.stored_analysis import Run, read_run
 from photocal.results.adjusted import adjust_block

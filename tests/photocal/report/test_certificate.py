@@ -27,8 +27,7 @@ from photocal.findings.finding import Finding
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Particulars, read_particulars
 from photocal.report.document import Document, Figure, KeyValues, Table
-from photocal.report.html import html
-from photocal.report.pdf import pdf
+from photocal.report.pages import html, pdf
 from photocal.report.stored_analysis import Run, read_run
 from tests.photocal.findings.test_findings import every_finding, fragments
 

@@ -18,8 +18,7 @@ from photocal.measurement.features import FeatureSettings
 from photocal.measurement.image_file import read_grey
 from photocal.measurement.match_images import MatchingPlan, detect_all, match_all
 from photocal.measurement.tracks import Tracks
-from photocal.tasks.cluster import Cluster
-from photocal.tasks.workers import Workers, run_tasks
+from photocal.tasks.workers import Cluster, Workers, run_tasks
 from tests.photocal.conftest import Answer
 from tests.photocal.measurement.site import SIDE, flight, texture
 
@@ -93,7 +92,7 @@ def test_folders_that_workers_do_not_see_are_named(two_workers: Any, tmp_path: P
 
 def test_no_scheduler_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("photocal.tasks.cluster._TIMEOUT_S", 1)
+    monkeypatch.setattr("photocal.tasks.workers._TIMEOUT_S", 1)
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{probe.getsockname()[1]}"

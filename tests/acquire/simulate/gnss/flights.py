@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from acquire.simulate.gnss.antenna import Antenna
+from acquire.simulate.gnss.geometry import Antenna
 from acquire.simulate.gnss.session import Session, simulate
 from acquire.simulate.gnss.settings import Faults, SkySettings
 from acquire.simulate.gnss.streams import Stream, base_rtcm, base_ubx, rover_ubx

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquire.simulate.gnss.antenna import Antenna
 from acquire.simulate.gnss.clock import run
+from acquire.simulate.gnss.geometry import Antenna
 from acquire.simulate.gnss.observations import track
 from acquire.simulate.gnss.session import Session, simulate
 from acquire.simulate.gnss.settings import Faults, Outage, ReceiverModel, SkySettings
