@@ -65,7 +65,6 @@ def ppk(
 
     Example: `photocal ppk FLIGHT.mcap -o ppk`
     """
-    import json
     import tempfile
 
     from acquire.outputs import output_folder
@@ -73,8 +72,7 @@ def ppk(
     from photocal.navigation.flight_log import FlightLog
     from photocal.navigation.ppk import options_for, process, with_antennas
     from photocal.navigation.ppk_inputs import Sources, gather_inputs
-    from photocal.navigation.ppk_report import plot_ppk, ppk_figures, ppk_text
-    from photocal.navigation.trajectory import write_trajectory
+    from photocal.navigation.ppk_report import ppk_figures, ppk_text, write_ppk
 
     engine = Rtklib()
     logs = tuple(flight or ())
@@ -88,7 +86,5 @@ def ppk(
         result = process(inputs, options, "static" if static else "kinematic", engine, Path(scratch))
     figures = ppk_figures(result, remarks)
     with output_folder(output) as folder:
-        write_trajectory(folder / "trajectory.csv", result.trajectory)
-        (folder / "ppk.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-        plot_ppk(result, folder / "ppk.png")
+        write_ppk(folder, result, figures)
     answer(as_json, lambda: figures, lambda: ppk_text(figures))

@@ -31,9 +31,8 @@ from photocal.navigation.exposures import CameraMatch, Exposures, at_camera, at_
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.image_checks import TieMatching, check_images, check_oriented, oriented_images
 from photocal.navigation.image_metadata import ImageMetadata, clock_time_s, read_images
-from photocal.navigation.ppk import options_for, process
-from photocal.navigation.ppk_inputs import Sources, gather_inputs
-from photocal.navigation.ppk_report import ppk_figures
+from photocal.navigation.ppk_inputs import Sources
+from photocal.navigation.ppk_report import solved
 from photocal.navigation.receiver_recording import ReceiverRecording, read_receivers
 from photocal.navigation.rig import Rig, rig_of_mounting
 from photocal.navigation.time import HostTime
@@ -113,10 +112,8 @@ def run_exposures(choices: Choices, engine: Engine, folder: Path) -> ExposureRun
     raw = rover is not None and bool(rover.epochs or rover.empty_epochs or rover.untimed_epochs)
     if not raw and sources.rover is None:
         return place_exposures(choices, None, None)
-    inputs, remarks = gather_inputs(sources, engine, folder)
-    options = options_for(inputs.rover, inputs.base, sources.rover_antenna_m, sources.base_antenna_m)
-    result = process(inputs, options, "kinematic", engine, folder)
-    return place_exposures(choices, result.trajectory, ppk_figures(result, remarks))
+    result, figures = solved(sources, engine, folder)
+    return place_exposures(choices, result.trajectory, figures)
 
 
 def place_exposures(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,13 @@ from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding
 from photocal.findings.texts import finding_json
 from photocal.navigation.common_errors import common_text
+from photocal.navigation.engine import Engine
 from photocal.navigation.engine_output import FIXED
-from photocal.navigation.ppk import PpkResult
-from photocal.navigation.trajectory import enu_offsets, geodetic
+from photocal.navigation.ppk import PpkResult, options_for, process
+from photocal.navigation.ppk_inputs import Sources, gather_inputs
+from photocal.navigation.trajectory import enu_offsets, geodetic, write_trajectory
 
+FIGURES = "ppk.json"
 _LISTED_GAPS = 10
 _GOOD_SHARE = 95.0
 # Code positions of single frequency receivers are good to two or three metres.
@@ -26,6 +30,21 @@ _LONG_GAP_S = 30.0
 # Directions this far apart where one is taken as fixed are told, with the reason: two fixes agree better.
 _APART_M = 0.10
 _LISTED_PLACES = 10
+
+
+def solved(sources: Sources, engine: Engine, folder: Path) -> tuple[PpkResult, dict[str, Any]]:
+    """Process a rover in motion against its base; also return the figures."""
+    inputs, remarks = gather_inputs(sources, engine, folder)
+    options = options_for(inputs.rover, inputs.base, sources.rover_antenna_m, sources.base_antenna_m)
+    result = process(inputs, options, "kinematic", engine, folder)
+    return result, ppk_figures(result, remarks)
+
+
+def write_ppk(folder: Path, result: PpkResult, figures: dict[str, Any]) -> None:
+    """Write `trajectory.csv`, `ppk.json` and `ppk.png`."""
+    write_trajectory(folder / "trajectory.csv", result.trajectory)
+    (folder / FIGURES).write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    plot_ppk(result, folder / "ppk.png")
 
 
 def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:

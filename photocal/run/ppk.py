@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -65,19 +64,10 @@ def _make(project: Project, folder: Path, show: Progress) -> None:
 
     from photocal.navigation.engine import Rtklib
     from photocal.navigation.exposure_run import choices_of_project
-    from photocal.navigation.ppk import options_for, process
-    from photocal.navigation.ppk_inputs import gather_inputs
-    from photocal.navigation.ppk_report import plot_ppk, ppk_figures
-    from photocal.navigation.trajectory import write_trajectory
+    from photocal.navigation.ppk_report import solved, write_ppk
 
-    engine = Rtklib()
     sources = choices_of_project(project).sources
     with show("positions of the antenna", None), tempfile.TemporaryDirectory() as scratch:
-        inputs, remarks = gather_inputs(sources, engine, Path(scratch))
-        options = options_for(inputs.rover, inputs.base, sources.rover_antenna_m, sources.base_antenna_m)
-        result = process(inputs, options, "kinematic", engine, Path(scratch))
-    figures = ppk_figures(result, remarks)
-    write_trajectory(folder / "trajectory.csv", result.trajectory)
-    (folder / FIGURES).write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-    plot_ppk(result, folder / "ppk.png")
+        result, figures = solved(sources, Rtklib(), Path(scratch))
+    write_ppk(folder, result, figures)
     keep_trajectory(folder / TRAJECTORY, result.trajectory)
