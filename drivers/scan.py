@@ -145,11 +145,7 @@ def search_stream(
 def search_records(
     data: Octets, closed: bool, stamp_us: int, memory: Integers, tables: Tables
 ) -> tuple[Integers, Integers, int]:
-    """Find the records of a piece of a telemetry log: stamps, each with the MAVLink frame after it.
-
-    A frame whose stamp was damaged is kept with the stamp before it, at first `stamp_us`. See
-    `search_stream`; the rows of frames are place, length, kind, known and stamp.
-    """
+    """As `search_stream`, of a telemetry log: rows are place, length, kind, known and stamp, the last good one."""
     end = len(data)
     running = _running(data, True, False, False, tables)
     ahead = np.zeros(2, np.int64)
@@ -417,10 +413,7 @@ def _known_inside(
     running: Running,
     tables: Tables,
 ) -> int:
-    """Return 0 when no frame of a known message begins between two places, 1 when one does, or the need.
-
-    `ahead` keeps how far was looked and what stands there, so that each place is looked at once.
-    """
+    """Return 0 when no frame of a known message begins between two places, 1 when one does, or the need."""
     if ahead[0] <= at:
         ahead[0], ahead[1] = at + 1, 0
     while ahead[1] == 0 and ahead[0] < end:

@@ -28,7 +28,7 @@ from photocal.report.block_sections import (
     method,
 )
 from photocal.report.camera_sections import camera_facts, correlations, interior_orientation
-from photocal.report.certificate_metadata import Particulars
+from photocal.report.certificate_metadata import Metadata
 from photocal.report.derived_figures import DerivedFigures, derived_figures
 from photocal.report.document import Document, Highlight, KeyValues, Piece, Section, Statement, Tone
 from photocal.report.image_sections import image_residuals, radial_distortion, rms_px
@@ -50,9 +50,7 @@ WEAK = "weak_principal_distance"
 WORDS = ("table", "figure", "page", "of", "contents")
 
 
-def certificate(
-    run: Run, particulars: Particulars, say: Catalogue, told: tuple[Finding, ...] = ()
-) -> Document:
+def certificate(run: Run, particulars: Metadata, say: Catalogue, told: tuple[Finding, ...] = ()) -> Document:
     """Compose the certificate.
 
     raises InputMalformedError: when a figure cannot be right: it is not printed.
@@ -79,7 +77,7 @@ def _subtitle(run: Run, say: Catalogue) -> str:
     return say("title.subtitle" if calibrated else "title.subtitle_held", cameras=", ".join(cameras))
 
 
-def certificate_number(run: Run, particulars: Particulars, told: tuple[Finding, ...] = ()) -> str:
+def certificate_number(run: Run, particulars: Metadata, told: tuple[Finding, ...] = ()) -> str:
     """Make a certificate's number from date, inputs, software and particulars, in whatever language."""
     software = run.result.software
     files = (f"{f.path} {f.sha256}" for f in run.result.inputs)
@@ -88,7 +86,7 @@ def certificate_number(run: Run, particulars: Particulars, told: tuple[Finding, 
     return f"PC-{particulars.date:%Y%m%d}-{digest[:8].upper()}"
 
 
-def _facts(run: Run, particulars: Particulars, number: str, say: Catalogue) -> KeyValues:
+def _facts(run: Run, particulars: Metadata, number: str, say: Catalogue) -> KeyValues:
     software = run.result.software
     rows = [
         (say("title.number"), number),
@@ -221,7 +219,7 @@ def _verdicts(
 
 def _sections(
     run: Run,
-    particulars: Particulars,
+    particulars: Metadata,
     known: tuple[DerivedFigures, ...],
     told: tuple[Finding, ...],
     say: Catalogue,
@@ -265,7 +263,7 @@ def _sections(
 
 
 def _judgements(
-    run: Run, particulars: Particulars, known: tuple[DerivedFigures, ...], final: Finding, say: Catalogue
+    run: Run, particulars: Metadata, known: tuple[DerivedFigures, ...], final: Finding, say: Catalogue
 ) -> list[Section]:
     """Plausibility, acceptance and the ministry's form of each camera, and the equipment once."""
 

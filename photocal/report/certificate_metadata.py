@@ -139,7 +139,7 @@ class ResponsibleKeys(Table):
     key: str = ""
 
 
-class Particulars(Table):
+class Metadata(Table):
     """All that a person gives; sections as in the file, and the day of the certificate."""
 
     date: dt.date
@@ -164,7 +164,7 @@ def read_particulars(
     operator: str = "",
     key: str = "",
     pictures: Mapping[str, Mapping[str, str]] | None = None,
-) -> Particulars:
+) -> Metadata:
     """Read the particulars of a certificate; what nobody typed may stand in the pictures, by section."""
     keys: dict[str, Any] = read_tables(path) if path is not None else {}
     for section, told in (pictures or {}).items():
@@ -180,9 +180,9 @@ def read_particulars(
     responsible = keys.get("responsible", {})
     if isinstance(responsible, dict) and key:
         keys["responsible"] = {"key": key, **responsible}
-    return checked_tables({**keys, "date": date}, Particulars, path)
+    return checked_tables({**keys, "date": date}, Metadata, path)
 
 
-def given_particulars(keys: dict[str, Any], date: str) -> Particulars:
+def given_particulars(keys: dict[str, Any], date: str) -> Metadata:
     """Take the particulars from a machine-readable certificate."""
-    return checked_tables({**keys, "date": date}, Particulars, "certificate.json, particulars")
+    return checked_tables({**keys, "date": date}, Metadata, "certificate.json, particulars")

@@ -11,7 +11,7 @@ from photocal.analysis.plausibility import CalibrationRecord, plausibility
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.report.acceptance import Limit, expected_altimetric_error_cm, limits
-from photocal.report.certificate_metadata import Particulars
+from photocal.report.certificate_metadata import Metadata
 from photocal.report.image_sections import rms_px
 from photocal.report.printed import given_figures
 from photocal.report.sensor import sensor_residuals
@@ -46,7 +46,7 @@ class DerivedFigures:
     findings: tuple[Finding, ...]
 
 
-def derived_figures(run: Run, camera_id: str, particulars: Particulars) -> DerivedFigures:
+def derived_figures(run: Run, camera_id: str, particulars: Metadata) -> DerivedFigures:
     """Collect the figures and check them."""
     camera, campaign = run.result.cameras[camera_id], particulars.campaign
     pixel = pixel_size_mm(camera, particulars)
@@ -74,7 +74,7 @@ def derived_figures(run: Run, camera_id: str, particulars: Particulars) -> Deriv
     )
 
 
-def pixel_size_mm(camera: Camera, particulars: Particulars) -> float | None:
+def pixel_size_mm(camera: Camera, particulars: Metadata) -> float | None:
     """Pixel size in mm: that of the adjustment, or the one given for a camera in pixels."""
     if camera.unit == "mm":
         return float(np.mean(camera.pitch))
@@ -114,7 +114,7 @@ def air_base(run: Run, camera_id: str) -> float | None:
     return base if base > 0.0 else None
 
 
-def _record(run: Run, camera_id: str, particulars: Particulars) -> CalibrationRecord:
+def _record(run: Run, camera_id: str, particulars: Metadata) -> CalibrationRecord:
     camera = run.result.cameras[camera_id]
     prior = dict(zip(PARAMETERS, camera.prior_sigma.tolist(), strict=True))
     # Coefficients of other lenses are not those of Brown's polynomial, which are judged there.

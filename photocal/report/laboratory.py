@@ -7,7 +7,7 @@ import math
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import decimals_of, fixed, measured, significant
 from photocal.report.camera_sections import critical_t
-from photocal.report.certificate_metadata import Particulars, Source
+from photocal.report.certificate_metadata import Metadata, Source
 from photocal.report.document import Column, KeyValues, Paragraph, Section, Table
 from photocal.report.stored_analysis import Run
 
@@ -15,7 +15,7 @@ from photocal.report.stored_analysis import Run
 ENTERED: tuple[Source, ...] = ("control", "datum", "temperature", "refocus", "model")
 
 
-def laboratory(title: str, particulars: Particulars, number: str, say: Catalogue) -> Section:
+def laboratory(title: str, particulars: Metadata, number: str, say: Catalogue) -> Section:
     """List what clause 7.8 asks of a certificate, item by item."""
     missing = say("laboratory.not_stated")
     lab, conditions, given = particulars.laboratory, particulars.conditions, particulars.camera
@@ -53,7 +53,7 @@ def _with_unit(value: float | None, unit: str, say: Catalogue) -> str:
     return "" if value is None else f"{significant(value, 3, say.mark)} {unit}"
 
 
-def uncertainty(title: str, run: Run, particulars: Particulars, say: Catalogue) -> Section:
+def uncertainty(title: str, run: Run, particulars: Metadata, say: Catalogue) -> Section:
     """Give the budget of each principal distance and its expanded uncertainty.
 
     Notes
@@ -78,7 +78,7 @@ def combined(parts: list[tuple[float, float]]) -> tuple[float, float, float]:
     return u, freedom, critical_t(math.floor(min(freedom, 1e6)))
 
 
-def _budget(camera_id: str, run: Run, particulars: Particulars, say: Catalogue) -> Table:
+def _budget(camera_id: str, run: Run, particulars: Metadata, say: Catalogue) -> Table:
     result, camera = run.result, run.result.cameras[camera_id]
     stated, whose = run.stated(camera_id)
     own = max(math.sqrt(max(result.sigma0_squared or 1.0, 1.0)) * camera.sigma_of("c"), stated)

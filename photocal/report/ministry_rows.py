@@ -22,7 +22,7 @@ from photocal.findings.digits import (
 )
 from photocal.geometry.camera import Camera
 from photocal.report.acceptance import verdict
-from photocal.report.certificate_metadata import Particulars
+from photocal.report.certificate_metadata import Metadata
 from photocal.report.derived_figures import DerivedFigures
 from photocal.report.stored_analysis import Run
 
@@ -35,7 +35,7 @@ class Context:
     """What the rows are filled from."""
 
     run: Run
-    particulars: Particulars
+    particulars: Metadata
     facts: DerivedFigures
     say: Catalogue
 

@@ -7,7 +7,7 @@ from photocal.findings.digits import as_given, significant
 from photocal.findings.finding import Finding
 from photocal.findings.texts import finding_text
 from photocal.report.acceptance import Limit, verdict
-from photocal.report.certificate_metadata import Particulars
+from photocal.report.certificate_metadata import Metadata
 from photocal.report.derived_figures import DerivedFigures
 from photocal.report.document import (
     Column,
@@ -84,7 +84,7 @@ def findings(title: str, found: tuple[Finding, ...], say: Catalogue) -> Section:
     return Section(title, (text, Table(say("plausibility.table"), columns, rows, widths=(0.16, 0.84))))
 
 
-def equipment(title: str, particulars: Particulars, say: Catalogue) -> Section:
+def equipment(title: str, particulars: Metadata, say: Catalogue) -> Section:
     """List the positioning system and its offsets, the equipment and the validity."""
     missing = say("ministry.not_determined")
     validity, system = particulars.validity, particulars.gnss_ins
@@ -103,7 +103,7 @@ def equipment(title: str, particulars: Particulars, say: Catalogue) -> Section:
     return Section(title, tuple(pieces))
 
 
-def _offsets(particulars: Particulars, say: Catalogue) -> Piece:
+def _offsets(particulars: Metadata, say: Catalogue) -> Piece:
     system, missing = particulars.gnss_ins, say("ministry.not_determined")
     if system.lever_arm_cm is None and system.boresight_deg is None:
         return KeyValues(((say("equipment.offsets"), missing),))
@@ -159,7 +159,7 @@ def technical_report(title: str, context: Context) -> Section:
     )
 
 
-def signature(title: str, particulars: Particulars, say: Catalogue) -> Section:
+def signature(title: str, particulars: Metadata, say: Catalogue) -> Section:
     """Make the place to sign."""
     responsible, place = particulars.responsible, particulars.document.place
     day = say.date(particulars.date)

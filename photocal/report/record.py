@@ -17,7 +17,7 @@ from photocal.findings.finding import Finding
 from photocal.findings.texts import finding_json
 from photocal.report.acceptance import verdict
 from photocal.report.certificate import certificate_number, overall
-from photocal.report.certificate_metadata import Particulars
+from photocal.report.certificate_metadata import Metadata
 from photocal.report.derived_figures import DerivedFigures, derived_figures
 from photocal.report.ministry_rows import Context, entries, read_layout
 from photocal.report.sensor import farthest_corner, radial_profile
@@ -35,9 +35,7 @@ RESULT_KEYS = (
 )
 
 
-def record(
-    run: Run, particulars: Particulars, say: Catalogue, told: tuple[Finding, ...] = ()
-) -> dict[str, Any]:
+def record(run: Run, particulars: Metadata, say: Catalogue, told: tuple[Finding, ...] = ()) -> dict[str, Any]:
     """Make the machine-readable certificate; `say`: language of the technical report's texts."""
     result = {key: value for key, value in result_json(run.result).items() if key in RESULT_KEYS}
     known = tuple(derived_figures(run, name, particulars) for name in run.result.cameras)
@@ -124,7 +122,7 @@ def _report(context: Context) -> list[dict[str, str]]:
 
 
 def plain_record(
-    run: Run, particulars: Particulars, say: Catalogue, told: tuple[Finding, ...] = ()
+    run: Run, particulars: Metadata, say: Catalogue, told: tuple[Finding, ...] = ()
 ) -> dict[str, Any]:
     """Make the certificate as it comes back from JSON: lists for tuples."""
     content: dict[str, Any] = json.loads(json.dumps(record(run, particulars, say, told), allow_nan=False))

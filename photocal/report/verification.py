@@ -17,7 +17,7 @@ from photocal.findings.finding import Finding
 from photocal.findings.texts import findings_of
 from photocal.report.analysis_record import analyse_run
 from photocal.report.certificate import certificate
-from photocal.report.certificate_metadata import Particulars, given_particulars
+from photocal.report.certificate_metadata import Metadata, given_particulars
 from photocal.report.issue import FORMS, printed
 from photocal.report.record import NAME, certified_result, plain_record
 from photocal.report.signing import SIGNATURE
@@ -218,7 +218,7 @@ def pages_of(run: Run, certified: dict[str, Any]) -> dict[str, bytes]:
     return printed(certificate(run, *_told_by(certified)), dt.date.fromisoformat(certified["date"]))
 
 
-def _told_by(certified: dict[str, Any]) -> tuple[Particulars, Catalogue, tuple[Finding, ...]]:
+def _told_by(certified: dict[str, Any]) -> tuple[Metadata, Catalogue, tuple[Finding, ...]]:
     particulars = given_particulars(certified["particulars"], certified["date"])
     told = findings_of([*certified["warnings"], *certified["notes"]], "certificate.json")
     return particulars, catalogue(certified["language"]), told

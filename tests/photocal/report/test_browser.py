@@ -10,7 +10,7 @@ from playwright.sync_api import Browser
 
 from photocal.findings.catalogue import catalogue
 from photocal.report.certificate import certificate
-from photocal.report.certificate_metadata import Particulars
+from photocal.report.certificate_metadata import Metadata
 from photocal.report.pages import html
 from photocal.report.stored_analysis import Run
 
@@ -19,7 +19,7 @@ from photocal.report.stored_analysis import Run
 def page_file(
     request: pytest.FixtureRequest, invented_run: Run, tmp_path_factory: pytest.TempPathFactory
 ) -> Path:
-    document = certificate(invented_run, Particulars(date=dt.date(2026, 11, 21)), catalogue(request.param))
+    document = certificate(invented_run, Metadata(date=dt.date(2026, 11, 21)), catalogue(request.param))
     path: Path = tmp_path_factory.mktemp("page") / "certificate.html"
     path.write_text(html(document), encoding="utf-8")
     return path

@@ -25,7 +25,7 @@ from photocal.cli import app
 from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding
 from photocal.report.certificate import certificate
-from photocal.report.certificate_metadata import Particulars, read_particulars
+from photocal.report.certificate_metadata import Metadata, read_particulars
 from photocal.report.document import Document, Figure, KeyValues, Table
 from photocal.report.pages import html, pdf
 from photocal.report.stored_analysis import Run, read_run
@@ -103,7 +103,7 @@ def test_same_run_gives_the_same_bytes(document: Document, invented_run: Run) ->
 
 def test_number_does_not_depend_on_language_but_on_content(invented_run: Run) -> None:
     numbers = [
-        certificate(invented_run, Particulars(date=DAY), catalogue(code)).number for code in ("en", "pt-BR")
+        certificate(invented_run, Metadata(date=DAY), catalogue(code)).number for code in ("en", "pt-BR")
     ]
     other = certificate(invented_run, read_particulars(None, DAY, client="other"), catalogue("en")).number
     assert numbers[0] == numbers[1] != other
@@ -167,7 +167,7 @@ def test_pictures_are_sound(document: Document) -> None:
     ],
 )
 def test_published_calibration_in_both_forms(published_run: Run, language: str, expected: list[str]) -> None:
-    document = certificate(published_run, Particulars(date=DAY), catalogue(language))
+    document = certificate(published_run, Metadata(date=DAY), catalogue(language))
     page = " ".join(outline(html(document)).text)
     paper = words(document)
     for text in expected:
@@ -181,7 +181,7 @@ def test_published_calibration_in_both_forms(published_run: Run, language: str, 
 @pytest.mark.shared
 def test_table_rows_against_the_study(published_run: Run) -> None:
     """Values, standard deviations and t as the study prints them, to two digits of the standard deviation."""
-    document = certificate(published_run, Particulars(date=DAY), catalogue("en"))
+    document = certificate(published_run, Metadata(date=DAY), catalogue("en"))
     tables = [piece for section in document.sections for piece in section.pieces if isinstance(piece, Table)]
     rows = {row[0]: row for table in tables if len(table.columns) == 7 for row in table.rows}
     assert rows["x₀"][2:] == ("−0.2201", "0.0060", "mm", "−36.4", "yes")
@@ -191,12 +191,12 @@ def test_table_rows_against_the_study(published_run: Run) -> None:
 
 def test_a_parameter_that_is_noise_is_called_so(invented_run: Run) -> None:
     """K2 of the invented run is half of its standard deviation."""
-    text = html(certificate(invented_run, Particulars(date=DAY), catalogue("en")))
+    text = html(certificate(invented_run, Metadata(date=DAY), catalogue("en")))
     assert "Not told from zero at the 95 % level: K₂." in text
 
 
 def test_factor_is_given_and_not_applied(invented_run: Run) -> None:
-    text = html(certificate(invented_run, Particulars(date=DAY), catalogue("en")))
+    text = html(certificate(invented_run, Metadata(date=DAY), catalogue("en")))
     assert "3412.50" in text
     assert "0.42" in text
     assert "refer to the a priori variance" in text
@@ -211,7 +211,7 @@ def test_refuted_standard_deviations_are_said_on_top_and_scaled_beside(run_folde
     result["chi_squared"] = factor**2 * result["degrees_of_freedom"]
     result["global_test"]["accepted"] = False
     path.write_text(json.dumps(result), encoding="utf-8")
-    document = certificate(read_run(run_folder), Particulars(date=DAY), catalogue("en"))
+    document = certificate(read_run(run_folder), Metadata(date=DAY), catalogue("en"))
     assert document.verdicts[0].title == "Usable with reservations"
     assert "1.50 times the stated" in document.verdicts[1].text
     assert all(one.tone != "good" for one in document.verdicts)
@@ -226,26 +226,26 @@ def test_refuted_standard_deviations_are_said_on_top_and_scaled_beside(run_folde
 def test_a_portuguese_certificate_with_every_warning_has_no_english_sentence(run_folder: Path) -> None:
     english, portuguese = catalogue("en"), catalogue("pt-BR")
     told = tuple(every_finding(portuguese))
-    document = certificate(read_run(run_folder), Particulars(date=DAY), portuguese, told)
+    document = certificate(read_run(run_folder), Metadata(date=DAY), portuguese, told)
     page = " ".join(outline(html(document)).text)
     left = sorted(part for part in fragments(english) - fragments(portuguese) if part in page)
     assert left == []
     # The same search finds them in the English certificate.
-    other = certificate(read_run(run_folder), Particulars(date=DAY), english, tuple(every_finding(english)))
+    other = certificate(read_run(run_folder), Metadata(date=DAY), english, tuple(every_finding(english)))
     page = " ".join(outline(html(other)).text)
     assert sum(part in page for part in fragments(english)) > 250
 
 
 def test_warnings_stand_before_everything_but_the_verdict(run_folder: Path) -> None:
     told = (Finding("antenna-height", "grave", figures={"shift_m": 1.8, "sigma_m": 0.1, "side": "above"}),)
-    document = certificate(read_run(run_folder), Particulars(date=DAY), catalogue("en"), told)
+    document = certificate(read_run(run_folder), Metadata(date=DAY), catalogue("en"), told)
     assert document.verdicts[0].title == "Not usable as it stands"
     assert all(one.tone != "good" for one in document.verdicts)
     assert document.sections[0].title == "Warnings and notes of the processing"
 
 
 def test_what_a_laboratory_did_not_state_is_said(run_folder: Path) -> None:
-    document = certificate(read_run(run_folder), Particulars(date=DAY), catalogue("en"))
+    document = certificate(read_run(run_folder), Metadata(date=DAY), catalogue("en"))
     section = next(one for one in document.sections if one.title.startswith("Statements of the laboratory"))
     pairs = next(dict(piece.rows) for piece in section.pieces if isinstance(piece, KeyValues))
     assert pairs["Temperature"] == pairs["Traceability"] == pairs["Authorised by"] == "not stated"
@@ -290,7 +290,7 @@ def test_unusual_runs_are_certified_for_what_they_are(
     result = json.loads(path.read_text(encoding="utf-8"))
     change(result)
     path.write_text(json.dumps(result), encoding="utf-8")
-    document = certificate(read_run(run_folder), Particulars(date=DAY), catalogue("en"))
+    document = certificate(read_run(run_folder), Metadata(date=DAY), catalogue("en"))
     assert said in html(document)
     assert said.split()[0] in words(document)
 
@@ -310,7 +310,7 @@ def test_two_cameras_have_their_own_sections_and_numbers(run_folder: Path) -> No
     (run_folder / "images.csv").write_text(
         images.replace(",rear,", ',"front <1> & ""co""",', 2), encoding="utf-8"
     )
-    document = certificate(read_run(run_folder), Particulars(date=DAY), catalogue("en"))
+    document = certificate(read_run(run_folder), Metadata(date=DAY), catalogue("en"))
     page = html(document)
     outline(page)
     for kind in ("Table", "Figure"):
@@ -330,7 +330,7 @@ def test_residuals_in_parquet_and_with_empty_cells(run_folder: Path) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     emptied = read_run(run_folder)
     assert np.isnan(emptied.result.residuals.standardised[0]).all()
-    certificate(emptied, Particulars(date=DAY), catalogue("en"))
+    certificate(emptied, Metadata(date=DAY), catalogue("en"))
     table = pyarrow.csv.read_csv(path)
     path.unlink()
     pyarrow.parquet.write_table(table, run_folder / "residuals.parquet")
@@ -343,7 +343,7 @@ def test_residuals_in_parquet_and_with_empty_cells(run_folder: Path) -> None:
 
 
 def test_large_block_keeps_to_a_few_pages(large_folder: Path) -> None:
-    document = certificate(read_run(large_folder), Particulars(date=DAY), catalogue("en"))
+    document = certificate(read_run(large_folder), Metadata(date=DAY), catalogue("en"))
     reader = PdfReader(io.BytesIO(pdf(document, DAY)))
     assert len(reader.pages) < 10
     page = html(document)

@@ -13,7 +13,7 @@ import pytest
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.findings.catalogue import catalogue
 from photocal.report.certificate import certificate
-from photocal.report.certificate_metadata import Particulars, read_particulars
+from photocal.report.certificate_metadata import Metadata, read_particulars
 from photocal.report.derived_figures import derived_figures
 from photocal.report.document import Signature, Table
 from photocal.report.ministry_rows import Context, corners, entries, read_layout
@@ -29,14 +29,14 @@ FITTING = {
 }
 
 
-def fitting() -> Particulars:
+def fitting() -> Metadata:
     keys: dict[str, Any] = tomllib.loads(EXAMPLE.read_text(encoding="utf-8"))
     for section, changed in FITTING.items():
         keys[section] |= changed
-    return Particulars.model_validate({**keys, "date": DAY})
+    return Metadata.model_validate({**keys, "date": DAY})
 
 
-def context(run: Run, particulars: Particulars, language: str = "en") -> Context:
+def context(run: Run, particulars: Metadata, language: str = "en") -> Context:
     camera = next(iter(run.result.cameras))
     return Context(run, particulars, derived_figures(run, camera, particulars), catalogue(language))
 
@@ -62,7 +62,7 @@ def test_all_rows_are_filled_from_complete_particulars(invented_run: Run, langua
 
 
 def test_without_particulars_the_rest_is_marked(invented_run: Run) -> None:
-    filled = {e.row.key: e for e in entries(read_layout(), context(invented_run, Particulars(date=DAY)))}
+    filled = {e.row.key: e for e in entries(read_layout(), context(invented_run, Metadata(date=DAY)))}
     assert len(filled) == 47
     for key in ("camera_model", "lens_serial", "lever_arm", "boresight", "responsible", "pixel_size", "iso"):
         assert filled[key].origin == "not_determined"
@@ -101,7 +101,7 @@ def test_corners_in_the_order_of_the_form(invented_run: Run) -> None:
 
 def test_height_and_base_of_a_flown_block_are_computed(invented_run: Run) -> None:
     """Exposures stand 30 m apart in a row; the ground sampling distance follows from height and camera."""
-    known = derived_figures(invented_run, "l1", Particulars(date=DAY, camera={"pixel_size_mm": 0.00241}))  # type: ignore[arg-type]
+    known = derived_figures(invented_run, "l1", Metadata(date=DAY, camera={"pixel_size_mm": 0.00241}))  # type: ignore[arg-type]
     assert known.base_m == pytest.approx(30.0, abs=0.01)
     assert known.height_m is not None
     assert known.gsd_cm == pytest.approx(100 * known.height_m / 3412.5)
@@ -110,7 +110,7 @@ def test_height_and_base_of_a_flown_block_are_computed(invented_run: Run) -> Non
 
 @pytest.mark.shared
 def test_a_wall_is_no_flight(published_run: Run) -> None:
-    known = derived_figures(published_run, "dcs460", Particulars(date=DAY))
+    known = derived_figures(published_run, "dcs460", Metadata(date=DAY))
     assert (known.height_m, known.gsd_cm, known.base_m) == (None, None, None)
     assert known.pixel_mm == pytest.approx(0.00902847, abs=1e-8)
 
@@ -118,9 +118,7 @@ def test_a_wall_is_no_flight(published_run: Run) -> None:
 @pytest.mark.shared
 def test_pixel_from_rounded_frame_sizes_is_doubted(published_run: Run) -> None:
     """27.6 mm / 3060 over 18.4 mm / 2036 is 0.99804: the error of the published calibration."""
-    found = {
-        f.code: f.figures for f in derived_figures(published_run, "dcs460", Particulars(date=DAY)).findings
-    }
+    found = {f.code: f.figures for f in derived_figures(published_run, "dcs460", Metadata(date=DAY)).findings}
     assert found["pitch_not_square"]["percent"] == pytest.approx(0.196, abs=1e-3)
 
 
