@@ -145,7 +145,7 @@ def search_stream(
 def search_records(
     data: Octets, closed: bool, stamp_us: int, memory: Integers, tables: Tables
 ) -> tuple[Integers, Integers, int]:
-    """As `search_stream`, of a telemetry log: rows are place, length, kind, known and stamp, the last good one."""
+    """As `search_stream`, of a telemetry log: rows are place, length, kind, known and the last good stamp."""
     end = len(data)
     running = _running(data, True, False, False, tables)
     ahead = np.zeros(2, np.int64)
