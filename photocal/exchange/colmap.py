@@ -17,8 +17,13 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block
-from photocal.exchange.colmap_content import MODELS, NO_POINT, NUMBERS, Content, Lens, Shot
 from photocal.exchange.colmap_files import (
+    MODELS,
+    NO_POINT,
+    NUMBERS,
+    Content,
+    Lens,
+    Shot,
     read_binary_model,
     read_text_model,
     write_binary_model,
