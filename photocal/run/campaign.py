@@ -197,7 +197,7 @@ def run_one(
     progress: Progress = quiet,
     say: Callable[[str], None] = _say,
 ) -> dict[str, Any]:
-    """Run one project and give its figures; raises PhotocalError as `workflow.run_project` does."""
+    """Run one project and give its figures; raises PhotocalError as `run_project` does."""
     project = read_project(path)
     made: list[StageResult] = []
 
