@@ -64,6 +64,7 @@ def epochs(data: bytes) -> int:
     return count
 
 
+@pytest.mark.slow
 def test_rtkrcv_counts_every_epoch(logs: dict[str, Path], shared: Path, tmp_path: Path) -> None:
     name = "data/gnss-ubx-m8p-base-rover/rover-20181004-1237.ubx.gz"
     expected = epochs(gzip.decompress((shared / name).read_bytes()))

@@ -46,6 +46,7 @@ def numbered(number: int) -> bytes:
     return ubx.encode(0x0213, number.to_bytes(4, "little") + bytes(40))
 
 
+@pytest.mark.slow
 def test_a_flood_on_one_link_costs_the_others_nothing(tmp_path: Path) -> None:
     """As fast as a process sends, some tens of megabytes a second; killed without warning."""
     ports = [free_port() for _ in range(3)]

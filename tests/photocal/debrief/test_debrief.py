@@ -96,6 +96,7 @@ def names(site: Path) -> list[Path]:
     return sorted((site / "images").iterdir())
 
 
+@pytest.mark.slow
 def test_a_clean_flight_is_complete(flown: Path) -> None:
     made = judged(flown, last())
     assert codes(made) == set()
@@ -107,6 +108,7 @@ def test_a_clean_flight_is_complete(flown: Path) -> None:
     assert {one["strip"] for one in content["exposures"]} == {1, 2}
 
 
+@pytest.mark.slow
 def test_a_picture_that_comes_in_costs_that_picture(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The card is still being read: what was looked at, and the pairs that were matched, are kept."""
     done: list[str] = []

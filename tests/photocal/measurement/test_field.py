@@ -26,6 +26,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
+@pytest.mark.slow
 def test_one_command_from_pictures_to_the_camera(folder: Path, photocal: Callable[..., Answer]) -> None:
     given = ("--images", folder / "pictures", "--field", "4x4_100", "--distances", folder / "tape.csv")
     said = photocal("measure", *given, "-o", folder / "block", "--run", folder / "run")

@@ -255,6 +255,7 @@ def test_a_second_search_reads_no_image(field: Field, tmp_path: Path) -> None:
     assert sorted(tmp_path.rglob("*.npz")) == kept
 
 
+@pytest.mark.slow
 def test_a_project_uses_them(field: Field, tmp_path: Path, photocal: Callable[..., Answer]) -> None:
     said = photocal(
         *("measure", field.folder / "PROJECT.toml", "-o", tmp_path / "block"),

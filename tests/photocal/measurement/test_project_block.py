@@ -88,6 +88,7 @@ names = { "0" = "P1", "1" = "P2", "2" = "P3", "3" = "P4", "4" = "P5" }
     return folder, own, lain
 
 
+@pytest.mark.slow
 def test_a_project_becomes_a_block(
     site: tuple[Path, Site, dict[str, tuple[float, float]]], tmp_path: Path, photocal: Callable[..., Answer]
 ) -> None:

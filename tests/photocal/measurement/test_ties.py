@@ -273,6 +273,7 @@ def test_two_workers_give_the_tracks_of_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.shared
+@pytest.mark.slow
 def test_small_drone_images_in_one_block(
     shared: Path, tmp_path: Path, photocal: Callable[..., Answer]
 ) -> None:

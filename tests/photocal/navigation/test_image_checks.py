@@ -65,6 +65,7 @@ def test_exposures_of_images_alone(photocal: Photocal, shared: Path, tmp_path: P
 
 
 @pytest.mark.shared
+@pytest.mark.slow
 def test_a_strip_stored_upside_down(shared: Path, tmp_path: Path) -> None:
     plan = MatchingPlan(tmp_path, 1, FeatureSettings(most=1500, longest_px=1000))
     choices = Choices(

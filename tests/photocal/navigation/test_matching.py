@@ -29,6 +29,7 @@ def flight(rng: np.random.Generator) -> tuple[Floats, Floats, NDArray[np.int64],
     return np.asarray(camera, np.float64), np.asarray(event, np.float64), of_image, of_event
 
 
+@pytest.mark.slow
 def test_a_thousand_flights() -> None:
     rng = np.random.default_rng(20260)
     wrong = right = possible = 0

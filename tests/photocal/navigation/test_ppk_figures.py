@@ -90,6 +90,7 @@ def test_the_engine_by_hand_gives_the_same(moving_run: Run, m8p: Path, tmp_path:
 
 
 @pytest.mark.parametrize(("rover_m", "base_m"), [(1.5, 0.4)])
+@pytest.mark.slow
 def test_known_static_baseline(
     shared: Path, tmp_path: Path, rover_m: float | None, base_m: float | None
 ) -> None:

@@ -40,6 +40,7 @@ rover_antenna_m = 0
 
 
 @pytest.mark.shared
+@pytest.mark.slow
 def test_known_baseline(photocal: Photocal, shared: Path, tmp_path: Path) -> None:
     needs_engine()
     data = shared / "data/gnss-rinex-static-known"

@@ -29,6 +29,7 @@ START = gps_ns(2025, 6, 15, 13, 0, 0)
 
 
 @pytest.mark.shared
+@pytest.mark.slow
 def test_logs_instead_of_rinex(photocal: Photocal, static_run: Run, tmp_path: Path) -> None:
     path = tmp_path / "survey.toml"
     path.write_text(f"""
@@ -103,6 +104,7 @@ def sp3(session: Session, hours: int) -> str:
     return "\n".join([*lines, "EOF"]) + "\n"
 
 
+@pytest.mark.slow
 def test_a_precise_point(photocal: Photocal, tmp_path: Path) -> None:
     needs_engine()
     on_earth = Antenna(lambda t: BASE_M + displacement(t, BASE_M), lambda t: np.zeros((len(t), 3)))

@@ -28,6 +28,7 @@ SIDE = 100
 
 
 @pytest.mark.shared
+@pytest.mark.slow
 def test_the_orthophoto_has_the_check_points_in_their_places(shared: Path, tmp_path: Path) -> None:
     source = shared / "data" / "dbat-sxb"
     adjust_block(source / "script" / "sxb.xml", tmp_path / "run", read=read_any_block)

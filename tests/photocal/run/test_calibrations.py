@@ -72,6 +72,7 @@ def test_what_cannot_be_compared(runs: list[Path], tmp_path: Path) -> None:
     assert isinstance(mixed.exception, ConfigurationError)
 
 
+@pytest.mark.slow
 def test_three_certificates_tell_how_their_camera_repeats(tmp_path: Path) -> None:
     folders = []
     for k, (warm, day) in enumerate(((8, "2026-01-10"), (20, "2026-04-10"), (31, "2026-07-10"))):

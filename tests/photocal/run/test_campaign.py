@@ -47,6 +47,7 @@ def campaign(flown: Path, folder: Path, **where: Any) -> list[dict[str, Any]]:
     return [{key: one[key] for key in ("project", "calibration", "warnings")} for one in found]
 
 
+@pytest.mark.slow
 def test_everywhere_the_same(
     flown: Path, two_workers: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -21,6 +21,8 @@ from photocal.cli import app
 from tests.acquire.live import Recorder, await_frame, frames_in, free_port, until
 from tests.simulated import PLANS
 
+pytestmark = pytest.mark.slow
+
 SPEED = 20.0
 # The recorder is dead from shortly before an exposure to shortly after the next one.
 MARGIN_S = 0.7
