@@ -67,7 +67,7 @@ SLOW_S, SLOW = 10.0, "photocal/slow"
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark what looks at pages, and what took long when it was last run here."""
+    """Mark what looks at pages, and what took long when it was last run here; that begins first."""
     cache: Any = getattr(config, "cache", None)
     known = set(cache.get(SLOW, [])) if cache else set()
     for item in items:
@@ -75,6 +75,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker("slow")
         if "browser" in getattr(item, "fixturenames", ()):
             item.add_marker("browser")
+    # Files of slow tests begin first: at the end of a run no core waits for another.
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
