@@ -14,10 +14,18 @@ from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, HEALTH, STATI
 from acquire.log.reader import Messages
 from acquire.monitor.exposures import Exposures, Trigger, numbers, reported, settled, triggered
 from acquire.monitor.fixes import correction_age_s, fed, number, receiver_after
-from acquire.monitor.state import Battery, Link, State, in_order, raised
-from acquire.monitor.track import Track, extended, place_at
+from acquire.monitor.state import (
+    Battery,
+    Link,
+    State,
+    Track,
+    extended,
+    in_order,
+    place_at,
+    raised,
+    vehicle_after,
+)
 from acquire.monitor.traffic import OCTETS, link_after
-from acquire.monitor.vehicle import vehicle_after
 from acquire.recording.alarms import ALARM
 from drivers.frames import Wire
 

@@ -4,10 +4,140 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import Any
 
+import numpy as np
+
+from acquire.log.reader import Messages
 from acquire.monitor.exposures import Exposures
-from acquire.monitor.track import Track
-from acquire.monitor.vehicle import Vehicle
+from drivers.arrays import Floats, Integers
+
+LONGEST = 4000
+# Points that lie closer to the last one show nothing new.
+STEP_M = 0.5
+_METRES_PER_DEG = 111_195.0  # mean sphere: only a threshold hangs on it
+
+
+def _nowhere() -> Floats:
+    return np.empty((0, 2))
+
+
+def _never() -> Integers:
+    return np.empty(0, np.int64)
+
+
+@dataclass(frozen=True)
+class Track:
+    """Points in order.
+
+    points (n, 2): latitude and longitude, degrees.
+    times_ns (n,): when it was there, UTC.
+    thinned: how many times every second point was left out; as long as it stays, points are only added.
+    """
+
+    points: Floats = field(default_factory=_nowhere)
+    times_ns: Integers = field(default_factory=_never)
+    thinned: int = 0
+
+
+def extended(track: Track, points: Floats, times_ns: Integers) -> Track:
+    """Add points."""
+    if not len(points):
+        return track
+    least_m2 = (STEP_M * 2**track.thinned) ** 2
+    per_degree = np.array([_METRES_PER_DEG, _METRES_PER_DEG * np.cos(np.radians(points[0, 0]))])
+    metres = (points * per_degree).tolist()
+    last = (track.points[-1] * per_degree).tolist() if len(track.points) else [np.inf, np.inf]
+    new = []
+    for row, here in enumerate(metres):
+        if not (here[0] - last[0]) ** 2 + (here[1] - last[1]) ** 2 < least_m2:
+            new.append(row)
+            last = here
+    longer = replace(
+        track,
+        points=np.concatenate([track.points, points[new]]),
+        times_ns=np.concatenate([track.times_ns, times_ns[new]]),
+    )
+    while len(longer.points) > LONGEST:
+        longer = Track(longer.points[::2], longer.times_ns[::2], longer.thinned + 1)
+    return longer
+
+
+def place_at(track: Track, time_ns: int) -> tuple[float, float] | None:
+    """Return latitude and longitude (deg) at a moment, on the straight line between points; None: unknown."""
+    if not len(track.points):
+        return None
+    # Differences to the moment fit a double; nanoseconds since 1970 do not.
+    since = (track.times_ns - time_ns).astype(float)
+    latitude, longitude = (float(np.interp(0.0, since, track.points[:, axis])) for axis in (0, 1))
+    return latitude, longitude
+
+
+_HEARTBEAT, _POSITION = 0, 33
+_GROUND_STATION, _NO_AUTOPILOT, _ARMED = 6, 8, 0x80
+_V2 = 0xFD
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """The last that an autopilot told.
+
+    mode: its mode of flight, as ground stations call it; empty before it was told.
+    armed: whether its motors may turn.
+    height_m: above the take-off.
+    time_ns: when it told its mode last, UTC.
+    """
+
+    mode: str = ""
+    armed: bool = False
+    height_m: float | None = None
+    time_ns: int = 0
+
+
+def vehicle_after(vehicle: Vehicle | None, part: Messages) -> Vehicle | None:
+    """Return the vehicle after frames of its link: of each message the last one counts."""
+    wanted = {_HEARTBEAT, _POSITION}
+    for payload, time_ns in zip(reversed(part.payloads), part.log_ns[::-1].tolist(), strict=True):
+        kind = int.from_bytes(payload[7:10], "little") if payload[0] == _V2 else payload[5]
+        message = _decoded(payload) if kind in wanted else None
+        if message is None or (kind == _HEARTBEAT and not _of_autopilot(message)):
+            continue
+        wanted.discard(kind)
+        vehicle = vehicle or Vehicle()
+        if kind == _POSITION:
+            vehicle = replace(vehicle, height_m=message.relative_alt * 1e-3)
+        else:
+            from pymavlink import mavutil
+
+            mode, armed = str(mavutil.mode_string_v10(message)), bool(message.base_mode & _ARMED)
+            if mode.startswith("Mode("):
+                # A number that ground stations have no name for.
+                mode = f"mode {message.custom_mode}"
+            vehicle = replace(vehicle, mode=mode, armed=armed, time_ns=time_ns)
+        if not wanted:
+            break
+    return vehicle
+
+
+def _of_autopilot(message: Any) -> bool:
+    return bool(message.type != _GROUND_STATION and message.autopilot != _NO_AUTOPILOT)
+
+
+def _decoded(payload: bytes) -> Any:
+    tables = _tables()
+    try:
+        return tables.MAVLink(None).decode(bytearray(payload))
+    except (tables.MAVError, TypeError, ValueError):
+        return None
+
+
+@cache
+def _tables() -> Any:
+    from pymavlink.dialects.v20 import ardupilotmega
+
+    return ardupilotmega
+
 
 # How many alarms are kept.
 _MOST_ALARMS = 200

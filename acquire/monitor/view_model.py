@@ -17,9 +17,8 @@ from acquire.monitor.fixes import (
     WORTH,
     correction_age_s,
 )
-from acquire.monitor.state import Alarm, Battery, Link, Receiver, State
+from acquire.monitor.state import Alarm, Battery, Link, Receiver, State, Vehicle
 from acquire.monitor.traffic import RATE_OVER_S, bytes_per_s
-from acquire.monitor.vehicle import Vehicle
 from drivers.arrays import Floats
 
 

@@ -22,9 +22,8 @@ from acquire.importing.importer import import_recordings
 from acquire.log.reader import LogReader, Messages
 from acquire.log.records import Channel
 from acquire.monitor.reducer import state_after
-from acquire.monitor.state import Look, State
+from acquire.monitor.state import LONGEST, Look, State, Track, extended, place_at
 from acquire.monitor.terminal import render
-from acquire.monitor.track import LONGEST, Track, extended, place_at
 from acquire.monitor.traffic import looked
 from acquire.monitor.view_model import Word, layers, view_of
 from acquire.recording.alarms import ALARM

@@ -11,9 +11,8 @@ from pyproj import Geod
 from rich.console import Console
 
 from acquire.monitor.exposures import Exposures, Trigger
-from acquire.monitor.state import Battery, Link, Look, Receiver, State, raised
+from acquire.monitor.state import Battery, Link, Look, Receiver, State, Track, raised
 from acquire.monitor.terminal import braille_map, metres, render, round_step
-from acquire.monitor.track import Track
 from acquire.monitor.view_model import Layer, layers, view_of
 
 SECOND = 1_000_000_000
