@@ -13,8 +13,7 @@ from drivers.errors import ConfigurationError
 from photocal.exchange.formats import exported
 
 if TYPE_CHECKING:
-    from photocal.exchange.formats import Angle, Origin
-    from photocal.exchange.reconstruction import Reconstruction
+    from photocal.exchange.reconstruction import Angle, Origin, Reconstruction
 
 FORMATS = ", ".join(exported())
 
@@ -39,9 +38,9 @@ def export(
     Example: `photocal export run --format colmap -o colmap`
     """
     from acquire.outputs import output_folder
-    from photocal.exchange.formats import Choices, named
     from photocal.exchange.formats import export as write
-    from photocal.exchange.reconstruction import of_result
+    from photocal.exchange.formats import named
+    from photocal.exchange.reconstruction import Choices, of_result
     from photocal.results.folder import read_result
 
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.000Z")
@@ -83,7 +82,7 @@ def _angle_unit(text: str) -> Angle | None:
 
 
 def _origin(text: str) -> Origin | None:
-    from photocal.exchange.formats import Origin
+    from photocal.exchange.reconstruction import Origin
 
     if text == "":
         return None

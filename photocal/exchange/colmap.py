@@ -29,7 +29,6 @@ from photocal.exchange.colmap_files import (
     write_binary_model,
     write_text_model,
 )
-from photocal.exchange.formats import Choices
 from photocal.exchange.parts import whole_numbers
 from photocal.exchange.pinhole import (
     LARGEST,
@@ -41,7 +40,7 @@ from photocal.exchange.pinhole import (
     to_pinhole,
     to_vision,
 )
-from photocal.exchange.reconstruction import Reconstruction, vision_block
+from photocal.exchange.reconstruction import Choices, Reconstruction, vision_block
 from photocal.geometry.camera import PARAMETERS, Camera, Model
 from photocal.geometry.conversion import Conversion
 

@@ -29,8 +29,7 @@ from photocal.exchange.dbat_camera import (
     to_column_row,
     to_dbat,
 )
-from photocal.exchange.formats import Choices
-from photocal.exchange.reconstruction import Reconstruction, as_block, of_block
+from photocal.exchange.reconstruction import Choices, Reconstruction, as_block, of_block
 from photocal.exchange.source import (
     beside,
     child,

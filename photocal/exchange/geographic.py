@@ -18,9 +18,8 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
-from photocal.exchange.formats import Choices, Origin
 from photocal.exchange.pinhole import to_vision
-from photocal.exchange.reconstruction import Reconstruction, to_cartesian, to_wgs84
+from photocal.exchange.reconstruction import Choices, Origin, Reconstruction, to_cartesian, to_wgs84
 from photocal.exchange.source import write_xml
 from photocal.geometry.conversion import Conversion
 from photocal.geometry.distortion import undistorted

@@ -20,9 +20,8 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
-from photocal.exchange.formats import Choices
 from photocal.exchange.parts import digits, require_no_blanks, require_unique
-from photocal.exchange.reconstruction import Reconstruction
+from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.source import Line, number, numbers, read_lines
 from photocal.geometry.conversion import Conversion
 from photocal.geometry.rotation import matrix_from_angles

@@ -22,9 +22,8 @@ from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.adjustment.network import RELATIONS, Relations
 from photocal.block.model import Block
 from photocal.exchange import parts
-from photocal.exchange.formats import Choices
 from photocal.exchange.parts import whole_numbers
-from photocal.exchange.reconstruction import Reconstruction, of_block
+from photocal.exchange.reconstruction import Choices, Reconstruction, of_block
 from photocal.exchange.source import (
     Line,
     fingerprint,

@@ -20,10 +20,9 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block, Role
-from photocal.exchange.formats import Choices
 from photocal.exchange.parts import UNKNOWN, PointEntry
 from photocal.exchange.pinhole import from_vision, require_credible, to_vision
-from photocal.exchange.reconstruction import Reconstruction, vision_block
+from photocal.exchange.reconstruction import Choices, Reconstruction, vision_block
 from photocal.exchange.source import child, image_size, number, numbers, read_xml, write_xml
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.conversion import Conversion, converted, in_pixels

@@ -20,10 +20,9 @@ from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block
 from photocal.exchange import parts
-from photocal.exchange.formats import Choices
 from photocal.exchange.parts import digits, require_file_name
 from photocal.exchange.pinhole import from_vision, to_vision
-from photocal.exchange.reconstruction import Reconstruction, of_block
+from photocal.exchange.reconstruction import Choices, Reconstruction, of_block
 from photocal.exchange.source import (
     child,
     fingerprint,

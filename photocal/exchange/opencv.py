@@ -16,9 +16,8 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
-from photocal.exchange.formats import Choices, file_name
 from photocal.exchange.pinhole import Pinhole, from_pinhole, to_pinhole
-from photocal.exchange.reconstruction import Reconstruction, cameras_alone
+from photocal.exchange.reconstruction import Choices, Reconstruction, cameras_alone, file_name
 from photocal.exchange.source import files_of, image_size, read_text
 from photocal.geometry.camera import MODELS, PARAMETERS, Camera, Model
 from photocal.geometry.conversion import Conversion

@@ -21,9 +21,8 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block
-from photocal.exchange.formats import Choices
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, to_pinhole, to_vision
-from photocal.exchange.reconstruction import Reconstruction, vision_block
+from photocal.exchange.reconstruction import Choices, Reconstruction, vision_block
 from photocal.exchange.source import image_size, number, read_json, read_lines, structured
 from photocal.geometry.camera import Camera
 from photocal.geometry.conversion import Conversion

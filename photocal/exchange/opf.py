@@ -25,10 +25,9 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block
-from photocal.exchange.formats import Choices
 from photocal.exchange.parts import require_unique
 from photocal.exchange.pinhole import LARGEST, Pinhole, from_pinhole, require_one_focal_length, to_pinhole
-from photocal.exchange.reconstruction import Reconstruction, vision_block
+from photocal.exchange.reconstruction import Choices, Reconstruction, vision_block
 from photocal.exchange.source import beside, image_size, read_json, structured
 from photocal.geometry.camera import Camera
 from photocal.geometry.conversion import Conversion

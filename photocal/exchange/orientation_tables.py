@@ -17,9 +17,8 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
-from photocal.exchange.formats import Angle, Choices
 from photocal.exchange.parts import digits, poses_of_matrices, require_no_blanks, require_unique
-from photocal.exchange.reconstruction import Reconstruction, orientations_alone
+from photocal.exchange.reconstruction import Angle, Choices, Reconstruction, orientations_alone
 from photocal.exchange.source import Line, numbers, read_lines
 from photocal.geometry.camera import Camera
 from photocal.geometry.conversion import Conversion, apart_px

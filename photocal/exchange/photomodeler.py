@@ -21,9 +21,8 @@ from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import Block, InputFile
 from photocal.exchange import parts
 from photocal.exchange.dbat_camera import read_rows, to_column_row
-from photocal.exchange.formats import Choices
 from photocal.exchange.parts import digits, require_file_name, whole_numbers
-from photocal.exchange.reconstruction import Reconstruction, of_block
+from photocal.exchange.reconstruction import Choices, Reconstruction, of_block
 from photocal.exchange.source import Line, fingerprint, image_size, numbers, read_lines, read_text
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.conversion import Conversion, converted

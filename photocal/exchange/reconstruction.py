@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -18,7 +19,31 @@ from photocal.geometry.frames import ReferenceFrame, nearest_rotation, parsed, r
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.results.result import Result
 
+Angle = Literal["deg", "gon"]
 UNIT_SIGMA_PX = 1.0
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a local frame touches the ellipsoid; `height_m`: ellipsoidal."""
+
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What some formats must be told.
+
+    angle_unit: for tables of angles.
+    origin: of a local frame, for geographic formats.
+    changed_utc: time that a file may note as that of its making.
+    """
+
+    angle_unit: Angle | None = None
+    origin: Origin | None = None
+    changed_utc: str = "1970-01-01T00:00:00.000Z"
 
 
 @dataclass(frozen=True)
@@ -238,3 +263,9 @@ def _turned(poses: Floats, frame: ReferenceFrame) -> Floats:
     turn = nearest_rotation(frame.derivative(poses[:, 3:]))
     matrix = matrix_from_angles(poses[:, :3]) @ np.swapaxes(turn, 1, 2)
     return np.hstack([angles_from_matrix(matrix), frame.to_local(poses[:, 3:])])
+
+
+def file_name(name: str) -> str:
+    """A name that stays inside the folder: letters, digits and a few signs."""
+    kept = "".join(letter if letter.isalnum() or letter in "-_. " else "_" for letter in name)
+    return kept.strip(". ") or "camera"

@@ -14,9 +14,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from drivers.errors import InputMalformedError
-from photocal.exchange.formats import Choices
 from photocal.exchange.parts import UNKNOWN, PointEntry, require_unique
-from photocal.exchange.reconstruction import Reconstruction
+from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.source import number, read_text
 from photocal.geometry.conversion import Conversion
 

@@ -257,9 +257,8 @@ def write_geo_txt(path: Path, exposures: Exposures, rig: Rig) -> None:
 
 def write_geopackage_of(path: Path, exposures: Exposures, rig: Rig, camera: str, changed_utc: str) -> None:
     """Write the exposures with image and position for a GIS: WGS 84, angles in the topocentric frame."""
-    from photocal.exchange.formats import Origin
     from photocal.exchange.geographic import topocentric, write_geopackage
-    from photocal.exchange.reconstruction import Reconstruction
+    from photocal.exchange.reconstruction import Origin, Reconstruction
     from photocal.geometry.camera import camera as nominal
 
     rows = with_images(exposures)

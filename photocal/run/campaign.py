@@ -15,14 +15,10 @@ from photocal.findings.catalogue import catalogue
 from photocal.findings.texts import finding_text, plain
 from photocal.project import Project, read_project
 from photocal.run.block import block_stage, given_block_stage
+from photocal.run.calibration import analysis_stage, calibration_stage, certificate_stage
 from photocal.run.exposures import exposures_stage
 from photocal.run.folders import Digests, alone
-from photocal.run.georeferencing import (
-    analysis_stage,
-    calibration_stage,
-    certificate_stage,
-    georeferencing_stage,
-)
+from photocal.run.georeferencing import georeferencing_stage
 from photocal.run.measurements import measurements_stage
 from photocal.run.ppk import ppk_stage
 from photocal.run.project_checks import check_project, explained

@@ -17,9 +17,9 @@ from photocal.cli import app
 from photocal.commands.export import FORMATS
 from photocal.exchange.colmap import read_colmap
 from photocal.exchange.formats import FORMATS as ALL
-from photocal.exchange.formats import Choices, export, named
+from photocal.exchange.formats import export, named
 from photocal.exchange.metashape import read_metashape
-from photocal.exchange.reconstruction import Reconstruction, as_block, of_result
+from photocal.exchange.reconstruction import Choices, Reconstruction, as_block, of_result
 from photocal.results.adjusted import result_of
 from photocal.results.folder import read_result, write_result
 

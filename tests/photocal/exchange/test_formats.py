@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError
-from photocal.exchange.formats import FORMATS, Choices, Format, export, named, page
-from photocal.exchange.reconstruction import Reconstruction
+from photocal.exchange.formats import FORMATS, Format, export, named, page
+from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.geometry.camera import MODELS, Camera, Model, camera
 from photocal.geometry.conversion import in_pixels
 from photocal.geometry.rotation import matrix_from_angles

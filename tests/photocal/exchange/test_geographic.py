@@ -14,9 +14,8 @@ from xml.etree.ElementTree import parse
 import numpy as np
 import pytest
 
-from photocal.exchange.formats import Origin
 from photocal.exchange.geographic import footprints, topocentric, write_geojson, write_geopackage, write_kml
-from photocal.exchange.reconstruction import Reconstruction
+from photocal.exchange.reconstruction import Origin, Reconstruction
 from photocal.geometry.camera import PARAMETERS
 
 

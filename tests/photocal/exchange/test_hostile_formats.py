@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from drivers.errors import PhotocalError
 from photocal.exchange.dbat import read_dbat_cameras
-from photocal.exchange.formats import FORMATS, Choices, export
+from photocal.exchange.formats import FORMATS, export
 from photocal.exchange.ground_points import (
     GroundMark,
     ImagePosition,
@@ -34,7 +34,7 @@ from photocal.exchange.orientation_tables import read_angles, write_angles
 from photocal.exchange.parts import PointEntry
 from photocal.exchange.photomodeler import read_positions
 from photocal.exchange.pix4d_project import read_pix4d, write_pix4d
-from photocal.exchange.reconstruction import of_result
+from photocal.exchange.reconstruction import Choices, of_result
 from photocal.exchange.reference_table import read_references, write_references
 from photocal.geometry.camera import camera
 from photocal.results.folder import read_result

@@ -11,8 +11,8 @@ import pytest
 from drivers.errors import InputMalformedError
 from photocal.adjustment.adjust import adjust
 from photocal.block.network import assemble
-from photocal.exchange.formats import Choices, export, named, read_foreign_block
-from photocal.exchange.reconstruction import Reconstruction
+from photocal.exchange.formats import export, named, read_foreign_block
+from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.geometry.camera import camera
 from tests.photocal.exchange.conftest import reconstruction_of
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from photocal.exchange import formats
-from photocal.exchange.formats import Choices, read_any_block
-from photocal.exchange.reconstruction import Reconstruction
+from photocal.exchange.formats import read_any_block
+from photocal.exchange.reconstruction import Choices, Reconstruction
 
 TOY = formats.Format(
     "toy", "Toy", formats.WHOLE, "own", formats.CENTRE, formats.PHOTO, "none", "px, m",

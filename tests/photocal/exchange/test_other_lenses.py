@@ -10,12 +10,12 @@ import pytest
 
 from drivers.errors import InputMalformedError
 from photocal.exchange.colmap import read_colmap, write_colmap
-from photocal.exchange.formats import Choices, export, named
+from photocal.exchange.formats import export, named
 from photocal.exchange.metashape import write_metashape
 from photocal.exchange.opencv import read_opencv, write_opencv
 from photocal.exchange.opensfm import export as write_opensfm
 from photocal.exchange.opensfm import read_reconstruction
-from photocal.exchange.reconstruction import Reconstruction
+from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.geometry.camera import Camera, Model, camera, plane_to_pixel
 from photocal.geometry.conversion import apart_px, converted, in_pixels
 from photocal.geometry.distortion import projected

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from photocal.block.model import Block
-from photocal.exchange.formats import Choices
-from photocal.exchange.reconstruction import Reconstruction, vision_block
+from photocal.exchange.reconstruction import Choices, Reconstruction, vision_block
 from photocal.geometry.conversion import Conversion
 
 

@@ -60,7 +60,7 @@ def elsewhere(issued: Path, tmp_path: Path) -> Path:
 def test_it_verifies_elsewhere(elsewhere: Path) -> None:
     answer = call("verify", elsewhere / "certificate.json", "--json")
     assert answer.exit_code == 0
-    assert json.loads(answer.output)["verified"] is True
+    assert json.loads(answer.stdout)["verified"] is True
 
 
 def test_it_verifies_with_other_arithmetic(elsewhere: Path) -> None:

@@ -15,8 +15,8 @@ import pytest
 import photocal
 from drivers.errors import PhotocalError
 from photocal.block.model import Block
-from photocal.exchange.formats import FORMATS, Choices, Origin, export, read_foreign_block
-from photocal.exchange.reconstruction import Reconstruction, of_result
+from photocal.exchange.formats import FORMATS, export, read_foreign_block
+from photocal.exchange.reconstruction import Choices, Origin, Reconstruction, of_result
 from photocal.measurement.block_files import write_block
 from photocal.navigation.image_checks import oriented_images
 from photocal.results.folder import read_result, write_result

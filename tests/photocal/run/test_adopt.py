@@ -13,10 +13,10 @@ import pytest
 
 from drivers.errors import InputMalformedError
 from photocal.block.model import ROLES
-from photocal.exchange.formats import Choices, export, named
+from photocal.exchange.formats import export, named
 from photocal.exchange.pinhole import to_pinhole, to_vision
 from photocal.exchange.project_detection import read_foreign_project
-from photocal.exchange.reconstruction import Reconstruction, as_block, of_result
+from photocal.exchange.reconstruction import Choices, Reconstruction, as_block, of_result
 from photocal.geometry.camera import PARAMETERS, Model, camera
 from photocal.measurement.block_files import write_block
 from photocal.results.adjusted import adjust_block

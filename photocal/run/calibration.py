@@ -1,0 +1,74 @@
+"""Stages `calibration`, `analysis`, `certificate`: the integrated adjustment, what it hides, its document."""
+
+from __future__ import annotations
+
+import datetime as dt
+import shutil
+from pathlib import Path
+
+from photocal.project import Project
+from photocal.report.signing import own_key
+from photocal.run.folders import RECORD
+from photocal.run.stage import Progress, Stage
+from photocal.run.warnings import gather
+
+
+def calibration_stage(block: Path) -> Stage:
+    """Describe the stage that adjusts everything together."""
+
+    def make(folder: Path, show: Progress) -> None:
+        from photocal.results.adjusted import adjust_block
+
+        with show("calibration", None) as done:
+            adjust_block(block, folder, report=lambda _: done(1))
+
+    return Stage("calibration", "integrated adjustment with the camera", make, after=(block,))
+
+
+def analysis_stage(block: Path, calibration: Path) -> Stage:
+    """Describe the stage that looks for hidden errors; its folder is the run with `analysis.json`."""
+
+    def make(folder: Path, show: Progress) -> None:
+        from photocal.report.analysis_record import analyse_run
+
+        shutil.copytree(
+            calibration, folder, dirs_exist_ok=True, ignore=lambda *_: [RECORD], copy_function=shutil.copyfile
+        )
+        with show("analysis", 1.0) as done:
+            analyse_run(folder, block, done=done)
+
+    return Stage("analysis", "hidden errors, significance, correlations", make, after=(block, calibration))
+
+
+def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple[Path, ...]) -> Stage:
+    """Describe the stage; `earlier` are the folders of all others.
+
+    A certificate keeps its day until something that it says has changed.
+    """
+    keys = project.contents.certificate
+    own = own_key()
+    fingerprint = own.fingerprint if own else ""
+    inputs = {} if keys.particulars is None else {"particulars": keys.particulars}
+
+    def make(folder: Path, show: Progress) -> None:
+        from photocal.measurement.image_facts import told_conditions
+        from photocal.report.issue import issue
+        from photocal.run.project_checks import facts_of_pictures
+
+        with show("certificate", None):
+            issue(
+                work / "analysis",
+                folder,
+                language=keys.language,
+                day=day,
+                block=work / "block",
+                particulars=keys.particulars,
+                client=keys.client,
+                operator=keys.operator,
+                key=fingerprint,
+                told=gather(work),
+                pictures=told_conditions(facts_of_pictures(project)),
+            )
+
+    settings = {**keys.model_dump(mode="json", exclude={"particulars"}), "key": fingerprint}
+    return Stage("certificate", "certificate", make, inputs, settings, earlier)
