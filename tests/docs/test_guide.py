@@ -1,4 +1,7 @@
-"""docs/guide: its commands run on a simulated flight, its warnings are those of the program."""
+"""docs/guide: its commands run on a simulated flight, its warnings are those of the program.
+
+They are those of the wheel, installed into an empty environment away from the sources.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,6 @@ import re
 import shlex
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,6 +24,7 @@ from photocal.block.mounting import BODY_AXES
 from photocal.findings.catalogue import catalogue
 from photocal.findings.hypotheses import FAULTS
 from photocal.project_tables import Rig
+from tests.installed import surroundings
 
 ROOT = Path(__file__).parents[2]
 GUIDE = ROOT / "docs" / "guide"
@@ -35,15 +38,11 @@ def blocks(chapter: str, language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
 
 
-def _program(name: str, *arguments: str) -> list[str]:
-    return [sys.executable, "-c", f"from {name}.cli import main; main()", *arguments]
-
-
 class Window:
     """A command in a window of its own."""
 
-    def __init__(self, words: list[str], folder: Path) -> None:
-        self._process = subprocess.Popen(words, cwd=folder, stderr=subprocess.PIPE, text=True)
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self._process = process
 
     def wait_for(self, word: str) -> None:
         assert self._process.stderr is not None
@@ -65,8 +64,10 @@ class Window:
 class Desk:
     """The windows of somebody who follows the guide."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, python: Path) -> None:
         self.folder = folder
+        self._python = str(python)
+        self._surroundings = surroundings(folder / "cache")
         self.said: dict[str, str] = {}
         self.windows: dict[str, Window] = {}
 
@@ -78,24 +79,42 @@ class Desk:
         words = shlex.split(line, comments=True)
         words = [w for word in words for w in (sorted(glob.glob(word, root_dir=self.folder)) or [word])]  # noqa: PTH207
         name = " ".join(words[:2])
-        if words[0] in ("acquire", "photocal"):
-            words = _program(*words)
         if "in a window of its own" in line:
-            self.windows[name] = Window(words, self.folder)
+            process = subprocess.Popen(
+                self._program(words),
+                cwd=self.folder,
+                env=self._surroundings,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+            self.windows[name] = Window(process)
             return
-        done = subprocess.run(words, cwd=self.folder, capture_output=True, text=True, check=False)
+        done = self.run(words)
         self.said[name] = done.stdout + done.stderr
         assert done.returncode == 0, f"{line}\n{done.stderr}"
 
+    def run(self, words: list[str]) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            self._program(words),
+            cwd=self.folder,
+            env=self._surroundings,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    def _program(self, words: list[str]) -> list[str]:
+        return [self._python, "-m", *words] if words[0] in ("acquire", "photocal") else words
+
 
 @pytest.fixture(scope="module")
-def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Desk]:
+def started(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Desk]:
     """The practice of the first page, and the chapter on planning."""
     folder = tmp_path_factory.mktemp("guide")
     # Fewer points than for practice: the evening of the test is shorter. A file goes before a known flight.
     plan = (FLIGHTS / "small.toml").read_text(encoding="utf-8")
     (folder / "small").write_text(plan.replace("ties = 150", "ties = 60"), encoding="utf-8")
-    desk = Desk(folder)
+    desk = Desk(folder, installed)
     try:
         desk.follow_all("README")
         desk.folder = folder / "practice" / "site"
@@ -187,21 +206,20 @@ def test_the_certificate_is_verified_and_a_changed_digit_named(certified: Desk) 
     assert "reproducible" in certified.said["photocal verify"]
     points = certified.folder / "work" / "certificate" / "inputs" / "points.csv"
     points.write_text(points.read_text().replace("control", "check", 1))
-    words = _program("photocal", "verify", "work/certificate")
-    done = subprocess.run(words, cwd=certified.folder, capture_output=True, text=True, check=False)
+    done = certified.run(["photocal", "verify", "work/certificate"])
     assert done.returncode != 0
     assert "points.csv" in done.stderr
 
 
-def test_a_check_of_devices_that_are_silent_names_them(tmp_path: Path) -> None:
+def test_a_check_of_devices_that_are_silent_names_them(installed: Path, tmp_path: Path) -> None:
     """What `acquire check` of the guide says when the recorder has set up nothing yet."""
     (tmp_path / "empty.ubx").touch()
     link = '[[link]]\nname = "rover"\nprotocol = "ubx"\nurl = "file:empty.ubx"\n'
     link += '[link.ublox]\nport = "usb"\nrate_ms = 200\n'
     (tmp_path / "record.toml").write_text(f'[recording]\noutput = "logs"\n{link}')
     check = next(line for line in _lines("field") if line.startswith("acquire check"))
-    words = _program(*shlex.split(check.replace("--seconds 2", "--seconds 0.3")))
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    words = shlex.split(check.replace("--seconds 2", "--seconds 0.3"))
+    done = Desk(tmp_path, installed).run(words)
     assert done.returncode == 10
     assert "BAD   rover: frames" in done.stdout
 
