@@ -18,8 +18,8 @@ from pydantic import (
 )
 
 from acquire.checked_toml import Table
-from photocal.block.camera_setup import CameraKeys, NonNegative
-from photocal.block.setup import BodyAxis, MountingKeys, Sigma
+from photocal.block.camera_setup import CameraKeys, NonNegative, Sigma
+from photocal.block.setup import BodyAxis, MountingKeys
 
 Degrees = Annotated[FiniteFloat, Field(ge=-360, le=360)]
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]

@@ -38,7 +38,7 @@ def joint_covariance(at: Factored, chosen: Sequence[tuple[str, str]]) -> JointCo
         if not found:
             raise ConfigurationError(
                 f"{kind} {name} is no unknown of this adjustment".replace("  ", " "),
-                remedy="name image:NAME, camera:ID, point:NAME or mounting",
+                remedy="name image:NAME, camera:ID, head:CAMERA, point:NAME or mounting",
             )
         named += [unknown for unknown, _, _ in found]
         rows += [(reduced, points) for _, reduced, points in found]

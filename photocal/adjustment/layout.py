@@ -27,7 +27,8 @@ class Layout:
     own_columns (images, n): columns of each image's own parameters, see `own_parameters`; -1 for those that
         it does not have.
     camera_columns: for each camera the positions of its estimated parameters and their columns.
-    common_columns (k,): column of each common value of the mounting; -1 for those that are no unknowns.
+    common_columns (k,): column of each common value of the mounting, then of the heads of rigs; -1 for
+        those that are no unknowns.
     kept_points (m,): points that are not eliminated because observations relate them to others.
     point_columns (m, 3): their columns.
     envelope, strips: structure of the matrix, and of the same with a panel for each image.
@@ -55,6 +56,8 @@ def layout(network: Network, ray_start: Integers) -> Layout:
     count = len(network.image_names)
     together = np.zeros((count, count), dtype=np.bool_)
     mark_together(ray_start, network.rays.image, together)
+    rig = network.rig
+    together[rig.first, rig.second] = together[rig.second, rig.first] = True
     order = reverse_cuthill_mckee(csr_array(together), symmetric_mode=True)
     position = np.empty(count, dtype=np.int64)
     position[order] = np.arange(count)
@@ -69,11 +72,12 @@ def layout(network: Network, ray_start: Integers) -> Layout:
         active = np.flatnonzero(camera.estimated)
         camera_columns.append((active, column + np.arange(len(active))))
         column += len(active)
-    common_columns = np.full(len(network.mounting.values), -1)
-    if len(network.positions.image) or len(network.attitudes.image):
-        unknown = np.flatnonzero(network.mounting.sigma != 0)
-        common_columns[unknown] = column + np.arange(len(unknown))
-        column += len(unknown)
+    mounted = bool(len(network.positions.image) or len(network.attitudes.image))
+    common = (network.mounting.sigma != 0) & mounted, rig.unknown(network.exposures.camera).ravel()
+    unknown = np.flatnonzero(np.concatenate(common))
+    common_columns = np.full(len(common[0]) + len(common[1]), -1)
+    common_columns[unknown] = column + np.arange(len(unknown))
+    column += len(unknown)
     relations = network.relations
     kept_points = np.unique(np.concatenate([relations.first, relations.second]))
     point_columns = column + np.arange(3 * len(kept_points)).reshape(-1, 3)

@@ -148,7 +148,7 @@ def position_equations(
         (common_columns[at[:, None] + np.arange(3)], eye),
         (common_columns[at[:, None] + np.arange(3, 6)], eye * positions.time[:, None, None]),
     ]
-    return _whitened(parts, computed - positions.values, positions.covariance)
+    return whitened(parts, computed - positions.values, positions.covariance)
 
 
 def attitude_equations(
@@ -179,20 +179,20 @@ def attitude_equations(
             to_body @ (skew(residual) - inverse_right) @ left_jacobian(values[BORESIGHT]),
         ),
     ]
-    return _whitened(parts, residual @ matrix, attitudes.covariance)
+    return whitened(parts, residual @ matrix, attitudes.covariance)
 
 
-def common_equations(mounting: Mounting, values: Floats, common_columns: Integers) -> Equations:
-    """Common values as observations, where they have a sigma."""
-    weighted = np.flatnonzero(np.isfinite(mounting.sigma) & (mounting.sigma > 0) & (common_columns >= 0))
+def common_equations(given: Floats, sigma: Floats, values: Floats, common_columns: Integers) -> Equations:
+    """Common values as observations of what is given, where that has a sigma."""
+    weighted = np.flatnonzero(np.isfinite(sigma) & (sigma > 0) & (common_columns >= 0))
     column = common_columns[weighted]
-    residual = (values - mounting.values)[weighted]
+    residual = (values - given)[weighted]
     return Equations(
-        np.arange(len(column) + 1), column, np.ones(len(column)), residual, mounting.sigma[weighted] ** -2.0
+        np.arange(len(column) + 1), column, np.ones(len(column)), residual, sigma[weighted] ** -2.0
     )
 
 
-def _whitened(parts: list[tuple[Integers, Floats]], residual: Floats, covariance: Floats) -> Equations:
+def whitened(parts: list[tuple[Integers, Floats]], residual: Floats, covariance: Floats) -> Equations:
     """Equations of unit weight from blocks of columns and coefficients; unused columns drop out."""
     columns = np.hstack([columns for columns, _ in parts])
     coefficient = np.concatenate([block for _, block in parts], axis=2)

@@ -16,6 +16,7 @@ from photocal.adjustment.mounting import (
     Mounting,
     Positions,
 )
+from photocal.adjustment.rig import NO_RIG, Rig
 from photocal.geometry.camera import OWN, PARAMETERS, Camera
 
 
@@ -114,6 +115,7 @@ class Network:
         observations carry the datum.
     positions, attitudes, mounting: observations of a GNSS antenna and an inertial unit, and how they are
         mounted.
+    rig: cameras that are fixed to each other.
     """
 
     cameras: tuple[Camera, ...]
@@ -127,6 +129,7 @@ class Network:
     positions: Positions = NO_POSITIONS
     attitudes: Attitudes = NO_ATTITUDES
     mounting: Mounting = NO_MOUNTING
+    rig: Rig = NO_RIG
 
 
 def own_sigma(network: Network) -> Floats:

@@ -9,7 +9,8 @@ from photocal.adjustment.equations import Equations
 from photocal.adjustment.layout import Layout
 from photocal.adjustment.mounting import attitude_equations, common_equations, position_equations
 from photocal.adjustment.network import Network, own_parameters, own_sigma
-from photocal.adjustment.state import State, turn_basis
+from photocal.adjustment.rig import rig_equations
+from photocal.adjustment.state import State, head_values, turn_basis
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
 
@@ -117,20 +118,33 @@ def relation_equations(network: Network, layout: Layout, state: State) -> dict[s
 
 
 def mounting_equations(network: Network, layout: Layout, state: State) -> dict[str, Equations]:
-    """Antenna positions, attitudes and their common unknowns, where there are any."""
-    if not len(network.positions.image) and not len(network.attitudes.image):
-        return {}
-    mounting, basis = network.mounting, turn_basis(network, state)
+    """Antenna positions, attitudes, heads of rigs and their common unknowns, where there are any."""
+    mounting, rig, result = network.mounting, network.rig, dict[str, Equations]()
+    mounted = len(network.positions.image) or len(network.attitudes.image)
+    if not mounted and not len(rig.first):
+        return result
+    basis = turn_basis(network, state)
     columns = np.where(network.exposures.sigma == 0, -1, layout.image_columns)
-    common = layout.common_columns
-    return {
+    common, of_mounting = layout.common_columns, len(mounting.values)
+    if len(rig.first):
+        exposures, heads = network.exposures, head_values(network, state.common)
+        moving = exposures.camera, state.rotation, state.centre, exposures.motion
+        own = head_values(network, common)
+        result["rig"] = rig_equations(rig, heads, *moving, columns, basis, own)
+        values = (one.ravel() for one in (rig.values, rig.sigma, heads, own))
+        result["head"] = common_equations(*values)
+    if not mounted:
+        return result
+    return result | {
         "position": position_equations(
             network.positions, mounting, state.common, state.rotation, state.centre, columns, basis, common
         ),
         "attitude": attitude_equations(
             network.attitudes, mounting, state.common, state.rotation, columns, basis, common
         ),
-        "mounting": common_equations(mounting, state.common, common),
+        "mounting": common_equations(
+            mounting.values, mounting.sigma, state.common[:of_mounting], common[:of_mounting]
+        ),
     }
 
 

@@ -178,7 +178,7 @@ def _loaded(problem: Problem, named: Sequence[Unknown | None], null: Floats) -> 
         own = [one.parameter for one in taking if one.kind == "camera" and one.of == camera.id]
         if own:
             found.append(f"{', '.join(own)} of camera {camera.id}")
-    for kind, plural in (("image", "image(s)"), ("point", "point(s)")):
+    for kind, plural in (("image", "image(s)"), ("point", "point(s)"), ("head", "head(s)")):
         parameters = list(dict.fromkeys(one.parameter for one in taking if one.kind == kind))
         if parameters:
             owners = list(dict.fromkeys(one.of for one in taking if one.kind == kind))

@@ -77,7 +77,7 @@ class Solution:
     points (points, 3).
     point_covariance (points, 3, 3).
     residuals, redundancy (rays, 2): computed minus measured, in the image plane; redundancy numbers.
-    common_covariance (k, k): of the common values of the mounting; zero for those that are held.
+    common_covariance (k, k): of the common values of mounting and rigs; zero for those that are held.
     state: the values as the adjustment holds them.
     timing_s: seconds by stage.
     """

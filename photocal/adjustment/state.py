@@ -22,7 +22,7 @@ class State:
     rotation (images, 3, 3): object to camera axes.
     centre (images, 3).
     points (points, 3).
-    common (k,): common values of the mounting.
+    common (k,): common values of the mounting, then those of the heads of rigs, `rig.OF_HEAD` of each.
     deviations (images, n): how far each image's own parameters are from those of its camera and from its
         given movement.
     """
@@ -43,7 +43,7 @@ def start_state(network: Network) -> State:
         matrix_from_angles(exposures.values[:, :3]),
         exposures.values[:, 3:].copy(),
         network.points.values.copy(),
-        network.mounting.values.copy(),
+        np.concatenate([network.mounting.values, network.rig.values.ravel()]),
         np.zeros(own_parameters(network).shape),
     )
 
@@ -63,6 +63,11 @@ def lenses(network: Network, state: State) -> Floats:
     image, place = np.nonzero(own >= 0)
     values[image, own[image, place]] += state.deviations[image, place]
     return values
+
+
+def head_values(network: Network, common: Floats) -> Floats:
+    """Values of the heads of rigs among the common ones (of a state, or their columns), shape (heads, 7)."""
+    return common[len(network.mounting.values) :].reshape(network.rig.values.shape)
 
 
 def lens_by_image(network: Network) -> bool:

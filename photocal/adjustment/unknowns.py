@@ -9,6 +9,7 @@ import numpy as np
 from photocal.adjustment.mounting import BORESIGHT, COMMON, HEIGHT_SCALE, STRIPS, TIME
 from photocal.adjustment.network import Network, own_parameters
 from photocal.adjustment.normal import Problem
+from photocal.adjustment.rig import CENTRE, OF_HEAD, TURN
 from photocal.geometry.camera import OWN, PARAMETERS
 
 POSE_NAMES = ("omega", "phi", "kappa", "X", "Y", "Z")
@@ -19,7 +20,7 @@ XYZ = ("X", "Y", "Z")
 class Unknown:
     """One unknown.
 
-    of: name of the image, camera or point; empty for the mounting.
+    of: name of the image, camera, head of a rig (that of its camera) or point; empty for the mounting.
     unit: in which it is printed; empty for coefficients of distortion.
     scale: that unit per unit of the adjustment.
     """
@@ -66,7 +67,7 @@ def unknowns(problem: Problem) -> list[Unknown | None]:
 
 
 def common_unknowns(network: Network) -> list[Unknown]:
-    """Name the common values of the mounting, in their order."""
+    """Name the common values of the mounting and of the heads of rigs, in their order."""
     found = []
     for k in range(len(network.mounting.values)):
         if k < STRIPS:
@@ -78,6 +79,12 @@ def common_unknowns(network: Network) -> list[Unknown]:
         strip, place = divmod(k - STRIPS, 6)
         what, unit = ("shift", "m") if place < 3 else ("drift", "m/s")
         found.append(Unknown("mounting", "", f"{what}_{'xyz'[place % 3]}[{strip}]", unit))
+    for camera in network.rig.camera:
+        units = np.array(["s"] * len(OF_HEAD), dtype=object)
+        units[TURN], units[CENTRE] = "deg", "m"
+        for name, unit in zip(OF_HEAD, units, strict=True):
+            scale = np.degrees(1.0) if unit == "deg" else 1.0
+            found.append(Unknown("head", network.cameras[camera].id, name, unit, scale))
     return found
 
 

@@ -207,6 +207,7 @@ def _predicted(fitted: Fit, rest: State, out: Flags) -> tuple[float, int]:
         datum_points=None,
         positions=NO_POSITIONS,
         attitudes=NO_ATTITUDES,
+        rig=network.rig.of_images(np.cumsum(out), np.zeros_like(out)),
     )
     state = replace(
         rest,

@@ -29,7 +29,14 @@ from photocal.geometry.camera import (
 from photocal.geometry.distortion import focused
 
 NonNegative = Annotated[FiniteFloat, Field(ge=0)]
+# A sigma, one for each axis, or "free" for an unknown without prior knowledge.
+Sigma = NonNegative | tuple[NonNegative, NonNegative, NonNegative] | Literal["free"]
 RADIAL = ("K1", "K2", "K3", "K4")
+
+
+def sigmas(given: Sigma) -> Floats:
+    """Give the sigmas of three axes; infinite where they are free."""
+    return np.broadcast_to(np.inf if given == "free" else np.asarray(given, dtype=float), 3)
 
 
 class FocusCalibrationKeys(Table):

@@ -23,6 +23,11 @@ from photocal.block.model import (
 )
 from photocal.block.motion import MOTION_COLUMNS, read_motion
 from photocal.block.mounting import make_mounting, read_attitudes, read_positions
+<<<<<<< HEAD
+=======
+from photocal.block.readings import MARKS, READINGS, from_readings, mean_of_readings
+from photocal.block.rig import make_heads
+>>>>>>> 8606979 (Cameras on one frame are adjusted with their relative orientations, which results list with covariances)
 from photocal.block.setup import ObservationKeys, read_setup
 from photocal.block.table import Table, known_rows, read_table, refuse, refuse_unknown
 from photocal.geometry.camera import Camera
@@ -119,6 +124,7 @@ def mean_of_readings(
 
 IMAGE_COLUMNS = ("image", "camera", "X", "Y", "Z", "omega", "phi", "kappa")
 IMAGE_SIGMAS = ("so", "sp", "sk", "sX", "sY", "sZ")
+EXPOSURE = "exposure"
 POINT_COLUMNS = ("point", "X", "Y", "Z", "role")
 POINT_SIGMAS = ("sX", "sY", "sZ")
 POINT_CROSS = ("sXY", "sXZ", "sYZ")
@@ -185,12 +191,13 @@ def read_block(folder: Path) -> Block:
         repetition,
         (setup.block.level, setup.block.global_test),
         read_relations(checks, "distance", points.names) if checks.exists() else NO_RELATIONS,
+        make_heads(setup.head, [camera.id for camera in cameras], folder / "block.toml"),
     )
 
 
 def read_images(path: Path, cameras: tuple[Camera, ...]) -> Images:
     """Read `images.csv`; parameters and errors as for `read_block`."""
-    table = read_table(path, IMAGE_COLUMNS, (*IMAGE_SIGMAS, *MOTION_COLUMNS))
+    table = read_table(path, IMAGE_COLUMNS, (*IMAGE_SIGMAS, *MOTION_COLUMNS, EXPOSURE))
     names = table.unique_names("image")
     index, found = table.names("camera")
     known = {camera.id: k for k, camera in enumerate(cameras)}
@@ -208,7 +215,8 @@ def read_images(path: Path, cameras: tuple[Camera, ...]) -> Images:
     refuse(table, observed, "a value with a sigma is empty", "give the value")
     values[:, :3] = np.radians(values[:, :3])
     sigma[:, :3] = np.radians(sigma[:, :3])
-    return Images(names, camera, values, sigma, *read_motion(table))
+    exposure = table.texts(EXPOSURE) if table.has(EXPOSURE) else ()
+    return Images(names, camera, values, sigma, *read_motion(table), exposure)
 
 
 def read_points(path: Path) -> ObjectPoints:

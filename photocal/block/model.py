@@ -20,6 +20,7 @@ from photocal.adjustment.mounting import (
 )
 from photocal.adjustment.network import NO_RELATIONS, Relations
 from photocal.adjustment.solution import Sided
+from photocal.block.rig import Head
 from photocal.geometry.camera import Camera
 from photocal.geometry.oriented_images import OrientedImages
 
@@ -67,6 +68,8 @@ class Images:
         Of the exposure, s; NaN where it is not known.
     temperature : ndarray, shape (n,)
         Of the camera or the air at the exposure, degrees Celsius; NaN where it is not known.
+    exposure : tuple of str
+        What the images of several cameras on one frame have in common; empty for an image by itself.
     """
 
     names: tuple[str, ...]
@@ -77,12 +80,23 @@ class Images:
     motion_sigma: Floats = field(default_factory=lambda: np.zeros((0, 6)))
     time: Floats = field(default_factory=lambda: np.zeros(0))
     temperature: Floats = field(default_factory=lambda: np.zeros(0))
+    exposure: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Fill what is not known of the motion."""
         for name, shape in (("motion", (6,)), ("motion_sigma", (6,)), ("time", ()), ("temperature", ())):
             if len(getattr(self, name)) != len(self.names):
                 object.__setattr__(self, name, np.full((len(self.names), *shape), np.nan))
+        if len(self.exposure) != len(self.names):
+            object.__setattr__(self, "exposure", ("",) * len(self.names))
+
+    def some(self, rows: Integers) -> Images:
+        """Give those images only."""
+        columns = {
+            name: tuple(column[k] for k in rows) if isinstance(column, tuple) else column[rows]
+            for name, column in vars(self).items()
+        }
+        return Images(**columns)
 
     @staticmethod
     def observed(images: OrientedImages) -> Images:
@@ -194,6 +208,7 @@ class Block:
         Where the observations were given as readings.
     repetition: how repeated readings agree, where the block has them.
     check_distances: known distances that take no part, by the index of their points.
+    heads: cameras that are fixed to each other, the first of each frame among them.
     global_test: its level and its kind.
     """
 
@@ -215,6 +230,7 @@ class Block:
     repetition: Repetition | None = None
     global_test: tuple[float, Sided] = (0.95, "two-sided")
     check_distances: Relations = NO_RELATIONS
+    heads: tuple[Head, ...] = ()
 
     def __repr__(self) -> str:
         """Say in one line what it holds."""

@@ -22,6 +22,7 @@ from photocal.adjustment.mounting import (
     Positions,
 )
 from photocal.adjustment.network import covariance_matrices
+from photocal.block.camera_setup import sigmas
 from photocal.block.setup import MountingKeys
 from photocal.block.table import Table, known_rows, read_table, refuse
 from photocal.geometry.rotation import object_to_body
@@ -93,20 +94,16 @@ def make_mounting(keys: MountingKeys, strips: int) -> Mounting:
     values, sigma = np.zeros(STRIPS + 6 * strips), np.zeros(STRIPS + 6 * strips)
     values[LEVER], values[BORESIGHT] = keys.lever_arm_m, np.radians(keys.boresight_deg)
     values[TIME] = keys.time_offset_s
-    sigma[LEVER] = _sigma(keys.lever_arm_sigma_m)
-    sigma[BORESIGHT] = np.radians(_sigma(keys.boresight_sigma_deg))
-    sigma[TIME] = _sigma(keys.time_offset_sigma_s)[0]
-    sigma[SHIFT] = _sigma(keys.flight_shift_sigma_m)
+    sigma[LEVER] = sigmas(keys.lever_arm_sigma_m)
+    sigma[BORESIGHT] = np.radians(sigmas(keys.boresight_sigma_deg))
+    sigma[TIME] = sigmas(keys.time_offset_sigma_s)[0]
+    sigma[SHIFT] = sigmas(keys.flight_shift_sigma_m)
     sigma[HEIGHT_SCALE] = keys.height_scale_sigma
     for strip in range(strips):
         at = STRIPS + 6 * strip
-        sigma[at : at + 3] = _sigma(keys.strip_shift_sigma_m)
-        sigma[at + 3 : at + 6] = _sigma(keys.strip_drift_sigma_m_s)
+        sigma[at : at + 3] = sigmas(keys.strip_shift_sigma_m)
+        sigma[at + 3 : at + 6] = sigmas(keys.strip_drift_sigma_m_s)
     return Mounting(rotation, values, sigma)
-
-
-def _sigma(given: object) -> Floats:
-    return np.broadcast_to(np.inf if given == "free" else np.asarray(given, dtype=float), 3)
 
 
 def _sigmas(table: Table, columns: tuple[str, ...]) -> Floats:

@@ -19,8 +19,10 @@ from photocal.adjustment.network import (
     point_weights,
 )
 from photocal.adjustment.readout import Readout
+from photocal.adjustment.rig import LATER
 from photocal.block.model import Block
 from photocal.block.motion import motion_of
+from photocal.block.rig import rig_of
 from photocal.block.start import with_start_values
 from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
 from photocal.geometry.frames import Frame, ShiftedFrame, nearest_rotation, reference_frame
@@ -91,13 +93,22 @@ def assemble(block: Block) -> NetworkOfBlock:
         ~block.points.of_role("tie")[used],
     )
     positions, cameras = _local_positions(block.positions, frame), block.cameras
-    if any(camera.shutter != "global" for camera in block.cameras):
+    later = any(head.values[LATER] or head.sigma[LATER] for head in block.heads)
+    if later or any(camera.shutter != "global" for camera in block.cameras):
         turn = np.nan_to_num(frame.derivative(block.images.values[:, 3:]))
         motion, motion_sigma, known = motion_of(block, exposures.values[:, 3:], positions, turn)
         exposures = replace(exposures, motion=motion, motion_sigma=motion_sigma)
         # Where nothing is known of the flight a readout scales nothing: it cannot be an unknown.
         flown = [known[block.images.camera == k].any() for k in range(len(cameras))]
         cameras = tuple(c if seen else _held_readout(c) for c, seen in zip(cameras, flown, strict=True))
+    rig = rig_of(
+        block.heads,
+        [camera.id for camera in cameras],
+        block.images.camera,
+        block.images.exposure,
+        matrix_from_angles(exposures.values[:, :3]),
+        exposures.values[:, 3:],
+    )
     network = Network(
         cameras,
         exposures,
@@ -110,6 +121,7 @@ def assemble(block: Block) -> NetworkOfBlock:
         positions,
         block.attitudes,
         block.mounting,
+        rig,
     )
     return NetworkOfBlock(network, used, order, frame)
 
@@ -252,6 +264,9 @@ def _require_rays(block: Block, rays_of_point: Integers) -> None:
     weak = 2 * np.bincount(block.observations.image, minlength=images)
     for observed in (block.positions.image, block.attitudes.image):
         weak += 3 * np.bincount(observed, minlength=images)
+    for _, rows in _exposures(block):
+        # The others of an exposure hold a head.
+        weak[rows] += 6 * (len(rows) > 1)
     free = np.sum(np.isinf(block.images.sigma), axis=1)
     for image in np.flatnonzero(weak < free):
         name = block.images.names[image]
@@ -260,6 +275,14 @@ def _require_rays(block: Block, rays_of_point: Integers) -> None:
             where=f"image {name}",
             remedy="measure more points in it, give its exterior orientation a sigma, or take it out",
         )
+
+
+def _exposures(block: Block) -> list[tuple[str, Integers]]:
+    """Images of each exposure that cameras on a frame took."""
+    on_frame = {head.camera for head in block.heads}
+    mine = np.array([block.cameras[k].id in on_frame for k in block.images.camera])
+    names = np.where(mine, np.array(block.images.exposure, dtype=object), "")
+    return [(name, np.flatnonzero(names == name)) for name in dict.fromkeys(names) if name]
 
 
 def _require_datum(block: Block, rays_of_point: Integers) -> None:

@@ -8,10 +8,9 @@ from typing import Literal
 from pydantic import AliasChoices, Field, FiniteFloat, PositiveFloat
 
 from acquire.checked_toml import Table, read_toml
-from photocal.block.camera_setup import CameraKeys, NonNegative
+from photocal.block.camera_setup import CameraKeys, NonNegative, Sigma
+from photocal.block.rig import HeadKeys
 
-# A sigma, one for each axis, or "free" for an unknown without prior knowledge.
-Sigma = NonNegative | tuple[NonNegative, NonNegative, NonNegative] | Literal["free"]
 BodyAxis = Literal["forward", "backward", "right", "left", "up", "down"]
 
 
@@ -63,6 +62,7 @@ class Setup(Table):
     observations: ObservationKeys
     camera: list[CameraKeys] = Field(min_length=1)
     mounting: MountingKeys = MountingKeys()
+    head: tuple[HeadKeys, ...] = ()
 
 
 def read_setup(path: Path) -> Setup:

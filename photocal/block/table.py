@@ -67,6 +67,11 @@ class Table:
         encoded = cells.combine_chunks().dictionary_encode()
         return np.asarray(encoded.indices, dtype=np.int64), tuple(encoded.dictionary.to_pylist())
 
+    def texts(self, column: str) -> tuple[str, ...]:
+        """Texts of a column, empty where a cell is."""
+        cells = self.columns[column].cast(pa.string()).to_pylist()
+        return tuple("" if cell is None else cell.strip() for cell in cells)
+
     def unique_names(self, column: str) -> tuple[str, ...]:
         """Identifiers of a column in which no name may come twice."""
         index, names = self.names(column)

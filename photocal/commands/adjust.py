@@ -40,7 +40,9 @@ def adjust(
     ] = False,
     joint: Annotated[
         str,
-        typer.Option(help="Write the joint covariance of `image:NAME,point:NAME,camera:ID,mounting`."),
+        typer.Option(
+            help="Write the joint covariance of `image:NAME,point:NAME,camera:ID,head:CAMERA,mounting`."
+        ),
     ] = "",
     as_json: Annotated[bool, typer.Option("--json", help="Print result.json instead of a summary.")] = False,
 ) -> None:

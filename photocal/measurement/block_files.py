@@ -13,9 +13,12 @@ import numpy as np
 
 from acquire.outputs import write_rows
 from photocal.adjustment.network import RELATIONS
-from photocal.block.folder import POINT_CROSS
+from photocal.block.folder import EXPOSURE, POINT_CROSS
 from photocal.block.model import ROLES, Block
+from photocal.block.rig import head_lines
 from photocal.geometry.camera import PARAMETERS, Camera
+
+IMAGE = ("image", "camera", "X", "Y", "Z", "omega", "phi", "kappa", "sX", "sY", "sZ", "so", "sp", "sk")
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ def write_block(folder: Path, block: Block, record: dict[str, Any]) -> None:
     images, points, seen = block.images, block.points, block.observations
     write_rows(
         folder / "images.csv",
-        ("image", "camera", "X", "Y", "Z", "omega", "phi", "kappa", "sX", "sY", "sZ", "so", "sp", "sk"),
+        (*IMAGE, *((EXPOSURE,) if any(images.exposure) else ())),
         (
             [
                 name,
@@ -41,9 +44,10 @@ def write_block(folder: Path, block: Block, record: dict[str, Any]) -> None:
                 *(_cell(v, 8) for v in np.degrees(value[:3])),
                 *(_cell(v, 6) for v in sigma[3:]),
                 *(_cell(v, 8) for v in np.degrees(sigma[:3])),
+                *((exposure,) if any(images.exposure) else ()),
             ]
-            for name, camera, value, sigma in zip(
-                images.names, images.camera, images.values, images.sigma, strict=True
+            for name, camera, value, sigma, exposure in zip(
+                images.names, images.camera, images.values, images.sigma, images.exposure, strict=True
             )
         ),
     )
@@ -102,6 +106,7 @@ def _setup(block: Block) -> str:
     ]
     for own in block.cameras:
         lines += ["", "[[camera]]", *_camera(own)]
+    lines += head_lines(block.heads)
     return "\n".join(lines) + "\n"
 
 

@@ -149,12 +149,7 @@ def without_images(block: Block, gone: Flags) -> Block:
     return replace(
         block,
         cameras=tuple(block.cameras[k] for k in cameras),
-        images=Images(
-            tuple(images.names[k] for k in keep),
-            camera.astype(np.int64),
-            images.values[keep],
-            images.sigma[keep],
-        ),
+        images=replace(images.some(keep), camera=camera.astype(np.int64)),
         observations=replace(
             seen,
             image=place[seen.image[left]],

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from acquire.outputs import output_folder
 from drivers.arrays import Floats
@@ -18,11 +19,19 @@ from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.mounting import BORESIGHT, COMMON, STRIPS
+<<<<<<< HEAD
 from photocal.adjustment.readout import with_readouts
 from photocal.adjustment.snooping import Test, snoop, subset
 from photocal.adjustment.solution import Solution, global_test
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import State, start_state
+=======
+from photocal.adjustment.network import Network
+from photocal.adjustment.rig import OF_HEAD, TURN, head_rotation
+from photocal.adjustment.snooping import Test, subset
+from photocal.adjustment.solution import Solution, global_test
+from photocal.adjustment.state import State, head_values, start_state
+>>>>>>> 8606979 (Cameras on one frame are adjusted with their relative orientations, which results list with covariances)
 from photocal.adjustment.unknowns import XYZ
 from photocal.adjustment.variance_components import (
     Component,
@@ -42,6 +51,7 @@ from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles, t
 from photocal.results.folder import write_result
 from photocal.results.more_tables import Wanted, more_figures, write_more
 from photocal.results.result import (
+    AdjustedHead,
     AdjustedPoints,
     BlockFacts,
     CheckLength,
@@ -99,6 +109,7 @@ def result_of(
         checks=_checks(block, assembly, points, solution),
         snooping=snooping,
         mounting=_mounting(block, solution),
+        heads=_heads(assembly.network, solution),
         variance_components=tuple(
             ComponentFactor(
                 one.name,
@@ -188,18 +199,64 @@ def _mounting(block: Block, solution: Solution) -> dict[str, MountingValue] | No
     """Lever arm (m, body axes), boresight (deg), time offset (s) and the strips' shifts and drifts."""
     if not len(block.positions.image) and not len(block.attitudes.image):
         return None
-    strips = (len(solution.state.common) - STRIPS) // 6
+    strips = (len(block.mounting.values) - STRIPS) // 6
     names = list(COMMON) + [
         f"{what}_{axis}[{strip}]" for strip in range(strips) for what in ("shift", "drift") for axis in "xyz"
     ]
     scale = np.ones(len(names))
     scale[BORESIGHT] = np.degrees(1.0)
-    values = solution.state.common * scale
-    sigma = np.sqrt(np.diag(solution.common_covariance)) * scale
+    values = solution.state.common[: len(names)] * scale
+    sigma = np.sqrt(np.diag(solution.common_covariance))[: len(names)] * scale
     return {
         name: MountingValue(float(values[k]), float(sigma[k]), bool(block.mounting.sigma[k] != 0))
         for k, name in enumerate(names)
     }
+
+
+def _heads(network: Network, solution: Solution) -> tuple[AdjustedHead, ...]:
+    """Cameras on frames with their relative orientations (deg, m, s), but for the first heads."""
+    rig, size = network.rig, network.rig.values.size
+    if not len(rig.first):
+        return ()
+    scale = np.where(np.arange(len(OF_HEAD)) < TURN.stop, np.degrees(1.0), 1.0)
+    values = head_values(network, solution.state.common)
+    begin = len(solution.state.common) - size
+    covariance = solution.common_covariance[begin:, begin:]
+    free = rig.unknown(network.exposures.camera)
+    head = rig.head_of(network.exposures.camera)
+    names = [network.cameras[k].id for k in rig.camera]
+    turned = Rotation.from_matrix(head_rotation(rig, values)).as_rotvec()
+    given = Rotation.from_matrix(rig.rotation).as_rotvec()
+    found = []
+    for k, name in enumerate(names):
+        lead = int(np.flatnonzero(rig.base == rig.base[k])[0])
+        with_others = int((head[rig.second] == k).sum() + len(np.unique(rig.first[head[rig.first] == k])))
+        if k == lead or not with_others:
+            continue
+        own = covariance[k * len(OF_HEAD) :, k * len(OF_HEAD) :][: len(OF_HEAD), : len(OF_HEAD)]
+        own = own * np.outer(scale, scale)
+        sigma = np.sqrt(np.diag(own))
+        at = np.flatnonzero(free[k])
+        found.append(
+            AdjustedHead(
+                name,
+                names[lead],
+                with_others,
+                tuple(np.degrees(turned[k]).tolist()),
+                tuple(np.degrees(given[k]).tolist()),
+                {
+                    key: MountingValue(float(scale[n] * values[k, n]), float(sigma[n]), bool(free[k, n]))
+                    for n, key in enumerate(OF_HEAD)
+                },
+                {
+                    key: (float(scale[n] * rig.values[k, n]), float(known) if np.isfinite(known) else None)
+                    for n, key in enumerate(OF_HEAD)
+                    for known in [scale[n] * rig.sigma[k, n]]
+                },
+                tuple(map(tuple, (own[np.ix_(at, at)] / np.outer(sigma[at], sigma[at])).tolist())),
+            )
+        )
+    return tuple(found)
 
 
 def _fiducials(fit: FiducialFit) -> dict[str, Any]:

@@ -186,6 +186,7 @@ def _covariances(result: Result) -> Any:
     ]
     for name, own in result.cameras.items():
         rows.append(("camera", (name,), own.free, own.covariance_of(own.free)[None]))
+    rows += [("head", (head.camera,), head.free, head.covariance()[None]) for head in result.heads]
     lower = [m[:, *np.tril_indices(m.shape[1])] for _, _, _, m in rows]
     return pa.table(
         {

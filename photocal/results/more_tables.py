@@ -39,15 +39,22 @@ class Wanted:
 
 
 def parse_joint(text: str) -> tuple[tuple[str, str], ...]:
+<<<<<<< HEAD
     """Read `image:12,point:P5,camera:P4P,mounting`; raises ConfigurationError for a kind that is none."""
+=======
+    """Read `image:12,point:P5,camera:P4P,head:NIR,mounting`.
+
+    raises ConfigurationError: for a kind that is none.
+    """
+>>>>>>> 8606979 (Cameras on one frame are adjusted with their relative orientations, which results list with covariances)
     chosen = []
     for part in filter(None, (part.strip() for part in text.split(","))):
         kind, _, name = part.partition(":")
-        if kind not in ("image", "point", "camera", "mounting") or bool(name) == (kind == "mounting"):
+        if kind not in ("image", "point", "camera", "head", "mounting") or bool(name) == (kind == "mounting"):
             raise ConfigurationError(
                 f"{part!r} names no unknowns",
                 where="--joint",
-                remedy="use image:NAME, point:NAME, camera:ID or mounting, with commas between",
+                remedy="use image:NAME, point:NAME, camera:ID, head:CAMERA or mounting, with commas between",
             )
         chosen.append((kind, name))
     return tuple(chosen)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -11,12 +12,14 @@ import numpy as np
 
 from drivers.arrays import Floats, Integers
 from photocal.adjustment.readout import Readout
+from photocal.adjustment.rig import CENTRE, OF_HEAD, TURN
 from photocal.adjustment.solution import GlobalTest, Group
 from photocal.block.model import InputFile, Repetition
 from photocal.geometry.camera import Camera
 from photocal.geometry.oriented_images import OrientedImages
 
 ANGLES, PLACE = ("omega", "phi", "kappa"), ("X", "Y", "Z")
+TURNS, CENTRES = OF_HEAD[TURN], OF_HEAD[CENTRE]
 # Radians and metres to what the tables have.
 SHOWN = np.array([*np.degrees(np.ones(3)), 1.0, 1.0, 1.0])
 
@@ -96,6 +99,45 @@ class MountingValue:
     value: float
     sigma: float
     estimated: bool
+
+
+@dataclass(frozen=True)
+class AdjustedHead:
+    """A camera on a frame, relative to the one that the heads of the frame refer to.
+
+    exposures: of which it has a picture together with another head.
+    rotation_deg: rotation vector from the camera axes of `of` to its own.
+    given_deg: the rotation from which the turns among `values` count.
+    values: by `adjustment.rig.OF_HEAD`: turns about its own axes (deg) from `given_deg`, projection centre in
+        the camera axes of `of` (m), and the time by which it exposes later (s).
+    prior: what was given for them, with its sigma (none where nothing was known; 0 where it is held).
+    correlation: of those that are estimated, in their order.
+    """
+
+    camera: str
+    of: str
+    exposures: int
+    rotation_deg: tuple[float, float, float]
+    given_deg: tuple[float, float, float]
+    values: dict[str, MountingValue]
+    prior: dict[str, tuple[float, float | None]]
+    correlation: tuple[tuple[float, ...], ...]
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of what is estimated."""
+        return tuple(name for name, one in self.values.items() if one.estimated)
+
+    def covariance(self, names: Sequence[str] | None = None) -> Floats:
+        """Covariance (deg, m, s) of what is estimated, or of all `names` with zeros for the rest."""
+        free, wanted = self.free, self.free if names is None else tuple(names)
+        sigma = np.array([self.values[name].sigma for name in free])
+        own = np.array(self.correlation).reshape(len(free), len(free)) * np.outer(sigma, sigma)
+        whole = np.zeros((len(wanted), len(wanted)))
+        at = [wanted.index(name) for name in free if name in wanted]
+        some = [k for k, name in enumerate(free) if name in wanted]
+        whole[np.ix_(at, at)] = own[np.ix_(some, some)]
+        return whole
 
 
 @dataclass(frozen=True)
@@ -192,6 +234,7 @@ class Figures:
     unobserved: points of the block without an observation.
     mounting: lever arm (camera to antenna, body axes, m), boresight (deg), time offset (s), shifts and
         drifts.
+    heads: cameras on a frame, but for those that the others refer to.
     variance_components: where they were estimated.
     mean_precision_m, fiducials, ellipses, reliability: what was asked for beside the rest, as in
         `result.json`.
@@ -212,6 +255,7 @@ class Figures:
     checks: CheckSummary
     snooping: Literal["w", "tau"] | None = None
     mounting: dict[str, MountingValue] | None = None
+    heads: tuple[AdjustedHead, ...] = ()
     variance_components: tuple[ComponentFactor, ...] = ()
     readouts: tuple[Readout, ...] = ()
     rejected: tuple[RejectedRay, ...] = ()
@@ -285,6 +329,18 @@ class Result(Figures):
                 f"camera {one.camera} has a {'rolling' if one.estimated else 'global'} shutter: readout "
                 f"{1e3 * one.value:.3f} +- {1e3 * one.sigma:.3f} ms, {one.effect:.3g} {unit} in the image, "
                 f"{one.way:.3g} m of flight; a global one has p {one.p_value:.2g}"
+            )
+        for own in self.heads:
+            turns, place, later = (
+                " ".join(
+                    f"{factor * own.values[key].value:.4g} +- {factor * own.values[key].sigma:.2g}"
+                    for key in keys
+                )
+                for keys, factor in ((TURNS, 3600.0), (CENTRES, 1000.0), (("time",), 1000.0))
+            )
+            lines.append(
+                f"camera {own.camera} on the frame of {own.of}, {own.exposures} exposures: centre {place} mm, "
+                f"{turns} arcsec from the turn that was given, later by {later} ms"
             )
         lines += [
             f"sigma of {one.name}: {one.factor:.3f} +- {one.sigma:.3f} times the given one"

@@ -134,12 +134,7 @@ def _only(block: Block, image: Flags, point: Flags, ray: Flags) -> Block:
     i, j = np.cumsum(image) - 1, np.cumsum(point) - 1
     return replace(
         block,
-        images=Images(
-            tuple(n for n, kept in zip(images.names, image, strict=True) if kept),
-            images.camera[image],
-            images.values[image],
-            images.sigma[image],
-        ),
+        images=images.some(np.flatnonzero(image)),
         points=ObjectPoints(
             tuple(n for n, kept in zip(points.names, point, strict=True) if kept),
             points.values[point],

@@ -1,0 +1,94 @@
+"""Cameras on one frame in a block folder."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from drivers.errors import ConfigurationError
+from photocal.adjustment.adjust import adjust
+from photocal.adjustment.rig import OF_HEAD
+from photocal.block.folder import read_block
+from photocal.block.network import assemble
+from photocal.measurement.block_files import write_block
+from photocal.results.adjusted import result_of
+from photocal.results.folder import read_covariances, read_result, write_result
+from tests.photocal import blocks, rigs
+
+
+def test_a_block_keeps_its_rig(tmp_path: Path) -> None:
+    flown, network = rigs.flight(np.random.default_rng(5), exposures=12, points=400, times=False)
+    write_block(tmp_path, rigs.block_of(network), {})
+    read = assemble(read_block(tmp_path)).network
+    assert np.allclose(read.rig.rotation, network.rig.rotation, atol=1e-9)
+    assert np.allclose(read.rig.values, network.rig.values * [0, 0, 0, 1, 1, 1, 1], atol=1e-9)
+    assert set(zip(read.rig.first, read.rig.second, strict=True)) == set(
+        zip(network.rig.first, network.rig.second, strict=True)
+    )
+    solution = adjust(read)
+    assert np.nanmax(np.abs(rigs.standardised(flown, read, solution))) < 3.5
+
+
+def test_what_nothing_is_known_of_begins_as_the_images_lie() -> None:
+    flown, network = rigs.flight(np.random.default_rng(6), exposures=12, points=400, times=False)
+    block = rigs.block_of(network)
+    free = np.array([np.inf] * 6 + [0.0])
+    heads = tuple(
+        replace(one, rotation=None, values=np.zeros(7), sigma=free) if one.camera != one.of else one
+        for one in block.heads
+    )
+    solution = adjust(assemble(replace(block, heads=heads)).network)
+    rig = assemble(replace(block, heads=heads)).network.rig
+    found = solution.state.common[-35:].reshape(5, 7)
+    true = Rotation.from_rotvec(flown.heads[:, :3]) * Rotation.from_rotvec(rigs.NOMINAL)
+    off = (Rotation.from_rotvec(found[:, :3]) * Rotation.from_matrix(rig.rotation) * true.inv()).as_rotvec()
+    sigma = np.sqrt(np.diag(solution.common_covariance)[-35:].reshape(5, 7))
+    assert np.abs(off[1:] / sigma[1:, :3]).max() < 4.0
+    assert np.abs((found - flown.heads)[1:, 3:6] / sigma[1:, 3:6]).max() < 4.0
+
+
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        ('camera = "other"\nof = "main"', "camera other"),
+        ('camera = "main"\nof = "other"', "camera other"),
+        ('camera = "main"\nof = "main"\nrotation_sigma_deg = 0.1', ""),
+    ],
+)
+def test_what_is_wrong_with_a_head_is_said(tmp_path: Path, entry: str, said: str) -> None:
+    folder = blocks.small(tmp_path / "block")
+    setup = folder / "block.toml"
+    setup.write_text(setup.read_text() + "\n[[head]]\n" + entry + "\n")
+    if not said:
+        assert [head.camera for head in read_block(folder).heads] == ["main"]
+        return
+    with pytest.raises(ConfigurationError, match=said):
+        read_block(folder)
+
+
+def test_the_run_folder_has_the_heads_with_their_covariance(tmp_path: Path) -> None:
+    _, network = rigs.flight(np.random.default_rng(7), exposures=8, points=300)
+    block = rigs.block_of(network)
+    assembly = assemble(block)
+    solution = adjust(assembly.network)
+    result = result_of(block, assembly, solution)
+    write_result(tmp_path, result)
+    again = read_result(tmp_path).heads
+    assert [one.camera for one in again] == list(rigs.HEADS[1:])
+    for k, one in enumerate(again, start=1):
+        assert one.of == "down"
+        assert one.exposures == 8
+        at = len(solution.state.common) - 35 + 7 * k
+        own = solution.common_covariance[at : at + 7, at : at + 7]
+        scale = np.array([np.degrees(1.0)] * 3 + [1.0] * 4)
+        assert np.allclose(one.covariance(OF_HEAD), own * np.outer(scale, scale), rtol=1e-9, atol=1e-30)
+        true = Rotation.from_rotvec(solution.state.common[at : at + 3]) * Rotation.from_rotvec(
+            rigs.NOMINAL[k]
+        )
+        assert np.allclose(one.rotation_deg, np.degrees(true.as_rotvec()))
+        known = read_covariances(tmp_path / "covariance.parquet", "head", (one.camera,), one.free)[0]
+        assert np.allclose(known, one.covariance(), rtol=1e-9)
