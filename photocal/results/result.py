@@ -339,8 +339,8 @@ class Result(Figures):
                 for keys, factor in ((TURNS, 3600.0), (CENTRES, 1000.0), (("time",), 1000.0))
             )
             lines.append(
-                f"camera {own.camera} on the frame of {own.of}, {own.exposures} exposures: centre {place} mm, "
-                f"{turns} arcsec from the turn that was given, later by {later} ms"
+                f"camera {own.camera} on the frame of {own.of}, {own.exposures} exposures: centre {place} "
+                f"mm, {turns} arcsec from the turn that was given, later by {later} ms"
             )
         lines += [
             f"sigma of {one.name}: {one.factor:.3f} +- {one.sigma:.3f} times the given one"
