@@ -86,7 +86,8 @@ def flight(
     there = rng.random(count) >= missing
     rotation, centre, motion, head, exposure = (a[there] for a in (rotation, centre, motion, head, exposure))
     cameras = tuple(lens(name, rng) for name in HEADS)
-    ground = rng.uniform(-220, 220, (points, 2))
+    reach = np.abs(place[:, :2]).max(axis=0) + 110
+    ground = rng.uniform(-reach, reach, (points, 2))
     relief = 6 * np.sin(ground[:, 0] / 17) + 5 * np.cos(ground[:, 1] / 11)
     flown = Flown(cameras, truth, rotation, centre, np.column_stack([ground, relief]))
     sigma = np.where(np.arange(len(HEADS))[:, None] == 0, 0.0, PRIOR * ([1] * 6 + [int(times)]))
