@@ -19,6 +19,7 @@ from pydantic import (
 
 from acquire.checked_toml import Table
 from photocal.block.camera_setup import CameraKeys, NonNegative, Sigma
+from photocal.block.rig import HeadKeys
 from photocal.block.setup import BodyAxis, MountingKeys
 
 Degrees = Annotated[FiniteFloat, Field(ge=-360, le=360)]
@@ -114,9 +115,12 @@ class Images(Table):
     positions : Path or None
         Without a flight: a `Timestamp.MRK`, geo.txt or reference table whose positions go before those of the
         pictures.
+    pictures : Path or None
+        Table of pictures with the camera that took each and, of cameras on one frame, the exposure.
     """
 
     folder: Beside | None = None
+    pictures: Beside | None = None
     times: Beside | None = None
     positions: Beside | None = None
     position_sigma_m: Sigmas | Literal["free"] | None = None
@@ -273,6 +277,7 @@ class Contents(Table):
     images: Images | None = None
     rig: Rig | None = None
     camera: tuple[CameraKeys, ...] = ()
+    head: tuple[HeadKeys, ...] = ()
     control: Control | None = None
     measurements: Measurements | None = None
     judgement: Judgement = Judgement()

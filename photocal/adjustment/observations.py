@@ -128,11 +128,10 @@ def mounting_equations(network: Network, layout: Layout, state: State) -> dict[s
     common, of_mounting = layout.common_columns, len(mounting.values)
     if len(rig.first):
         exposures, heads = network.exposures, head_values(network, state.common)
+        own = common[of_mounting:]
         moving = exposures.camera, state.rotation, state.centre, exposures.motion
-        own = head_values(network, common)
-        result["rig"] = rig_equations(rig, heads, *moving, columns, basis, own)
-        values = (one.ravel() for one in (rig.values, rig.sigma, heads, own))
-        result["head"] = common_equations(*values)
+        result["rig"] = rig_equations(rig, heads, *moving, columns, basis, own.reshape(heads.shape))
+        result["head"] = common_equations(rig.values.ravel(), rig.sigma.ravel(), heads.ravel(), own)
     if not mounted:
         return result
     return result | {

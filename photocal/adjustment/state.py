@@ -66,7 +66,7 @@ def lenses(network: Network, state: State) -> Floats:
 
 
 def head_values(network: Network, common: Floats) -> Floats:
-    """Values of the heads of rigs among the common ones (of a state, or their columns), shape (heads, 7)."""
+    """Values of the heads of rigs among the common ones, shape (heads, 7)."""
     return common[len(network.mounting.values) :].reshape(network.rig.values.shape)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -92,7 +92,7 @@ class Images:
 
     def some(self, rows: Integers) -> Images:
         """Give those images only."""
-        columns = {
+        columns: dict[str, Any] = {
             name: tuple(column[k] for k in rows) if isinstance(column, tuple) else column[rows]
             for name, column in vars(self).items()
         }

@@ -12,6 +12,7 @@ from photocal.block.model import Block
 from photocal.block.table import Table
 
 VELOCITY, RATE = ("vX", "vY", "vZ"), ("wx", "wy", "wz")
+SIGMAS_OF_MOTION = (*(f"s{c}" for c in VELOCITY), *(f"s{c}" for c in RATE))
 MOTION_COLUMNS = (
     *VELOCITY,
     *(f"s{c}" for c in VELOCITY),

@@ -66,6 +66,7 @@ def compare(
     from photocal.analysis.stability.calibration import sensor_grid
     from photocal.analysis.stability.camera_file import read_camera_file
     from photocal.analysis.stability.comparison import compare as compare_pairs
+    from photocal.analysis.stability.heads import compared_heads, heads_text
     from photocal.analysis.stability.methods import methods
     from photocal.analysis.stability.repeatability import repeatability_text
     from photocal.analysis.stability.verdict import follow
@@ -88,6 +89,7 @@ def compare(
         with output_file(picture) as aside:
             draw(pairs, tuple(one.id for one in asked.calibrations), asked.thresholds_px, aside, ending)
     repeats = repeated(flights)
+    heads = compared_heads({one.name: one.heads for one in flights})
     if curves is not None:
         from photocal.analysis.stability.curves import draw_curves
 
@@ -103,12 +105,14 @@ def compare(
         lambda: {
             **_figures(asked, len(pixels), pairs, followed),
             "repeatability": {name: [asdict(one) for one in found] for name, found in repeats.items()},
+            "heads": [asdict(one) | {"different": one.different} for one in heads],
             "exchange": [dict(vars(use)) for use in uses],
         },
         lambda: "\n\n".join(
             [
                 _text(asked, pairs, followed),
                 *(repeatability_text(found) for found in repeats.values()),
+                *([heads_text(heads)] if heads else []),
                 *([uses_text(uses)] if uses else []),
             ]
         ),

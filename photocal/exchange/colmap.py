@@ -41,6 +41,7 @@ from photocal.exchange.pinhole import (
     to_vision,
 )
 from photocal.exchange.reconstruction import Choices, Reconstruction, vision_block
+from photocal.exchange.rigs import of_colmap
 from photocal.geometry.camera import PARAMETERS, Camera, Model
 from photocal.geometry.conversion import Conversion
 
@@ -81,7 +82,7 @@ def read_colmap(folder: Path) -> Reconstruction:
     translation = np.array([shot.translation for shot in content.shots]).reshape(-1, 3)
     if not max(np.abs(translation).max(initial=0), np.abs(content.xyz).max(initial=0)) < LARGEST:
         raise InputMalformedError("has coordinates beyond 1e9 m", where=folder, remedy="is it damaged?")
-    return Reconstruction(
+    given = Reconstruction(
         tuple(cameras.values()),
         tuple(shot.name for shot in content.shots),
         np.array([order[shot.lens] for shot in content.shots], dtype=np.int64),
@@ -92,6 +93,7 @@ def read_colmap(folder: Path) -> Reconstruction:
         np.array([position[key] for shot, use in uses for key in shot.points[use].tolist()], dtype=np.int64),
         np.vstack([np.empty((0, 2)), *(shot.marks[use] for shot, use in uses)]) - 0.5,
     )
+    return of_colmap(given, folder, {shot.key: shot.name for shot in content.shots})
 
 
 def write_colmap(folder: Path, given: Reconstruction, *, binary: bool = False) -> tuple[Conversion, ...]:

@@ -23,6 +23,7 @@ from photocal.block.model import Block, Role
 from photocal.exchange.parts import UNKNOWN, PointEntry
 from photocal.exchange.pinhole import from_vision, require_credible, to_vision
 from photocal.exchange.reconstruction import Choices, Reconstruction, vision_block
+from photocal.exchange.rigs import of_metashape, slave_in_master
 from photocal.exchange.source import child, image_size, number, numbers, read_xml, write_xml
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.conversion import Conversion, converted, in_pixels
@@ -64,14 +65,15 @@ def chunk_of(root: Element, path: Path) -> Chunk:
         for sensor in chunk.iterfind("sensors/sensor")
         if sensor.find("calibration") is not None
     }
-    shots = [shot for shot in chunk.iterfind("cameras/camera") if shot.find("transform") is not None]
+    poses_of = _matrices(chunk, path)
+    shots = [shot for shot in chunk.iterfind("cameras/camera") if shot.get("id") in poses_of]
     lost = [shot for shot in shots if shot.get("sensor_id") not in sensors]
     if lost:
         raise InputMalformedError(
             f"image {lost[0].get('label')} has a sensor without calibration", where=path
         )
     order = {key: k for k, key in enumerate(sensors)}
-    matrices = np.array([_numbers(child(shot, "transform", path), path, 16) for shot in shots])
+    matrices = np.array([poses_of[shot.get("id", "")] for shot in shots])
     to_world = chunk_transform(chunk, path)
     poses = _poses(matrices.reshape(-1, 4, 4), to_world)
     markers = _markers(chunk, path)
@@ -97,8 +99,25 @@ def chunk_of(root: Element, path: Path) -> Chunk:
         tuple(marker.role for marker in markers.values()),
         xyz_sigma=np.array([marker.sigma for marker in markers.values()], dtype=float).reshape(-1, 3),
     )
+    reconstruction = of_metashape(reconstruction, chunk, shots, path)
     crs = (chunk.findtext("reference") or "").strip()
     return Chunk(reconstruction, tuple(markers.values()), "" if crs.startswith("LOCAL_CS") else crs)
+
+
+def _matrices(chunk: Element, path: Path) -> dict[str, Floats]:
+    """From camera to chunk axes of each aligned image; one without its own is where its master has it."""
+    cameras = list(chunk.iterfind("cameras/camera"))
+    sensors = {one.get("id"): one for one in chunk.iterfind("sensors/sensor")}
+    found = {
+        shot.get("id", ""): np.array(_numbers(child(shot, "transform", path), path, 16)).reshape(4, 4)
+        for shot in cameras
+        if shot.find("transform") is not None
+    }
+    for shot in cameras:
+        master, sensor = found.get(shot.get("master_id", "")), sensors.get(shot.get("sensor_id"))
+        if shot.get("id", "") not in found and master is not None and sensor is not None:
+            found[shot.get("id", "")] = master @ slave_in_master(sensor, path)
+    return found
 
 
 def _camera(sensor: Element, path: Path) -> Camera:

@@ -23,6 +23,7 @@ from drivers.errors import InputMalformedError
 from photocal.block.model import Block
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, to_pinhole, to_vision
 from photocal.exchange.reconstruction import Choices, Reconstruction, vision_block
+from photocal.exchange.rigs import of_opensfm
 from photocal.exchange.source import image_size, number, read_json, read_lines, structured
 from photocal.geometry.camera import Camera
 from photocal.geometry.conversion import Conversion
@@ -63,7 +64,7 @@ def read_reconstruction(path: Path) -> Reconstruction:
             np.empty((0, 2)),
         )
 
-    found = structured(path, _WHAT, made)
+    found = of_opensfm(structured(path, _WHAT, made), path)
     tracks = tracks_beside(path)
     return _with_tracks(found, tracks) if tracks.is_file() else found
 

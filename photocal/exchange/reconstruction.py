@@ -12,6 +12,7 @@ import numpy as np
 from drivers.arrays import Floats, Integers
 from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import ROLES, Block, InputFile, ObjectPoints, Observations
+from photocal.block.rig import Head
 from photocal.exchange.parts import images
 from photocal.exchange.source import fingerprint
 from photocal.geometry.camera import Camera, plane_to_pixel
@@ -60,6 +61,7 @@ class Reconstruction:
         minus measured. Empty when unknown.
     frame, height: "local", or a coordinate reference system with the kind of its heights, as in a block
         folder.
+    heads, exposure: cameras on a frame, and the exposure of each image (empty for one by itself).
     """
 
     cameras: tuple[Camera, ...]
@@ -78,6 +80,8 @@ class Reconstruction:
     frame: str = "local"
     height: str = ""
     name: str = "block"
+    heads: tuple[Head, ...] = ()
+    exposure: tuple[str, ...] = ()
 
 
 def as_block(given: Reconstruction, name: str, sigma_px: float, inputs: tuple[InputFile, ...]) -> Block:
@@ -100,12 +104,13 @@ def as_block(given: Reconstruction, name: str, sigma_px: float, inputs: tuple[In
         "control" if (role == ROLES.index("control")).any() else "free",
         (),
         given.cameras,
-        images(given.image_names, given.image_camera.tolist(), given.poses),
+        replace(images(given.image_names, given.image_camera.tolist(), given.poses), exposure=given.exposure),
         ObjectPoints(given.point_names, given.xyz, sigma, role),
         Observations(
             "px", "pixel", given.image, given.point, given.pixels, np.full(given.pixels.shape, sigma_px)
         ),
         inputs,
+        heads=given.heads,
     )
 
 
@@ -134,6 +139,8 @@ def of_block(block: Block) -> Reconstruction:
         frame=block.frame,
         height=block.height,
         name=block.name,
+        heads=block.heads,
+        exposure=block.images.exposure,
     )
 
 

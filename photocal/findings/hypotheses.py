@@ -81,6 +81,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("lever-arm-axes", ("positions",), kind_of="lever-arm"),
     Fault("rolling-shutter", ("camera",), imitates=(*_OF_POSITIONS, *_OF_CAMERA)),
     Fault("c-drift", ("camera",), imitates=(*_OF_POSITIONS, *_OF_CAMERA)),
+    Fault("head-moved", ("camera",)),
     Fault("ppk-not-fixed", ("positions",), imitates=_OF_POSITIONS),
     Fault("control-mistyped", ("control",)),
     Fault("autopilot-clock", ("attitudes", "time")),

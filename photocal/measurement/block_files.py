@@ -14,7 +14,8 @@ import numpy as np
 from acquire.outputs import write_rows
 from photocal.adjustment.network import RELATIONS
 from photocal.block.folder import EXPOSURE, POINT_CROSS
-from photocal.block.model import ROLES, Block
+from photocal.block.model import ROLES, Block, Images
+from photocal.block.motion import RATE, SIGMAS_OF_MOTION, VELOCITY
 from photocal.block.rig import head_lines
 from photocal.geometry.camera import PARAMETERS, Camera
 
@@ -33,9 +34,10 @@ def write_block(folder: Path, block: Block, record: dict[str, Any]) -> None:
     """Write a block with observations in px of the stored pixel grid."""
     (folder / "block.toml").write_text(_setup(block), encoding="utf-8", newline="\n")
     images, points, seen = block.images, block.points, block.observations
+    more = _more_columns(images)
     write_rows(
         folder / "images.csv",
-        (*IMAGE, *((EXPOSURE,) if any(images.exposure) else ())),
+        (*IMAGE, *more),
         (
             [
                 name,
@@ -44,10 +46,10 @@ def write_block(folder: Path, block: Block, record: dict[str, Any]) -> None:
                 *(_cell(v, 8) for v in np.degrees(value[:3])),
                 *(_cell(v, 6) for v in sigma[3:]),
                 *(_cell(v, 8) for v in np.degrees(sigma[:3])),
-                *((exposure,) if any(images.exposure) else ()),
+                *(cells[k] for cells in more.values()),
             ]
-            for name, camera, value, sigma, exposure in zip(
-                images.names, images.camera, images.values, images.sigma, images.exposure, strict=True
+            for k, (name, camera, value, sigma) in enumerate(
+                zip(images.names, images.camera, images.values, images.sigma, strict=True)
             )
         ),
     )
@@ -88,6 +90,23 @@ def write_block(folder: Path, block: Block, record: dict[str, Any]) -> None:
     (folder / "measurement.json").write_text(
         json.dumps(record, indent=2, allow_nan=False) + "\n", encoding="utf-8", newline="\n"
     )
+
+
+def _more_columns(images: Images) -> dict[str, Sequence[str]]:
+    """Columns of the images that only some blocks have: exposures of frames, velocity and rate, time."""
+    columns: dict[str, Sequence[str]] = {EXPOSURE: images.exposure} if any(images.exposure) else {}
+    # What inside is the turn of what a camera sees is the rate of the camera outside.
+    scale = np.array([1.0] * 3 + [-np.degrees(1.0)] * 3)
+    known = {
+        **dict(zip((*VELOCITY, *RATE), (images.motion * scale).T, strict=True)),
+        **dict(zip(SIGMAS_OF_MOTION, (images.motion_sigma * np.abs(scale)).T, strict=True)),
+        "time_s": images.time,
+        "temperature_c": images.temperature,
+    }
+    for name, values in known.items():
+        if np.isfinite(values).any():
+            columns[name] = [_cell(value, 6) for value in values.tolist()]
+    return columns
 
 
 def _setup(block: Block) -> str:

@@ -30,7 +30,10 @@ _CAMERA_TAGS = (
     "PerspectiveDistortion",
     "PrincipalPoint",
     "FisheyeAffineMatrix",
+    "FisheyePolynomial",
     "RigCameraIndex",
+    "CaptureUUID",
+    "LineReadoutTime",
 )
 # A value as attribute (name="value") or as element (<name>value</name>) of the XMP packet.
 _XMP = re.compile(r"(?<=[\s<])([A-Za-z][\w.-]*):(\w+)(?:=\"([^\"<>]{0,200})\"|>([^<>]{0,200})</)")
@@ -61,6 +64,7 @@ class ImageFacts:
     exposure_s, iso: exposure time and sensitivity; NaN when not given.
     f_number, focus_m: aperture, and distance focused at; NaN when not given.
     lens, firmware: as the camera calls them; empty when not given.
+    velocity_m_s: east, north, up, by the maker's inertial unit; NaN when not given.
     """
 
     name: str
@@ -90,6 +94,7 @@ class ImageFacts:
     focus_m: float = math.nan
     lens: str = ""
     firmware: str = ""
+    velocity_m_s: Triple = _NOT_GIVEN
 
     @property
     def has_position(self) -> bool:
@@ -136,6 +141,7 @@ def read_facts(path: Path) -> ImageFacts:
         focus_m=_positive(exif.get(0x9206)),
         lens=_text(exif.get(0xA434)),
         firmware=_text(main.get(0x0131)),
+        velocity_m_s=_velocity(xmp),
     )
 
 
@@ -165,6 +171,14 @@ def _accuracy(xmp: Mapping[str, str]) -> Triple:
     stated = _triple(xmp, "RtkStdLon", "RtkStdLat", "RtkStdHgt")
     others = _triple(xmp, "GPSXYAccuracy", "GPSXYAccuracy", "GPSZAccuracy")
     return stated if math.isfinite(stated[0]) else others
+
+
+def _velocity(xmp: Mapping[str, str]) -> Triple:
+    """Velocity of Parrot's Sequoia, which counts it east, north, up; no other maker's is known."""
+    if "Sequoia" not in xmp.get("RigName", ""):
+        return _NOT_GIVEN
+    values = tuple(_number(one) for one in xmp.get("IMULinearVelocity", "").split(","))
+    return values if len(values) == 3 and all(map(math.isfinite, values)) else _NOT_GIVEN
 
 
 def _pitch_mm(exif: Mapping[int, Any], width: int) -> float:

@@ -35,14 +35,17 @@ _ON_END = (5, 6, 7, 8)
 
 
 def list_images(folder: Path) -> tuple[Path, ...]:
-    """List the image files of a folder, by their names.
+    """List the image files of a folder, by their names; of one without, those of the folders in it.
 
     raises InputNotFoundError: when the folder does not exist or has no image.
+    raises InputMalformedError: when folders in it have images of the same names.
     """
     if not folder.is_dir():
         raise InputNotFoundError("is not a folder", where=folder, remedy="name the folder with the images")
     files = [path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")]
     found = sorted(path for path in files if path.suffix.lower() in SUFFIXES)
+    if not found:
+        found = _of_heads(folder)
     unread = sorted({path.suffix for path in files if path.suffix.lower() in UNREAD})
     if not found and unread:
         raise InputNotFoundError(
@@ -53,6 +56,22 @@ def list_images(folder: Path) -> tuple[Path, ...]:
     if not found:
         raise InputNotFoundError("has no image", where=folder, remedy=f"it takes {', '.join(SUFFIXES)}")
     return tuple(found)
+
+
+def _of_heads(folder: Path) -> list[Path]:
+    """Images of the folders in a folder, one for each camera of a frame."""
+    below = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
+    found = [path for part in below for path in part.iterdir() if path.suffix.lower() in SUFFIXES]
+    place: dict[str, Path] = {}
+    for path in found:
+        if path.name in place:
+            raise InputMalformedError(
+                f"has two pictures {path.name}, in {place[path.name].parent.name} and {path.parent.name}",
+                where=folder,
+                remedy="rename the pictures so that each has its own name",
+            )
+        place[path.name] = path
+    return sorted(found, key=lambda path: path.name)
 
 
 @contextmanager

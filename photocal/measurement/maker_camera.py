@@ -51,14 +51,35 @@ class StatedCamera:
         shift = self.share * c
         # A principal point lies where the lens is mounted, whatever is known of c.
         sigma = {"c": shift, "x0": min(self.share, STATED) * c, "y0": min(self.share, STATED) * c}
-        if self.camera.values[PARAMETERS.index("K1")]:
+        if self.camera.model == "pix4d-fisheye":
+            # Terms of the angle in right angles.
+            angle = corner / c / (math.pi / 2)
+            sigma |= {f"K{n}": self.share * 2 / math.pi / angle ** (n + 1) for n in (1, 2)}
+        elif self.camera.values[PARAMETERS.index("K1")]:
             sigma |= {name: shift / corner**power for name, power in _RADIAL.items()}
             sigma |= dict.fromkeys(("P1", "P2"), shift / (3 * corner**2))
+        if self.camera.rolling:
+            sigma["readout"] = READOUT_SIGMA_S
         return sigma
 
 
+# Sigma of a readout that a maker states, s: his clock is exact, what his lines are is not said.
+READOUT_SIGMA_S = 0.002
+
+
 def stated_camera(name: str, facts: ImageFacts) -> StatedCamera:
-    """Give the best camera that a picture tells of."""
+    """Give the best camera that a picture tells of, with the readout that its maker states."""
+    stated = _stated_lens(name, facts)
+    line = _numbers(facts.maker_camera.get("LineReadoutTime", ""))
+    if len(line) != 1 or not line[0] > 0 or not math.isfinite(facts.velocity_m_s[0]):
+        return stated
+    values = stated.camera.values.copy()
+    values[PARAMETERS.index("readout")] = 1e-9 * line[0] * facts.size_px[1]
+    return replace(stated, camera=replace(stated.camera, values=values, shutter="rolling"))
+
+
+def _stated_lens(name: str, facts: ImageFacts) -> StatedCamera:
+    """Give the lens that a picture tells of."""
     width, height = facts.size_px
     middle = (width - 1) / 2, (height - 1) / 2
     xmp = facts.maker_camera
@@ -80,9 +101,14 @@ def stated_camera(name: str, facts: ImageFacts) -> StatedCamera:
     if len(fisheye) == 4 and fisheye[0] > 0:
         # Pixels for a quarter turn: what the picture shows is wider than that of a perspective.
         c = fisheye[0] / (math.pi / 2)
-        return StatedCamera(
-            start_camera(name, facts, c, ()), "XMP fisheye of its maker, at the middle of the picture", STATED
-        )
+        own = start_camera(name, facts, c, ())
+        bend = _numbers(xmp.get("FisheyePolynomial", ""))
+        if len(place) == 2 and pitch > 0 and 2 < len(bend) <= 5 and bend[:2] == [0.0, 1.0]:
+            values = {"c": c, "x0": place[0] / pitch - width / 2, "y0": height / 2 - place[1] / pitch}
+            values |= {f"K{n}": value for n, value in enumerate(bend[2:], start=1)}
+            own = camera(name, "pix4d-fisheye", "px", facts.size_px, (1.0, 1.0), values, affinity="after")
+            return StatedCamera(own, "XMP fisheye of its maker", DESIGNED)
+        return StatedCamera(own, "XMP fisheye of its maker, at the middle of the picture", STATED)
     designed = _numbers(xmp.get("CalibratedFocalLength", ""))
     if len(designed) == 1 and 0.2 < designed[0] / max(facts.size_px) < 50:
         own = from_pinhole(Pinhole(flat.size_px, designed[0], designed[0], *middle), name, facts.name)

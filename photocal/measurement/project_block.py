@@ -14,6 +14,8 @@ from drivers.arrays import Flags, Floats, Integers
 from drivers.errors import ConfigurationError, InputNotFoundError, PhotocalError
 from photocal.block.folder import read_points
 from photocal.block.model import Block, Images, ObjectPoints
+from photocal.block.rig import make_heads
+from photocal.block.table import read_table, refuse_unknown
 from photocal.exchange.parts import Mark
 from photocal.findings.finding import Figure, Finding
 from photocal.findings.texts import told
@@ -92,8 +94,11 @@ def measure_project(
     paths = list_images(project.picture_folder)
     known = better_known(project, [path.name for path in paths])
     sighted = sight(paths, plan, progress, looking, known)
-    sighted, camera = _with_cameras(sighted, project.cameras, starts)
-    given = _starts(project, sighted.facts, camera, starts)
+    camera_of, exposure = pictures_of_heads(project)
+    if starts is not None:
+        camera_of |= dict(zip(starts.names, starts.camera.tolist(), strict=True))
+    sighted, camera = _with_cameras(sighted, project.cameras, camera_of)
+    given = _starts(project, sighted.facts, camera, starts, exposure)
     block = Block(
         project.name,
         project.crs,
@@ -105,6 +110,7 @@ def measure_project(
         control,
         NO_OBSERVATIONS,
         (),
+        heads=make_heads(project.contents.head, [own.id for own in project.cameras], project.path),
     )
     found = targets_of_project(project, sighted.sources, exposures, control, plan.processes, progress)
     block, unknown = with_marks(block, (*by_hand, *found.marks))
@@ -112,7 +118,8 @@ def measure_project(
         if project.crs != "local" or control.of_role("control").any():
             raise _nowhere(project.name)
         block = replace(block, datum="free")
-    soft = _softened(block)
+    # Heads are oriented each by its rays, which then tell how they lie on their frame.
+    soft = replace(_softened(block), heads=())
     oriented = orient_ties(soft, sighted.sources, sighted.tracks, sighted.pairs, plan.processes, progress)
     # Positions of a flight log come later, and with them what determines c.
     released, block, more = _released(oriented.adjusted, block, HOLDING if starts is None else ((),))
@@ -147,12 +154,11 @@ def measure_project(
 
 
 def _with_cameras(
-    sighted: Sighted, cameras: Sequence[Camera], starts: Images | None
+    sighted: Sighted, cameras: Sequence[Camera], said: Mapping[str, int]
 ) -> tuple[Sighted, Integers]:
-    """Camera of each image: as the exposures say, else the one of its size; others are left out."""
+    """Camera of each image: as the table says, else the one of its size; others are left out."""
     if not cameras:
         raise ConfigurationError("the project has no [[camera]]", remedy="add one: see docs/block-folder.md")
-    said = {} if starts is None else dict(zip(starts.names, starts.camera.tolist(), strict=True))
     camera, reasons = [], []
     for own in sighted.facts:
         alike = [k for k, one in enumerate(cameras) if one.size_px == own.size_px]
@@ -165,7 +171,28 @@ def _with_cameras(
     return sighted, np.array([k for k, why in zip(camera, reasons, strict=True) if not why], dtype=np.int64)
 
 
-def _starts(project: Project, facts: Sequence[ImageFacts], camera: Integers, starts: Images | None) -> Images:
+def pictures_of_heads(project: Project) -> tuple[dict[str, int], dict[str, str]]:
+    """Camera and exposure of the pictures that a project's table names; none without a table."""
+    path = project.images.pictures
+    if path is None:
+        return {}, {}
+    table = read_table(path, ("image", "camera"), ("exposure",))
+    names = table.unique_names("image")
+    index, found = table.names("camera")
+    known = {camera.id: k for k, camera in enumerate(project.cameras)}
+    refuse_unknown(table, index, found, known, "camera", project.path.name)
+    exposure = table.texts("exposure") if table.has("exposure") else ("",) * len(names)
+    camera = [known[found[k]] for k in index]
+    return dict(zip(names, camera, strict=True)), dict(zip(names, exposure, strict=True))
+
+
+def _starts(
+    project: Project,
+    facts: Sequence[ImageFacts],
+    camera: Integers,
+    starts: Images | None,
+    exposure: Mapping[str, str],
+) -> Images:
     values, sigma = np.full((len(facts), 6), np.nan), np.full((len(facts), 6), np.inf)
     if starts is None:
         if project.crs != "local":
@@ -176,7 +203,11 @@ def _starts(project: Project, facts: Sequence[ImageFacts], camera: Integers, sta
         place = {name: k for k, name in enumerate(starts.names)}
         rows = np.array([place.get(own.name, -1) for own in facts])
         values[rows >= 0], sigma[rows >= 0] = starts.values[rows[rows >= 0]], starts.sigma[rows[rows >= 0]]
-    return Images(tuple(own.name for own in facts), camera, values, sigma)
+    names, motion = tuple(own.name for own in facts), np.full((len(facts), 6), np.nan)
+    # The grid's axes are east and north but for its convergence.
+    motion[:, :3] = [own.velocity_m_s for own in facts]
+    exposures = tuple(exposure.get(name, "") for name in names)
+    return Images(names, camera, values, sigma, motion, exposure=exposures)
 
 
 def better_known(project: Project, names: Sequence[str]) -> Given:

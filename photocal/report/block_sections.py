@@ -15,7 +15,7 @@ from photocal.report.document import Column, Figure, KeyValues, Paragraph, Piece
 from photocal.report.figures import difference_histograms, difference_map
 from photocal.report.sensor import RADIAL
 from photocal.report.stored_analysis import Run
-from photocal.results.result import CheckPoint
+from photocal.results.result import CENTRES, TURNS, CheckPoint
 
 ROWS = 60
 ARCSECONDS = 3600.0
@@ -101,6 +101,51 @@ def _block_facts(run: Run, say: Catalogue) -> KeyValues:
         (say("method.unit"), unit),
     ]
     return KeyValues(tuple(rows))
+
+
+def relative_orientations(title: str, run: Run, say: Catalogue) -> tuple[Section, ...]:
+    """Make the table of cameras on a frame; nothing without one."""
+    heads = run.result.heads
+    if not heads:
+        return ()
+    quantities = (
+        ("x", "mm"),
+        ("y", "mm"),
+        ("z", "mm"),
+        ("rx", "(°)"),
+        ("ry", "(°)"),
+        ("rz", "(°)"),
+        ("t", "ms"),
+    )
+    columns = [Column(say("heads.camera"), align="left"), Column(say("heads.exposures"))]
+    columns += [Column(name, unit) for name, unit in quantities]
+    columns += [Column(f"σ {name}", unit.replace("(°)", "(″)")) for name, unit in quantities]
+    rows, strong = [], []
+    for one in heads:
+        places = [one.values[name] for name in CENTRES]
+        turns = [one.values[name] for name in TURNS]
+        later = one.values["time"]
+        values = [fixed(1e3 * v.value, 2, say.mark) for v in places]
+        values += [fixed(angle, 5, say.mark) for angle in one.rotation_deg]
+        values.append(fixed(1e3 * later.value, 3, say.mark))
+        sigmas = [1e3 * v.sigma for v in places] + [ARCSECONDS * v.sigma for v in turns] + [1e3 * later.sigma]
+        row = (f"{one.camera} / {one.of}", str(one.exposures), *values, *(_sigma(s, say) for s in sigmas))
+        rows.append(row)
+        names, matrix = one.free, np.array(one.correlation)
+        strong += [
+            say(
+                "heads.pair",
+                camera=one.camera,
+                a=names[j],
+                b=names[i],
+                r=fixed(float(matrix[i, j]), 2, say.mark),
+            )
+            for i in range(len(names))
+            for j in range(i)
+            if abs(matrix[i, j]) > 0.9
+        ]
+    note = say("heads.note") + (" " + say("heads.strong", pairs="; ".join(strong)) if strong else "")
+    return (Section(title, (Table(say("heads.table"), tuple(columns), tuple(rows), note, dense=True),)),)
 
 
 def exterior_orientation(title: str, run: Run, say: Catalogue) -> Section:

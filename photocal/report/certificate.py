@@ -26,6 +26,7 @@ from photocal.report.block_sections import (
     global_test,
     inputs,
     method,
+    relative_orientations,
 )
 from photocal.report.camera_sections import camera_facts, correlations, interior_orientation
 from photocal.report.certificate_metadata import Metadata
@@ -252,6 +253,7 @@ def _sections(
         sections.append(method_check(run.analysis, say))
     return (
         *sections,
+        *relative_orientations(say("heads.section"), run, say),
         exterior_orientation(say("eop.section"), run, say),
         check_points(say("checks.section"), run, say),
         global_test(say("test.section"), run, say),

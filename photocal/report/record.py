@@ -31,7 +31,7 @@ NAME = "certificate.json"
 RESULT_KEYS = (
     *("schema", "software", "block", "inputs", "converged", "iterations", "observations", "unknowns"),
     *("degrees_of_freedom", "chi_squared", "sigma0_squared", "global_test", "groups", "cameras", "images"),
-    *("checks", "snooping", "mounting", "variance_components"),
+    *("checks", "snooping", "mounting", "heads", "variance_components"),
 )
 
 

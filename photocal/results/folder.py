@@ -32,7 +32,16 @@ from photocal.geometry.camera import (
     camera,
 )
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.results.result import ANGLES, PLACE, SHOWN, AdjustedPoints, Figures, Residuals, Result
+from photocal.results.result import (
+    ANGLES,
+    PLACE,
+    SHOWN,
+    AdjustedHead,
+    AdjustedPoints,
+    Figures,
+    Residuals,
+    Result,
+)
 
 SCHEMA = "photocal.adjustment/1"
 RESULT = "result.json"
@@ -278,6 +287,11 @@ def cameras_of_json(content: object, path: Path) -> dict[str, Camera]:
     """Give the cameras of what `result_json` made; errors as of `read_result`."""
     known = checked(json.dumps(content), dict[str, _Camera], path, AGAIN, "cameras")
     return {name: _camera(name, own, path) for name, own in known.items()}
+
+
+def heads_of_json(content: object, path: Path) -> tuple[AdjustedHead, ...]:
+    """Give the heads of what `result_json` made; errors as of `read_result`."""
+    return checked(json.dumps(content), tuple[AdjustedHead, ...], path, AGAIN, "heads")
 
 
 def checked(text: str, kind: type[Kind], path: Path, remedy: str, within: str = "") -> Kind:

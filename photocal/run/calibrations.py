@@ -17,8 +17,9 @@ from photocal.geometry.camera import Camera
 from photocal.project import read_project
 from photocal.report.certificate_metadata import given_particulars
 from photocal.report.record import NAME, read_record
-from photocal.results.folder import RESULT, cameras_of_json, read_result
+from photocal.results.folder import RESULT, cameras_of_json, heads_of_json, read_result
 from photocal.results.origin import CARRIED
+from photocal.results.result import AdjustedHead
 
 if TYPE_CHECKING:
     from photocal.analysis.stability.camera_file import CameraFile
@@ -33,6 +34,7 @@ class Calibrated:
     run: folder with its `result.json` or `certificate.json`.
     block: folder of its block.
     day, temperature_c: of the calibration, where a certificate says them.
+    heads: cameras on a frame.
     """
 
     name: str
@@ -41,6 +43,7 @@ class Calibrated:
     cameras: dict[str, Camera]
     day: dt.date | None = None
     temperature_c: float | None = None
+    heads: tuple[AdjustedHead, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -103,7 +106,9 @@ def _calibrated(path: Path) -> Calibrated:
         )
     result = read_result(run)
     source = result.block.source
-    return Calibrated(name, run, run / source if source else path / _BLOCK, result.cameras)
+    return Calibrated(
+        name, run, run / source if source else path / _BLOCK, result.cameras, heads=result.heads
+    )
 
 
 def _certified(path: Path) -> Calibrated:
@@ -117,6 +122,7 @@ def _certified(path: Path) -> Calibrated:
         cameras_of_json(content["result"]["cameras"], folder / NAME),
         given.laboratory.measured or given.date,
         given.conditions.temperature_c,
+        heads_of_json(content["result"].get("heads", []), folder / NAME),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,14 +20,17 @@ from photocal.measurement.control_files import ControlMarks, in_map_system
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.maker_camera import StatedCamera, group_cameras, stated_camera
 from photocal.measurement.marks_files import named_after
+from photocal.measurement.rigs import Frame, recognised
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.vehicle import told_mounting
 from photocal.project_tables import ASKED
 from photocal.run.folder_survey import ASSUMED_M, Found, Survey, survey
 
-NAME = "project.toml"
+NAME, PICTURES = "project.toml", "pictures.csv"
 # Positions of a receiver without corrections; their heights count from another surface than those of control.
 CODE_LEVEL_M, OTHER_SURFACE_M = (1.5, 1.5, 3.0), 50.0
+# How far the cameras of a frame may be apart, m: the sigma of each coordinate.
+APART_M = 0.1
 # Fewer points leave the block turned, or without scale.
 FEWEST_CONTROL = 3
 _ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2")
@@ -60,11 +64,17 @@ def new_project(folder: Path, crs: str = "", height: str = "") -> NewProject:
         )
     pictures = max(seen.pictures, key=lambda where: len(seen.pictures[where]), default=None)
     facts = seen.pictures[pictures] if pictures is not None else ()
+    frame = recognised({where / own.name: own for where, some in seen.pictures.items() for own in some})
+    if frame is not None:
+        facts = tuple(own for w, some in seen.pictures.items() for own in some if w / own.name in frame.head)
+        pictures = Path(os.path.commonpath([path.parent for path in frame.head]))
     control = _chosen(seen, facts)
     if crs and control is not None:
         control = replace(control, crs=crs)
-    text = _Text(folder, seen, facts, pictures, control, crs, height)
+    text = _Text(folder, seen, facts, pictures, control, crs, height, frame)
     files = {NAME: "\n".join(text.lines()) + "\n"}
+    if frame is not None:
+        files[PICTURES] = text.pictures_table()
     if control is not None and control.points is not None:
         files["control.csv"] = _points_table(text.control_points)
         if text.marks:
@@ -114,9 +124,16 @@ class _Text:
         control: Found | None,
         crs: str,
         height: str,
+        frame: Frame | None = None,
     ) -> None:
         self.folder, self.seen, self.facts, self.pictures, self.given = folder, seen, facts, pictures, control
-        self.crs, self.height = crs, height
+        self.crs, self.height, self.frame = crs, height, frame
+        self.cameras, self.member = group_cameras(facts)
+        if frame is not None:
+            head = {path.name: own for path, own in frame.head.items()}
+            own_head = [head[own.name] for own in facts]
+            self.member = np.array([frame.heads.index(own) for own in own_head], dtype=np.int64)
+            self.cameras = tuple(_plain(f"{facts[own_head.index(h)].model}-{h}") for h in frame.heads)
         self.found: list[str] = []
         self.missing: list[str] = []
         self.asked: list[str] = []
@@ -161,6 +178,7 @@ class _Text:
         if self.pictures is not None:
             yield from self._images()
             yield from self._cameras()
+            yield from self._heads()
         yield from self._control()
         for left in self.seen.unread[:10]:
             self.missing.append(f"not used: {left}")
@@ -204,6 +222,12 @@ class _Text:
     def _images(self) -> Iterator[str]:
         count, stated = len(self.facts), sum(np.isfinite(own.position_sigma_m).all() for own in self.placed)
         others = [where for where in self.seen.pictures if where != self.pictures]
+        if self.frame is not None:
+            exposures = len(set(self.frame.exposure.values()))
+            by = f"{len(self.frame.heads)} cameras on one frame, by {self.frame.by} of the pictures"
+            self.found.append(f"{by}: {', '.join(self.frame.heads)}; {exposures} exposures")
+            used = {path.parent for path in self.frame.head}
+            others = [where for where in others if where not in used]
         said = f"{count} pictures in {self._beside(self.pictures)}, {len(self.placed)} with a position"
         self.found.append(said + (f", {stated} with its sigma" if stated else ""))
         self.found += [
@@ -212,6 +236,8 @@ class _Text:
         yield ""
         yield f"[images]  # {said}"
         yield f"folder = {_quoted(self._beside(self.pictures))}"
+        if self.frame is not None:
+            yield f"pictures = {_quoted(PICTURES)}  # camera and exposure of each"
         if len(self.seen.events) == 1 and not self.seen.logs and stated < count:
             yield f"positions = {_quoted(self._beside(self.seen.events[0]))}  # with their sigmas"
         if self.seen.logs or not self.placed or self.crs == "local":
@@ -222,8 +248,8 @@ class _Text:
 
     def _cameras(self) -> Iterator[str]:
         known = {own.size_px: own for own in (self.given.cameras if self.given is not None else ())}
-        names, member = group_cameras(self.facts)
-        for k, name in enumerate(names):
+        member = self.member
+        for k, name in enumerate(self.cameras):
             own = stated_camera(name, self.facts[int(np.flatnonzero(member == k)[0])])
             yield ""
             taken = int((member == k).sum())
@@ -240,6 +266,32 @@ class _Text:
             yield from _camera(own)
             if own.guessed:
                 self.missing.append(f"nothing tells the c of camera {name}: it is a guess, to be estimated")
+
+    def _heads(self) -> Iterator[str]:
+        """Cameras on one frame: the pictures tell how they are turned, nothing how far they are apart."""
+        if self.frame is None:
+            return
+        for name in self.cameras[1:]:
+            yield ""
+            yield "[[head]]  # turned as the pictures tell; rotation_deg and its sigma where it is known"
+            yield f"camera = {_quoted(name)}"
+            yield f"of = {_quoted(self.cameras[0])}"
+            yield f"centre_m = [0.0, 0.0, 0.0]  # x right, y up, z backwards of {self.cameras[0]}: assumed"
+            yield f"centre_sigma_m = {APART_M}"
+            yield "time_s = 0.0"
+        self.missing.append(
+            f"nothing tells how far the cameras are apart: {APART_M} m assumed (centre_m in [[head]])"
+        )
+
+    def pictures_table(self) -> str:
+        """Camera and exposure of each picture."""
+        exposure = {} if self.frame is None else {p.name: e for p, e in self.frame.exposure.items()}
+        rows = [["image", "camera", "exposure"]]
+        rows += [
+            [own.name, self.cameras[k], exposure.get(own.name, "")]
+            for own, k in zip(self.facts, self.member, strict=True)
+        ]
+        return _csv(rows)
 
     def _control(self) -> Iterator[str]:
         given, points = self.given, self.control_points
@@ -279,7 +331,9 @@ class _Text:
 def _camera(own: StatedCamera) -> Iterator[str]:
     """Keys of a camera of the pictures: all is estimated that has a prior, or that rays determine."""
     prior = own.prior_sigma()
-    estimate = [name for name in PARAMETERS if name in _ESTIMATE or name in prior]
+    # Of other lenses those terms that their makers state.
+    wanted = prior if own.camera.lens.relative else {*_ESTIMATE, *prior}
+    estimate = [name for name in PARAMETERS if name in wanted]
     yield from _given_camera(own.camera)
     yield f"estimate = {json.dumps(estimate)}"
     yield "prior_sigma = { " + ", ".join(f"{n} = {s:.3g}" for n, s in prior.items()) + " }"
@@ -296,6 +350,8 @@ def _given_camera(own: Camera) -> Iterator[str]:
     yield f"size_px = {list(own.size_px)}"
     if own.unit == "mm":
         yield f"pitch_mm = {list(own.pitch)}"
+    if own.rolling:
+        yield 'shutter = "rolling"  # its maker states how long a line takes'
     yield f"affinity = {_quoted(own.affinity)}"
     yield "parameters = { " + ", ".join(f"{n} = {v!r}" for n, v in values.items()) + " }"
 
@@ -320,6 +376,11 @@ def _system_of(points: ObjectPoints, placed: Sequence[ImageFacts]) -> str:
     reach = np.linalg.norm(high - low) + 200.0
     away = np.linalg.norm(np.median(points.values[:, :2], axis=0) - (low + high) / 2)
     return zone if away < reach else ""
+
+
+def _plain(text: str) -> str:
+    """Name of a camera as group_cameras would write it."""
+    return re.sub(r"[^A-Za-z0-9]+", "-", text).strip("-").lower()
 
 
 def _points_table(points: ObjectPoints) -> str:

@@ -18,6 +18,7 @@ from photocal.geometry.distortion import projected
 from photocal.geometry.rotation import angles_from_matrix
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 SIZE = (1280, 960)
 HEIGHT_M, SPEED_M_S = 80.0, 11.0
@@ -74,17 +75,18 @@ def flight(
     if not times:
         truth[:, 6] = 0.0
     turn = Rotation.from_rotvec(truth[:, :3]) * Rotation.from_rotvec(NOMINAL)
-    rotation, centre, motion = [], [], []
+    count = len(HEADS) * exposures
+    rotation, centre, motion = np.zeros((count, 3, 3)), np.zeros((count, 3)), np.zeros((count, 6))
+    head, exposure = np.tile(np.arange(len(HEADS)), exposures), np.repeat(np.arange(exposures), len(HEADS))
     for k, own in enumerate(turn):
         onward = Rotation.from_rotvec(rate * truth[k, 6]).as_matrix()
-        rotation.append(own.as_matrix() @ onward @ first)
-        centre.append(place + np.einsum("nji,j->ni", first, truth[k, 3:6]) + velocity * truth[k, 6])
-        motion.append(np.hstack([velocity, rate @ own.as_matrix().T]))
-    count = len(HEADS) * exposures
-    rotation, centre, motion = (np.stack(a, axis=1).reshape(count, *a[0].shape[1:]) for a in (rotation, centre, motion))  # fmt: skip  # noqa: E501
-    head, exposure = np.tile(np.arange(len(HEADS)), exposures), np.repeat(np.arange(exposures), len(HEADS))
+        rotation[head == k] = own.as_matrix() @ onward @ first
+        arm = np.einsum("nji,j->ni", first, truth[k, 3:6])
+        centre[head == k] = place + arm + velocity * truth[k, 6]
+        motion[head == k] = np.hstack([velocity, rate @ own.as_matrix().T])
     there = rng.random(count) >= missing
-    rotation, centre, motion, head, exposure = (a[there] for a in (rotation, centre, motion, head, exposure))
+    rotation, centre, motion = rotation[there], centre[there], motion[there]
+    head, exposure = head[there], exposure[there]
     cameras = tuple(lens(name, rng) for name in HEADS)
     reach = np.abs(place[:, :2]).max(axis=0) + 110
     ground = rng.uniform(-reach, reach, (points, 2))
@@ -98,14 +100,20 @@ def flight(
         Rotation.from_rotvec(NOMINAL).as_matrix(), given, sigma, np.arange(len(HEADS)),
         np.zeros(len(HEADS), dtype=np.int64), *pairs, np.tile(STIFFNESS, (len(HEADS), 1)),
     )  # fmt: skip
-    return flown, _measured(flown, head, motion, rig, rng, sigma_px)
+    return flown, _measured(flown, head, exposure, motion, rig, rng, sigma_px)
 
 
 def _measured(
-    flown: Flown, head: NDArray[np.int64], motion: Floats, rig: Rig, rng: np.random.Generator, sigma_px: float
+    flown: Flown,
+    head: Integers,
+    exposure: Integers,
+    motion: Floats,
+    rig: Rig,
+    rng: np.random.Generator,
+    sigma_px: float,
 ) -> Network:
     """Rays with their errors, positions of 3 cm, and start values that are somewhat off."""
-    images, point, plane = [], [], []
+    seeing, seen_of, measured = list[Integers](), list[Integers](), list[Floats]()
     for i, k in enumerate(head):
         q = (flown.points - flown.centre[i]) @ flown.rotation[i].T
         seen = np.flatnonzero(q[:, 2] < -1.0)
@@ -113,11 +121,13 @@ def _measured(
         inside = (np.abs(xy) < np.array(SIZE) / 2).all(axis=1) & (-q[seen, 2] < 4 * HEIGHT_M)
         chosen = np.flatnonzero(inside)
         chosen = np.sort(rng.permutation(chosen)[:45])
-        images.append(np.full(len(chosen), i))
-        point.append(seen[chosen])
-        plane.append(xy[chosen])
-    image, point, plane = np.concatenate(images), np.concatenate(point), np.vstack(plane)
-    kept = (np.bincount(point, minlength=len(flown.points)) >= 3)[point]
+        seeing.append(np.full(len(chosen), i))
+        seen_of.append(seen[chosen])
+        measured.append(xy[chosen])
+    image, point, plane = np.concatenate(seeing), np.concatenate(seen_of), np.vstack(measured)
+    # Heads of one exposure see a point from one place.
+    places = np.unique(np.column_stack([point, exposure[image]]), axis=0)[:, 0]
+    kept = (np.bincount(places, minlength=len(flown.points)) >= 3)[point]
     order = np.flatnonzero(kept)[np.argsort(point[kept], kind="stable")]
     used, points = np.unique(point[order], return_inverse=True)
     held, weight = point_weights(np.full((len(used), 3), np.inf))
@@ -125,7 +135,9 @@ def _measured(
     start += rng.normal(0, [*np.radians([0.3] * 3), 0.03, 0.03, 0.03], start.shape)
     deviation = np.full(start.shape, np.inf)
     deviation[:, 3:] = 0.03
-    cameras = tuple(own.with_values(np.where(own.estimated, own.values * 0.999, own.values)) for own in flown.cameras)  # fmt: skip  # noqa: E501
+    cameras = tuple(
+        own.with_values(np.where(own.estimated, own.values * 0.999, own.values)) for own in flown.cameras
+    )
     noise = rng.normal(0, sigma_px, (len(order), 2))
     return Network(
         cameras,

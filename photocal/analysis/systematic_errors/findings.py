@@ -11,6 +11,7 @@ from photocal.analysis.systematic_errors.camera_findings import (
     of_significance,
     of_strips,
 )
+from photocal.analysis.systematic_errors.head_findings import of_heads
 from photocal.analysis.systematic_errors.image_findings import of_groups, of_images, of_maps, of_stated
 from photocal.analysis.systematic_errors.search import Search
 from photocal.findings.finding import Finding
@@ -27,6 +28,7 @@ def findings(search: Search) -> tuple[Finding, ...]:
     listed += of_jackknife(search)
     listed += of_stated(search)
     listed += of_groups(search)
+    listed += of_heads(search.last)
     listed += of_images(search)
     listed += of_maps(search)
     return tuple(sorted(listed, key=lambda one: one.small))

@@ -23,7 +23,7 @@ def of_stated(search: Search) -> list[Finding]:
         if one.p_value >= LEVEL / len(search.groups) or abs(one.factor - 1.0) < WRONG_SIGMA:
             continue
         # What is known beforehand is stated with caution: no error of measurement says otherwise.
-        if one.factor < 1.0 and one.name in ("camera", "mounting"):
+        if one.factor < 1.0 and one.name in ("camera", "mounting", "head", "rig"):
             continue
         figures: dict[str, Figure] = {
             "group": one.name,

@@ -11,6 +11,8 @@ from photocal.adjustment.layout import layout
 from photocal.adjustment.observations import mounting_equations
 from photocal.adjustment.rig import pairs_of
 from photocal.adjustment.state import State, moved_exposures, start_state
+from photocal.analysis.systematic_errors.head_findings import of_heads
+from photocal.analysis.systematic_errors.refit import Fit, fit
 from tests.photocal import rigs
 
 
@@ -76,3 +78,24 @@ def test_an_exposure_without_its_first_head_is_related_to_another() -> None:
     head = np.array([2, 0, 1, 2, 1, 0, 1])
     first, second = pairs_of(exposure, head, np.zeros(3, dtype=np.int64))
     assert set(zip(first.tolist(), second.tolist(), strict=True)) == {(1, 2), (1, 0), (4, 3)}
+
+
+def moved_rays(seed: int, turn_rad: float) -> Fit:
+    """A flight during which the aft head turns, adjusted as if it had not."""
+    flown, network = rigs.flight(np.random.default_rng(seed), exposures=16, points=500)
+    images = np.flatnonzero(network.exposures.camera == 4)[8:]
+    rays = network.rays
+    mine = np.isin(rays.image, images)
+    # A turn about the camera's x moves what it shows along y, by c and more off the axis.
+    own = flown.cameras[4]
+    c, y = own.value("c"), rays.plane[mine, 1] - own.value("y0")
+    plane = rays.plane.copy()
+    plane[mine] += turn_rad * np.column_stack([rays.plane[mine, 0] * y / c, c + y**2 / c])
+    return fit(replace(network, rays=replace(rays, plane=plane)))
+
+
+def test_a_head_that_turns_in_flight_is_named() -> None:
+    (found,) = of_heads(moved_rays(11, np.radians(0.05)))
+    assert found.subject == "aft"
+    assert abs(found.figures["turn_arcsec"] - 180) < 60
+    assert of_heads(moved_rays(11, 0.0)) == []

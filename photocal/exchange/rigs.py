@@ -1,0 +1,207 @@
+"""Rigs of other programs: which images are of one exposure, and how their cameras lie on a frame.
+
+COLMAP: `rigs.txt` and `frames.txt` of a model (3.12 and later), or the `rig_config.json` that its
+rig_configurator takes (prefixes of image names; what follows them names the exposure). OpenSfM:
+`rig_cameras.json` and `rig_assignments.json`. Both state sensor from rig, x = R X + t, in camera axes x
+right, y down, z forward. Metashape: sensors with a master have place and rotation to its axes, images a
+`master_id`. What a program found has no standard deviations: turns and places start there and are free.
+Pix4D's `params` have no rig. Sources: COLMAP documentation, "Rig Support" and "Output Format"; OpenSfM
+documentation, "Rig"; Metashape Python reference, "Sensor".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from drivers.arrays import Floats
+from photocal.adjustment.rig import CENTRE, OF_HEAD, TURN
+from photocal.block.rig import Head
+from photocal.exchange.reconstruction import Reconstruction
+from photocal.exchange.source import numbers, read_json, read_lines, structured
+
+# Vision axes (x right, y down, z forward) and ours (x right, y up, z backwards).
+_FLIP = np.diag([1.0, -1.0, -1.0])
+# Rotation and translation from rig to sensor, in vision axes; none where it is not known.
+Sensor = tuple[Floats, Floats] | None
+
+
+def with_rig(
+    given: Reconstruction, head: Sequence[str], exposure: Sequence[str], sensors: Mapping[str, Sensor]
+) -> Reconstruction:
+    """Give a reconstruction its rigs.
+
+    head, exposure (images,): of each image; empty for one by itself.
+    sensors: of each head, the one that the others refer to first. A camera of several heads becomes one each.
+    """
+    used = [name for name in sensors if name in head]
+    if len(used) < 2:
+        return given
+    cameras, camera = list(given.cameras), given.image_camera.copy()
+    names = {own.id for own in cameras}
+    ids, taken = dict[str, str](), set[int]()
+    for name in used:
+        mine = np.array([one == name for one in head])
+        first = int(camera[mine][0])
+        if first in taken or (camera[~mine] == first).any():
+            own = next(n for n in (f"{given.cameras[first].id}-{name}", name) if n not in names)
+            names.add(own)
+            cameras.append(replace(given.cameras[first], id=own))
+            first = len(cameras) - 1
+        camera[mine] = first
+        taken.add(first)
+        ids[name] = cameras[first].id
+    left = np.unique(camera[camera >= 0])
+    place = np.full(len(cameras), -1)
+    place[left] = np.arange(len(left))
+    return replace(
+        given,
+        cameras=tuple(cameras[k] for k in left),
+        image_camera=np.where(camera >= 0, place[camera], -1),
+        heads=(*given.heads, *(_head(name, used[0], ids, sensors) for name in used)),
+        exposure=tuple(
+            one if name in used else before
+            for one, name, before in zip(exposure, head, given.exposure or ("",) * len(head), strict=True)
+        ),
+    )
+
+
+def _head(name: str, base: str, ids: Mapping[str, str], sensors: Mapping[str, Sensor]) -> Head:
+    values, sigma = np.zeros(len(OF_HEAD)), np.zeros(len(OF_HEAD))
+    first, own = sensors[base], sensors[name]
+    if name == base:
+        return Head(ids[name], ids[base], np.zeros(3), values, sigma)
+    sigma[TURN], sigma[CENTRE] = np.inf, np.inf
+    if first is None or own is None:
+        return Head(ids[name], ids[base], None, values, sigma)
+    between = _FLIP @ own[0] @ first[0].T @ _FLIP
+    centres = [-rotation.T @ translation for rotation, translation in (first, own)]
+    values[CENTRE] = _FLIP @ first[0] @ (centres[1] - centres[0])
+    return Head(ids[name], ids[base], Rotation.from_matrix(between).as_rotvec(), values, sigma)
+
+
+def of_opensfm(given: Reconstruction, path: Path) -> Reconstruction:
+    """Give an OpenSfM reconstruction the rigs of the files beside it, if there are any."""
+    poses, assigned = path.with_name("rig_cameras.json"), path.with_name("rig_assignments.json")
+    if not (poses.is_file() and assigned.is_file()):
+        return given
+    content = read_json(assigned)
+    instances = content if isinstance(content, dict) else dict(enumerate(content))
+
+    def sensors() -> dict[str, Sensor]:
+        return {
+            name: (_turn(keys["rotation"]), np.array(keys["translation"], dtype=float))
+            for name, keys in read_json(poses).items()
+        }
+
+    def members() -> dict[str, tuple[str, str]]:
+        return {str(image): (str(own), str(key)) for key, shots in instances.items() for image, own in shots}
+
+    of = structured(assigned, "a file of OpenSfM's rigs", members)
+    known = structured(poses, "a file of OpenSfM's rigs", sensors)
+    pairs = [of.get(name, ("", "")) for name in given.image_names]
+    return with_rig(given, [head for head, _ in pairs], [key for _, key in pairs], known)
+
+
+def _turn(vector: Any) -> Floats:
+    return np.asarray(Rotation.from_rotvec(np.array(vector, dtype=float)).as_matrix())
+
+
+def of_colmap(given: Reconstruction, folder: Path, keys: Mapping[int, str]) -> Reconstruction:
+    """Give a COLMAP model its rigs: of the model, else of a rig_config.json in its folder or above.
+
+    keys: names of the images by their numbers.
+    """
+    if (folder / "rigs.txt").is_file() and (folder / "frames.txt").is_file():
+        return _of_model(given, folder, keys)
+    paths = (one / "rig_config.json" for one in (folder, *folder.parents[:2]))
+    path = next((one for one in paths if one.is_file()), None)
+    if path is None:
+        return given
+
+    def rigs() -> list[list[tuple[str, bool, Sensor]]]:
+        return [[_prefixed(camera) for camera in rig["cameras"]] for rig in read_json(path)]
+
+    for k, rig in enumerate(structured(path, "a rig_config.json of COLMAP", rigs)):
+        sensors = {prefix: sensor for prefix, _, sensor in sorted(rig, key=lambda one: not one[1])}
+        head = [next((own for own in sensors if name.startswith(own)), "") for name in given.image_names]
+        exposure = [f"{k}/{n[len(own) :]}" for n, own in zip(given.image_names, head, strict=True)]
+        given = with_rig(given, head, exposure, sensors)
+    return given
+
+
+def _of_model(given: Reconstruction, folder: Path, keys: Mapping[int, str]) -> Reconstruction:
+    """Rigs with more than one sensor, and the frames that they were in."""
+    rigs = dict[str, dict[str, Sensor]]()
+    for line in read_lines(folder / "rigs.txt"):
+        cells = line.text.split()
+        sensors: dict[str, Sensor] = {" ".join(cells[2:4]): (np.eye(3), np.zeros(3))}
+        at = 4
+        while at + 2 < len(cells):
+            name, known = " ".join(cells[at : at + 2]), cells[at + 2] == "1"
+            pose = numbers(" ".join(cells[at + 3 : at + 10]), line.place, "sensor", 7) if known else []
+            sensors[name] = (_of_quaternion(pose[:4]), np.array(pose[4:])) if known else None
+            at += 10 if known else 3
+        if len(sensors) > 1:
+            rigs[cells[0]] = sensors
+    member = dict[str, tuple[str, str, str]]()
+    for line in read_lines(folder / "frames.txt"):
+        cells = line.text.split()
+        for at in range(10, len(cells) - 2, 3):
+            image = keys.get(int(cells[at + 2]) if cells[at + 2].isdecimal() else -1, "")
+            member[image] = cells[1], " ".join(cells[at : at + 2]), cells[0]
+    for rig, sensors in rigs.items():
+        mine = [member.get(name, ("", "", "")) for name in given.image_names]
+        head = [own if of == rig else "" for of, own, _ in mine]
+        given = with_rig(given, head, [frame for _, _, frame in mine], sensors)
+    return given
+
+
+def _of_quaternion(wxyz: Sequence[float]) -> Floats:
+    w, x, y, z = wxyz
+    return np.asarray(Rotation.from_quat([x, y, z, w]).as_matrix())
+
+
+def _prefixed(camera: dict[str, Any]) -> tuple[str, bool, Sensor]:
+    first = bool(camera.get("ref_sensor"))
+    if first:
+        return camera["image_prefix"], first, (np.eye(3), np.zeros(3))
+    if "cam_from_rig_rotation" not in camera:
+        return camera["image_prefix"], first, None
+    shift = np.array(camera.get("cam_from_rig_translation", [0.0] * 3), dtype=float)
+    return camera["image_prefix"], first, (_of_quaternion(camera["cam_from_rig_rotation"]), shift)
+
+
+def of_metashape(
+    given: Reconstruction, chunk: Element, shots: Sequence[Element], path: Path
+) -> Reconstruction:
+    """Give a Metashape chunk its multi-camera system: sensors with a master, images with a `master_id`.
+
+    shots: the cameras of the images, in their order.
+    """
+    sensors = dict[str, Sensor]()
+    for one in chunk.iterfind("sensors/sensor"):
+        if one.get("master_id") is not None:
+            sensors.setdefault(one.get("master_id", ""), (np.eye(3), np.zeros(3)))
+            matrix = slave_in_master(one, path)
+            rotation = matrix[:3, :3].T
+            sensors[one.get("id", "")] = rotation, -rotation @ matrix[:3, 3]
+    head = [shot.get("sensor_id", "") for shot in shots]
+    exposure = [shot.get("master_id", shot.get("id", "")) for shot in shots]
+    return with_rig(given, head, exposure, sensors) if sensors else given
+
+
+def slave_in_master(sensor: Element, path: Path) -> Floats:
+    """From the axes of a slave to those of its master, (4, 4): `rotation`, and its centre, `location`."""
+    matrix = np.eye(4)
+    if turn := sensor.findtext("rotation"):
+        matrix[:3, :3] = np.array(numbers(turn, path, "rotation", 9)).reshape(3, 3)
+    if place := sensor.findtext("location"):
+        matrix[:3, 3] = numbers(place, path, "location", 3)
+    return matrix

@@ -1,0 +1,113 @@
+"""Cameras on one frame, recognised by the names of their pictures: which belong to one exposure."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from photocal.measurement.image_facts import ImageFacts
+
+# More heads than this are no frame but a count of pictures; fewer exposures show no pattern; a head misses a
+# few exposures only; pictures of one exposure are this close in time, s.
+MOST_HEADS, FEWEST_EXPOSURES, MISSED, TOGETHER_S = 12, 2, 0.5, 3.0
+_PARTS = re.compile(r"[_\-. ]+")
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Pictures of several cameras that expose together.
+
+    heads: names of the heads, the one that the others refer to first.
+    head, exposure: of each picture, by its path; pictures that belong to none are missing.
+    by: what tells it: "names" or "folders".
+    """
+
+    heads: tuple[str, ...]
+    head: Mapping[Path, str]
+    exposure: Mapping[Path, str]
+    by: str
+
+
+def recognised(pictures: Mapping[Path, ImageFacts]) -> Frame | None:
+    """Recognise pictures of cameras on one frame; None where each picture stands for itself."""
+    best: Frame | None = None
+    for by, split in (("names", _by_name), ("folders", _by_folder)):
+        for frame in split(pictures, by):
+            if best is None or len(frame.head) > len(best.head):
+                best = frame
+        if best is not None:
+            return best
+    return None
+
+
+Keys = dict[Path, tuple[str, str]]
+
+
+def _by_name(pictures: Mapping[Path, ImageFacts], by: str) -> Iterable[Frame]:
+    """One part of the names tells the heads, the others the exposure."""
+    for at in (-1, 0, -2):
+        keys: Keys = {}
+        for path in pictures:
+            parts = _PARTS.split(path.stem)
+            if len(parts) >= max(2, abs(at)):
+                head = parts[at]
+                keys[path] = head, "_".join(part for k, part in enumerate(parts) if k != at % len(parts))
+        yield from _frame(pictures, keys, by)
+
+
+def _by_folder(pictures: Mapping[Path, ImageFacts], by: str) -> Iterable[Frame]:
+    """Folders with equally many pictures hold a head each, and the pictures follow in their order."""
+    folders = defaultdict[Path, list[Path]](list)
+    for path in sorted(pictures):
+        folders[path.parent].append(path)
+    counts = {len(paths) for paths in folders.values()}
+    names = [folder.name for folder in folders]
+    if len(counts) == 1 and len(set(names)) == len(names) > 1:
+        keys = {
+            path: (folder.name, f"{k:05}")
+            for folder, paths in folders.items()
+            for k, path in enumerate(paths, start=1)
+        }
+        yield from _frame(pictures, keys, by)
+
+
+def _frame(pictures: Mapping[Path, ImageFacts], keys: Keys, by: str) -> Iterable[Frame]:
+    """Give the frame of a division into heads and exposures, if it is one."""
+    heads = Counter(head for head, _ in keys.values())
+    exposures = defaultdict[str, list[Path]](list)
+    for path, (_, exposure) in keys.items():
+        exposures[exposure].append(path)
+    shared = {name: paths for name, paths in exposures.items() if len(paths) > 1}
+    often = [head for head, count in heads.items() if count >= MISSED * len(exposures)]
+    if not (1 < len(often) <= MOST_HEADS) or len(shared) < max(FEWEST_EXPOSURES, MISSED * len(exposures)):
+        return
+    head = {path: own for path, (own, _) in keys.items() if own in often}
+    for own in often:
+        # A head is one camera.
+        if len({_camera(pictures[path]) for path, other in head.items() if other == own}) > 1:
+            return
+    if all(_together([pictures[path] for path in paths]) for paths in shared.values()):
+        order = sorted(often, key=lambda own: _rank(own, head, pictures))
+        yield Frame(tuple(order), head, {path: keys[path][1] for path in head}, by)
+
+
+def _camera(facts: ImageFacts) -> tuple[object, ...]:
+    return facts.make, facts.model, facts.size_px, facts.maker_camera.get("RigCameraIndex", "")
+
+
+def _together(facts: Sequence[ImageFacts]) -> bool:
+    """Whether pictures were taken at one time; without times they may have been."""
+    captures = {own.maker_camera["CaptureUUID"] for own in facts if "CaptureUUID" in own.maker_camera}
+    times = [datetime.fromisoformat(own.taken).timestamp() for own in facts if own.taken]
+    return len(captures) < 2 and (not times or max(times) - min(times) < TOGETHER_S)
+
+
+def _rank(own: str, head: Mapping[Path, str], pictures: Mapping[Path, ImageFacts]) -> tuple[int, str]:
+    """The head that its maker numbers 0 comes first, then by number and name."""
+    first = next(path for path, other in head.items() if other == own)
+    index = pictures[first].maker_camera.get("RigCameraIndex", "")
+    return (int(index) if index.isdigit() else MOST_HEADS), own
