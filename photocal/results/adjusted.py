@@ -254,9 +254,37 @@ def _heads(network: Network, solution: Solution) -> tuple[AdjustedHead, ...]:
                     for known in [scale[n] * rig.sigma[k, n]]
                 },
                 tuple(map(tuple, (own[np.ix_(at, at)] / np.outer(sigma[at], sigma[at])).tolist())),
+                *_registration(network, solution, lead, k, head_rotation(rig, values)),
             )
         )
     return tuple(found)
+
+
+def _registration(
+    network: Network, solution: Solution, base: int, head: int, rotation: Floats
+) -> tuple[int, float | None]:
+    """Rays that two heads have in common, and by how much their pictures of them miss each other, px.
+
+    What one shows goes over to the other by their rotation and principal distances.
+    """
+    rig, rays = network.rig, network.rays
+    of = rig.head_of(network.exposures.camera)
+    pairs = (of[rig.first] == base) & (of[rig.second] == head)
+    partner = np.full(len(network.image_names), -1)
+    partner[rig.second[pairs]] = rig.first[pairs]
+    key = rays.image * len(network.point_names) + rays.point
+    mine = np.flatnonzero(partner[rays.image] >= 0)
+    wanted = partner[rays.image[mine]] * len(network.point_names) + rays.point[mine]
+    order = np.argsort(key)
+    place = order[np.minimum(np.searchsorted(key[order], wanted), len(order) - 1)]
+    both = key[place] == wanted
+    if not both.any():
+        return 0, None
+    cameras = [rig.camera[k] for k in (base, head)]
+    scale = solution.cameras[cameras[1], 0] / solution.cameras[cameras[0], 0]
+    carried = scale * solution.residuals[place[both]] @ rotation[head][:2, :2].T
+    miss = (solution.residuals[mine[both]] - carried) / network.cameras[cameras[1]].pitch
+    return int(both.sum()), float(np.sqrt(np.mean(np.sum(miss**2, axis=1))))
 
 
 def _fiducials(fit: FiducialFit) -> dict[str, Any]:

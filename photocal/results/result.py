@@ -112,6 +112,8 @@ class AdjustedHead:
         the camera axes of `of` (m), and the time by which it exposes later (s).
     prior: what was given for them, with its sigma (none where nothing was known; 0 where it is held).
     correlation: of those that are estimated, in their order.
+    common, registration_px: rays that both show of one exposure, and the root mean square by which this
+        camera's pictures miss those of `of` there, px of this camera (none without such rays).
     """
 
     camera: str
@@ -122,6 +124,8 @@ class AdjustedHead:
     values: dict[str, MountingValue]
     prior: dict[str, tuple[float, float | None]]
     correlation: tuple[tuple[float, ...], ...]
+    common: int = 0
+    registration_px: float | None = None
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -341,6 +345,7 @@ class Result(Figures):
             lines.append(
                 f"camera {own.camera} on the frame of {own.of}, {own.exposures} exposures: centre {place} "
                 f"mm, {turns} arcsec from the turn that was given, later by {later} ms"
+                + (f"; {own.common} rays in both agree to {own.registration_px:.2f} px" if own.common else "")
             )
         lines += [
             f"sigma of {one.name}: {one.factor:.3f} +- {one.sigma:.3f} times the given one"

@@ -35,12 +35,12 @@ class HeadMove:
     p_value: float
 
 
-def head_moves(fitted: Fit) -> tuple[HeadMove, ...]:
-    """Test for each head whether it moved between exposures, at its most likely place."""
+def head_move(fitted: Fit) -> HeadMove | None:
+    """Test whether a head moved between exposures: the likeliest head and place; None without relations."""
     network, state, at = fitted.network, fitted.state, fitted.factored
     rig = network.rig
     if not len(rig.first):
-        return ()
+        return None
     layout = at.problem.layout
     equations = mounting_equations(network, layout, state)["rig"]
     head, when = rig.head_of(network.exposures.camera), network.exposures.time
@@ -73,16 +73,13 @@ def head_moves(fitted: Fit) -> tuple[HeadMove, ...]:
             inverse = (vector[:, good] / value[good]) @ vector[:, good].T / np.outer(slope, slope)
             move = inverse @ force
             tried.append((float(force @ move), int(good.sum()), k, int(later[0]), move, inverse))
-    found = []
-    for k in {one[2] for one in tried}:
-        chi_squared, freedom, _, pair, move, inverse = max(
-            (one for one in tried if one[2] == k), key=lambda one: one[0]
-        )
-        p_value = min(1.0, len(tried) * float(special.chdtrc(freedom, chi_squared)))
-        camera = network.cameras[rig.camera[k]].id
-        name = network.image_names[rig.second[pair]]
-        found.append(HeadMove(camera, name, move, np.sqrt(np.diag(inverse)), p_value))
-    return tuple(found)
+    if not tried:
+        return None
+    # One that moves pulls at the others: the one that moved most is named.
+    chi_squared, freedom, k, pair, move, inverse = max(tried, key=lambda one: one[0] / one[1])
+    p_value = min(1.0, len(tried) * float(special.chdtrc(freedom, chi_squared)))
+    camera, name = network.cameras[rig.camera[k]].id, network.image_names[rig.second[pair]]
+    return HeadMove(camera, name, move, np.sqrt(np.diag(inverse)), p_value)
 
 
 def _rows(pairs: Integers, count: int) -> Integers:
@@ -91,19 +88,17 @@ def _rows(pairs: Integers, count: int) -> Integers:
 
 
 def of_heads(fitted: Fit) -> list[Finding]:
-    """Name the heads that moved."""
-    listed = []
-    for one in head_moves(fitted):
-        if one.p_value >= LEVEL:
-            continue
-        turn, shift = float(np.linalg.norm(one.move[:3])), float(np.linalg.norm(one.move[3:]))
-        figures = {
-            "camera": one.camera,
-            "image": one.before,
-            "turn_arcsec": 3600.0 * float(np.degrees(turn)),
-            "shift_mm": 1000.0 * shift,
-            "p": one.p_value,
-        }
-        size = Size(float(np.degrees(turn)), "deg", float(np.degrees(np.linalg.norm(one.sigma[:3]))))
-        listed.append(Finding("head-moved", "grave", one.camera, figures, size=size))
-    return listed
+    """Name the head that moved."""
+    one = head_move(fitted)
+    if one is None or one.p_value >= LEVEL:
+        return []
+    turn, shift = float(np.linalg.norm(one.move[:3])), float(np.linalg.norm(one.move[3:]))
+    figures = {
+        "camera": one.camera,
+        "image": one.before,
+        "turn_arcsec": 3600.0 * float(np.degrees(turn)),
+        "shift_mm": 1000.0 * shift,
+        "p": one.p_value,
+    }
+    size = Size(float(np.degrees(turn)), "deg", float(np.degrees(np.linalg.norm(one.sigma[:3]))))
+    return [Finding("head-moved", "grave", one.camera, figures, size=size)]
