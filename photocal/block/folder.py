@@ -23,11 +23,7 @@ from photocal.block.model import (
 )
 from photocal.block.motion import MOTION_COLUMNS, read_motion
 from photocal.block.mounting import make_mounting, read_attitudes, read_positions
-<<<<<<< HEAD
-=======
-from photocal.block.readings import MARKS, READINGS, from_readings, mean_of_readings
 from photocal.block.rig import make_heads
->>>>>>> 8606979 (Cameras on one frame are adjusted with their relative orientations, which results list with covariances)
 from photocal.block.setup import ObservationKeys, read_setup
 from photocal.block.table import Table, known_rows, read_table, refuse, refuse_unknown
 from photocal.geometry.camera import Camera

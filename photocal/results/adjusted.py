@@ -19,19 +19,13 @@ from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.mounting import BORESIGHT, COMMON, STRIPS
-<<<<<<< HEAD
+from photocal.adjustment.network import Network
 from photocal.adjustment.readout import with_readouts
+from photocal.adjustment.rig import OF_HEAD, TURN, head_rotation
 from photocal.adjustment.snooping import Test, snoop, subset
 from photocal.adjustment.solution import Solution, global_test
 from photocal.adjustment.solver import Iteration
-from photocal.adjustment.state import State, start_state
-=======
-from photocal.adjustment.network import Network
-from photocal.adjustment.rig import OF_HEAD, TURN, head_rotation
-from photocal.adjustment.snooping import Test, subset
-from photocal.adjustment.solution import Solution, global_test
 from photocal.adjustment.state import State, head_values, start_state
->>>>>>> 8606979 (Cameras on one frame are adjusted with their relative orientations, which results list with covariances)
 from photocal.adjustment.unknowns import XYZ
 from photocal.adjustment.variance_components import (
     Component,

@@ -39,14 +39,7 @@ class Wanted:
 
 
 def parse_joint(text: str) -> tuple[tuple[str, str], ...]:
-<<<<<<< HEAD
-    """Read `image:12,point:P5,camera:P4P,mounting`; raises ConfigurationError for a kind that is none."""
-=======
-    """Read `image:12,point:P5,camera:P4P,head:NIR,mounting`.
-
-    raises ConfigurationError: for a kind that is none.
-    """
->>>>>>> 8606979 (Cameras on one frame are adjusted with their relative orientations, which results list with covariances)
+    """Read `image:12,camera:P4P,head:NIR,mounting`; raises ConfigurationError for a kind that is none."""
     chosen = []
     for part in filter(None, (part.strip() for part in text.split(","))):
         kind, _, name = part.partition(":")

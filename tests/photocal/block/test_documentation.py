@@ -11,6 +11,7 @@ import drivers.errors
 from acquire.cli import app as acquire_app
 from photocal.block.camera_setup import make_camera
 from photocal.block.folder import (
+    EXPOSURE,
     IMAGE_COLUMNS,
     IMAGE_SIGMAS,
     OBSERVATION_COLUMNS,
@@ -44,7 +45,7 @@ def test_columns_are_those_that_are_read() -> None:
     tables = document("docs/block-folder.md").partition("## The run folder")[0]
     rows = dict(re.findall(r"^\| `(\w+)\.csv`[^|]*\| (.+?) \|$", tables, re.MULTILINE))
     listed = {name: set(re.split(r"[,|\s]+", cells)) - {""} for name, cells in rows.items()}
-    assert listed["images"] == {*IMAGE_COLUMNS, *IMAGE_SIGMAS, *MOTION_COLUMNS}
+    assert listed["images"] == {*IMAGE_COLUMNS, *IMAGE_SIGMAS, *MOTION_COLUMNS, EXPOSURE}
     assert listed["points"] == {*POINT_COLUMNS, *POINT_SIGMAS, *POINT_CROSS}
     assert listed["observations"] == {*OBSERVATION_COLUMNS, "sx", "sy"}
 
