@@ -51,6 +51,7 @@ from photocal.measurement.start_block import (
 )
 from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, camera_figures, pixel_residuals
 from photocal.measurement.tie_block import GROSS, marked_control, place, with_ties
+from photocal.measurement.tracks import Tracks
 from photocal.project import Project
 
 # While gross errors are sought these are held: a level block determines them only with precise positions,
@@ -58,6 +59,8 @@ from photocal.project import Project
 HELD = ("c", "x0", "y0")
 # What is held, step by step, where a block does not bear all that its project estimates.
 HOLDING: tuple[tuple[str, ...], ...] = ((), HELD, PARAMETERS)
+# How far heads move (m) and turn (rad) on their frame while gross errors are sought.
+LOOSE_FRAME = 0.05, 0.002
 # A principal distance that leaves its given value by so many prior sigmas is not that of the lens: what the
 # model lacks (a rolling shutter above all) went into it.
 CREDIBLE_SIGMAS = 4.0
@@ -118,9 +121,9 @@ def measure_project(
         if project.crs != "local" or control.of_role("control").any():
             raise _nowhere(project.name)
         block = replace(block, datum="free")
-    # Heads are oriented each by its rays, which then tell how they lie on their frame.
-    soft = replace(_softened(block), heads=())
-    oriented = orient_ties(soft, sighted.sources, sighted.tracks, sighted.pairs, plan.processes, progress)
+    soft = _softened(block)
+    tracks = from_two_exposures(sighted.tracks, given.exposure)
+    oriented = orient_ties(soft, sighted.sources, tracks, sighted.pairs, plan.processes, progress)
     # Positions of a flight log come later, and with them what determines c.
     released, block, more = _released(oriented.adjusted, block, HOLDING if starts is None else ((),))
     suspects = suspected_marks(released, control)
@@ -169,6 +172,16 @@ def _with_cameras(
         reasons.append("" if fits else f"its {width} x {height} px are not those of camera {cameras[k].id}")
     sighted = sighted.without(reasons)
     return sighted, np.array([k for k, why in zip(camera, reasons, strict=True) if not why], dtype=np.int64)
+
+
+def from_two_exposures(tracks: Tracks, exposure: Sequence[str]) -> Tracks:
+    """Tracks that more than one exposure shows: heads of one frame see a point from one place."""
+    if not any(exposure):
+        return tracks
+    keys = [name or f"image {k}" for k, name in enumerate(exposure)]
+    number = np.unique(keys, return_inverse=True)[1]
+    places = np.unique(np.column_stack([tracks.track, number[tracks.image]]), axis=0)[:, 0]
+    return tracks.some((np.bincount(places, minlength=tracks.count) > 1)[tracks.track])
 
 
 def pictures_of_heads(project: Project) -> tuple[dict[str, int], dict[str, str]]:
@@ -296,7 +309,9 @@ def _softened(block: Block) -> Block:
     sigma[:, 3:] = np.where(loose, loosely, sigma[:, 3:])
     estimated = np.array([name not in HELD for name in PARAMETERS])
     cameras = tuple(replace(own, estimated=own.estimated & estimated) for own in block.cameras)
-    return replace(block, cameras=cameras, images=replace(block.images, sigma=sigma))
+    # Heads lie as firmly as their first poses tell.
+    heads = tuple(replace(head, stiffness=LOOSE_FRAME) for head in block.heads)
+    return replace(block, cameras=cameras, images=replace(block.images, sigma=sigma), heads=heads)
 
 
 def _released(
