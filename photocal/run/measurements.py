@@ -122,12 +122,15 @@ def measurements_stage(project: Project, exposures: Path | None) -> Stage:
         inputs |= pictures_of(project)
         if project.images.positions is not None:
             inputs["positions"] = project.images.positions
+        if project.images.pictures is not None:
+            inputs["pictures"] = project.images.pictures
         if control.marks is not None and control.marks.exists():
             inputs["marks"] = control.marks
     settings = {
         "crs": project.crs,
         "height": project.height,
         "camera": [keys.model_dump(mode="json") for keys in project.contents.camera],
+        "head": [keys.model_dump(mode="json") for keys in project.contents.head],
         "targets": [own.model_dump(mode="json") for own in control.targets],
         "sigma_px": None if given is None else given.sigma_px,
         "position_sigma_m": project.images.position_sigma_m,
