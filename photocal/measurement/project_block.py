@@ -341,7 +341,11 @@ def _released(
         if not why or held_here == holding[-1]:
             break
         refusal = refusal or why
-    kept = tuple(replace(own, estimated=own.estimated & free) for own in block.cameras)
+    # What is held has no prior: it would be an observation of what is no unknown.
+    kept = tuple(
+        replace(own, estimated=own.estimated & free, prior_sigma=np.where(free, own.prior_sigma, np.inf))
+        for own in block.cameras
+    )
     findings = []
     for own, before in zip(kept, block.cameras, strict=True):
         gone = before.estimated & ~own.estimated
