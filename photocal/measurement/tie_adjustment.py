@@ -174,17 +174,19 @@ def _solved(start: Block, block: Block, poses: Floats, *, held: bool) -> Solved:
 
 def _solved_with(start: Block, block: Block, poses: Floats, cameras: tuple[Camera, ...]) -> Solved:
     assembly = assemble(replace(block, cameras=cameras))
-    solution = adjust(assembly.network, state=_state(assembly, poses))
+    solution = adjust(assembly.network, state=_state(assembly, block, poses))
     better = tuple(own.with_values(v) for own, v in zip(start.cameras, solution.cameras, strict=True))
     return replace(start, cameras=better), assembly, solution
 
 
-def _state(assembly: NetworkOfBlock, poses: Floats) -> State:
+def _state(assembly: NetworkOfBlock, block: Block, poses: Floats) -> State:
     """Start where the rays meet: positions and angles that were observed may be far from there."""
-    local = local_poses(assembly.frame, poses)
-    return replace(
-        start_state(assembly.network), rotation=matrix_from_angles(local[:, :3]), centre=local[:, 3:]
-    )
+    local, start = local_poses(assembly.frame, poses), start_state(assembly.network)
+    # Seen from what was observed, points may have lain behind the cameras, and were placed again.
+    tie = block.points.of_role("tie")[assembly.points]
+    given = assembly.frame.to_local(block.points.values[assembly.points])
+    points = np.where(tie[:, None] & np.isfinite(given), given, start.points)
+    return replace(start, rotation=matrix_from_angles(local[:, :3]), centre=local[:, 3:], points=points)
 
 
 def _solved_at_last(start: Block, block: Block, poses: Floats, *, held: bool) -> Solved:
@@ -203,7 +205,7 @@ def _free(block: Block) -> Block:
 def _robustly(ties: _Ties, block: Block) -> _Ties:
     """Ties without the rays that a robust adjustment leaves far off, at its poses."""
     assembly = assemble(replace(block, cameras=_held(block.cameras)))
-    start = _state(assembly, ties.poses)
+    start = _state(assembly, block, ties.poses)
     problem = with_datum(prepare(assembly.network), start)
     state = robust_state(problem, start)
     fit = np.empty(len(assembly.rays))
