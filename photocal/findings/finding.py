@@ -72,8 +72,6 @@ def untested(code: str, cause: str, figures: Mapping[str, Any] | None = None) ->
 
 # Limit of equivalence: a smaller error of the stated standard deviations is no finding, however sure it is.
 FACTOR = 0.05
-# Errors of what the client uses: not small, they withhold acceptance like the grave ones.
-_EFFECTIVE = ("c-drift", "rolling-shutter")
 
 
 def of_global_test(
@@ -96,8 +94,8 @@ def of_global_test(
 
 def verdict(findings: Iterable[Finding]) -> Finding:
     """Judge over all findings: what is grave withholds acceptance, what is doubtful is a reservation."""
-    listed = tuple(findings)
-    grave = [f for f in listed if _grave(f)]
+    listed = tuple({(f.code, f.subject): f for f in findings}.values())
+    grave = [f for f in listed if f.severity in ("refused", "grave")]
     doubtful = [f for f in listed if f.severity in ("doubtful", "consequence") and f not in grave]
     decided = tuple(dict.fromkeys(f.code for f in grave or doubtful))
     figures = {"n": float(len(grave or doubtful)), "codes": decided, "limit": FACTOR}
@@ -106,7 +104,3 @@ def verdict(findings: Iterable[Finding]) -> Finding:
     if doubtful:
         return Finding("usable-with-reservations", "doubtful", figures=figures)
     return Finding("usable", "passed", figures=figures)
-
-
-def _grave(one: Finding) -> bool:
-    return one.severity in ("refused", "grave") or (one.code in _EFFECTIVE and not one.small)

@@ -11,7 +11,13 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Flags, Floats, Integers
-from drivers.errors import ConfigurationError, InputNotFoundError, PhotocalError
+from drivers.errors import (
+    ConfigurationError,
+    IllPosedError,
+    InputNotFoundError,
+    NotConvergedError,
+    PhotocalError,
+)
 from photocal.block.folder import read_points
 from photocal.block.model import Block, Images, ObjectPoints
 from photocal.block.rig import make_heads
@@ -48,6 +54,7 @@ from photocal.measurement.start_block import (
     POSITION_SIGMA_M,
     position_sigma,
     without_images,
+    without_single_rays,
 )
 from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, camera_figures, pixel_residuals
 from photocal.measurement.tie_block import GROSS, marked_control, place, with_ties
@@ -336,8 +343,13 @@ def _released(
             )
             for own in held.start.cameras
         )
-        released = adjust_ties(replace(held.start, cameras=cameras), held.values, held.tracks)
-        why = _not_borne(released, asked, cameras)
+        try:
+            released = adjust_ties(replace(held.start, cameras=cameras), held.values, held.tracks)
+            why = _not_borne(released, asked, cameras)
+        except (IllPosedError, NotConvergedError):
+            if held_here == holding[-1]:
+                raise
+            why = {"camera": cameras[0].id}
         if not why or held_here == holding[-1]:
             break
         refusal = refusal or why
@@ -381,7 +393,9 @@ def _restored(held: Adjusted, released: Adjusted, block: Block) -> Block:
     bare = without_images(block, ~np.isin(block.images.names, names))
     kept = np.isin(held.block.images.names, names)
     borne = np.full_like(bare.images.sigma, np.inf)
-    if released.start.datum != "free":
+    if released.start.datum == "free":
+        bare = without_single_rays(bare)
+    else:
         shifted = len(marked_control(block)) >= FEWEST_CONTROL
         borne = position_sigmas(bare.images, released.values, shifted=shifted)[0]
     bare = replace(bare, datum=released.start.datum, images=replace(bare.images, sigma=borne))

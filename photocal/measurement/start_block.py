@@ -150,11 +150,18 @@ def without_images(block: Block, gone: Flags) -> Block:
         block,
         cameras=tuple(block.cameras[k] for k in cameras),
         images=replace(images.some(keep), camera=camera.astype(np.int64)),
-        observations=replace(
-            seen,
-            image=place[seen.image[left]],
-            point=seen.point[left],
-            values=seen.values[left],
-            sigma=seen.sigma[left],
-        ),
+        observations=replace(_some(seen, left), image=place[seen.image[left]]),
+    )
+
+
+def without_single_rays(block: Block) -> Block:
+    """Take out what is measured in one image only: of a free block it determines nothing."""
+    seen = block.observations
+    count = np.bincount(seen.point, minlength=len(block.points.names))
+    return replace(block, observations=_some(seen, count[seen.point] > 1))
+
+
+def _some(seen: Observations, kept: Flags) -> Observations:
+    return replace(
+        seen, image=seen.image[kept], point=seen.point[kept], values=seen.values[kept], sigma=seen.sigma[kept]
     )

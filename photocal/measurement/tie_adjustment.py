@@ -20,7 +20,7 @@ from photocal.block.network import NetworkOfBlock, assemble
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.oriented_images import given_poses, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
-from photocal.measurement.start_block import without_images
+from photocal.measurement.start_block import without_images, without_single_rays
 from photocal.measurement.tie_block import GROSS, START_GROSS, fitting, place, ray_sigmas, with_ties
 from photocal.measurement.tracks import Tracks, of_images
 from photocal.results.adjusted import given_exposures, given_points
@@ -138,6 +138,8 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
         if round_ and good.all():
             break
     start, assembly, solution = _solved_at_last(ties.start, block, ties.poses, held=False)
+    if start.datum == "free":
+        block = without_single_rays(block)
     values = given_exposures(assembly, solution)[0]
     points = block.points.values.copy()
     tie = assembly.points >= len(start.points.names)
@@ -199,7 +201,7 @@ def _solved_at_last(start: Block, block: Block, poses: Floats, *, held: bool) ->
 
 def _free(block: Block) -> Block:
     images = replace(block.images, sigma=np.full_like(block.images.sigma, np.inf))
-    return replace(block, datum="free", images=images)
+    return replace(without_single_rays(block), datum="free", images=images)
 
 
 def _robustly(ties: _Ties, block: Block) -> _Ties:

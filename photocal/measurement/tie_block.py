@@ -56,11 +56,15 @@ def place(block: Block, tracks: Tracks, least_spread: float = LEAST_SPREAD) -> F
     """Intersect the rays of tracks in the oriented images of a block.
 
     least_spread: of a point's rays from their mean, rad.
-    returns (tracks.count, 3): in the block's frame; NaN where the rays do not meet, or are almost parallel.
+    returns (tracks.count, 3): in the block's frame; NaN where the rays do not meet, or only behind a camera,
+        or are almost parallel.
     """
     frame = block_frame(block)
     views = views_of(block, frame)
     points = intersected(views, tracks)
+    away = points[tracks.track] - views.station[tracks.image]
+    ahead = np.einsum("ni,ni->n", views.rotation[tracks.image, 2], away) < 0.0
+    points[tracks.track[~ahead]] = np.nan
     with np.errstate(invalid="ignore"):
         points[~(spread(views, tracks, points) >= least_spread)] = np.nan
     return given_places(frame, points)

@@ -19,6 +19,8 @@ UNSTABLE = 3.0
 # From here on a wrong sigma is not small, even if nothing else was found.
 BADLY_WRONG_SIGMA = 1.2
 ALPHA = 0.10
+# No model takes these up: what they do to c or to the points of a block withholds acceptance.
+GRAVE = ("c-drift", "rolling-shutter")
 # An error that moves object points by less than this share of their standard deviations is small.
 SMALL_MOVE = 1.0
 
@@ -30,7 +32,7 @@ def of_round(one: Round) -> Finding:
     change = float(one.before.solution.cameras[at, 0] - one.after.solution.cameras[at, 0])
     sigma_c = float(np.sqrt(one.before.solution.camera_covariance[at, 0, 0]))
     left = _left_px(one)
-    small = left < SMALL_PX and abs(change) < SMALL_SIGMAS * sigma_c and _points_moved(one) < SMALL_MOVE
+    felt = abs(change) >= SMALL_SIGMAS * sigma_c > 0.0 or _points_moved(one) >= SMALL_MOVE
     ground = ground_effect(one.before, at, change)
     figure, unit = _figure(parameter, camera)
     figures: dict[str, Figure] = {
@@ -61,7 +63,12 @@ def of_round(one: Round) -> Finding:
     if parameter.alike:
         clauses.append("alike")
     size = Size(figure, unit, parameter.sigma, change, ground, parameter.effect_px)
-    return _graded(parameter.candidate.kind, camera.id, figures, clauses, size, small=small)
+    kind = parameter.candidate.kind
+    if left < SMALL_PX and not felt:
+        return Finding(kind, "note", camera.id, figures, (*clauses, "small"), size)
+    return Finding(
+        kind, "grave" if felt and kind in GRAVE else "doubtful", camera.id, figures, tuple(clauses), size
+    )
 
 
 def _left_px(one: Round) -> float:
@@ -93,13 +100,6 @@ def moved_with_c(fitted: Fit, camera: int, change: float) -> float:
     step, moved = covariance_column(fitted.factored, right, np.zeros_like(fitted.state.points))
     variance = float(right @ step)
     return _in_sigmas(fitted, moved * (change / variance)) if variance > 0.0 else 0.0
-
-
-def _graded(
-    code: str, subject: str, figures: dict[str, Figure], clauses: list[str], size: Size, *, small: bool
-) -> Finding:
-    said = (*clauses, "small") if small else tuple(clauses)
-    return Finding(code, "note" if small else "doubtful", subject, figures, said, size)
 
 
 def _figure(parameter: ExtraParameter, camera: Camera) -> tuple[float, str]:

@@ -156,7 +156,8 @@ def _suspected(last: Fit, found: tuple[Candidate, ...], done: Callable[[], None]
         if any(_same(candidate, one) for one in found):
             continue
         outcome = estimated_amount(last, candidate)
-        if outcome is not None:
+        # Rows are read one after the other, never backwards: that would be something else.
+        if outcome is not None and (candidate.kind != "rolling-shutter" or outcome.amount > 0.0):
             tested.append(outcome)
         done()
     significant = [one for one in tested if max(one.p_value, one.by_images) < LEVEL / len(tested)]

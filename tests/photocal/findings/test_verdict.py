@@ -24,10 +24,9 @@ def test_the_gravest_decides(severities: tuple[Severity, ...], code: str) -> Non
     assert verdict(Finding("time-offset", one) for one in severities).code == code
 
 
-@pytest.mark.parametrize("code", ["c-drift", "rolling-shutter"])
-def test_an_error_of_what_the_client_uses_withholds(code: str) -> None:
-    assert verdict([Finding(code, "doubtful")]).code == "not-usable"
-    assert verdict([Finding(code, "note")]).code == "usable"
+def test_what_several_stages_tell_is_counted_once() -> None:
+    told = Finding("rolling-shutter", "grave", "cam"), Finding("rolling-shutter", "grave", "cam")
+    assert verdict(told).figures["n"] == 1.0
 
 
 def test_a_factor_of_five_per_cent_is_no_finding() -> None:
