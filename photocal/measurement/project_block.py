@@ -57,7 +57,7 @@ from photocal.measurement.start_block import (
     without_single_rays,
 )
 from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, camera_figures, pixel_residuals
-from photocal.measurement.tie_block import GROSS, marked_control, place, with_ties
+from photocal.measurement.tie_block import GROSS, brought_nearer, marked_control, place, with_ties
 from photocal.measurement.tracks import Tracks
 from photocal.project import Project
 
@@ -71,6 +71,8 @@ LOOSE_FRAME = 0.05, 0.002
 # A principal distance that leaves its given value by so many prior sigmas is not that of the lens: what the
 # model lacks (a rolling shutter above all) went into it.
 CREDIBLE_SIGMAS = 4.0
+# From this share on poses of one principal distance are no start for another.
+ANOTHER_C = 0.02
 # With enough control points heights of the images are hardly needed; they may count from another surface.
 OTHER_SURFACE_M = 50.0
 
@@ -343,8 +345,14 @@ def _released(
             )
             for own in held.start.cameras
         )
+        poses, start = held.values, replace(held.start, cameras=cameras)
+        ratio = np.array(
+            [a.value("c") / b.value("c") for a, b in zip(cameras, held.start.cameras, strict=True)]
+        )
+        if np.abs(ratio - 1.0).max() > ANOTHER_C:
+            poses = brought_nearer(held.start, poses, held.tracks, ratio[start.images.camera])
         try:
-            released = adjust_ties(replace(held.start, cameras=cameras), held.values, held.tracks)
+            released = adjust_ties(start, poses, held.tracks)
             why = _not_borne(released, asked, cameras)
         except (IllPosedError, NotConvergedError):
             if held_here == holding[-1]:

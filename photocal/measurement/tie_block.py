@@ -12,8 +12,9 @@ from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.network import block_frame, observed_plane
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.frames import Frame
-from photocal.geometry.oriented_images import OrientedImages, given_places, local_poses
+from photocal.geometry.oriented_images import OrientedImages, given_places, given_poses, local_poses
 from photocal.geometry.resection import ray_residuals
+from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.tracks import Tracks
 
 TIE = ROLES.index("tie")
@@ -68,6 +69,18 @@ def place(block: Block, tracks: Tracks, least_spread: float = LEAST_SPREAD) -> F
     with np.errstate(invalid="ignore"):
         points[~(spread(views, tracks, points) >= least_spread)] = np.nan
     return given_places(frame, points)
+
+
+def brought_nearer(block: Block, poses: Floats, tracks: Tracks, ratio: Floats) -> Floats:
+    """Poses of images whose principal distances become others: as much nearer to what they see."""
+    frame = block_frame(block)
+    placed = place(replace(block, images=replace(block.images, values=poses)), tracks, 0.0)
+    local, points = local_poses(frame, poses), frame.to_local(placed)
+    axis = -matrix_from_angles(local[:, :3])[:, 2]
+    depth = np.einsum("ni,ni->n", points[tracks.track] - local[tracks.image, 3:], axis[tracks.image])
+    usual = np.array([np.nanmedian(depth[tracks.image == k]) for k in range(len(poses))])
+    local[:, 3:] += axis * (usual * (1.0 - ratio))[:, None]
+    return given_poses(frame, local)
 
 
 def fitting(block: Block) -> Flags:

@@ -183,8 +183,10 @@ class Run:
     def stated(self, camera_id: str, parameter: str = "c") -> tuple[float, str]:
         """Standard deviation that a client is told: scaled where the global test is rejected, or larger.
 
-        returns: it, and whose it is: see `JackknifeRecord.largest`.
+        returns: it, and whose it is: see `JackknifeRecord.largest`; "held" for what was not estimated.
         """
+        if parameter not in self.result.cameras[camera_id].free:
+            return 0.0, "held"
         formal = (self.result.scale or 1.0) * self.result.cameras[camera_id].sigma_of(parameter)
         record = self.analysis.jackknife.get(camera_id) if self.analysis else None
         return (formal, "formal") if record is None else record.largest(parameter, formal)

@@ -179,7 +179,8 @@ def _principal_distances(folder: Path, certificate: dict[str, Any]) -> Iterator[
     for name, own in certificate.get("cameras", {}).items():
         stated = own["stated"]
         away = 100.0 * (start[name] / stated["value"] - 1.0)
-        yield f"{stated['value']:.5g} ± {stated['sigma']:.2g} ({stated['of']}); start {away:+.1f} %"
+        spread = f" ± {stated['sigma']:.2g} ({stated['of']}); start {away:+.1f} %"
+        yield f"{stated['value']:.5g}" + (" held" if stated["of"] == "held" else spread)
 
 
 def _json(path: Path) -> Any:
