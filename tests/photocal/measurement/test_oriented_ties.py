@@ -16,7 +16,8 @@ from photocal.geometry.camera import camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.oriented_ties import first_orientation, orient_ties
 from photocal.measurement.placing import oriented
-from photocal.measurement.start_block import NO_OBSERVATIONS, NO_POINTS
+from photocal.measurement.start_block import NO_OBSERVATIONS, NO_POINTS, without_single_rays
+from photocal.measurement.tie_block import brought_nearer
 from photocal.measurement.tracks import Tracks
 from tests.photocal.findings.english import english
 
@@ -115,6 +116,30 @@ def test_a_wrong_principal_distance_costs_iterations_only(share: float) -> None:
     assert found.block.cameras[0].value("c") == pytest.approx(900.0, rel=1e-3)
     assert found.block.cameras[0].estimated[0]
     assert any("was given as" in english(one) for one in found.findings)
+
+
+def test_poses_of_another_principal_distance_come_as_much_nearer() -> None:
+    places = np.array([[x, y, 40.0] for x in (-6.0, 6) for y in (-6.0, 6)])
+    poses = np.hstack([np.zeros((4, 3)), places])
+    found = brought_nearer(_block(places), poses, _tracks(places), np.full(4, 0.75))
+    assert found[:, :5] == pytest.approx(poses[:, :5], abs=1e-9)
+    # The ground lies 40 m below, within its hills.
+    assert found[:, 5] == pytest.approx(np.full(4, 30.0), abs=0.25)
+
+
+def test_what_one_image_sees_leaves_a_free_block() -> None:
+    seen = replace(
+        NO_OBSERVATIONS,
+        image=np.array([0, 1, 0]),
+        point=np.array([0, 0, 1]),
+        values=np.arange(6.0).reshape(3, 2),
+        sigma=np.ones((3, 2)),
+    )
+    points = replace(NO_POINTS, names=("a", "b"), values=np.zeros((2, 3)), sigma=np.ones((2, 3)))
+    block = replace(_block(np.zeros((2, 3))), points=points, observations=seen)
+    left = without_single_rays(block).observations
+    assert left.point.tolist() == [0, 0]
+    assert left.values.tolist() == [[0.0, 1.0], [2.0, 3.0]]
 
 
 def test_images_from_elsewhere_are_another_block() -> None:
