@@ -26,7 +26,7 @@ def _fingerprint() -> str:
     The compiler's own cache looks only at the file of the outermost function; a change in a function
     that it calls would go unnoticed.
     """
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(Path(__file__).read_bytes())
     for folder in ("geometry", "adjustment"):
         for source in sorted((PACKAGE / folder).rglob("*.py")):
             text = source.read_bytes()

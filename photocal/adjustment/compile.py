@@ -7,8 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from photocal.adjustment.adjust import adjust
+from photocal.adjustment.factored import factored
 from photocal.adjustment.network import Exposures, Network, Points, Rays, Relations, point_weights
+from photocal.adjustment.score import followed_by, score
 from photocal.adjustment.snooping import snoop
+from photocal.adjustment.solver import gradient
 from photocal.geometry.camera import PARAMETERS, camera
 
 
@@ -34,8 +37,13 @@ def compile_kernels() -> None:
         ("a", "b"),
         names,
     )
-    adjust(network)
+    solution = adjust(network)
     snoop(network)
+    # What an analysis does with the factor.
+    at = factored(network, solution.state)
+    ones = score(at, solution.residuals, np.ones((1, *plane.shape)))
+    followed_by(at, ones.steps[0], ones.moved[0])
+    gradient(at.problem, at.state, [])
     # With a few photo-variant parameters every image has columns for them.
     varied = replace(lens, deviation_sigma=np.where(np.arange(len(PARAMETERS)) == 1, 0.1, 0.0))
     adjust(replace(network, cameras=(varied,)))

@@ -151,11 +151,10 @@ def correction(problem: Problem, normal: Normal, bare_normal: Normal, state: Sta
     chosen = _datum_points(problem.network)
     right = np.zeros_like(points)
     right[chosen] = points[chosen]
-    spread, point_spread = np.empty_like(reduced), np.empty_like(points)
-    for k in range(reduced.shape[1]):
-        of_kept = np.zeros(problem.layout.size)
-        of_kept[problem.layout.point_columns] = right[problem.layout.kept_points, :, k]
-        spread[:, k], point_spread[:, :, k] = full_solution(problem, normal, of_kept, right[:, :, k])
+    of_kept = np.zeros_like(reduced.T)
+    of_kept[:, problem.layout.point_columns] = np.moveaxis(right[problem.layout.kept_points], 2, 0)
+    steps, moved = full_solution(problem, normal, of_kept, np.moveaxis(right, 2, 0))
+    spread, point_spread = steps.T, np.moveaxis(moved, 0, 2)
     # Columns of held unknowns and unknowns that are kept stand in both parts; G counts each point once.
     constraint = np.einsum("nak,nal->kl", right, points)
     own = np.einsum("nak,nal->kl", right, point_spread)
@@ -165,16 +164,20 @@ def correction(problem: Problem, normal: Normal, bare_normal: Normal, state: Sta
 def full_solution(
     problem: Problem, normal: Normal, reduced_right: Floats, point_right: Floats
 ) -> tuple[Floats, Floats]:
-    """Solve the full normal equations."""
-    right = np.ascontiguousarray(point_right)
-    layout = problem.layout
-    reduced = np.array(reduced_right)
-    reduce_right(problem.design, problem.structure, right, normal.kept, reduced)
-    reduced[problem.held] = 0.0
-    step = solve(layout.envelope, normal.matrix, reduced)
+    """Solve the full normal equations for one right-hand side, or for several along the first axis."""
+    layout, threads = problem.layout, len(problem.design.pieces) - 1
+    right = np.ascontiguousarray(point_right).reshape(-1, len(problem.design.point_free), 3)
+    reduced = np.array(reduced_right).reshape(len(right), -1)
+    for own, of_points in zip(reduced, right, strict=True):
+        if of_points.any():
+            taken = np.zeros((threads, layout.size))
+            reduce_right(problem.design, problem.structure, of_points, normal.kept, taken)
+            own += taken.sum(axis=0)
+    reduced[:, problem.held] = 0.0
+    steps = np.ascontiguousarray(solve(layout.envelope, normal.matrix, reduced.T).T)
     points = np.zeros_like(right)
-    threads = len(problem.design.pieces) - 1
-    kept = normal.kept._replace(gradient=-right)
-    back_substitute(problem.design, problem.structure, step, kept, points, np.zeros(threads))
-    points[layout.kept_points] = step[layout.point_columns]
-    return step, points
+    for step, of_points, moved in zip(steps, right, points, strict=True):
+        kept = normal.kept._replace(gradient=-of_points)
+        back_substitute(problem.design, problem.structure, step, kept, moved, np.zeros(threads))
+        moved[layout.kept_points] = step[layout.point_columns]
+    return steps.reshape(np.shape(reduced_right)), points.reshape(np.shape(point_right))

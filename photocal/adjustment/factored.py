@@ -47,7 +47,8 @@ def factorised(problem: Problem, minimum: Minimum) -> Factored:
     IllPosedError
         When they are singular.
     """
-    state, normal = minimum.state, minimum.normal
+    state = minimum.state
+    normal = minimum.normal or normal_equations(problem, state)
     # Only a free network needs both, the matrix and its factor.
     bare = replace(normal, matrix=normal.matrix.copy()) if len(problem.stiffened) else normal
     if not minimum.factored and factorise(problem.layout.envelope, normal.matrix) >= 0:
@@ -57,14 +58,16 @@ def factorised(problem: Problem, minimum: Minimum) -> Factored:
 
 
 def covariance_column(at: Factored, reduced: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Covariance of all unknowns with one linear function of them."""
+    """Covariance of all unknowns with a linear function of them, or with several along the first axis."""
     step, moved = full_solution(at.problem, at.normal, reduced, points)
     if at.datum is None:
         return step, moved
     datum = at.datum
     # Columns of S Q S' with S = I - A (G'A)^-1 G' (Baarda 1973).
-    along = datum.inverse.T @ (datum.moves.T @ reduced + np.einsum("nak,na->k", datum.point_moves, points))
-    on_datum = datum.spread.T @ reduced + np.einsum("nak,na->k", datum.point_spread, points)
-    back = datum.inverse @ (on_datum - datum.own @ along)
-    step = step - datum.spread @ along - datum.moves @ back
-    return step, moved - datum.point_spread @ along - datum.point_moves @ back
+    along = (reduced @ datum.moves + np.einsum("nak,...na->...k", datum.point_moves, points)) @ datum.inverse
+    on_datum = reduced @ datum.spread + np.einsum("nak,...na->...k", datum.point_spread, points)
+    back = (on_datum - along @ datum.own) @ datum.inverse.T
+    step = step - along @ datum.spread.T - back @ datum.moves.T
+    for places, share in ((datum.point_spread, along), (datum.point_moves, back)):
+        moved = moved - np.einsum("nak,...k->...na", places, share)
+    return step, moved

@@ -6,9 +6,9 @@ Steps with that factor (chord steps) end where an adjustment anew ends; their le
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -28,78 +28,8 @@ from photocal.adjustment.normal import (
     pieces_of,
     values_of,
 )
-from photocal.adjustment.sensitivity import pulls
-from photocal.adjustment.solver import ROUNDING, moved_by, reduced_step
-from photocal.adjustment.state import State, moved_exposures
-
-STEPS = 12
-
-
-@dataclass(frozen=True)
-class Near:
-    """A minimum near a known one.
-
-    left: bound of the squared distance to it that is left, in units of the standard deviations.
-    """
-
-    state: State
-    chi_squared: float
-    left: float
-
-
-def gradient(problem: Problem, state: State, equations: list[Equations]) -> tuple[float, Floats, Floats]:
-    """Sum of v'Pv, and half its derivatives to the unknowns of the reduced system and to the points."""
-    design, structure, layout = problem.design, problem.structure, problem.layout
-    threads = len(design.pieces) - 1
-    totals, reduced, points = np.zeros(threads), np.zeros((threads, layout.size)), np.zeros_like(state.points)
-    pulls(design, values_of(problem, state), structure, totals, reduced, points)
-    if not np.all(np.isfinite(totals)):
-        raise NotConvergedError("a point came to lie behind a camera", remedy="look at the start values")
-    off = state.points - design.prior_points
-    pull = np.einsum("nab,nb->na", design.prior_weight, off)
-    points += pull * design.point_free
-    total = reduced.sum(axis=0)
-    total[layout.point_columns] += points[layout.kept_points]
-    chi_squared = float(totals.sum() + np.sum(off * pull))
-    for rows in equations:
-        weighted = np.repeat(rows.weight * rows.residual, np.diff(rows.start))
-        np.add.at(total, rows.column, rows.coefficient * weighted)
-        chi_squared += rows.chi_squared()
-    total[problem.held] = 0.0
-    return chi_squared, total, points
-
-
-def chords(
-    problem: Problem,
-    normal: Normal,
-    state: State,
-    near: float,
-    equations: Callable[[State], list[Equations]],
-    before: float,
-    hold: tuple[int, Floats, Floats] | None = None,
-) -> Near:
-    """Step to a minimum with a factor that is given, after a step of squared length `before`."""
-    for _ in range(STEPS):
-        chi_squared, reduced, points = gradient(problem, state, equations(state))
-        step, moved = full_solution(problem, normal, -reduced, -points)
-        if hold is not None:
-            column, along, along_points = hold
-            share = step[column] / along[column]
-            step, moved = step - share * along, moved - share * along_points
-        # Points that stay in the reduced system stand in both parts.
-        points[problem.layout.kept_points] = 0.0
-        length = -float(reduced @ step + np.sum(points * moved))
-        if not (length < before / 2 or length < ROUNDING):
-            break
-        state = _moved(problem, state, step, moved)
-        # Steps shrink at a steady rate: the next one tells how far the minimum still is.
-        left = length * min(1.0, length / before)
-        if left < near:
-            return Near(state, chi_squared - length, max(left, 0.0))
-        before = length
-    raise NotConvergedError(
-        "the minimum is not near", remedy="adjust the changed network from its start values"
-    )
+from photocal.adjustment.solver import Near, chords, moved_along, moved_by, reduced_step
+from photocal.adjustment.state import State
 
 
 def with_held(at: Factored, column: int, change: float, near: float) -> Near:
@@ -113,7 +43,7 @@ def with_held(at: Factored, column: int, change: float, near: float) -> Near:
 
     along = _column(at, column)
     share = change / along[0][column]
-    start, length = _moved(at.problem, at.state, share * along[0], share * along[1]), share * change
+    start, length = moved_along(at.problem, at.state, share * along[0], share * along[1]), share * change
     try:
         return chords(at.problem, at.normal, start, near, equations, length, (column, *along))
     except NotConvergedError:
@@ -127,11 +57,6 @@ def _column(at: Factored, column: int) -> tuple[Floats, Floats]:
     right = np.zeros(at.problem.layout.size)
     right[column] = 1.0
     return full_solution(at.problem, at.normal, right, np.zeros_like(at.state.points))
-
-
-def _moved(problem: Problem, state: State, step: Floats, points: Floats) -> State:
-    exposures = moved_exposures(problem.network, problem.layout, state, step)
-    return replace(exposures, points=state.points + points)
 
 
 class Removals:

@@ -18,7 +18,8 @@ from photocal.adjustment.factored import Factored, covariance_column, factored
 from photocal.adjustment.kernels.statistics import statistics
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import values_of
-from photocal.adjustment.sensitivity import along, point_effects
+from photocal.adjustment.score import followed_by
+from photocal.adjustment.sensitivity import point_effects
 from photocal.adjustment.solution import Solution
 from photocal.geometry.camera import PARAMETERS
 
@@ -134,22 +135,13 @@ def _direction_of_c(at: Factored, camera: int) -> tuple[Floats, Floats]:
     return covariance_column(at, right, points) if right.any() else (right, points)
 
 
-def _change_along(at: Factored, step: Floats, points: Floats) -> Floats:
-    """Weighted change of all image coordinates along a direction, shape (rays, 2)."""
-    problem = at.problem
-    change = np.zeros(problem.design.weight.shape)
-    arrays = np.ascontiguousarray(step), np.ascontiguousarray(points)
-    along(problem.design, values_of(problem, at.state), problem.structure, *arrays, change)
-    return np.asarray(change * problem.design.weight)
-
-
 def _on_c(at: Factored, directions: list[tuple[Floats, Floats]]) -> Floats:
     """Change of the own camera's principal distance per unit of each image coordinate, (rays, 2)."""
     design = at.problem.design
     camera = at.problem.network.exposures.camera[design.ray_image]
     effect = np.zeros(design.weight.shape)
     for k, direction in enumerate(directions):
-        effect = np.where((camera == k)[:, None], _change_along(at, *direction), effect)
+        effect = np.where((camera == k)[:, None], followed_by(at, *direction) * design.weight, effect)
     return effect
 
 
@@ -170,7 +162,7 @@ def _on_own_points(at: Factored) -> Floats:
     # S-transformation to inner constraints: what all datum points moved on the average is taken back.
     common = np.stack(
         [
-            _change_along(at, datum.spread[:, k], datum.point_spread[:, :, k])
+            followed_by(at, datum.spread[:, k], datum.point_spread[:, :, k]) * design.weight
             for k in range(datum.spread.shape[1])
         ],
         axis=-1,

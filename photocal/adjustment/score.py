@@ -24,13 +24,15 @@ class Score:
     slope (t,): half the derivative of v'Pv.
     information (t, t): inverse of the covariance that they would have.
     share (t,): of each field's length, weighted, what the other unknowns do not take up; squared.
-    visible (t, rays, 2): change of the residuals by a unit of each, when all others follow.
+    steps (t, layout.size), moved (t, points, 3): how all other unknowns follow a unit of each: reduced part
+        and points.
     """
 
     slope: Floats
     information: Floats
     share: Floats
-    visible: Floats
+    steps: Floats
+    moved: Floats
 
 
 def score(at: Factored, residuals: Floats, fields: Floats) -> Score:
@@ -39,32 +41,36 @@ def score(at: Factored, residuals: Floats, fields: Floats) -> Score:
     residuals (rays, 2): there, computed minus measured.
     fields (t, rays, 2): change of the computed image coordinates by a unit of each.
     """
-    weight = at.problem.design.weight
-    visible = np.array([field - taken_up(at, field) for field in fields])
-    weighted = fields * weight
-    information = np.einsum("srk,trk->st", weighted, visible)
-    whole = np.einsum("trk,trk->t", weighted, fields)
-    share = np.diag(information) / np.where(whole > 0.0, whole, 1.0)
-    slope = np.einsum("trk,rk->t", weighted, residuals)
-    return Score(slope, (information + information.T) / 2, share, visible)
+    flat = fields.reshape(len(fields), -1)
+    weighted = flat * at.problem.design.weight.ravel()
+    reduced, points = pulled(at, fields)
+    steps, moved = full_solution(at.problem, at.normal, reduced, points)
+    # Points that stay in the reduced system stand in both parts.
+    points[:, at.problem.layout.kept_points] = 0.0
+    followed = reduced @ steps.T + points.reshape(len(fields), -1) @ moved.reshape(len(fields), -1).T
+    whole = weighted @ flat.T
+    information = whole - (followed + followed.T) / 2
+    size = np.diag(whole)
+    share = np.diag(information) / np.where(size > 0.0, size, 1.0)
+    return Score(weighted @ residuals.ravel(), information, share, steps, moved)
 
 
-def taken_up(at: Factored, field: Floats) -> Floats:
-    """Part of a change of all image coordinates that the unknowns of an adjustment follow, (rays, 2)."""
-    step, moved = followed(at, field)
-    problem, followed_by = at.problem, np.zeros_like(field)
-    along(problem.design, values_of(problem, at.state), problem.structure, step, moved, followed_by)
-    return followed_by
+def pulled(at: Factored, fields: Floats) -> tuple[Floats, Floats]:
+    """Right-hand sides A'P d of the normal equations for changes d of all image coordinates."""
+    problem, values = at.problem, values_of(at.problem, at.state)
+    reduced = np.empty((len(fields), problem.layout.size))
+    points = np.zeros((len(fields), *at.state.points.shape))
+    for field, right, of_points in zip(fields, reduced, points, strict=True):
+        own = np.zeros((len(problem.design.pieces) - 1, problem.layout.size))
+        across(problem.design, values, problem.structure, np.ascontiguousarray(field), own, of_points)
+        right[:] = own.sum(axis=0)
+        right[problem.layout.point_columns] += of_points[problem.layout.kept_points]
+    return reduced, points
 
 
-def followed(at: Factored, field: Floats) -> tuple[Floats, Floats]:
-    """Change of all unknowns with a change of all image coordinates: reduced part and points."""
-    problem = at.problem
-    reduced = np.zeros((len(problem.design.pieces) - 1, problem.layout.size))
-    points = np.zeros_like(at.state.points)
-    change = np.ascontiguousarray(field)
-    across(problem.design, values_of(problem, at.state), problem.structure, change, reduced, points)
-    right = reduced.sum(axis=0)
-    right[problem.layout.point_columns] += points[problem.layout.kept_points]
-    step, moved = full_solution(problem, at.normal, right, points)
-    return np.ascontiguousarray(step), np.ascontiguousarray(moved)
+def followed_by(at: Factored, step: Floats, moved: Floats) -> Floats:
+    """Change of all image coordinates with a step of the unknowns: reduced part and points; (rays, 2)."""
+    problem, change = at.problem, np.zeros_like(at.problem.design.weight)
+    steps = np.ascontiguousarray(step), np.ascontiguousarray(moved)
+    along(problem.design, values_of(problem, at.state), problem.structure, *steps, change)
+    return change

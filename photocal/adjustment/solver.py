@@ -9,8 +9,9 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import NotConvergedError
-from photocal.adjustment.datum import inner_state
+from photocal.adjustment.datum import full_solution, inner_state
 from photocal.adjustment.envelope import factorise, solve
+from photocal.adjustment.equations import Equations
 from photocal.adjustment.kernels.residuals import evaluate
 from photocal.adjustment.kernels.substitution import back_substitute
 from photocal.adjustment.normal import (
@@ -18,6 +19,7 @@ from photocal.adjustment.normal import (
     Problem,
     diagonal_addresses,
     normal_equations,
+    other_equations,
     values_of,
 )
 from photocal.adjustment.rank import (
@@ -29,6 +31,7 @@ from photocal.adjustment.rank import (
     share_of_datum,
     weakest_pivot,
 )
+from photocal.adjustment.sensitivity import pulls
 from photocal.adjustment.state import State, moved_exposures, round_the_middle
 from photocal.adjustment.unknowns import unknowns
 
@@ -42,6 +45,11 @@ ROUNDING = 1e-6
 # After one this short the normal equations are those from before it.
 NEGLIGIBLE = 1e-12
 ITERATIONS = 50
+# Where a step gains no more than this share of v'Pv, and of what the one before has gained, the rest of the
+# way is gone with the factor that there is, in so many steps at most: each costs a small part of a whole one.
+FAST, CHORDS = 1e-2, 12
+# With a factor from elsewhere the rate is known less well: so much less is to be left.
+SURER = 1e-2
 # Where the iteration comes to no end, a step this short (sigmas) is none.
 NEARLY = 0.01
 # A step that moves the block as a whole, but for this little, is one of the datum alone.
@@ -72,12 +80,12 @@ class Iteration:
 class Minimum:
     """Where the iteration ended.
 
-    normal: normal equations there, without damping.
+    normal: normal equations there, without damping; None when the last steps needed none.
     factored: whether their matrix is the Cholesky factor already.
     """
 
     state: State
-    normal: Normal
+    normal: Normal | None
     iterations: tuple[Iteration, ...]
     factored: bool = False
 
@@ -101,7 +109,7 @@ def minimise(
         step = reduced_step(problem, normal, damping)
         if step is None and damping == 0.0 and decrement < ROUNDING:
             explain_singular(problem, state)
-        along_a_valley = False
+        along_a_valley, there = False, None
         if step is not None:
             moved, step_decrement = moved_by(problem, state, normal, share * step)
             # Steps shrink at a steady rate: the next one tells how far the minimum still is.
@@ -111,18 +119,18 @@ def minimise(
             if last and step_decrement < NEGLIGIBLE and not len(problem.stiffened):
                 # Over so short a step the normal equations do not change by what shows in any figure.
                 normal = replace(normal, chi_squared=normal.chi_squared - step_decrement)
-                steps.append(Iteration(len(steps) + 1, normal.chi_squared, step_decrement, damping))
-                if report:
-                    report(steps[-1])
+                _tell(steps, report, [Iteration(len(steps) + 1, normal.chi_squared, step_decrement, damping)])
                 return Minimum(moved, normal, tuple(steps), factored=True)
+            if whole and step_decrement < max(FAST * min(decrement, normal.chi_squared), ROUNDING):
+                there = _by_chords(problem, normal, moved, near, step_decrement, steps, report)
+            if there is not None:
+                return _released(problem, Minimum(there, None, tuple(steps)), start)
             calmer = damping / 10 if damping > 1e-6 and step_decrement >= ROUNDING else 0.0
             trial = normal_equations(problem, moved, calmer, normal.kept)
             lower = trial.chi_squared < normal.chi_squared
             if lower or (step_decrement < ROUNDING and share == 1.0):
                 state, normal, decrement = moved, trial, step_decrement
-                steps.append(Iteration(len(steps) + 1, normal.chi_squared, decrement, damping))
-                if report:
-                    report(steps[-1])
+                _tell(steps, report, [Iteration(len(steps) + 1, normal.chi_squared, decrement, damping)])
                 if last or (whole and not lower):
                     return _released(problem, Minimum(state, normal, tuple(steps)), start)
                 damping, share = calmer, min(1.0, 4 * share)
@@ -136,6 +144,42 @@ def minimise(
             return _released(problem, _ended(problem, state, steps, SINGULAR), start)
         normal = normal_equations(problem, state, damping, normal.kept)
     return _released(problem, _ended(problem, state, steps, SUSPECT), start)
+
+
+def _tell(steps: list[Iteration], report: Callable[[Iteration], None] | None, made: list[Iteration]) -> None:
+    """Record steps."""
+    for one in made:
+        steps.append(one)
+        if report:
+            report(one)
+
+
+def _by_chords(
+    problem: Problem,
+    normal: Normal,
+    state: State,
+    near: float,
+    decrement: float,
+    steps: list[Iteration],
+    report: Callable[[Iteration], None] | None,
+) -> State | None:
+    """Go the rest of the way, after a step, with its factor; None, and no steps, where that is slow."""
+    made = [Iteration(len(steps) + 1, np.inf, decrement, 0.0)]
+
+    def told(chi_squared: float, length: float) -> None:
+        if len(made) == 1:
+            made[0] = replace(made[0], chi_squared=chi_squared + length)
+        made.append(Iteration(made[-1].number + 1, chi_squared, length, 0.0))
+
+    def equations(state: State) -> list[Equations]:
+        return list(other_equations(problem, state).values())
+
+    try:
+        there = chords(problem, normal, state, SURER * near, equations, decrement, told=told).state
+    except NotConvergedError:
+        return None
+    _tell(steps, report, made)
+    return there
 
 
 def _ended(problem: Problem, state: State, steps: list[Iteration], limits: Limits) -> Minimum:
@@ -183,9 +227,10 @@ def _released(problem: Problem, minimum: Minimum, start: State) -> Minimum:
     """Move a free network onto its start values."""
     if not len(problem.stiffened):
         return minimum
-    state = inner_state(problem, minimum.normal, minimum.state, start)
-    normal = normal_equations(problem, state, 0.0, minimum.normal.kept)
-    return Minimum(state, normal, minimum.iterations)
+    state = inner_state(
+        problem, minimum.normal or normal_equations(problem, minimum.state), minimum.state, start
+    )
+    return Minimum(state, None, minimum.iterations)
 
 
 def reduced_step(problem: Problem, normal: Normal, damping: float) -> Floats | None:
@@ -210,3 +255,82 @@ def moved_by(problem: Problem, state: State, normal: Normal, step: Floats) -> tu
     points[problem.layout.kept_points] += step[problem.layout.point_columns]
     moved = round_the_middle(problem.network, state, replace(moved, points=points))
     return moved, float(decreases.sum() - normal.gradient @ step)
+
+
+@dataclass(frozen=True)
+class Near:
+    """A minimum near a known one.
+
+    left: bound of the squared distance to it that is left, in units of the standard deviations.
+    """
+
+    state: State
+    chi_squared: float
+    left: float
+
+
+def gradient(problem: Problem, state: State, equations: list[Equations]) -> tuple[float, Floats, Floats]:
+    """Sum of v'Pv, and half its derivatives to the unknowns of the reduced system and to the points."""
+    design, structure, layout = problem.design, problem.structure, problem.layout
+    threads = len(design.pieces) - 1
+    totals, reduced, points = np.zeros(threads), np.zeros((threads, layout.size)), np.zeros_like(state.points)
+    pulls(design, values_of(problem, state), structure, totals, reduced, points)
+    if not np.all(np.isfinite(totals)):
+        raise NotConvergedError("a point came to lie behind a camera", remedy="look at the start values")
+    off = state.points - design.prior_points
+    pull = np.einsum("nab,nb->na", design.prior_weight, off)
+    points += pull * design.point_free
+    total = reduced.sum(axis=0)
+    total[layout.point_columns] += points[layout.kept_points]
+    chi_squared = float(totals.sum() + np.sum(off * pull))
+    for rows in equations:
+        weighted = np.repeat(rows.weight * rows.residual, np.diff(rows.start))
+        np.add.at(total, rows.column, rows.coefficient * weighted)
+        chi_squared += rows.chi_squared()
+    total[problem.held] = 0.0
+    return chi_squared, total, points
+
+
+def chords(
+    problem: Problem,
+    normal: Normal,
+    state: State,
+    near: float,
+    equations: Callable[[State], list[Equations]],
+    before: float,
+    hold: tuple[int, Floats, Floats] | None = None,
+    told: Callable[[float, float], None] = lambda *_: None,
+) -> Near:
+    """Step to a minimum with a factor that is given, after a step of squared length `before`.
+
+    told: gets v'Pv after each step, and the step's squared length.
+    raises NotConvergedError: when the steps do not shrink fast.
+    """
+    for _ in range(CHORDS):
+        chi_squared, reduced, points = gradient(problem, state, equations(state))
+        step, moved = full_solution(problem, normal, -reduced, -points)
+        if hold is not None:
+            column, along, along_points = hold
+            share = step[column] / along[column]
+            step, moved = step - share * along, moved - share * along_points
+        # Points that stay in the reduced system stand in both parts.
+        points[problem.layout.kept_points] = 0.0
+        length = -float(reduced @ step + np.sum(points * moved))
+        if not (length < before / 2 or length < ROUNDING):
+            break
+        state = moved_along(problem, state, step, moved)
+        told(chi_squared - length, length)
+        # Steps shrink at a steady rate: the next one tells how far the minimum still is.
+        left = length * min(1.0, length / before)
+        if left < near:
+            return Near(state, chi_squared - length, max(left, 0.0))
+        before = length
+    raise NotConvergedError(
+        "the minimum is not near", remedy="adjust the changed network from its start values"
+    )
+
+
+def moved_along(problem: Problem, state: State, step: Floats, points: Floats) -> State:
+    """State after a step of the reduced system and of the points."""
+    exposures = moved_exposures(problem.network, problem.layout, state, step)
+    return replace(exposures, points=state.points + points)

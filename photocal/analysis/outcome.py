@@ -35,7 +35,7 @@ class Outcome:
 
     findings: hidden errors, worst first.
     search: the figures behind them.
-    lenses: for each camera the models compared, its own first.
+    lenses: for each camera the models compared, its own first; empty where nothing is left to explain.
     cameras: one for each camera; None for those without estimated parameters.
     shape: geometry of the network.
     methods: each method with its requirements.
@@ -89,13 +89,17 @@ def analyse_network(
     searched = search(fitted, step)
     geometry = shape(network, fitted.state)
     drawn = bootstrap(fitted, draws, np.random.default_rng(SEED), step) if draws else None
-    # Lenses are compared when that is corrected which is no matter of the lens.
+    # Lenses are compared where something is left that a lens may explain, when that is corrected which is
+    # no matter of the lens.
     of_others = takewhile(lambda one: one.parameter.candidate.kind not in _TERMS, searched.rounds)
     base = next((one.after for one in reversed(list(of_others))), fitted)
-    fits = tuple(lens_fits(base, k, checks, step) for k in range(len(network.cameras)))
     listed = findings(searched)
     suspected = {one.subject for one in listed if one.code in (*_TERMS, "residual-map")}
-    of_lens = [one for one in of_lenses(base, fits) if one.subject in suspected]
+    fits = tuple(
+        lens_fits(base, k, checks, step) if camera.id in suspected else ()
+        for k, camera in enumerate(network.cameras)
+    )
+    of_lens = of_lenses(base, fits)
     # A lens that the model cannot hold is no missing term of it.
     other = {one.subject for one in of_lens}
     kept = [one for one in listed if one.code not in _TERMS or one.subject not in other]

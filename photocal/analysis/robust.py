@@ -10,8 +10,8 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.factored import covariance_column
-from photocal.adjustment.normal import other_equations, values_of
-from photocal.adjustment.sensitivity import along
+from photocal.adjustment.normal import other_equations
+from photocal.adjustment.score import followed_by
 from photocal.analysis.systematic_errors.refit import Fit, lowest, without_images
 
 # Of a residual that almost nothing checks: its share of the error is not known.
@@ -60,7 +60,6 @@ def sandwich(fit: Fit) -> Floats:
     pull = fit.network.rays.sigma**-2.0 * fit.solution.residuals / np.sqrt(checked)
     others = list(other_equations(problem, fit.state).values())
     off = np.einsum("nab,nb->na", fit.network.points.weight, fit.state.points - fit.network.points.values)
-    values = values_of(problem, fit.state)
     sigma = np.zeros_like(fit.state.cameras)
     for camera, (parameters, columns) in enumerate(layout.camera_columns):
         own_images = int(np.sum(fit.network.exposures.camera == camera))
@@ -70,9 +69,7 @@ def sandwich(fit: Fit) -> Floats:
             right = np.zeros(layout.size)
             right[column] = 1.0
             step, moved = covariance_column(fit.factored, right, np.zeros_like(fit.state.points))
-            step, moved = np.ascontiguousarray(step), np.ascontiguousarray(moved)
-            change = np.zeros_like(pull)
-            along(problem.design, values, problem.structure, step, moved, change)
+            change = followed_by(fit.factored, step, moved)
             by_image = np.bincount(image, np.einsum("rk,rk->r", change, pull), images)
             parts: list[Floats] = [by_image.astype(np.float64)]
             parts.append(np.einsum("na,na->n", moved, off))

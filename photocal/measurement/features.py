@@ -119,11 +119,15 @@ class FeatureSettings:
     contrast: least contrast (SIFT's threshold, shared among its layers).
     longest_px: larger images are reduced to this length of their longer side; the places are given in the
         stored grid. Memory and time depend on it alone.
+    part, rich: images are reduced to this part of their length where they then have so many times the
+        features that are kept: the finest ones, which are the most and cost the most, are not kept.
     """
 
     most: int = 10_000
     contrast: float = 0.01
     longest_px: int = 2400
+    part: float = 2 / 3
+    rich: float = 2.0
 
 
 def detect(grey: Bytes, settings: FeatureSettings) -> Features:
@@ -134,25 +138,32 @@ def detect(grey: Bytes, settings: FeatureSettings) -> Features:
     import cv2
 
     height, width = grey.shape
-    factor = min(1.0, settings.longest_px / max(height, width))
-    size = (max(1, round(width * factor)), max(1, round(height * factor)))
-    small = grey if factor == 1 else cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
     # Without the precise upscale the places are off by a fraction of a pixel.
     detector: Any = cv2
     sift = detector.SIFT_create(contrastThreshold=settings.contrast, enable_precise_upscale=True)
-    points = np.array(sift.detect(small, None), dtype=object)
-    places = np.array([p.pt for p in points], dtype=np.float32).reshape(-1, 2)
+    whole, points = min(1.0, settings.longest_px / max(height, width)), tuple[Any, ...]()
+    for factor in (settings.part, whole) if settings.part < whole else (whole,):
+        size = (max(1, round(width * factor)), max(1, round(height * factor)))
+        small = grey if factor == 1 else cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+        points = sift.detect(small, None)
+        if len(points) >= settings.rich * settings.most:
+            break
     scale = np.array([p.size for p in points], dtype=np.float32)
-    chosen = _spread(places, scale, size, settings.most)
+    chosen = _spread(_places(points), scale, size, settings.most)
     if not len(chosen):
         none = np.zeros((0, 2), dtype=np.float32)
         return Features(none, none[:, 0], np.zeros((0, 128), dtype=np.uint8))
-    points, descriptors = sift.compute(small, list(points[chosen]))
-    places = np.array([p.pt for p in points], dtype=np.float32)
+    points, descriptors = sift.compute(small, [points[k] for k in chosen.tolist()])
     # The outer edges of both grids coincide, not the centres of their first pixels.
     zoom = np.array([width / size[0], height / size[1]], dtype=np.float32)
     scale = np.array([p.size for p in points], dtype=np.float32) * zoom.mean()
-    return Features((places + 0.5) * zoom - 0.5, scale, np.asarray(descriptors).astype(np.uint8))
+    return Features((_places(points) + 0.5) * zoom - 0.5, scale, np.asarray(descriptors).astype(np.uint8))
+
+
+def _places(points: Any) -> Floats32:
+    import cv2
+
+    return np.asarray(cv2.KeyPoint.convert(points), dtype=np.float32).reshape(-1, 2)
 
 
 def _spread(pixels: Floats32, strength: Floats32, size: tuple[int, int], most: int) -> Integers:

@@ -105,7 +105,7 @@ def _near(seen: Footprints, rows: Integers) -> tuple[Integers, Rule]:
 
 
 # Raised whenever the meaning of cached results changes: of features, of matches.
-FEATURES, MATCHES = 1, 2
+FEATURES, MATCHES = 2, 2
 _NAMES = ("pixels", "scale", "descriptors")
 
 

@@ -45,12 +45,12 @@ def back_substitute(
 
 
 @compiled
-def reduce_right(
-    design: Design, structure: Structure, right: Floats, kept: Eliminated, reduced: Floats
+def reduce_right_piece(
+    design: Design, structure: Structure, right: Floats, kept: Eliminated, piece: int, reduced: Floats
 ) -> None:
-    """Eliminate the points from a right-hand side."""
+    """Eliminate one piece's points, see `reduce_right`."""
     band = structure.band
-    for j in range(len(design.ray_start) - 1):
+    for j in range(design.spans[piece], design.spans[piece + 1]):
         b0, b1, b2 = right[j, 0], right[j, 1], right[j, 2]
         for a in range(3):
             x = kept.inverse[j, a, 0] * b0 + kept.inverse[j, a, 1] * b1 + kept.inverse[j, a, 2] * b2
@@ -62,3 +62,12 @@ def reduce_right(
                     reduced[column + b] -= kept.mixed[r, a, b] * x
             for s in range(structure.lens):
                 reduced[band + s] -= kept.mixed_border[j, a, s] * x
+
+
+@compiled_parallel
+def reduce_right(
+    design: Design, structure: Structure, right: Floats, kept: Eliminated, reduced: Floats
+) -> None:
+    """Eliminate the points from a right-hand side: what each piece takes off, (pieces, layout.size)."""
+    for piece in numba.prange(len(design.pieces) - 1):
+        reduce_right_piece(design, structure, right, kept, piece, reduced[piece])

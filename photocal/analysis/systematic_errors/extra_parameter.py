@@ -12,7 +12,7 @@ from photocal.adjustment.factored import factored
 from photocal.adjustment.kernels.residuals import evaluate
 from photocal.adjustment.near import Removals
 from photocal.adjustment.normal import values_of
-from photocal.adjustment.score import Score, score
+from photocal.adjustment.score import Score, followed_by, score
 from photocal.analysis.robust import FEWEST, LEAST_CHECKED
 from photocal.analysis.systematic_errors.candidates import Candidate
 from photocal.analysis.systematic_errors.jackknife import groups_of, standard_error, state_without
@@ -58,9 +58,10 @@ def estimated_amount(fit: Fit, candidate: Candidate) -> ExtraParameter | None:
         return None
     amount = -slope / information
     outcome = judged(fit, candidate, amount, information**-0.5, slope**2 / information)
-    corrected = fit.solution.residuals + amount * one.visible[0]
+    shown = _shown(fit, candidate, one)
+    corrected = fit.solution.residuals + amount * shown
     images = int(np.sum(fit.network.exposures.camera == candidate.camera))
-    sigma = _spread(fit, one, corrected) * (images / max(images - 1, 1)) ** 0.5
+    sigma = _spread(fit, one, shown, corrected) * (images / max(images - 1, 1)) ** 0.5
     return replace(outcome, by_images=_probability(amount, sigma, images - 1))
 
 
@@ -94,16 +95,22 @@ def agreed(fit: Fit, candidate: Candidate, amount: float) -> float:
     if freedom >= FEWEST:
         one = score(fit.factored, fit.solution.residuals, -candidate.displacement[None])
         checked = np.maximum(fit.solution.redundancy, LEAST_CHECKED)
-        sigma = _spread(fit, one, fit.solution.residuals / np.sqrt(checked)) * (images / freedom) ** 0.5
+        weighed = fit.solution.residuals / np.sqrt(checked)
+        sigma = _spread(fit, one, _shown(fit, candidate, one), weighed) * (images / freedom) ** 0.5
         return _probability(amount, sigma, freedom)
     amounts = _left_out(fit, candidate)
     return _probability(amount, float(standard_error(amounts)), len(amounts) - 1)
 
 
-def _spread(fit: Fit, one: Score, residuals: Floats) -> float:
+def _shown(fit: Fit, candidate: Candidate, one: Score) -> Floats:
+    """Change of the residuals by a unit of a candidate, when all other unknowns follow."""
+    return -candidate.displacement - followed_by(fit.factored, one.steps[0], one.moved[0])
+
+
+def _spread(fit: Fit, one: Score, shown: Floats, residuals: Floats) -> float:
     """Standard deviation of an amount when the residuals of an image are one observation of it."""
     pull = fit.network.rays.sigma**-2.0 * residuals
-    by_image = np.bincount(fit.network.rays.image, np.einsum("rk,rk->r", one.visible[0], pull))
+    by_image = np.bincount(fit.network.rays.image, np.einsum("rk,rk->r", shown, pull))
     return float(np.linalg.norm(by_image)) / float(one.information[0, 0])
 
 

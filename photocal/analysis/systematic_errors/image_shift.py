@@ -8,13 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.arrays import Floats
-from photocal.adjustment.score import score
+from photocal.adjustment.score import followed_by, score
 from photocal.adjustment.state import State
 from photocal.analysis.systematic_errors.refit import Fit
 from photocal.geometry.rotation import turned
 
 # Less of a column than this, beside the exterior orientation, is not determined.
 INDEPENDENT = 1e-2
+# Coordinates of an image that is tested.
+FEWEST = 12
 # So many images are adjusted with a scale and a principal point of their own.
 MOST_JOINT = 12
 
@@ -91,7 +93,8 @@ def joint_shift(fit: Fit, image: str) -> ImageShift | None:
     # What other unknowns take up has no variance to speak of here: it is not determined.
     hidden = np.linalg.norm(vectors[:, ~seen], axis=1) > 0.5
     spread = np.where(hidden, np.nan, np.sqrt(np.diag(inverse))) * unit
-    moved = np.einsum("t,trk->rk", amount, joint.visible[:, mine]) / pitch
+    follows = followed_by(fit.factored, amount @ joint.steps, np.tensordot(amount, joint.moved, 1))
+    moved = (np.tensordot(amount, fields[:, mine], 1) - follows[mine]) / pitch
     return ImageShift(
         image,
         float(amount[0] * unit[0]),
@@ -119,35 +122,40 @@ def screened_shifts(fit: Fit, variance_factor: float) -> tuple[ImageShift, ...]:
 
     network, state = fit.network, fit.state
     rays = network.rays
-    poses = pose_derivatives(fit, state)
-    shapes = _own_geometry(fit.computed)
-    images = len(network.image_names)
-    found = []
+    images, shown = len(network.image_names), np.bincount(rays.image, minlength=len(network.image_names))
+    columns = np.concatenate([pose_derivatives(fit, state), _own_geometry(fit.computed)], axis=2)
     by_image = np.argsort(rays.image, kind="stable")
-    groups = np.split(by_image, np.searchsorted(rays.image[by_image], np.arange(1, images)))
-    for i, (name, mine) in enumerate(zip(network.image_names, groups, strict=True)):
-        weight = 1.0 / rays.sigma[mine].ravel()
-        if len(weight) < 12:
-            continue
-        orientation, _ = np.linalg.qr(poses[mine].reshape(-1, 6) * weight[:, None])
-        columns = shapes[mine].reshape(-1, 3) * weight[:, None]
-        size = np.linalg.norm(columns, axis=0)
-        unit = columns / size
-        unit -= orientation @ (orientation.T @ unit)
-        # Residuals are computed minus measured: what must be added to the measurements.
-        v = fit.solution.residuals[mine].ravel() * weight
-        left, values, right = np.linalg.svd(unit, full_matrices=False)
-        k = int(np.sum(values > INDEPENDENT))
-        if k == 0:
-            continue
-        along = left[:, :k].T @ v
-        statistic = float(along @ along) / k / variance_factor
-        amount = right[:k].T @ (along / values[:k]) / size
+    groups = np.split(by_image, np.cumsum(shown)[:-1])
+    tested = np.flatnonzero(2 * shown >= FEWEST)
+    if not len(tested):
+        return ()
+    # Residuals are computed minus measured: what must be added to the measurements.
+    normal, slope = np.empty((len(tested), 9, 9)), np.empty((len(tested), 9))
+    for k, i in enumerate(tested.tolist()):
+        weight = 1.0 / rays.sigma[groups[i]].ravel()
+        own = columns[groups[i]].reshape(-1, 9) * weight[:, None]
+        normal[k], slope[k] = own.T @ own, own.T @ (fit.solution.residuals[groups[i]].ravel() * weight)
+    size = np.sqrt(np.diagonal(normal, axis1=1, axis2=2))
+    normal, slope = normal / size[:, :, None] / size[:, None, :], slope / size
+    follows = np.linalg.solve(normal[:, :6, :6], normal[:, :6, 6:])
+    left = normal[:, 6:, 6:] - normal[:, 6:, :6] @ follows
+    pull = slope[:, 6:] - np.einsum("iab,ia->ib", follows, slope[:, :6])
+    values, vectors = np.linalg.eigh(left)
+    seen = values > INDEPENDENT**2
+    along = np.einsum("iab,ia->ib", vectors, pull)
+    number = seen.sum(axis=1)
+    values = np.where(seen, values, np.inf)
+    statistic = np.sum(along**2 / values, axis=1) / np.maximum(number, 1) / variance_factor
+    amount = np.einsum("iab,ib->ia", vectors, along / values)
+    change = np.hstack([-np.einsum("iab,ib->ia", follows, amount), amount]) / size
+    p_value = np.minimum(1.0, images * stats.f.sf(statistic, number, fit.solution.degrees_of_freedom))
+    found = []
+    for k in np.flatnonzero(number).tolist():
+        i = int(tested[k])
         pitch = np.array(network.cameras[network.exposures.camera[i]].pitch)
-        moved = (left[:, :k] @ along / weight).reshape(-1, 2) / pitch
-        p_value = min(1.0, images * float(stats.f.sf(statistic, k, fit.solution.degrees_of_freedom)))
-        effect = float(np.linalg.norm(moved, axis=1).max())
-        found.append(ImageShift(name, float(amount[0]), amount[1:] / pitch, effect, p_value))
+        effect = float(np.linalg.norm(columns[groups[i]] @ change[k] / pitch, axis=1).max())
+        scale, shift = float(change[k, 6]), change[k, 7:] / pitch
+        found.append(ImageShift(network.image_names[i], scale, shift, effect, float(p_value[k])))
     return tuple(found)
 
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from drivers.arrays import Floats, Integers
 from drivers.errors import IllPosedError, NotConvergedError
-from photocal.adjustment.near import Near, with_held
+from photocal.adjustment.near import with_held
+from photocal.adjustment.solver import Near
 from photocal.analysis.systematic_errors.refit import Fit, lowest
 from photocal.geometry.camera import PARAMETERS
 

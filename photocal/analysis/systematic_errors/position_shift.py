@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.arrays import Floats
-from photocal.adjustment.datum import full_solution
+from photocal.adjustment.envelope import solve
 from photocal.adjustment.groups import FEWEST, tested
 from photocal.adjustment.mounting import SHIFT, STRIPS
 from photocal.adjustment.network import Network
@@ -99,15 +99,17 @@ def strip_shifts(fit: Fit) -> tuple[StripShift, ...]:
     group = next(one for one in fit.solution.groups if one.name == "position")
     if group.redundancy - 3.0 < FEWEST:
         return ()
-    for strip in chosen.tolist():
-        own = positions.strip == strip
-        masked = fields * np.repeat(own, 3)[:, None]
-        normal = _further(fit, masked)
-        if np.linalg.eigvalsh(np.linalg.solve(masked.T @ masked, normal.information))[0] < LEFT:
+    owns = [positions.strip == strip for strip in chosen.tolist()]
+    masked = np.hstack([fields * np.repeat(own, 3)[:, None] for own in owns])
+    normal = _further(fit, masked)
+    for k, own in enumerate(owns):
+        mine = slice(3 * k, 3 * k + 3)
+        information, slope = normal.information[mine, mine], normal.slope[mine]
+        if np.linalg.eigvalsh(np.linalg.solve(masked.T[mine] @ masked[:, mine], information))[0] < LEFT:
             continue
-        covariance: Floats = np.asarray(np.linalg.inv(normal.information), dtype=np.float64)
-        shift = -covariance @ normal.slope
-        left = group.chi_squared + float(normal.slope @ shift)
+        covariance: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
+        shift = -covariance @ slope
+        left = group.chi_squared + float(slope @ shift)
         scale = max(1.0, left / (group.redundancy - 3.0))
         p_value = len(chosen) * _smaller_p(shift, scale * covariance, group.redundancy - 3.0)
         names = [network.image_names[i] for i in positions.image[own]]
@@ -134,15 +136,14 @@ def _further(fit: Fit, fields: Floats) -> _Further:
     """Set up the normal equations of shifts along fields of the whitened positions, all else eliminated."""
     at = fit.factored
     rows = other_equations(at.problem, at.state)["position"]
-    counts, still = np.diff(rows.start), np.zeros_like(at.state.points)
-    information, steps = fields.T @ fields, np.zeros((fields.shape[1], at.problem.layout.size))
-    for k, field in enumerate(fields.T):
-        right = np.zeros(at.problem.layout.size)
-        np.add.at(right, rows.column, rows.coefficient * np.repeat(rows.weight * field, counts))
-        steps[k], _ = full_solution(at.problem, at.normal, right, still)
-        moved = np.add.reduceat(rows.coefficient * steps[k][rows.column], rows.start[:-1])
-        information[:, k] -= fields.T @ (rows.weight * moved)
-    return _Further((information + information.T) / 2, fields.T @ (rows.weight * rows.residual), steps)
+    # What exterior orientations and the mounting follow is the same for any points: these are eliminated.
+    right = np.zeros((at.problem.layout.size, fields.shape[1]))
+    pulls = rows.coefficient[:, None] * np.repeat(rows.weight[:, None] * fields, np.diff(rows.start), axis=0)
+    np.add.at(right, rows.column, pulls)
+    right[at.problem.held] = 0.0
+    steps = solve(at.problem.layout.envelope, at.normal.matrix, right)
+    information = fields.T @ fields - right.T @ steps
+    return _Further((information + information.T) / 2, fields.T @ (rows.weight * rows.residual), steps.T)
 
 
 def _smaller_p(shift: Floats, covariance: Floats, freedom: float) -> float:

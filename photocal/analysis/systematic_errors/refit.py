@@ -13,11 +13,10 @@ from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.factored import Factored, factorised
 from photocal.adjustment.mounting import Attitudes, Positions
-from photocal.adjustment.near import Near
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import prepare
 from photocal.adjustment.solution import Solution
-from photocal.adjustment.solver import CONVERGED, minimise
+from photocal.adjustment.solver import CONVERGED, Near, minimise
 from photocal.adjustment.state import State, start_state
 
 Observed = TypeVar("Observed", Positions, Attitudes)

@@ -46,19 +46,23 @@ def variance_components(
     checked = np.bincount(group, redundancy, m)
     count = np.bincount(group, minlength=m)
     whole, all_checked = float(total.sum()), float(checked.sum())
-    found = []
-    for i, name in enumerate(names):
-        others = all_checked - checked[i]
-        if checked[i] < 2.0:
-            continue
-        p_value = 1.0
-        if others >= 2.0 and whole > total[i] > 0.0:
-            statistic = (total[i] / checked[i]) / ((whole - total[i]) / others)
-            upper = float(stats.f.sf(statistic, checked[i], others))
-            p_value = min(1.0, 2.0 * m * min(upper, 1.0 - upper))
-        ratio = float(np.sqrt(total[i] / checked[i]))
-        found.append(VarianceComponent(name, int(count[i]), float(checked[i]), ratio, p_value))
-    return tuple(found)
+    others = all_checked - checked
+    with np.errstate(invalid="ignore", divide="ignore"):
+        statistic = (total / checked) / ((whole - total) / others)
+        upper = stats.f.sf(statistic, checked, others)
+    p_value = np.minimum(1.0, 2.0 * m * np.minimum(upper, 1.0 - upper))
+    p_value[(others < 2.0) | (total <= 0.0) | (total >= whole)] = 1.0
+    return tuple(
+        VarianceComponent(
+            name,
+            int(count[i]),
+            float(checked[i]),
+            float(np.sqrt(total[i] / checked[i])),
+            float(p_value[i]),
+        )
+        for i, name in enumerate(names)
+        if checked[i] >= 2.0
+    )
 
 
 @dataclass(frozen=True)

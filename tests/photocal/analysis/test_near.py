@@ -61,6 +61,8 @@ def test_an_analysis_is_that_of_the_long_way(flown: Fit, monkeypatch: pytest.Mon
         raise NotConvergedError("asked for the long way")
 
     short = analyse_network(flown.network, checks, 0.1, 0.8, start=flown.state)
+    # Nothing is left that another lens could explain: none is adjusted.
+    assert short.lenses == ((),)
     monkeypatch.setattr(Removals, "without", lambda *_: None)
     monkeypatch.setattr(left_out, "with_held", refused)
     long = analyse_network(flown.network, checks, 0.1, 0.8)
