@@ -96,7 +96,9 @@ def read_colmap(folder: Path) -> Reconstruction:
     return of_colmap(given, folder, {shot.key: shot.name for shot in content.shots})
 
 
-def write_colmap(folder: Path, given: Reconstruction, *, binary: bool = False) -> tuple[Conversion, ...]:
+def write_colmap(
+    folder: Path, given: Reconstruction, _: Choices | None = None, *, binary: bool = False
+) -> tuple[Conversion, ...]:
     """Write a model folder."""
     made = [to_pinhole(own, "COLMAP", _OTHERS) for own in given.cameras]
     lenses = [
@@ -168,11 +170,6 @@ def _camera(lens: Lens, place: object) -> Camera:
     # Without k4 to k6 a FULL_OPENCV lens is Brown's, whose K4 is another.
     free &= set(own.lens.names) - ({"K4"} if own.model == "brown-ideal" else set())
     return replace(own, estimated=np.array([parameter in free for parameter in PARAMETERS]))
-
-
-def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
-    """cameras.txt, images.txt, points3D.txt."""
-    return write_colmap(folder, given)
 
 
 def export_binary(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:

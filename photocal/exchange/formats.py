@@ -44,8 +44,8 @@ class Format:
     origin: what has the pixel coordinates (0, 0).
     axes: of the camera.
     distortion: its direction: added to the projection, or correcting the measurement.
-    writes: takes a folder, a `Reconstruction` and `Choices`; gives a `Conversion` for each camera. Empty: it
-        is not exported.
+    writes: takes a folder, or the file in it that is named after another colon, a `Reconstruction` and
+        `Choices`; gives a `Conversion` for each camera. Empty: it is not exported.
     reads: takes the folder that was written; gives a `Reconstruction`.
     blocks: takes a file of which the name fits one of `opens`; gives the block that `photocal adjust` takes.
     recognises: whether such a file is of this format, where its name does not say it.
@@ -86,7 +86,7 @@ def _loaded(name: str) -> Callable[..., Any]:
 
 FORMATS: tuple[Format, ...] = (
     Format("colmap", "COLMAP, text", WHOLE, "cartesian", CORNER, VISION, "brown-ideal",
-           "px, m, unit quaternion", "colmap:export", "colmap:read_colmap", "colmap:read_model_block",
+           "px, m, unit quaternion", "colmap:write_colmap", "colmap:read_colmap", "colmap:read_model_block",
            ("cameras.txt", "images.txt", "points3D.txt")),
     Format("colmap-binary", "COLMAP, binary", WHOLE, "cartesian", CORNER, VISION, "brown-ideal",
            "px, m, unit quaternion", "colmap:export_binary", "colmap:read_colmap",
@@ -100,8 +100,9 @@ FORMATS: tuple[Format, ...] = (
     Format("odm", "ODM, gcp_list.txt and geo.txt", ("points", "marks"), "own", CENTRE, "none", "none",
            "px, m", "ground_points:export", ""),
     Format("metashape", "Metashape, camera XML", ("cameras", "orientations", "points", "marks"),
-           "cartesian", CORNER, VISION, "brown-ideal", "px, m, 4 x 4 matrix", "metashape:export",
-           "metashape:read_back", "metashape:read_camera_block", ("*.xml",), "metashape:recognises"),
+           "cartesian", CORNER, VISION, "brown-ideal", "px, m, 4 x 4 matrix",
+           "metashape:write_metashape:cameras.xml", "metashape:read_back", "metashape:read_camera_block",
+           ("*.xml",), "metashape:recognises"),
     Format("metashape-csv", "Metashape, reference tables", ("points",), "own", "none", "none", "none", "m",
            "reference_table:export", ""),
     Format("pix4d", "Pix4D, .cam", ("cameras",), "none", CORNER, VISION, "brown-ideal",
@@ -109,13 +110,14 @@ FORMATS: tuple[Format, ...] = (
     Format("opf", "Open Photogrammetry Format 1.0", WHOLE, "cartesian", CORNER, PHOTO, "brown-ideal",
            "px, m, deg", "opf:export", "opf:read_back", "opf:read_project_block", ("*.opf",)),
     Format("photomodeler", "PhotoModeler, text export", WHOLE, "cartesian", CORNER, PHOTO, "brown-observed",
-           "px, mm in the camera, m, deg", "photomodeler:export", "photomodeler:read_back",
-           "photomodeler:read_with_control", ("*.txt",), "photomodeler:looks_like_export"),
+           "px, mm in the camera, m, deg", "photomodeler:write_photomodeler:block.txt",
+           "photomodeler:read_back", "photomodeler:read_with_control", ("*.txt",),
+           "photomodeler:looks_like_export"),
     Format("dbat", "DBAT, XML set-up", ("cameras", "points", "marks"), "cartesian", CORNER, PHOTO,
            "brown-observed", "px, mm in the camera, m", "dbat:export", "dbat:read_back",
            "dbat:read_dbat", ("*.xml",), "dbat:recognises"),
     Format("jaicov", "JAICOV and AICON 3D Studio", WHOLE, "cartesian", "middle of the sensor, y up", PHOTO,
-           "brown-ideal", "mm, rad", "jaicov:export", "jaicov:read_back", "jaicov:read_jaicov",
+           "brown-ideal", "mm, rad", "jaicov:write_jaicov:block", "jaicov:read_back", "jaicov:read_jaicov",
            ("*.ior", "*.eor", "*.obc", "*.phc")),
     Format("micmac", "MicMac, XML", WHOLE, "cartesian", CENTRE, VISION, "brown-ideal", "px, m, matrix",
            "micmac:export", "micmac:read_back"),
@@ -123,8 +125,8 @@ FORMATS: tuple[Format, ...] = (
            "m; deg or gon, as asked; matrix from camera to object", "orientation_tables:export",
            "orientation_tables:read_back"),
     Format("inpho", "Inpho, .prj", ("orientations",), "own", CENTRE, PHOTO, "none",
-           "mm in the camera, m, matrix from object to camera", "orientation_tables:export_inpho",
-           "orientation_tables:read_back_inpho"),
+           "mm in the camera, m, matrix from object to camera",
+           "orientation_tables:write_inpho:orientations.prj", "orientation_tables:read_back_inpho"),
     Format("geojson", "GeoJSON", ("orientations", "points"), "wgs84", CENTRE, PHOTO, "none", "deg, m, px",
            "geographic:export_geojson", ""),
     Format("kml", "KML", ("orientations", "points"), "wgs84", CENTRE, PHOTO, "none", "deg, m, px",
@@ -159,7 +161,8 @@ def export(form: Format, folder: Path, given: Reconstruction, choices: Choices) 
         from photocal.exchange.reconstruction import to_cartesian
 
         given = to_cartesian(given)
-    made: tuple[Conversion, ...] = _loaded(form.writes)(folder, given, choices)
+    module, function, *file = form.writes.split(":")
+    made: tuple[Conversion, ...] = _loaded(f"{module}:{function}")(folder.joinpath(*file), given, choices)
     return made
 
 

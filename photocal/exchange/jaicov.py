@@ -204,7 +204,7 @@ Row = Sequence[str | float]
 _TERMS = ("K1", "K2", "K3", "P1", "P2", "B1", "B2")
 
 
-def write_jaicov(stem: Path, given: Reconstruction) -> tuple[Conversion, ...]:
+def write_jaicov(stem: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write .ior, .eor, .obc and .phc files."""
     if any(own.unit != "mm" for own in given.cameras):
         raise InputMalformedError("JAICOV files have cameras in mm", remedy="give the pixel pitch")
@@ -258,8 +258,3 @@ def _mark_rows(given: Reconstruction, images: list[str], points: list[str]) -> l
 def _write(path: Path, rows: Sequence[Row]) -> None:
     lines = (" ".join(cell if isinstance(cell, str) else repr(float(cell)) for cell in row) for row in rows)
     path.write_text("\n".join(lines) + "\n", encoding="ascii", newline="\n")
-
-
-def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
-    """block.ior, block.eor, block.obc, block.phc."""
-    return write_jaicov(folder / "block", given)

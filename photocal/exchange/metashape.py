@@ -233,7 +233,7 @@ def recognises(path: Path) -> bool:
     return root.tag == "document" and "dbat_script_version" not in root.attrib
 
 
-def write_metashape(path: Path, given: Reconstruction) -> tuple[Conversion, ...]:
+def write_metashape(path: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write a camera XML in local coordinates, with the control and check points as markers."""
     root = Element("document", version="1.5.0")
     chunk = SubElement(root, "chunk", label="photocal", enabled="true")
@@ -313,8 +313,3 @@ def _write_markers(chunk: Element, given: Reconstruction) -> None:
         for ray in np.flatnonzero(given.point == k):
             x, y = (given.pixels[ray] + 0.5).tolist()
             SubElement(rays, "location", camera_id=str(given.image[ray]), pinned="true", x=repr(x), y=repr(y))
-
-
-def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
-    """A camera XML."""
-    return write_metashape(folder / "cameras.xml", given)

@@ -117,7 +117,7 @@ def read_inpho(path: Path) -> tuple[tuple[str, ...], Floats]:
     return tuple(names), poses_of_matrices(np.array(places), np.array(matrices), names, path)
 
 
-def write_inpho(path: Path, given: Reconstruction) -> tuple[Conversion, ...]:
+def write_inpho(path: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write cameras and photos of a project."""
     for own in given.cameras:
         if own.unit != "mm":
@@ -167,11 +167,6 @@ def _next(lines: Iterator[Line], path: Path, count: int) -> list[float]:
     if line is None:
         raise InputMalformedError("ends inside an $EXT_ORI", where=path, remedy="was it written completely?")
     return numbers(line.text, line.place, "$EXT_ORI", count)
-
-
-def export_inpho(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
-    """Cameras and photos of a project."""
-    return write_inpho(folder / "orientations.prj", given)
 
 
 def read_back_inpho(folder: Path) -> Reconstruction:

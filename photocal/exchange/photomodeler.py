@@ -324,7 +324,7 @@ _HEAD = "0.0005 20"
 _TERMS = ("K1", "K2", "K3", "P1", "P2", "B1")
 
 
-def write_photomodeler(path: Path, given: Reconstruction) -> tuple[Conversion, ...]:
+def write_photomodeler(path: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write an export, and `NAME-control.txt` beside it where there is control."""
     sizes = {own.size_px for own in given.cameras}
     if len(sizes) != 1 or any(own.unit != "mm" for own in given.cameras):
@@ -407,8 +407,3 @@ def _marks(given: Reconstruction, numbers: Sequence[str]) -> Iterable[str]:
     for ray in np.argsort(given.image, kind="stable"):
         x, y = (given.pixels[ray] + 0.5).tolist()
         yield f"{given.image[ray]} {numbers[given.point[ray]]} {x!r} {y!r} 1.0 1.0"
-
-
-def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
-    """A text export and its table of control points."""
-    return write_photomodeler(folder / "block.txt", given)
