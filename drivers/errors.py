@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 LONGEST = 1200
 
 
@@ -37,6 +40,16 @@ class InputNotFoundError(PhotocalError):
     """A file or folder that should be read is missing, empty or of another kind."""
 
     exit_code = 3
+
+
+@contextmanager
+def reading(path: object, remedy: str = "check name and rights") -> Iterator[None]:
+    """Say in one line why something cannot be read; raises InputNotFoundError."""
+    try:
+        yield
+    except OSError as refusal:
+        reason = (refusal.strerror or str(refusal)).lower()
+        raise InputNotFoundError(f"cannot be read ({reason})", where=path, remedy=remedy) from refusal
 
 
 class InputMalformedError(PhotocalError):

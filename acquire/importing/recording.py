@@ -12,7 +12,7 @@ from io import BufferedReader
 from pathlib import Path
 
 from drivers.dataflash import DataflashFramer
-from drivers.errors import InputMalformedError, InputNotFoundError
+from drivers.errors import InputMalformedError, InputNotFoundError, reading
 from drivers.frames import GNSS, Framer, StreamFramer
 from drivers.mavlink.dialect import Dialect
 from drivers.mrk import MrkFramer
@@ -101,13 +101,8 @@ def open_recording(path: Path) -> Iterator[Source]:
     """Open a recording."""
     if path.is_dir():
         raise InputNotFoundError("is a folder, a recording was expected", where=path, remedy="name the file")
-    try:
+    with reading(path):
         raw = path.open("rb")
-    except OSError as refusal:
-        reason = (refusal.strerror or str(refusal)).lower()
-        raise InputNotFoundError(
-            f"cannot be read ({reason})", where=path, remedy="check name and rights"
-        ) from refusal
     with raw:
         if not raw.read(1):
             raise InputNotFoundError("is empty", where=path, remedy="name a recording that has data")

@@ -21,7 +21,7 @@ from acquire.console import printable
 from acquire.log import records
 from acquire.log.records import Channel, Schema
 from drivers.arrays import Integers
-from drivers.errors import InputMalformedError, InputNotFoundError
+from drivers.errors import InputMalformedError, InputNotFoundError, reading
 
 # What is unpacked or read at once; chunks of our own and of other programs have one to some megabytes.
 LONGEST_CHUNK, LONGEST_RECORD = 64 << 20, 256 << 20
@@ -124,13 +124,8 @@ class LogReader:
     def _records(self) -> Iterator[tuple[int, bytes]]:
         if self.path.is_dir():
             raise InputNotFoundError("is a folder, a flight log was expected", where=self.path)
-        try:
+        with reading(self.path):
             stream = self.path.open("rb")
-        except OSError as refusal:
-            reason = (refusal.strerror or str(refusal)).lower()
-            raise InputNotFoundError(
-                f"cannot be read ({reason})", where=self.path, remedy="check name and rights"
-            ) from refusal
         with stream:
             total = self.path.stat().st_size
             magic = stream.read(len(records.MAGIC))

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.arrays import Floats
-from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from drivers.errors import ConfigurationError, InputMalformedError, reading
 
 
 @dataclass(frozen=True)
@@ -42,12 +42,8 @@ def read_antennas(path: Path) -> dict[str, AntennaModel]:
 
     raises InputNotFoundError, InputMalformedError: when it cannot be read, or is no ANTEX file.
     """
-    try:
+    with reading(path, "name an ANTEX file, such as igs20.atx of the IGS"):
         lines = path.read_text(encoding="latin-1").splitlines()
-    except OSError as refusal:
-        raise InputNotFoundError(
-            "cannot be read", where=path, remedy="name an ANTEX file, such as igs20.atx of the IGS"
-        ) from refusal
     if not any(line[60:].startswith("ANTEX VERSION") for line in lines[:5]):
         raise InputMalformedError("is no ANTEX file", where=path, remedy="name one, such as igs20.atx")
     found: dict[str, AntennaModel] = {}

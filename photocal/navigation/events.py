@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arrays import Floats, Integers
-from drivers.errors import InputMalformedError, InputNotFoundError
+from drivers.errors import InputMalformedError, reading
 from drivers.frames import Wire
 from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS
 from drivers.identify import batch_of_payloads
@@ -252,14 +252,9 @@ class CameraEventList:
 
 def read_mrk(path: Path) -> CameraEventList:
     """Read a `Timestamp.MRK` file: the columns are described in `drivers.mrk`."""
-    try:
-        lines = path.read_text("latin-1").splitlines()
-    except OSError as refusal:
-        reason = (refusal.strerror or str(refusal)).lower()
-        raise InputNotFoundError(
-            f"cannot be read ({reason})", where=path, remedy="check name and rights"
-        ) from refusal
-    return _listed(path.name, lines, path)
+    with reading(path):
+        text = path.read_text("latin-1")
+    return _listed(path.name, text.splitlines(), path)
 
 
 def listed_in(log: FlightLog) -> CameraEventList | None:

@@ -10,7 +10,7 @@ from re import compile as pattern
 import numpy as np
 
 from drivers.arrays import Floats
-from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from drivers.errors import ConfigurationError, InputMalformedError, reading
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import enu_axes, geodetic
 
@@ -97,13 +97,9 @@ def count_ephemerides(path: Path) -> int:
 
 
 def _lines(path: Path) -> list[str]:
-    try:
-        return path.read_text("latin-1").splitlines()
-    except OSError as refusal:
-        reason = (refusal.strerror or str(refusal)).lower()
-        raise InputNotFoundError(
-            f"cannot be read ({reason})", where=path, remedy="check name and rights"
-        ) from refusal
+    with reading(path):
+        text = path.read_text("latin-1")
+    return text.splitlines()
 
 
 def _gps_ns(*fields: str) -> int:
@@ -154,10 +150,7 @@ def read_precise_result(path: Path) -> PreciseResult:
     raises InputNotFoundError, InputMalformedError: when it cannot be read, or is neither.
     raises ConfigurationError: when a SINEX file has several sites.
     """
-    try:
-        lines = path.read_text(encoding="latin-1").splitlines()
-    except OSError as refusal:
-        raise InputNotFoundError("cannot be read", where=path, remedy="check name and rights") from refusal
+    lines = _lines(path)
     try:
         if any(line.startswith("POS CRD") for line in lines):
             return _of_csrs(lines)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Flags, Floats
-from drivers.errors import InputMalformedError, InputNotFoundError
+from drivers.errors import InputMalformedError, reading
 
 # Beyond this the plane of one flight is no plane any more, and the polygon rather a mistake.
 _LARGEST_EXTENT_M = 100_000.0
@@ -148,10 +148,8 @@ def read_area(path: Path) -> Area:
             f"unknown kind of area {path.suffix!r}", where=path, remedy="give GeoJSON, KML or CSV"
         )
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as refusal:
-        reason = refusal.strerror or str(refusal)
-        raise InputNotFoundError(f"cannot be read ({reason})", where=path) from refusal
+        with reading(path):
+            text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as refusal:
         raise InputMalformedError("is not UTF-8 text", where=path) from refusal
     return area_from_corners(reader(text, str(path)), str(path))
