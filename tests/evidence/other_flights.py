@@ -180,7 +180,7 @@ def _principal_distances(folder: Path, certificate: dict[str, Any]) -> Iterator[
         stated = own["stated"]
         away = 100.0 * (start[name] / stated["value"] - 1.0)
         spread = f" ± {stated['sigma']:.2g} ({stated['of']}); start {away:+.1f} %"
-        yield f"{stated['value']:.5g}" + (" held" if stated["of"] == "held" else spread)
+        yield f"{stated['value']:.5g}" + (spread if stated["sigma"] > 0.0 else " held")
 
 
 def _json(path: Path) -> Any:
