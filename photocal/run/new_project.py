@@ -31,6 +31,8 @@ NAME, PICTURES = "project.toml", "pictures.csv"
 CODE_LEVEL_M, OTHER_SURFACE_M = (1.5, 1.5, 3.0), 50.0
 # How far the cameras of a frame may be apart, m: the sigma of each coordinate.
 APART_M = 0.1
+# By how much later a head may expose than the first, s: by pictures of a recorded head some 10 to 30 ms.
+LATER_S = 0.02
 # Fewer points leave the block turned, or without scale.
 FEWEST_CONTROL = 3
 _ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2")
@@ -279,6 +281,7 @@ class _Text:
             yield f"centre_m = [0.0, 0.0, 0.0]  # x right, y up, z backwards of {self.cameras[0]}: assumed"
             yield f"centre_sigma_m = {APART_M}"
             yield "time_s = 0.0"
+            yield f"time_sigma_s = {LATER_S}  # heads expose together but for some hundredths: assumed"
         self.missing.append(
             f"nothing tells how far the cameras are apart: {APART_M} m assumed (centre_m in [[head]])"
         )
