@@ -6,14 +6,19 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
+from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.factored import factorised
+from photocal.adjustment.near import chords
 from photocal.adjustment.network import Network
-from photocal.adjustment.normal import Problem, prepare
+from photocal.adjustment.normal import Problem, normal_equations, other_equations, prepare
 from photocal.adjustment.solution import Solution
-from photocal.adjustment.solver import Iteration, Minimum, minimise
+from photocal.adjustment.solver import CONVERGED, Iteration, Minimum, minimise, moved_by, reduced_step
 from photocal.adjustment.state import State, start_state
+
+# Squared distance, in units of the standard deviations, at which the movements of images are freed.
+NEAR = 1.0
 
 
 def adjust(
@@ -35,10 +40,14 @@ def adjust(
     """
     began = time.perf_counter()
     problem, minimum = minimum_of(network, report, state)
-    solved = time.perf_counter()
+    return with_statistics(problem, minimum, time.perf_counter() - began)
+
+
+def with_statistics(problem: Problem, minimum: Minimum, solve_s: float = 0.0) -> Solution:
+    """Complete a minimum, which took so many seconds, by what can be believed of it."""
+    began = time.perf_counter()
     solution = complete(factorised(problem, minimum), minimum.iterations)
-    timing = {"solve": solved - began, "covariance": time.perf_counter() - solved}
-    return replace(solution, timing_s=timing)
+    return replace(solution, timing_s={"solve": solve_s, "covariance": time.perf_counter() - began})
 
 
 def minimum_of(
@@ -47,6 +56,46 @@ def minimum_of(
     """Adjust a network without its statistics, as `adjust`."""
     start = start_state(network)
     problem = with_datum(prepare(network), start)
+    moving = network.exposures.motion_sigma is not None and start.deviations.size > 0
+    if state is None and moving:
+        state = _near(replace(network, exposures=replace(network.exposures, motion_sigma=None)), report)
     if state is not None and state.deviations.shape != start.deviations.shape:
         state = replace(state, deviations=start.deviations)
+    if state is not None and moving and not len(problem.stiffened):
+        minimum = _by_chords(problem, state, report)
+        if minimum is not None:
+            return problem, minimum
     return problem, minimise(problem, state or start, report)
+
+
+def _near(network: Network, report: Callable[[Iteration], None] | None) -> State | None:
+    """State near the minimum of a network whose images move as given; None where there is none.
+
+    With movements as unknowns an iteration takes several times as long, and from here it takes few.
+    """
+    start = start_state(network)
+    try:
+        return minimise(with_datum(prepare(network), start), start, report, NEAR).state
+    except (IllPosedError, NotConvergedError):
+        return None
+
+
+def _by_chords(problem: Problem, state: State, report: Callable[[Iteration], None] | None) -> Minimum | None:
+    """Find the minimum near a state with one factor for all steps; None where it is not near enough."""
+    normal = normal_equations(problem, state)
+    step = reduced_step(problem, normal, 0.0)
+    if step is None:
+        return None
+    moved, length = moved_by(problem, state, normal, step)
+    try:
+        near = chords(
+            problem, normal, moved, CONVERGED, lambda at: list(other_equations(problem, at).values()), length
+        )
+    except NotConvergedError:
+        return None
+    if not near.chi_squared < normal.chi_squared:
+        return None
+    steps = (Iteration(1, near.chi_squared, length, 0.0),)
+    if report:
+        report(steps[0])
+    return Minimum(near.state, normal_equations(problem, near.state, 0.0, normal.kept), steps)

@@ -44,6 +44,8 @@ def compile_kernels() -> None:
     ones = score(at, solution.residuals, np.ones((1, *plane.shape)))
     followed_by(at, ones.steps[0], ones.moved[0])
     gradient(at.problem, at.state, [])
+    # Cameras without a rolling shutter share lenses of any model.
+    adjust(replace(network, cameras=(camera("c", "rational", "mm", (100, 100), (0.1, 0.1), {"c": 20.0}),)))
     # With a few photo-variant parameters every image has columns for them.
     varied = replace(lens, deviation_sigma=np.where(np.arange(len(PARAMETERS)) == 1, 0.1, 0.0))
     adjust(replace(network, cameras=(varied,)))

@@ -22,7 +22,7 @@ from photocal.adjustment.observations import (
 )
 from photocal.adjustment.state import State, lens_by_image, lenses, turn_basis
 from photocal.geometry.camera import MOTION, PARAMETERS
-from photocal.geometry.lens import optics
+from photocal.geometry.lens import OTHERS, optics
 
 # Pieces of work: as many as threads can be of use, but none so small that threads only wait for each other,
 # and no more elements of borders than this for all of them.
@@ -75,6 +75,10 @@ def prepare(network: Network) -> Problem:
     shared = not lens_by_image(network)
     camera_of = np.arange(cameras) if shared else exposures.camera
     own = own_parameters(network)[: len(camera_of)]
+    lens = np.array([optics(camera) for camera in network.cameras])
+    # As many axes as the place in `WIDTHS`: the first for Brown's lenses alone.
+    plain = shared and bool((lens[:, 0] < OTHERS).all())
+    axes = 1 if plain else len(WIDTHS) - WIDTHS[::-1].index(where.width)
     still = np.zeros((len(camera_of), len(MOTION)))
     motion = still if shared or exposures.motion is None else exposures.motion
     active = np.zeros((cameras, len(PARAMETERS)), dtype=np.int64)
@@ -93,13 +97,13 @@ def prepare(network: Network) -> Problem:
         ray_image=rays.image,
         plane=rays.plane,
         weight=rays.sigma**-2.0,
-        width=np.zeros((1,) * (1 + WIDTHS.index(where.width))),
+        width=np.zeros((1,) * axes),
         image_lens=exposures.camera if shared else np.arange(len(exposures.camera)),
         image_column=where.image_columns[:, 0],
         pose_free=(exposures.sigma != 0).astype(float),
         own=np.maximum(own, 0),
         own_count=(own >= 0).sum(axis=1),
-        optics=np.hstack([np.array([optics(camera) for camera in network.cameras])[camera_of], motion]),
+        optics=np.hstack([lens[camera_of], motion]),
         active=active[camera_of],
         active_count=count[camera_of],
         active_column=(np.cumsum(count) - count)[camera_of],

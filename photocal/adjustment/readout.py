@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from scipy import special
 
 from drivers.errors import IllPosedError, NotConvergedError
-from photocal.adjustment.adjust import adjust, minimum_of
+from photocal.adjustment.adjust import minimum_of, with_statistics
 from photocal.adjustment.envelope import solve
 from photocal.adjustment.factored import factored
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import Problem, prepare, values_of
 from photocal.adjustment.sensitivity import along
 from photocal.adjustment.solution import Solution
-from photocal.adjustment.solver import Iteration
-from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.adjustment.solver import Iteration, Minimum
+from photocal.geometry.camera import PARAMETERS, Camera, ReadoutDirection
 
 Report = Callable[[Iteration], None]
 
@@ -61,19 +62,23 @@ def with_readouts(
         k for k, camera in enumerate(network.cameras) if camera.shutter == "unknown" and not camera.rolling
     ]
     tests = dict[int, Readout]()
+    given = network, solution, ()
+    found: tuple[Problem, Minimum] | None = None
     if doubtful and network.exposures.motion is not None:
         freed = _with(network, {k: _freed(network.cameras[k]) for k in doubtful})
         try:
             tests = _tested(freed, solution, doubtful)
             rolling = [k for k, readout in tests.items() if readout.p_value < SIGNIFICANCE]
             if rolling:
-                rolled = _with(network, {k: freed.cameras[k] for k in rolling})
-                network, solution = rolled, adjust(rolled, report, solution.state)
+                # The test tells the readout well enough for the sigmas of gusts to begin with.
+                known = {k: _forward(freed.cameras[k].changed(readout=tests[k].value)) for k in rolling}
+                network = _with(network, known)
+                found = minimum_of(network, report, solution.state)
         except (IllPosedError, NotConvergedError):
-            return network, solution, ()
+            return given
     estimated = [k for k, camera in enumerate(network.cameras) if camera.estimated[READOUT]]
-    state = solution.state
     for _ in range(ROUNDS):
+        state = solution.state if found is None else found[1].state
         # A prior observes the value that is given: that one stays.
         values = {
             k: float(state.cameras[k, READOUT])
@@ -83,9 +88,9 @@ def with_readouts(
         if all(abs(v - network.cameras[k].values[READOUT]) <= SETTLED * abs(v) for k, v in values.items()):
             break
         network = _with(network, {k: network.cameras[k].changed(readout=v) for k, v in values.items()})
-        state = minimum_of(network, report, state)[1].state
-    if state is not solution.state:
-        solution = adjust(network, report, state)
+        found = minimum_of(network, report, state)
+    if found is not None:
+        solution = with_statistics(*found)
     tests |= {k: readout_of(network, solution, k) for k in estimated}
     return network, solution, tuple(tests[k] for k in sorted(tests))
 
@@ -150,6 +155,15 @@ def _freed(camera: Camera) -> Camera:
     return replace(
         camera, estimated=camera.estimated | (np.array(PARAMETERS) == "readout"), shutter="rolling"
     )
+
+
+def _forward(camera: Camera) -> Camera:
+    """The same camera with a readout that is positive: from the other side where it was negative."""
+    if camera.value("readout") > 0:
+        return camera
+    first, last = camera.readout_direction.split("-to-")
+    other = cast("ReadoutDirection", f"{last}-to-{first}")
+    return replace(camera.changed(readout=-camera.value("readout")), readout_direction=other)
 
 
 def _with(network: Network, changed: dict[int, Camera]) -> Network:

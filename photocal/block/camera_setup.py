@@ -196,24 +196,37 @@ def _with_known_readout(keys: CameraKeys, place: str, own: Camera) -> Camera:
     """Take the readout of a known camera; estimated, it is an observation with the table's sigma."""
     if not keys.readout_from:
         return own
-    table = tomllib.loads(resources.files("photocal.block").joinpath("readouts.toml").read_text("utf-8"))
-    known = table["ms"].get(keys.readout_from.lower())
-    if isinstance(known, list):
-        known = next((ms for *size, ms in known if tuple(size) == keys.size_px), None)
-    if known is None or "readout" in keys.parameters:
-        unknown = f"nothing is known of the readout of {keys.readout_from!r} at this size"
+    if "readout" in keys.parameters:
         raise ConfigurationError(
-            unknown if known is None else "readout_from stands beside a readout in parameters",
-            where=place,
-            remedy="give readout in parameters (s), or one of " + ", ".join(table["ms"]),
+            "readout_from stands beside a readout in parameters", where=place, remedy="remove one of them"
         )
+    try:
+        known, sigma = known_readout(keys.readout_from, keys.size_px)
+    except ConfigurationError as refusal:
+        raise ConfigurationError(refusal.what, where=place, remedy=refusal.remedy) from refusal
     at = np.array(PARAMETERS) == "readout"
-    sigma = table["sigma_ms"] / 1e3
     return replace(
         own,
-        values=np.where(at, known / 1e3, own.values),
+        values=np.where(at, known, own.values),
         prior_sigma=np.where(at & own.estimated & np.isinf(own.prior_sigma), sigma, own.prior_sigma),
     )
+
+
+def known_readout(make_and_model: str, size_px: tuple[int, int]) -> tuple[float, float]:
+    """Readout of a known camera and its sigma, s.
+
+    raises ConfigurationError: when nothing is known of it at this size.
+    """
+    table = tomllib.loads(resources.files("photocal.block").joinpath("readouts.toml").read_text("utf-8"))
+    known = table["ms"].get(make_and_model.lower())
+    if isinstance(known, list):
+        known = next((ms for *size, ms in known if tuple(size) == size_px), None)
+    if known is None:
+        raise ConfigurationError(
+            f"nothing is known of the readout of {make_and_model!r} at this size",
+            remedy="give readout in parameters (s), or one of " + ", ".join(table["ms"]),
+        )
+    return known / 1e3, table["sigma_ms"] / 1e3
 
 
 def _focused(keys: CameraKeys, place: str, own: Camera) -> Camera:

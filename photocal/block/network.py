@@ -135,12 +135,17 @@ def block_frame(block: Block) -> Frame:
 
     raises ConfigurationError: for an unknown system or heights of a kind that does not fit it.
     """
-    places = np.vstack([block.images.values[:, 3:], block.points.values])
-    if np.isnan(places).all():
+    return frame_of(block.frame, block.height, block.images.values[:, 3:], block.points.values)
+
+
+def frame_of(system: str, height: str, *places: Floats) -> Frame:
+    """Frame of a system with the middle of places as local origin, errors as of `block_frame`."""
+    every = np.vstack(places)
+    if np.isnan(every).all():
         return ShiftedFrame(np.zeros(3))
-    if block.frame == "local":
-        return ShiftedFrame(np.asarray(np.round(np.nanmean(places, axis=0)), dtype=np.float64))
-    return reference_frame(block.frame, block.height, np.asarray(np.nanmean(places, axis=0)))
+    if system == "local":
+        return ShiftedFrame(np.asarray(np.round(np.nanmean(every, axis=0)), dtype=np.float64))
+    return reference_frame(system, height, np.asarray(np.nanmean(every, axis=0)))
 
 
 def _local_exposures(block: Block, frame: Frame) -> Floats:

@@ -88,7 +88,7 @@ def judge_block(
     from photocal.georeferencing.as_json import to_json
     from photocal.georeferencing.as_text import to_text
     from photocal.georeferencing.comparison import check_block
-    from photocal.georeferencing.methods import METHODS
+    from photocal.georeferencing.methods import METHODS, with_shutters
     from photocal.run.georeferencing import own_calibration
     from photocal.run.stage import is_stage
     from photocal.run.warnings import project_verdict
@@ -98,6 +98,7 @@ def judge_block(
     system = reference_system(crs) if crs else None
     with progress("checking", len(METHODS) + 2) as advance:
         # A flight is its own calibration; a block folder states what it wants to be judged with.
+        read = with_shutters(read)
         calibration = own_calibration(read) if on_the_job else None
         result = check_block(read, standards, question, noise, lambda _: advance(1), calibration)
     content, text = to_json(result), to_text(result)

@@ -46,7 +46,8 @@ def export(
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.000Z")
     choices = Choices(_angle_unit(angle_unit), _origin(origin), now)
     chosen = named(form)
-    given = of_result(read_result(run))
+    adjusted = read_result(run)
+    given = of_result(adjusted)
     with output_folder(output) as aside:
         conversions = write(chosen, aside, given, choices)
         files = sorted(str(path.relative_to(aside)) for path in aside.rglob("*") if path.is_file())
@@ -61,6 +62,9 @@ def export(
             {"camera": made.camera.id, "rms_px": made.rms_px, "largest_px": made.largest_px}
             for made in conversions
         ],
+        "rolling_shutters": {
+            name: own.value("readout") for name, own in adjusted.cameras.items() if own.rolling
+        },
     }
     answer(as_json, lambda: result, lambda: _text(result, output))
 
@@ -104,4 +108,9 @@ def _text(result: dict[str, Any], output: Path) -> str:
             else "the same model, nothing lost"
         )
         lines.append(f"camera {camera['camera']}: {cost}")
+    lines += [
+        f"camera {name}: its shutter rolls ({1e3 * readout:.2f} ms), which this format cannot say: image "
+        "coordinates are corrected to the pose of the middle line"
+        for name, readout in result["rolling_shutters"].items()
+    ]
     return "\n".join(lines)

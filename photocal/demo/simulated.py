@@ -68,8 +68,9 @@ def against_truth(truth: Path, work: Path) -> tuple[Row, ...]:
 def _camera(true: dict[str, Any], result: Result) -> Iterator[Row]:
     camera = result.cameras[true["camera"]["id"]]
     for name in camera.free:
-        value = float(true["camera"][camera.unit].get(name, 0.0))
-        unit = camera.unit if name in ("c", "x0", "y0") else ""
+        rolls = name == "readout"
+        value = float(true["rig"]["readout_s"] if rolls else true["camera"][camera.unit].get(name, 0.0))
+        unit = "s" if rolls else camera.unit if name in ("c", "x0", "y0") else ""
         yield Row(name, unit, value, camera.value(name), camera.sigma_of(name))
 
 

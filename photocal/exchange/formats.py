@@ -214,6 +214,9 @@ A block in a coordinate reference system goes to Cartesian formats in the topoce
 up) at its middle, where it was adjusted, so that reprojection residuals stay what they are; tables of
 orientations and ODM's lists keep map coordinates and angles.
 
+One pose belongs to all lines of an image: observations of a rolling shutter are corrected to that of the
+middle line, and the command says so.
+
 {table}
 
 `photocal adjust` reads the files of the formats marked "adjust" directly, and PhotoScan projects (.psz);

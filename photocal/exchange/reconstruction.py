@@ -12,10 +12,11 @@ import numpy as np
 from drivers.arrays import Floats, Integers
 from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import ROLES, Block, InputFile, ObjectPoints, Observations
+from photocal.block.network import frame_of
 from photocal.block.rig import Head
 from photocal.exchange.parts import images
 from photocal.exchange.source import fingerprint
-from photocal.geometry.camera import Camera, plane_to_pixel
+from photocal.geometry.camera import PARAMETERS, Camera, plane_to_pixel
 from photocal.geometry.frames import ReferenceFrame, nearest_rotation, parsed, reference_frame
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.results.result import Result
@@ -147,15 +148,12 @@ def of_block(block: Block) -> Reconstruction:
 def of_result(result: Result) -> Reconstruction:
     """Take what other programs know out of a result: the observations that took part, in pixels.
 
-    raises ConfigurationError: for a lens that varies from image to image or with the distance, and for a
-        rolling shutter.
+    Others hold one pose for all lines: image coordinates of a rolling shutter become those at the pose of
+    the middle line.
+
+    raises ConfigurationError: for a lens that varies from image to image or with the distance.
     """
     for own in result.cameras.values():
-        if own.rolling:
-            raise ConfigurationError(
-                f"camera {own.id} has a rolling shutter: other programs' formats hold one pose for all lines",
-                remedy="export a run with a global shutter",
-            )
         if own.photo_variant or own.focus_m:
             what = (
                 f"{', '.join(own.photo_variant)} from image to image"
@@ -177,8 +175,13 @@ def of_result(result: Result) -> Reconstruction:
     pixels = rays.measured / per_px
     if result.block.observation_axes == "photo":
         pixels, residuals = plane_to_pixel(size, per_px, rays.measured), residuals * [1.0, -1.0]
+    if images.movement is not None:
+        frame = frame_of(result.block.frame, result.block.height, images.station, points.values)
+        moving, seen = images.in_local(frame), frame.to_local(points.values)[point]
+        still = replace(moving, movement=None)
+        pixels = pixels + still.project(rays.image, seen) - moving.project(rays.image, seen)
     return Reconstruction(
-        images.cameras,
+        tuple(map(with_global_shutter, images.cameras)),
         images.names,
         images.camera,
         images.values,
@@ -195,6 +198,12 @@ def of_result(result: Result) -> Reconstruction:
         result.block.height,
         result.block.name,
     )
+
+
+def with_global_shutter(own: Camera) -> Camera:
+    """Give a camera as it is when the effect of its readout is taken off its observations."""
+    kept = own.estimated & (np.array(PARAMETERS) != "readout")
+    return replace(own.changed(readout=0.0), estimated=kept, shutter="global")
 
 
 def cameras_alone(cameras: Sequence[Camera]) -> Reconstruction:

@@ -8,12 +8,16 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from drivers.arrays import Floats, Integers
 from photocal.geometry.camera import Camera, pixel_to_plane, plane_to_pixel
 from photocal.geometry.distortion import projected, undistorted
 from photocal.geometry.frames import Frame, nearest_rotation
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
+
+# From a line's place to the pose and back: each time a hundredth of the change is left, or less.
+_LINES = 6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -28,6 +32,9 @@ class OrientedImages:
         omega, phi, kappa in radians, X, Y, Z of the projection centre in m; NaN where not known.
     covariance : ndarray, shape (n, 6, 6), or None
         Of `values`; NaN where nothing is said of an image.
+    movement : ndarray, shape (n, 6), or None
+        While a rolling shutter reads an image: of the projection centre (m, axes of X, Y, Z) and turn of the
+        camera (rad, its own axes). `values` hold in the middle of it.
     """
 
     names: tuple[str, ...]
@@ -35,6 +42,7 @@ class OrientedImages:
     camera: Integers
     values: Floats
     covariance: Floats | None = None
+    movement: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.names)
@@ -67,6 +75,11 @@ class OrientedImages:
         """As `covariance`, also where there is none: NaN then."""
         return np.full((len(self), 6, 6), np.nan) if self.covariance is None else self.covariance
 
+    @property
+    def movements(self) -> Floats:
+        """As `movement`, also where there is none: zero then."""
+        return np.zeros((len(self), 6)) if self.movement is None else self.movement
+
     @cached_property
     def sigma(self) -> Floats:
         """Standard deviations of `values` (rad, m), shape (n, 6); NaN where nothing is said."""
@@ -81,6 +94,7 @@ class OrientedImages:
             camera=self.camera[chosen],
             values=self.values[chosen],
             covariance=None if self.covariance is None else self.covariance[chosen],
+            movement=None if self.movement is None else self.movement[chosen],
         )
 
     def named(self, names: Sequence[str]) -> OrientedImages:
@@ -89,13 +103,17 @@ class OrientedImages:
         rows = np.array([number.get(name, -1) for name in names], dtype=np.int64)
         lost = rows < 0
         padded = np.vstack([self.values, np.full(6, np.nan)])
-        return OrientedImages(
-            tuple(names), self.cameras, np.where(lost, -1, np.r_[self.camera, -1][rows]), padded[rows]
-        )
+        moved = None if self.movement is None else np.vstack([self.movement, np.zeros(6)])[rows]
+        camera = np.where(lost, -1, np.r_[self.camera, -1][rows])
+        return OrientedImages(tuple(names), self.cameras, camera, padded[rows], movement=moved)
 
     def in_local(self, frame: Frame) -> OrientedImages:
         """Give the images in local coordinates, without covariance."""
-        return replace(self, values=local_poses(frame, self.values), covariance=None)
+        movement = None if self.movement is None else self.movement.copy()
+        if movement is not None:
+            turn = np.nan_to_num(frame.derivative(self.values[:, 3:]))
+            movement[:, :3] = np.einsum("nab,nb->na", turn, movement[:, :3])
+        return replace(self, values=local_poses(frame, self.values), covariance=None, movement=movement)
 
     def sizes(self) -> Floats:
         """Width and height of each image, px, shape (n, 2)."""
@@ -107,7 +125,35 @@ class OrientedImages:
         image (m,).
         xyz (m, 3).
         """
-        q = np.einsum("nij,nj->ni", self.rotation[image], xyz - self.station[image])
+        rotation, station = self.rotation[image], self.station[image]
+        pixels = self._recorded(image, np.einsum("nij,nj->ni", rotation, xyz - station))
+        # The line tells the pose, and the pose the line.
+        for _ in range(0 if self.movement is None else _LINES):
+            rotation, station = self.at_lines(image, pixels)
+            pixels = self._recorded(image, np.einsum("nij,nj->ni", rotation, xyz - station))
+        return pixels
+
+    def at_lines(self, image: Integers, pixels: Floats) -> tuple[Floats, Floats]:
+        """Rotations, shape (m, 3, 3), and projection centres, (m, 3), while lines of images were read.
+
+        image (m,).
+        pixels (m, 2): whose rows, or columns, tell the line.
+        """
+        if self.movement is None:
+            return self.rotation[image], self.station[image]
+        late = self.late(image, pixels)[:, None]
+        turn = Rotation.from_rotvec(late * self.movement[image, 3:]).as_matrix()
+        return turn @ self.rotation[image], self.station[image] + late * self.movement[image, :3]
+
+    def late(self, image: Integers, pixels: Floats) -> Floats:
+        """When lines of images were read, in readouts from the middle, shape (m,); as in `at_lines`."""
+        slope = np.array([own.line_slope() for own in self.cameras])[self.camera[image]]
+        pitch = np.array([own.pitch for own in self.cameras], dtype=float)[self.camera[image]]
+        plane = pixel_to_plane(self.sizes()[image], pitch, np.nan_to_num(pixels))
+        return np.asarray(np.clip((slope * plane).sum(axis=1), -1.0, 1.0))
+
+    def _recorded(self, image: Integers, q: Floats) -> Floats:
+        """Columns and rows where images record points of camera axes, shape (m, 2)."""
         pixels = np.full((len(image), 2), np.nan)
         for k, own in enumerate(self.cameras):
             mine = np.flatnonzero(self.camera[image] == k)

@@ -30,6 +30,7 @@ from photocal.georeferencing.methods import (
     Method,
     checkable,
     of_method,
+    with_shutters,
     without_weak_images,
 )
 from photocal.georeferencing.mistyped import Mistyped, mistyped_control
@@ -98,7 +99,7 @@ def check_block(
     done("plausibility")
     places, typed = block.points.values, block
     try:
-        block = with_attitude_angles(checkable(in_local_frame(block)))
+        block = with_attitude_angles(checkable(in_local_frame(with_shutters(block))))
     except PhotocalError as refusal:
         raise type(refusal)(_with_findings(str(refusal), plausibility), where=block.name) from refusal
     judged, refused = [], []

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from drivers.arrays import Floats
 from photocal.adjustment.network import covariance_matrices
 from photocal.block.model import Block, ObjectPoints
 from photocal.block.network import block_frame
@@ -26,7 +27,8 @@ def in_local_frame(block: Block) -> Block:
         return block
     frame = block_frame(block)
     values = block.images.values.copy()
-    turn = nearest_rotation(frame.derivative(values[:, 3:]))
+    by_image = frame.derivative(values[:, 3:])
+    turn = nearest_rotation(by_image)
     values[:, :3] = angles_from_matrix(matrix_from_angles(values[:, :3]) @ np.swapaxes(turn, 1, 2))
     values[:, 3:] = frame.to_local(values[:, 3:])
     positions = block.positions
@@ -42,10 +44,15 @@ def in_local_frame(block: Block) -> Block:
         block,
         frame="local",
         height="local",
-        images=replace(block.images, values=values),
+        images=replace(block.images, values=values, motion=_turned(block.images.motion, by_image)),
         points=_points(block.points, frame),
         positions=positions,
     )
+
+
+def _turned(motion: Floats, by_given: Floats) -> Floats:
+    """Velocities along other axes; rates are about those of the camera."""
+    return np.hstack([np.einsum("nab,nb->na", by_given, motion[:, :3]), motion[:, 3:]])
 
 
 def _points(points: ObjectPoints, frame: Frame) -> ObjectPoints:

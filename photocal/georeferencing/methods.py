@@ -8,11 +8,12 @@ from typing import Any, Literal
 import numpy as np
 
 from drivers.arrays import Flags, Floats, Integers
-from drivers.errors import ConfigurationError, IllPosedError
+from drivers.errors import ConfigurationError, IllPosedError, PhotocalError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance as covariance_of
 from photocal.adjustment.mounting import NO_ATTITUDES, NO_MOUNTING, NO_POSITIONS, Attitudes, Positions
+from photocal.adjustment.readout import READOUT, with_readouts
 from photocal.adjustment.solution import GlobalTest, Solution, global_test
 from photocal.block.model import ROLES, Block, Role
 from photocal.block.network import NetworkOfBlock, assemble, plane_per_unit
@@ -136,6 +137,30 @@ def ground_points(block: Block) -> Integers:
     """Control and check points that have rays, as indices."""
     rays = np.bincount(block.observations.point, minlength=len(block.points.names))
     return np.flatnonzero((block.points.role != ROLES.index("tie")) & (rays > 0))
+
+
+def with_shutters(block: Block) -> Block:
+    """Give unknown shutters what an adjustment of all observations says of them, and images their motion.
+
+    A block that cannot be adjusted keeps them as they are: the methods say why.
+    """
+    undecided = any(own.shutter == "unknown" or own.estimated[READOUT] for own in block.cameras)
+    if not undecided or np.isfinite(block.images.motion_sigma).all():
+        return block
+    try:
+        assembly = assemble(without_weak_images(checkable(block))[0])
+        network = with_readouts(assembly.network, adjust(assembly.network))[0]
+    except PhotocalError:
+        return block
+    motion, sigma = network.exposures.motion, network.exposures.motion_sigma
+    images = block.images
+    if motion is not None and sigma is not None:
+        places = assembly.frame.to_given(network.exposures.values[:, 3:])
+        back = np.linalg.inv(assembly.frame.derivative(places))
+        velocity = np.einsum("nab,nb->na", back, motion[:, :3])
+        images = replace(images, motion=np.hstack([velocity, motion[:, 3:]]), motion_sigma=sigma)
+    cameras = (own if own.rolling else replace(own, shutter="global") for own in network.cameras)
+    return replace(block, cameras=tuple(cameras), images=images)
 
 
 def checkable(block: Block) -> Block:

@@ -1,4 +1,4 @@
-"""What a flight cannot separate, whatever its errors: camera, lever arm, boresight, time and datum."""
+"""What a flight cannot separate, whatever its errors: camera, readout, lever arm, boresight, time, datum."""
 
 from __future__ import annotations
 
@@ -8,19 +8,21 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from drivers.arrays import Flags, Floats
+from drivers.arrays import Floats
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.covariance import blocks
 from photocal.adjustment.envelope import factorise, selected_inverse
 from photocal.adjustment.mounting import BORESIGHT, COMMON, LEVER, SHIFT, TIME
 from photocal.adjustment.normal import normal_equations, prepare
+from photocal.adjustment.readout import READOUT
 from photocal.block.model import Block
 from photocal.block.network import assemble
+from photocal.geometry.camera import PARAMETERS, Camera
 
-# What is asked of a calibration flight: 1 m, 1 degree, 0.1 s, 1 m; the camera: 1 % of c.
+# What is asked of a calibration flight: 1 m, 1 degree, 0.1 s, 1 m; the camera: 1 % of c, 0.1 s of readout.
 _SCALE_COMMON = np.array([1.0] * 3 + [np.radians(1.0)] * 3 + [0.1] + [1.0] * 3 + [0.0])
-_SCALE_CAMERA = 0.01
+_SCALE_CAMERA, _SCALE_READOUT = 0.01, 0.1
 # A direction is not determined when its standard deviation stays above this share of the scale.
 _UNDETERMINED = 0.05
 _TAKES_PART = 0.1
@@ -53,10 +55,7 @@ def separation(block: Block) -> Separation | None:
     taken = np.flatnonzero(asked)
     sigma = np.zeros(len(asked))
     sigma[taken] = _SCALE_COMMON[taken]
-    cameras = tuple(
-        replace(own, prior_sigma=np.where(_interior(own.estimated), _SCALE_CAMERA * own.value("c"), np.inf))
-        for own in block.cameras
-    )
+    cameras = tuple(replace(own, prior_sigma=_scales(own)) for own in block.cameras)
     network = assemble(replace(block, mounting=replace(block.mounting, sigma=sigma), cameras=cameras)).network
     try:
         state = adjust(network).state
@@ -73,10 +72,10 @@ def separation(block: Block) -> Separation | None:
     several = len(cameras) > 1
     for own, (active, at) in zip(cameras, problem.layout.camera_columns, strict=True):
         for k, column in zip(active, at, strict=True):
-            if k < 3:
-                names.append(("c", "x0", "y0")[k] + (f"[{own.id}]" if several else ""))
+            if np.isfinite(own.prior_sigma[k]):
+                names.append(PARAMETERS[k] + (f"[{own.id}]" if several else ""))
                 columns.append(column)
-                scale.append(_SCALE_CAMERA * own.value("c"))
+                scale.append(float(own.prior_sigma[k]))
     covariance = blocks(np.array([columns]), problem.structure, inverse)[0]
     deviation = np.sqrt(np.diag(covariance))
     return Separation(
@@ -87,9 +86,11 @@ def separation(block: Block) -> Separation | None:
     )
 
 
-def _interior(estimated: Flags) -> Flags:
-    """Of the estimated parameters c, x0 and y0."""
-    return np.asarray(estimated & (np.arange(len(estimated)) < 3))
+def _scales(own: Camera) -> Floats:
+    """Scales of the estimated ones of c, x0, y0 and the readout; infinite of the others."""
+    scale = np.full(len(PARAMETERS), np.inf)
+    scale[:3], scale[READOUT] = _SCALE_CAMERA * own.value("c"), _SCALE_READOUT
+    return np.where(own.estimated, scale, np.inf)
 
 
 def _groups(names: tuple[str, ...], covariance: Floats) -> tuple[tuple[str, ...], ...]:

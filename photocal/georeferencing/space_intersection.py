@@ -9,12 +9,14 @@ from scipy.linalg import block_diag
 
 from drivers.arrays import Floats, Integers
 from photocal.adjustment.intersection import intersect
+from photocal.adjustment.readout import READOUT
 from photocal.block.model import Block
 from photocal.block.network import observed_plane, plane_per_unit
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.rotation import skew
 from photocal.georeferencing.direct import DirectOrientation
+from photocal.georeferencing.shutters import MovedRays, moved_rays
 
 _ITERATIONS = 20
 _ENOUGH_M = 1e-7
@@ -66,14 +68,15 @@ def intersect_points(
         stated = [np.diag(camera_variance(own)) for own in block.cameras]
         joint = block_diag(orientation.common_covariance, *stated)
     corrected = _corrected(block, np.diag(joint)[len(orientation.common_covariance) :])
+    moved = moved_rays(block, orientation)
     observations = block.observations
     usable = orientation.known[observations.image]
     chosen = np.flatnonzero(usable & np.isin(observations.point, wanted))
     start = intersect(
         observations.point[chosen],
         len(block.points.names),
-        orientation.centre[observations.image[chosen]],
-        orientation.rotation[observations.image[chosen]],
+        moved.centre[chosen],
+        moved.rotation[chosen],
         corrected.ideal[chosen],
         corrected.distance[chosen],
     )
@@ -83,7 +86,7 @@ def intersect_points(
         rays = chosen[observations.point[chosen] == point]
         if len(rays) < 2 or not np.isfinite(start[point]).all():
             continue
-        one = _one_point(block, orientation, corrected, rays, start[point], joint)
+        one = _one_point(block, orientation, corrected, moved, rays, start[point], joint)
         if one is not None:
             found.append((int(point), rays, *one))
     rays = np.concatenate([f[1] for f in found]) if found else np.zeros(0, dtype=np.int64)
@@ -105,13 +108,13 @@ def _one_point(
     block: Block,
     orientation: DirectOrientation,
     corrected: _Rays,
+    moved: MovedRays,
     rays: Integers,
     start: Floats,
     joint: Floats,
 ) -> tuple[Floats, Floats, Floats, Floats, float] | None:
     """Coordinates, covariance, residuals, also standardised, and their sum; None where there is no place."""
-    image = block.observations.image[rays]
-    rotation, centre = orientation.rotation[image], orientation.centre[image]
+    rotation, centre = moved.rotation[rays], moved.centre[rays]
     c, ideal = corrected.distance[rays], corrected.ideal[rays]
     xyz = start
     for _ in range(_ITERATIONS):
@@ -120,7 +123,7 @@ def _one_point(
         by_point = (by_q @ rotation).reshape(-1, 3)
         miss = (-c[:, None] * q[:, :2] / q[:, 2:] - ideal).ravel()
         try:
-            weight = np.linalg.inv(_misclosure(block, orientation, corrected, rays, q, by_q, joint))
+            weight = np.linalg.inv(_misclosure(block, orientation, corrected, moved, rays, q, by_q, joint))
             covariance = np.linalg.inv(by_point.T @ weight @ by_point)
         except np.linalg.LinAlgError:
             return None
@@ -150,6 +153,7 @@ def _misclosure(
     block: Block,
     orientation: DirectOrientation,
     corrected: _Rays,
+    moved: MovedRays,
     rays: Integers,
     q: Floats,
     by_q: Floats,
@@ -159,11 +163,13 @@ def _misclosure(
     n, image = len(rays), block.observations.image[rays]
     # exp([t]x) q = q - [q]x t
     turn = -skew(q)
-    by_pose = np.concatenate([by_q @ turn, -by_q @ orientation.rotation[image]], axis=2)
+    by_pose = np.concatenate([by_q @ turn, -by_q @ moved.rotation[rays]], axis=2)
+    by_readout = np.einsum("nab,nb->na", by_pose, moved.by_readout[rays])
     result = np.zeros((2 * n, 2 * n))
     for k, i in enumerate(image):
         for other in np.flatnonzero(image == i):
-            part = by_pose[k] @ orientation.covariance[i] @ by_pose[other].T
+            gusts = np.diag(moved.late[rays[k]] * moved.late[rays[other]] * moved.spread[i] ** 2)
+            part = by_pose[k] @ (orientation.covariance[i] + gusts) @ by_pose[other].T
             result[2 * k : 2 * k + 2, 2 * other : 2 * other + 2] += part
         result[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += corrected.covariance[rays[k]]
     shared = [(by_pose @ orientation.by_common[image]).reshape(2 * n, -1)]
@@ -171,6 +177,7 @@ def _misclosure(
         mine = corrected.camera[rays] == index
         by_camera = -corrected.by_camera[rays] * mine[:, None, None]
         by_camera[:, :, 0] += np.where(mine[:, None], -q[:, :2] / q[:, 2:], 0.0)
+        by_camera[:, :, READOUT] += np.where(mine[:, None], by_readout, 0.0)
         shared.append(by_camera.reshape(2 * n, -1))
     by_shared = np.hstack(shared)
     return np.asarray(result + by_shared @ joint @ by_shared.T)

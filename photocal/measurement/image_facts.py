@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import math
 import re
 import struct
@@ -11,6 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from drivers.arrays import Floats
 from photocal.measurement.image_file import opened, stored_size
 
 if TYPE_CHECKING:
@@ -143,6 +147,13 @@ def read_facts(path: Path) -> ImageFacts:
         firmware=_text(main.get(0x0131)),
         velocity_m_s=_velocity(xmp),
     )
+
+
+def clock_seconds(facts: Sequence[ImageFacts]) -> Floats:
+    """Times of images by their cameras' clocks from the first on, s, shape (n,); NaN where not given."""
+    stamps = [dt.datetime.fromisoformat(own.taken).timestamp() if own.taken else math.nan for own in facts]
+    seconds = np.array(stamps, dtype=float)
+    return seconds - np.nanmin(seconds) if np.isfinite(seconds).any() else seconds
 
 
 def told_conditions(facts: Sequence[ImageFacts]) -> dict[str, dict[str, str]]:

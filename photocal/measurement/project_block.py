@@ -30,7 +30,7 @@ from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
 from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.block_files import Measured
-from photocal.measurement.image_facts import ImageFacts, read_facts
+from photocal.measurement.image_facts import ImageFacts, clock_seconds, read_facts
 from photocal.measurement.image_file import list_images
 from photocal.measurement.maker_camera import NO_LENS
 from photocal.measurement.marks import read_marks, with_marks
@@ -229,7 +229,7 @@ def _starts(
     # The grid's axes are east and north but for its convergence.
     motion[:, :3] = [own.velocity_m_s for own in facts]
     exposures = tuple(exposure.get(name, "") for name in names)
-    return Images(names, camera, values, sigma, motion, exposure=exposures)
+    return Images(names, camera, values, sigma, motion, time=clock_seconds(facts), exposure=exposures)
 
 
 def better_known(project: Project, names: Sequence[str]) -> Given:
@@ -336,10 +336,12 @@ def _released(
     refusal: dict[str, Figure] = {}
     for held_here in holding:
         free = np.array([name not in held_here for name in PARAMETERS])
+        # Nobody asks for a readout: that it has one, an unknown shutter has shown.
+        readout = np.array(PARAMETERS) == "readout"
         cameras = tuple(
             replace(
                 own,
-                estimated=asked[own.id].estimated & free,
+                estimated=(asked[own.id].estimated | (own.estimated & readout)) & free,
                 prior_sigma=asked[own.id].prior_sigma,
                 values=np.where(free, own.values, asked[own.id].values),
             )

@@ -13,7 +13,7 @@ from drivers.arrays import Bytes, Flags, Floats
 from drivers.errors import PhotocalError
 from photocal.block.model import Block, Images, ObjectPoints, Observations
 from photocal.geometry.camera import PARAMETERS
-from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.image_facts import ImageFacts, clock_seconds
 from photocal.measurement.image_file import as_eight_bit, read_grey
 from photocal.measurement.maker_camera import group_cameras, stated_camera
 
@@ -106,7 +106,8 @@ def start_block(facts: Sequence[ImageFacts], places: Floats, name: str) -> Block
         one = facts[int(np.flatnonzero(member == k)[0])]
         stated = stated_camera(camera_name, one)
         estimated = np.array([name in ESTIMATE for name in PARAMETERS])
-        cameras.append(replace(stated.camera, estimated=estimated, guessed=stated.guessed))
+        guessed = stated.guessed
+        cameras.append(replace(stated.camera, estimated=estimated, guessed=guessed, shutter="unknown"))
     poses = np.full((len(facts), 6), np.nan)
     poses[:, 3:] = places
     sigma = np.full((len(facts), 6), np.inf)
@@ -120,7 +121,7 @@ def start_block(facts: Sequence[ImageFacts], places: Floats, name: str) -> Block
         "control" if enough else "free",
         (),
         tuple(cameras),
-        Images(tuple(f.name for f in facts), member, poses, sigma),
+        Images(tuple(f.name for f in facts), member, poses, sigma, time=clock_seconds(facts)),
         NO_POINTS,
         NO_OBSERVATIONS,
         (),

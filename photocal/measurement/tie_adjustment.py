@@ -12,6 +12,7 @@ from drivers.errors import IllPosedError, NotConvergedError, PhotocalError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.normal import prepare
+from photocal.adjustment.readout import with_readouts
 from photocal.adjustment.snooping import ray_fit, robust_state
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.state import State, start_state
@@ -177,8 +178,21 @@ def _solved(start: Block, block: Block, poses: Floats, *, held: bool) -> Solved:
 def _solved_with(start: Block, block: Block, poses: Floats, cameras: tuple[Camera, ...]) -> Solved:
     assembly = assemble(replace(block, cameras=cameras))
     solution = adjust(assembly.network, state=_state(assembly, block, poses))
-    better = tuple(own.with_values(v) for own, v in zip(start.cameras, solution.cameras, strict=True))
+    # A rolling shutter looks like gross errors; who holds the lens cannot tell it.
+    if any(own.shutter == "unknown" and own.estimated.any() for own in cameras):
+        network, solution, _ = with_readouts(assembly.network, solution)
+        assembly = replace(assembly, network=network)
+    better = tuple(map(_better, start.cameras, assembly.network.cameras, solution.cameras))
     return replace(start, cameras=better), assembly, solution
+
+
+def _better(own: Camera, adjusted: Camera, values: Floats) -> Camera:
+    """The camera with adjusted values, and with the rolling shutter that it was found to have."""
+    if adjusted.rolling and not own.rolling:
+        rolls = own.estimated | (np.array(PARAMETERS) == "readout")
+        direction = adjusted.readout_direction
+        own = replace(own, estimated=rolls, shutter="rolling", readout_direction=direction)
+    return own.with_values(values)
 
 
 def _state(assembly: NetworkOfBlock, block: Block, poses: Floats) -> State:

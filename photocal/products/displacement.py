@@ -10,8 +10,6 @@ import numpy as np
 from acquire.outputs import output_file
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
-from photocal.geometry.camera import pixel_to_plane, plane_to_pixel
-from photocal.geometry.distortion import projected, undistorted
 from photocal.geometry.frames import Frame
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.kernels import look_up
@@ -24,31 +22,30 @@ _CLOSE_M = 1e-5
 
 def image_points(shots: OrientedImages, number: int, local: Floats) -> Floats:
     """Project points into one image."""
-    camera = shots.cameras[shots.camera[number]]
-    q = (local - shots.station[number]) @ shots.rotation[number].T
-    return plane_to_pixel(camera.size_px, camera.pitch, projected(camera, q))
+    return shots.project(np.full(len(local), number), local)
 
 
 def terrain_points(
     shots: OrientedImages, number: int, pixel: Floats, terrain: Terrain, frame: Frame
 ) -> Floats:
     """Intersect the rays of image points with the terrain."""
-    camera = shots.cameras[shots.camera[number]]
-    ideal = undistorted(camera, pixel_to_plane(camera.size_px, camera.pitch, pixel))
-    rays = np.column_stack([ideal, np.full(len(ideal), -camera.values[0])]) @ shots.rotation[number]
+    image = np.full(len(pixel), number)
+    ideal, c = shots.ideal(image, pixel)
+    rotation, station = shots.at_lines(image, pixel)
+    rays = np.einsum("ni,nij->nj", np.column_stack([ideal, -c]), rotation)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     height = float(np.nanmean(terrain.heights))
     above = frame.to_given(shots.station[number : number + 1])[0, 2] - height
     with np.errstate(divide="ignore", invalid="ignore"):
         along = np.where(rays[:, 2] < 0, -above / rays[:, 2], np.nan)
     for _ in range(_PASSES):
-        given = frame.to_given(shots.station[number] + along[:, None] * rays)
+        given = frame.to_given(station + along[:, None] * rays)
         gap = given[:, 2] - terrain.at(given[:, 0], given[:, 1])
         step = -gap / rays[:, 2]
         along = along + step
         if not np.any(np.abs(step) > _CLOSE_M):
             break
-    given = frame.to_given(shots.station[number] + along[:, None] * rays)
+    given = frame.to_given(station + along[:, None] * rays)
     gap = given[:, 2] - terrain.at(given[:, 0], given[:, 1])
     given[~(np.abs(gap) < 100 * _CLOSE_M)] = np.nan
     return given
@@ -93,7 +90,7 @@ def displacement(
     place, chosen = np.full((2, len(local)), np.nan), np.full(len(local), -1, dtype=np.int64)
     every = np.arange(len(right.names), dtype=np.int64)
     look_up(local, lenses.values, lenses.optics, lenses.limit, lenses.pitch, lenses.size, right.camera,
-            right.rotation, right.station, every, place[0], place[1], chosen)  # fmt: skip
+            right.rotation, right.station, right.movements, every, place[0], place[1], chosen)  # fmt: skip
     shift = np.full((len(local), 2), np.nan)
     for number in np.unique(chosen[chosen >= 0]):
         mine = chosen == number

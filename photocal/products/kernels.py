@@ -9,9 +9,45 @@ from numpy.typing import NDArray
 
 from drivers.arrays import Floats, Integers
 from photocal.compiled import allocating, inlined
-from photocal.geometry.lens import recorded, scratch
+from photocal.geometry.lens import LINE, Scratch, recorded, scratch
 
 NEAREST, BILINEAR, CUBIC = 0, 1, 2
+# From a line to the pose and back: each time a hundredth of the change is left, or less.
+LINES = 4
+
+
+@inlined
+def move(
+    cameras: Floats,
+    optics_of: Floats,
+    k: int,
+    rotation: Floats,
+    movement: Floats,
+    m: int,
+    u: float,
+    v: float,
+    w: float,
+    room: Scratch,
+    found: Floats,
+) -> None:
+    """Move a place to where a rolling shutter records the point: the line tells the pose, and that the line.
+
+    u, v, w: point in camera axes in the middle of the readout.
+    """
+    x, y, z = movement[m, 0], movement[m, 1], movement[m, 2]
+    a = rotation[m, 0, 0] * x + rotation[m, 0, 1] * y + rotation[m, 0, 2] * z
+    b = rotation[m, 1, 0] * x + rotation[m, 1, 1] * y + rotation[m, 1, 2] * z
+    c = rotation[m, 2, 0] * x + rotation[m, 2, 1] * y + rotation[m, 2, 2] * z
+    for _ in range(LINES):
+        s = optics_of[k, LINE] * found[0] + optics_of[k, LINE + 1] * found[1]
+        s = min(max(s, -1.0), 1.0)
+        p, q, r = u - s * a, v - s * b, w - s * c
+        x, y, z = s * movement[m, 3], s * movement[m, 4], s * movement[m, 5]
+        # The turn by its series to the second power: it is of hundredths of a radian.
+        e, f, g = y * r - z * q, z * p - x * r, x * q - y * p
+        p, q, r = p + e + (y * g - z * f) / 2, q + f + (z * e - x * g) / 2, r + g + (x * f - y * e) / 2
+        if not recorded(cameras, optics_of, k, p, q, r, room, found):
+            return
 
 
 @allocating
@@ -25,12 +61,16 @@ def look_up(
     camera: Integers,
     rotation: Floats,
     station: Floats,
+    movement: Floats,
     candidates: Integers,
     column: Floats,
     row: Floats,
     chosen: Integers,
 ) -> None:
-    """For every ground point choose the image with the best nadir and find the place in it."""
+    """For every ground point choose the image with the best nadir and find the place in it.
+
+    movement (images, 6): during the readout of a rolling shutter, see `OrientedImages`.
+    """
     room = scratch(0)
     found = np.zeros(2)
     count = len(candidates)
@@ -62,6 +102,8 @@ def look_up(
                 continue
             if not recorded(cameras, optics_of, k, u, v, w, room, found):
                 continue
+            if optics_of[k, LINE] != 0.0 or optics_of[k, LINE + 1] != 0.0:
+                move(cameras, optics_of, k, rotation, movement, m, u, v, w, room, found)
             c = found[0] / pitch[k, 0] + (size[k, 0] - 1.0) / 2.0
             r = (size[k, 1] - 1.0) / 2.0 - found[1] / pitch[k, 1]
             if -0.5 <= c < size[k, 0] - 0.5 and -0.5 <= r < size[k, 1] - 0.5:

@@ -117,8 +117,8 @@ def orthophoto(recipe: Recipe, images: ImageStore, workers: int) -> Iterator[Til
         place, chosen = np.full((2, count), np.nan), np.full(count, -1, dtype=np.int64)
         shots = recipe.shots
         look_up(ground, lenses.values, lenses.optics, lenses.limit, lenses.pitch, lenses.size, shots.camera,
-                shots.rotation, shots.station, candidates(shots, borders, ground), place[0], place[1],
-                chosen)  # fmt: skip
+                shots.rotation, shots.station, shots.movements, candidates(shots, borders, ground), place[0],
+                place[1], chosen)  # fmt: skip
         pixels = np.full((recipe.bands, count), recipe.nodata, dtype=recipe.dtype)
         lowest, highest, whole = _range(recipe)
         for number in np.unique(chosen[chosen >= 0]):

@@ -25,7 +25,7 @@ from photocal.adjustment.rig import OF_HEAD, TURN, head_rotation
 from photocal.adjustment.snooping import Test, snoop, subset
 from photocal.adjustment.solution import Solution, global_test
 from photocal.adjustment.solver import Iteration
-from photocal.adjustment.state import State, head_values, start_state
+from photocal.adjustment.state import State, head_values, lenses, start_state
 from photocal.adjustment.unknowns import XYZ
 from photocal.adjustment.variance_components import (
     Component,
@@ -122,10 +122,27 @@ def result_of(
         fiducials=tuple(_fiducials(fit) for fit in block.fiducial_fits),
         timing_s=timing_s or {},
         cameras={camera.id: camera for camera in cameras},
-        images=OrientedImages(block.images.names, cameras, block.images.camera, values, covariance),
+        images=OrientedImages(
+            block.images.names,
+            cameras,
+            block.images.camera,
+            values,
+            covariance,
+            _movement(assembly, solution, values),
+        ),
         points=points,
         residuals=_residuals(block, assembly, solution),
     )
+
+
+def _movement(assembly: NetworkOfBlock, solution: Solution, values: Floats) -> Floats | None:
+    """How images moved while they were read, along the given axes; None where no shutter rolls."""
+    if not any(camera.rolling for camera in assembly.network.cameras):
+        return None
+    movement = lenses(assembly.network, solution.state)[:, len(PARAMETERS) :].copy()
+    back = np.linalg.inv(assembly.frame.derivative(values[:, 3:]))
+    movement[:, :3] = np.einsum("nab,nb->na", back, movement[:, :3])
+    return movement
 
 
 def network_of(block: Block, result: Result) -> NetworkOfBlock:
@@ -180,6 +197,7 @@ def _with_shutter(camera: Camera, found: Camera) -> Camera:
         camera,
         values=np.where(readout, given, camera.values),
         estimated=np.where(readout, found.estimated, camera.estimated),
+        readout_direction=found.readout_direction,
     )
 
 

@@ -21,6 +21,7 @@ from photocal.block.folder import IMAGE_SIGMAS
 from photocal.block.model import fingerprint
 from photocal.block.table import read_table
 from photocal.geometry.camera import (
+    MOTION,
     PARAMETERS,
     Affinity,
     AffinityForm,
@@ -369,7 +370,7 @@ def _camera(name: str, own: _Camera, path: Path) -> Camera:
 
 def _images(folder: Path, cameras: dict[str, Camera]) -> OrientedImages:
     path = folder / "images.csv"
-    table = read_table(path, ("image", "camera", *PLACE, *ANGLES), IMAGE_SIGMAS)
+    table = read_table(path, ("image", "camera", *PLACE, *ANGLES), (*IMAGE_SIGMAS, *MOTION))
     names = table.unique_names("image")
     which, found = table.names("camera")
     number = {name: k for k, name in enumerate(cameras)}
@@ -380,7 +381,10 @@ def _images(folder: Path, cameras: dict[str, Camera]) -> OrientedImages:
     sigma = np.column_stack([table.numbers(column, empty=np.nan) for column in IMAGE_SIGMAS]) / SHOWN
     camera_of = np.array([number[name] for name in found], dtype=np.int64)[which]
     covariance = image_covariances(folder, names, sigma)
-    return OrientedImages(names, tuple(cameras.values()), camera_of, values, covariance)
+    movement = None
+    if all(table.has(column) for column in MOTION):
+        movement = np.column_stack([table.numbers(column) for column in MOTION]) / SHOWN[::-1]
+    return OrientedImages(names, tuple(cameras.values()), camera_of, values, covariance, movement)
 
 
 def image_covariances(folder: Path, names: tuple[str, ...], sigma: Floats) -> Floats:

@@ -15,7 +15,7 @@ from photocal.adjustment.readout import Readout
 from photocal.adjustment.rig import CENTRE, OF_HEAD, TURN
 from photocal.adjustment.solution import GlobalTest, Group
 from photocal.block.model import InputFile, Repetition
-from photocal.geometry.camera import Camera
+from photocal.geometry.camera import MOTION, Camera
 from photocal.geometry.oriented_images import OrientedImages
 
 ANGLES, PLACE = ("omega", "phi", "kappa"), ("X", "Y", "Z")
@@ -397,6 +397,8 @@ def _tables(result: Result) -> dict[str, Any]:
             of_images[prefix + name] = kind[:, 3 + k]
         for k, name in enumerate(ANGLES):
             of_images[prefix + name[0] if prefix else name] = kind[:, k]
+    if images.movement is not None:
+        of_images |= dict(zip(MOTION, (images.movement * SHOWN[::-1]).T, strict=True))
     of_points: dict[str, Any] = {
         "point": pa.array(points.names, pa.string()),
         "role": pa.array(points.role, pa.string()),

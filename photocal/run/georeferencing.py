@@ -41,12 +41,12 @@ def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
     from photocal.findings.texts import told
     from photocal.georeferencing.as_json import SCHEMA, to_json
     from photocal.georeferencing.comparison import check_block
-    from photocal.georeferencing.methods import METHODS
+    from photocal.georeferencing.methods import METHODS, with_shutters
     from photocal.georeferencing.output import write_check
     from photocal.measurement.oriented_ties import NOT_PLACED
 
     standards = tuple(load_standard(name) for name in project.contents.judgement.standards or SHIPPED)
-    block = read_block(source)
+    block = with_shutters(read_block(source))
     if block.datum != "control":
         # Nothing can be judged in a relative block; that is no failure.
         with_nothing = {"schema": SCHEMA, "block": block.name, "methods": {}, "refused": []}

@@ -118,8 +118,15 @@ def _stored(content: dict[str, Any], path: Path) -> Iterator[Finding]:
 
 
 def _of_calibration(_: dict[str, Any], path: Path) -> Iterator[Finding]:
-    """Parameters that left what was known of them: something else went into them."""
-    for name, camera in read_result(path.parent).cameras.items():
+    """Shutters that roll, and parameters that left what was known of them: something else went into them."""
+    result = read_result(path.parent)
+    for one in result.readouts:
+        if one.estimated:
+            effect_px = one.effect / result.cameras[one.camera].pitch[0]
+            figures = {"camera": one.camera, "value_ms": 1e3 * one.value, "sigma_ms": 1e3 * one.sigma}
+            figures |= {"effect_px": effect_px, "way_m": one.way}
+            yield Finding("shutter-rolls", "note", one.camera, figures)
+    for name, camera in result.cameras.items():
         given = camera.values if camera.given is None else camera.given
         for k, key in enumerate(PARAMETERS):
             prior, away = float(camera.prior_sigma[k]), abs(float(camera.values[k] - given[k]))

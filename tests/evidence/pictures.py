@@ -69,6 +69,7 @@ FLIGHTS: tuple[tuple[str, dict[str, Any]], ...] = (
     ),
     ("noisy, blurred, strongly compressed pictures", {"seed": 6, "pictures": POOR}),
     ("such pictures, another seed", {"seed": 7, "pictures": POOR}),
+    ("rolling shutter, 30 ms, at 8 m/s", {"seed": 8, "camera": {"readout_s": 0.03}, "speed_m_s": 8.0}),
 )
 
 
@@ -80,6 +81,9 @@ def plan_of(changes: dict[str, Any]) -> dict[str, Any]:
         if name == "heights_m":
             for one, height in zip(made["plan"]["pass"], value, strict=True):
                 one["height_m"] = height
+        elif name == "speed_m_s":
+            for one in made["plan"]["pass"]:
+                one["speed_m_s"] = value
         else:
             made[name] = {**made.get(name, {}), **value} if isinstance(value, dict) else value
     return made
@@ -99,11 +103,13 @@ def flown(number: int, changes: dict[str, Any]) -> list[str]:
 
 def _together(truth: Path, work: Path) -> str:
     """d' C^-1 d of the whole interior orientation, and its degrees of freedom."""
-    true = json.loads((truth / "truth.json").read_text(encoding="utf-8"))["camera"]
+    whole = json.loads((truth / "truth.json").read_text(encoding="utf-8"))
+    true = whole["camera"]
     result = json.loads((work / "calibration" / "result.json").read_text(encoding="utf-8"))
     camera = result["cameras"][true["id"]]
     found = [camera["parameters"][name] for name in camera["correlation"]["names"]]
-    values = [true[camera["unit"]].get(name, 0.0) for name in camera["correlation"]["names"]]
+    given = {**true[camera["unit"]], "readout": whole["rig"]["readout_s"]}
+    values = [given.get(name, 0.0) for name in camera["correlation"]["names"]]
     z = np.array([(one["value"] - value) / one["sigma"] for one, value in zip(found, values, strict=True)])
     return f"{z @ np.linalg.solve(np.array(camera['correlation']['matrix']), z):.1f} of {len(z)}"
 

@@ -9,9 +9,10 @@ from photocal.compiled import inlined
 from photocal.geometry.camera import MOTION, OWN
 
 # Columns that an image may have: its exterior orientation, and room for parameters of its own. Kernels
-# are compiled for each of them, for loops of a known length are much faster.
+# are compiled for each of them, for loops of a known length are much faster; the first is that of networks
+# of Brown's lenses alone, all lines at one pose, whose kernels know no others.
 POSE = 6
-WIDTHS = (POSE, POSE + len(MOTION), POSE + 20, POSE + len(OWN))
+WIDTHS = (POSE, POSE, POSE + len(MOTION), POSE + 20, POSE + len(OWN))
 
 
 class Design(NamedTuple):
@@ -26,7 +27,8 @@ class Design(NamedTuple):
     ray_start (points + 1,): first ray of each point.
     ray_image (rays,).
     plane, weight (rays, 2): measured coordinates and their weights 1 / sigma^2.
-    width: its number of axes, which the compiler knows, tells the columns of an image: see `columns`.
+    width: its number of axes, which the compiler knows, tells the columns of an image and whether lenses are
+        plain: see `columns`, `plain`.
     image_lens, image_column (images,): lens and first column of each image. Images share the lens of their
         camera; with parameters of their own, or a rolling shutter, each image has its own.
     pose_free (images, 6): 1 where a pose unknown is free, else 0.
@@ -116,3 +118,9 @@ class Eliminated(NamedTuple):
 def columns(design: Design) -> int:
     """Columns of an image, a constant of the compiled kernel."""
     return WIDTHS[design.width.ndim - 1]
+
+
+@inlined
+def plain(design: Design) -> bool:
+    """Whether all lenses are Brown's, with one pose for all lines, a constant of the compiled kernel."""
+    return design.width.ndim == 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from drivers.arrays import Floats
-from photocal.adjustment.kernels.data import Design, Structure, Values, columns
+from photocal.adjustment.kernels.data import Design, Structure, Values, columns, plain
 from photocal.compiled import inlined
 from photocal.geometry.lens import LINE, OTHERS, Scratch, image_residual
 from photocal.geometry.shutter import rolling_residual
@@ -20,7 +20,7 @@ def ray_rows(design: Design, values: Values, r: int, i: int, j: int, room: Scrat
     w = rotation[i, 2, 0] * dx + rotation[i, 2, 1] * dy + rotation[i, 2, 2] * dz
     x, y, lenses, optics = design.plane[r, 0], design.plane[r, 1], values.lenses, design.optics
     # The commonest camera has the shortest way; every other is one that may move while it reads.
-    if optics[k, LINE] == 0.0 and optics[k, LINE + 1] == 0.0 and optics[k, 0] < OTHERS:
+    if plain(design) or (optics[k, LINE] == 0.0 and optics[k, LINE + 1] == 0.0 and optics[k, 0] < OTHERS):
         vx, vy = image_residual(lenses, optics, k, x, y, u, v, w, room)
     else:
         vx, vy, u, v, w = rolling_residual(lenses, optics, k, x, y, rotation, i, u, v, w, room)

@@ -130,11 +130,11 @@ def block_of_marks(
 
 def _only(block: Block, image: Flags, point: Flags, ray: Flags) -> Block:
     """Keep some images, points and rays of a block."""
-    images, points, seen = block.images, block.points, block.observations
+    points, seen = block.points, block.observations
     i, j = np.cumsum(image) - 1, np.cumsum(point) - 1
     return replace(
         block,
-        images=images.some(np.flatnonzero(image)),
+        images=block.images.some(np.flatnonzero(image)),
         points=ObjectPoints(
             tuple(n for n, kept in zip(points.names, point, strict=True) if kept),
             points.values[point],

@@ -44,6 +44,13 @@ def test_global_shutter_stays_one(case: flights.Case) -> None:
     assert max(p_values) > 0.05
 
 
+def test_lines_may_be_read_from_below() -> None:
+    truth, network = flights.case("attitudes", 5, readout_s=-0.03, **SMALL)
+    network, _, (readout,) = with_readouts(network, adjust(network))
+    assert network.cameras[0].readout_direction == "bottom-to-top"
+    assert readout.value == pytest.approx(-truth.readout_s, abs=3.3 * readout.sigma)
+
+
 def test_effect_is_the_way_the_points_move() -> None:
     """Lines lie evenly between -1/2 and 1/2 of the readout: 1/sqrt(12) of it, root mean square."""
     _, _, readout = found("positions", 0.03, 3)

@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 
 from drivers.errors import IllPosedError
 from photocal.block.model import Block, Images
-from photocal.geometry.camera import camera
-from photocal.geometry.oriented_images import OrientedImages
+from photocal.geometry.camera import camera, plane_to_pixel
+from photocal.geometry.oriented_images import OrientedImages, oriented_images
 from photocal.measurement.oriented_ties import first_orientation, orient_ties
 from photocal.measurement.placing import oriented
 from photocal.measurement.start_block import NO_OBSERVATIONS, NO_POINTS, without_single_rays
+from photocal.measurement.tie_adjustment import adjust_ties
 from photocal.measurement.tie_block import brought_nearer
 from photocal.measurement.tracks import Tracks
+from tests.photocal import flights
 from tests.photocal.findings.english import english
 
 Floats = NDArray[np.float64]
@@ -165,3 +167,28 @@ def test_images_that_share_nothing_are_named() -> None:
     few = _tracks(places).some(np.arange(450) < 9)
     with pytest.raises(IllPosedError, match="shares only 3 tie points"):
         orient_ties(_block(places), [], few, np.array([[0, 1]]), 1, _quiet)
+
+
+def test_a_rolling_shutter_makes_no_gross_errors() -> None:
+    """Nobody said that it rolls: it is found, and none of the rays of a flight in gusts is taken out."""
+    rng = np.random.default_rng(11)
+    lens = replace(flights.wide(), shutter="unknown")
+    truth = flights.flight(lens, rng, images=14, points=260, readout_s=0.03)
+    count, points = len(truth.centre), len(truth.points)
+    track, image = np.repeat(np.arange(points), count), np.tile(np.arange(count), points)
+    pixels = plane_to_pixel(np.array(flights.SIZE), np.ones(2), flights.recorded(truth, image, track))
+    pixels += rng.normal(0, 0.3, pixels.shape)
+    with np.errstate(invalid="ignore"):
+        inside = ((pixels > 0) & (pixels < np.array(flights.SIZE) - 1)).all(axis=1)
+    tracks = Tracks(track, image, pixels, np.ones(len(track))).some(np.asarray(inside), 3)
+    views = oriented_images((lens,), np.zeros(count), truth.rotation, truth.centre)
+    values, sigma = views.values.copy(), np.full((count, 6), np.inf)
+    values[:, 3:] += rng.normal(0, 0.05, (count, 3))
+    sigma[:, 3:] = 0.05
+    images = Images(views.names, views.camera, values, sigma, time=truth.time)
+    block = Block("b", "local", "", "control", (), (lens,), images, NO_POINTS, NO_OBSERVATIONS, ())
+    adjusted = adjust_ties(block, values, tracks)
+    own = adjusted.start.cameras[0]
+    assert own.rolling
+    assert own.value("readout") == pytest.approx(0.03, abs=0.01)
+    assert adjusted.rejected < 0.002 * len(tracks.track)

@@ -1,0 +1,115 @@
+"""Images that move while they are read: projected, exported, intersected and mosaicked line by line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.arrays import Integers
+from photocal.block.model import Block, ObjectPoints, Observations
+from photocal.exchange.parts import images as block_images
+from photocal.exchange.reconstruction import of_result
+from photocal.geometry.camera import PARAMETERS, plane_to_pixel
+from photocal.geometry.oriented_images import OrientedImages, oriented_images
+from photocal.georeferencing.direct import direct_orientation
+from photocal.georeferencing.space_intersection import intersect_points
+from photocal.products.kernels import look_up
+from photocal.products.lens_tables import lens_tables
+from photocal.results.adjusted import adjust_network
+from tests.photocal import flights
+
+Floats = flights.Floats
+READOUT_S = 0.06
+
+
+@pytest.fixture(scope="module")
+def truth() -> flights.Flight:
+    rng = np.random.default_rng(7)
+    own = replace(flights.wide(), shutter="rolling").changed(readout=READOUT_S)
+    return flights.flight(own, rng, images=12, points=150, readout_s=READOUT_S)
+
+
+@pytest.fixture(scope="module")
+def views(truth: flights.Flight) -> OrientedImages:
+    count = len(truth.centre)
+    movement = READOUT_S * np.hstack([truth.velocity, truth.rate])
+    still = oriented_images((truth.camera,), np.zeros(count), truth.rotation, truth.centre)
+    return replace(still, movement=movement)
+
+
+def seen(truth: flights.Flight) -> tuple[Integers, Integers, Floats]:
+    """Image, point and pixels of all rays within the images, without errors."""
+    count = len(truth.points)
+    image, point = (
+        np.repeat(np.arange(len(truth.centre)), count),
+        np.tile(np.arange(count), len(truth.centre)),
+    )
+    plane = flights.recorded(truth, image, point)
+    with np.errstate(invalid="ignore"):
+        inside = (np.abs(plane) < np.array(flights.SIZE) / 2 - 10).all(axis=1)
+    pixels = plane_to_pixel(np.array(flights.SIZE), np.ones(2), plane)
+    return image[inside], point[inside], pixels[inside]
+
+
+def test_projection_is_that_of_the_line(truth: flights.Flight, views: OrientedImages) -> None:
+    image, point, pixels = seen(truth)
+    assert views.project(image, truth.points[point]) == pytest.approx(pixels, abs=1e-6)
+    still = replace(views, movement=None).project(image, truth.points[point])
+    assert np.abs(still - pixels).max() > 5.0
+
+
+def test_orthophoto_looks_the_line_up(truth: flights.Flight, views: OrientedImages) -> None:
+    lenses, count = lens_tables(views.cameras), len(truth.points)
+    place, chosen = np.full((2, count), np.nan), np.full(count, -1, dtype=np.int64)
+    look_up(truth.points, lenses.values, lenses.optics, lenses.limit, lenses.pitch, lenses.size, views.camera,
+            views.rotation, views.station, views.movements, np.arange(len(views)), place[0], place[1],
+            chosen)  # fmt: skip
+    found = np.flatnonzero(chosen >= 0)
+    expected = views.project(chosen[found], truth.points[found])
+    assert len(found) > 50
+    assert pytest.approx(expected, abs=1e-4) == place[:, found].T
+
+
+def block_of(truth: flights.Flight) -> Block:
+    """The rays without errors, poses known and moving as they do."""
+    image, point, pixels = seen(truth)
+    enough = np.bincount(point, minlength=len(truth.points)) >= 3
+    kept = enough[point]
+    image, point, pixels = image[kept], point[kept], pixels[kept]
+    poses = oriented_images((truth.camera,), np.zeros(len(truth.centre)), truth.rotation, truth.centre)
+    images = block_images(poses.names, poses.camera.tolist(), poses.values)
+    motion = np.hstack([truth.velocity, truth.rate])
+    given = replace(
+        images, sigma=np.full(images.sigma.shape, 1e-6), motion=motion, motion_sigma=1e-9 + 0 * motion
+    )
+
+    points = ObjectPoints(
+        tuple(str(j) for j in range(len(enough))),
+        truth.points,
+        np.full(truth.points.shape, np.inf),
+        np.full(len(enough), 2),
+    )
+    own = replace(truth.camera, estimated=np.zeros(len(PARAMETERS), dtype=np.bool_))
+    observed = Observations("px", "pixel", image, point, pixels, np.full(pixels.shape, 0.5))
+    return Block("b", "local", "", "control", (), (own,), given, points, observed, ())
+
+
+def test_intersection_goes_along_the_lines(truth: flights.Flight) -> None:
+    block = block_of(truth)
+    found = intersect_points(block, direct_orientation(block), np.unique(block.observations.point))
+    assert len(found.points) > 30
+    assert found.xyz == pytest.approx(truth.points[found.points], abs=1e-6)
+
+
+def test_exported_observations_are_those_of_one_pose(truth: flights.Flight, views: OrientedImages) -> None:
+    """Programs with one pose for all lines find the same points: corrected pixels are those of the middle."""
+    result = adjust_network(block_of(truth))
+    assert result.images.movement is not None
+    assert result.images.movement == pytest.approx(views.movements, abs=1e-6)
+    given = of_result(result)
+    assert not given.cameras[0].rolling
+    still = replace(views, movement=None)
+    names = [int(given.point_names[j]) for j in given.point]
+    assert given.pixels == pytest.approx(still.project(given.image, truth.points[names]), abs=1e-3)
