@@ -10,11 +10,10 @@ from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.factored import factorised
-from photocal.adjustment.near import chords
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import Problem, normal_equations, other_equations, prepare
 from photocal.adjustment.solution import Solution
-from photocal.adjustment.solver import CONVERGED, Iteration, Minimum, minimise, moved_by, reduced_step
+from photocal.adjustment.solver import CONVERGED, Iteration, Minimum, chords, minimise, moved_by, reduced_step
 from photocal.adjustment.state import State, start_state
 
 # Squared distance, in units of the standard deviations, at which the movements of images are freed.
