@@ -21,6 +21,7 @@ from photocal.findings.texts import PHRASES, finding_json, finding_text, finding
 
 ENGLISH, PORTUGUESE = catalogue("en"), catalogue("pt-BR")
 ROOM = Path(photocal.__file__).parent
+VERDICTS = {"not-usable", "usable-with-reservations", "usable", "fly-again", "flight-to-look-at"}
 # Found by another program, or put together from two words.
 CODES = {"finding", "clause", "cause", "remedy", "passed", "untested"}
 
@@ -44,6 +45,12 @@ def test_every_finding_has_its_text() -> None:
     for severity, code in found:
         section = severity if severity in ("passed", "untested") else "finding"
         assert f"{section}.{code}" in ENGLISH.messages, code
+
+
+def test_every_reason_of_a_verdict_has_a_name() -> None:
+    for severity, code in sorted(set(made())):
+        if severity not in ("passed", "untested", "note") and not code.startswith("pca-"):
+            assert f"term.{code}" in ENGLISH.messages or code in VERDICTS, code
 
 
 def test_every_fault_has_its_texts() -> None:
