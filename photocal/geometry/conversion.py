@@ -12,7 +12,7 @@ from drivers.errors import InputMalformedError
 from photocal.geometry.camera import MODELS, PARAMETERS, Affinity, Camera, Model
 from photocal.geometry.distortion import affinity_matrix, distorted, undistorted
 
-_K, _P, _B = slice(3, 7), slice(7, 11), slice(11, 13)
+_K, _P, _B, _READOUT = slice(3, 7), slice(7, 11), slice(11, 13), PARAMETERS.index("readout")
 # Points on a side of the grid over the image at which models are compared.
 GRID = 31
 # A polynomial of Brown that misses a lens by more than this is no equivalent, px.
@@ -95,12 +95,13 @@ def converted(
 ) -> Conversion:
     """Convert a camera to another model.
 
-    terms: parameters that may be used beside c, x0, y0; all but P3 and P4 when not given.
+    terms: parameters that may be used beside c, x0, y0; all but P3 and P4 when not given. The readout is that
+        of the shutter and stays.
     raises InputMalformedError: when Brown's polynomial misses another lens by more than a pixel.
     """
     own = unbalanced(own)
     allowed = tuple(terms or (n for n in MODELS[model].names[3:-1] if n not in ("P3", "P4")))
-    used = {name for name, value in zip(PARAMETERS[3:], own.values[3:], strict=True) if value}
+    used = {name for name, value in zip(PARAMETERS[3:_READOUT], own.values[3:_READOUT], strict=True) if value}
     plain = not own.values[_B].any()
     same = own.affinity_form == "fraser" and (own.affinity == affinity or plain)
     perspective = not own.lens.angular and not MODELS[model].angular
@@ -146,7 +147,7 @@ def _fitted(own: Camera, model: Model, affinity: Affinity, terms: Sequence[str])
     index = [0, 1, 2, *(PARAMETERS.index(name) for name in terms)]
     kept = np.isin(PARAMETERS, terms) & (own.model == model)
     start = np.where(kept, own.values, 0.0)
-    start[:3] = own.values[:3]
+    start[:3], start[_READOUT] = own.values[:3], own.values[_READOUT]
     target = replace(own, model=model, values=start, affinity=affinity, affinity_form="fraser")
     # Scaled so that each unknown moves the corner of the image by about its own size.
     radius = float(np.hypot(*(size * own.pitch)) / 2)

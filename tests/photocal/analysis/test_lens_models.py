@@ -65,6 +65,16 @@ def test_no_other_lens_where_the_given_one_took_the_pictures() -> None:
     assert fits[0].change_of_c == 0.0
 
 
+def test_lenses_behind_a_rolling_shutter_are_compared() -> None:
+    network = measured(lens("brown-ideal", K1=-2.5e-4, K2=3e-7))
+    moving = np.zeros((8, 6)), np.full((8, 6), 1e-3)
+    rolls = replace(network, cameras=(network.cameras[0].changed(readout=0.02),))
+    rolls = replace(rolls, exposures=replace(network.exposures, motion=moving[0], motion_sigma=moving[1]))
+    fits = lens_fits(fit(rolls), 0, NO_CHECKS, lambda: None)
+    assert {one.model for one in fits} >= {"brown-ideal", "equidistant"}
+    assert better_lens(fits) is None
+
+
 def test_a_lens_that_is_held_is_not_compared() -> None:
     network = measured(lens("brown-ideal", K1=-2.5e-4))
     held = replace(network.cameras[0], estimated=np.array([name == "c" for name in PARAMETERS]))

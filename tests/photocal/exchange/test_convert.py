@@ -37,6 +37,17 @@ def made(model: Model, **keys: object) -> Camera:
     return camera("a", model, "mm", (3060, 2036), (0.009, 0.009), VALUES | {"B1": 1e-4, "B2": 2e-5}, **base)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("model", ["brown-observed", "brown-ideal", "rational"])
+def test_the_shutter_is_no_matter_of_the_lens(model: Model) -> None:
+    still, rolls = (
+        camera("a", "brown-observed", "mm", (3060, 2036), (0.009, 0.009), VALUES | {"readout": readout})
+        for readout in (0.0, 0.03)
+    )
+    other = converted(rolls, model).camera
+    assert other.value("readout") == 0.03
+    assert other.changed(readout=0.0).values == pytest.approx(converted(still, model).camera.values, abs=0)
+
+
 @pytest.mark.parametrize("model", ["brown-observed", "brown-ideal"])
 @pytest.mark.parametrize("pitch", [(0.009, 0.009), (0.009, 0.0091)])
 def test_pixels_of_a_camera_in_px_are_those_in_mm(model: Model, pitch: tuple[float, float]) -> None:
