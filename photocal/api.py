@@ -174,7 +174,7 @@ def analyse(
 ) -> Outcome:
     """Look for what an adjustment hides: systematic errors, insignificant and correlated parameters."""
     from photocal.analysis.outcome import analyse_network
-    from photocal.analysis.systematic_errors.left_out import Checks
+    from photocal.analysis.systematic_errors.refit import Checks
     from photocal.block.network import assemble
     from photocal.results.adjusted import network_of
 
@@ -194,8 +194,7 @@ def check(block: Block, *, standards: Sequence[str] = (), scale: float | None = 
     scale : float, optional
         Denominator of the map scale to judge at.
     """
-    from photocal.accuracy.standard import Question
-    from photocal.accuracy.standard_file import load_standard
+    from photocal.accuracy.standard import Question, load_standard
     from photocal.georeferencing.comparison import check_block
 
     chosen = tuple(load_standard(name) for name in standards)

@@ -9,7 +9,16 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
-from photocal.accuracy.classes import AdmittedSize, ClassDecision, Sample, admitted_size, decide, sample
+from photocal.accuracy.classes import (
+    AdmittedSize,
+    ClassDecision,
+    Sample,
+    ValueClass,
+    admitted_size,
+    decide,
+    sample,
+    value_class,
+)
 from photocal.accuracy.discrepancies import COMPONENTS, Discrepancies
 from photocal.accuracy.significance_tests import (
     BiasTest,
@@ -34,7 +43,6 @@ from photocal.accuracy.statistics import (
     moments,
     spread,
 )
-from photocal.accuracy.value_class import ValueClass, value_class
 
 PROBABLE_ERROR = 0.90
 

@@ -1,20 +1,16 @@
-"""Precision class and accuracy class of a product, and the largest scale that each admits.
-
-Many papers take the chi-square test of the spread for a test of accuracy. It is a test of precision:
-the bias is removed first. The class that the standards mean asks for 90 % of the points within PEC
-and for an RMSE, which contains the bias, within the standard error. Both are given side by side.
-"""
+"""Precision class, accuracy class and class as the value reached, and the largest scale that each admits."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.arrays import Floats
 from photocal.accuracy.significance_tests import PrecisionTest, precision_quantile, precision_test
-from photocal.accuracy.standard import ClassLimit, LimitTable
+from photocal.accuracy.standard import ClassLimit, LimitTable, Question, ValueStandard
 from photocal.accuracy.statistics import Moments, combined_rmse, counted_error, lengths, moments
 
 
@@ -136,3 +132,127 @@ def admitted_size(
 def smallest_listed(sizes: tuple[float, ...], exact: float) -> float | None:
     """Give the next listed scale denominator or contour interval."""
     return next((size for size in sizes if size >= exact), None)
+
+
+@dataclass(frozen=True)
+class ValueClass:
+    """RMSE of a product with the survey accuracy of its check points.
+
+    standard: the standard, with the sources of its figures.
+    horizontal_m, vertical_m, vegetated_m, spatial_m: RMSE with the survey accuracy, m; None where the
+        component was not checked.
+    survey_included_horizontal, survey_included_vertical: whether a survey accuracy was given; without one the
+        class is too good.
+    points_horizontal, points_vertical, points_vegetated: number of check points.
+    target_horizontal_m, target_vertical_m: classes that the project asks for: what the limits below go by.
+        None where nobody said.
+    systematic: components whose mean exceeds the standard's share of the target.
+    survey_too_coarse: components whose survey is worse than the standard's share of the target.
+    blunders: points and components whose error exceeds the standard's multiple of the target; of an axis,
+        that of the horizontal class over the root of 2.
+    """
+
+    standard: ValueStandard
+    horizontal_m: float | None
+    vertical_m: float | None
+    vegetated_m: float | None
+    spatial_m: float | None
+    survey_included_horizontal: bool
+    survey_included_vertical: bool
+    points_horizontal: int
+    points_vertical: int
+    points_vegetated: int
+    target_horizontal_m: float | None
+    target_vertical_m: float | None
+    systematic: tuple[str, ...]
+    survey_too_coarse: tuple[str, ...]
+    blunders: tuple[tuple[str, str], ...]
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Number of points of each test that was made: horizontal, open and vegetated ground."""
+        own = (self.points_horizontal, self.points_vertical, self.points_vegetated)
+        return tuple(count for count in own if count)
+
+    @property
+    def enough_points(self) -> bool:
+        """Whether every checked component has the number of points that the standard asks for."""
+        return all(count >= self.standard.minimum_points.value for count in self.counts)
+
+
+def class_cm(rmse_m: float) -> float:
+    """Give the class that an RMSE reaches, in cm, rounded up to a tenth."""
+    return math.ceil(rmse_m * 1000.0 - 1e-9) / 10.0
+
+
+def value_class(
+    standard: ValueStandard,
+    plane: Sample | None,
+    height: Sample | None,
+    stated: Question,
+    errors: Mapping[str, tuple[tuple[str, ...], Floats]] | None = None,
+    vegetated: Sample | None = None,
+) -> ValueClass:
+    """Compute the class reached, and what goes by the class that was asked for.
+
+    height, vegetated: heights in open ground (NVA), which are held against the class, and in vegetated ground
+        (VVA), which are reported as they are.
+    """
+    horizontal = _with_survey(plane, stated.survey_horizontal_m)
+    vertical = _with_survey(height, stated.survey_vertical_m)
+    wide, high = stated.target_horizontal_m, stated.target_vertical_m
+    means = [
+        *zip("EN", (wide, wide), plane.components if plane else (), strict=False),
+        *zip("h", (high,), height.components if height else (), strict=False),
+    ]
+    axis = None if wide is None else wide / math.sqrt(2.0)
+    of_axis = {"E": axis, "N": axis, "h": high}
+    times = standard.blunder_over_target.value
+    surveys = (("horizontal", stated.survey_horizontal_m, wide), ("vertical", stated.survey_vertical_m, high))
+    return ValueClass(
+        standard,
+        horizontal,
+        vertical,
+        _with_survey(vegetated, stated.survey_vertical_m),
+        None if horizontal is None or vertical is None else math.hypot(horizontal, vertical),
+        stated.survey_horizontal_m is not None,
+        stated.survey_vertical_m is not None,
+        plane.components[0].n if plane else 0,
+        height.components[0].n if height else 0,
+        vegetated.components[0].n if vegetated else 0,
+        wide if plane else None,
+        high if height else None,
+        tuple(
+            name
+            for name, target, part in means
+            if target is not None and abs(part.mean_m) > standard.mean_share_of_target.value * target
+        ),
+        tuple(
+            kind
+            for kind, survey, target in surveys
+            if survey is not None
+            and target is not None
+            and survey > standard.survey_share_of_target.value * target
+        ),
+        tuple(
+            (point, name)
+            for name, (points, values) in (errors or {}).items()
+            for point, error in zip(points, values.tolist(), strict=True)
+            if (target := of_axis[name]) is not None and abs(error) > times * target
+        ),
+    )
+
+
+def _with_survey(product: Sample | None, survey_m: float | None) -> float | None:
+    return None if product is None else math.hypot(product.rmse_m, survey_m or 0.0)
+
+
+def value_class_text(value: ValueClass) -> str:
+    """Write the class reached."""
+    parts = (
+        ("horizontal", value.horizontal_m),
+        ("vertical (NVA)", value.vertical_m),
+        ("VVA", value.vegetated_m),
+        ("3D", value.spatial_m),
+    )
+    return ", ".join(f"{name} {class_cm(rmse):.1f} cm" for name, rmse in parts if rmse is not None)

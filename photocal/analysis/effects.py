@@ -8,10 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.arrays import Flags, Floats
-from photocal.analysis.estimates import Estimates, without
-from photocal.analysis.significance import GROUPS
-from photocal.analysis.stability.calibration import View, sensor_grid, view
-from photocal.analysis.stability.methods import Method, fitted_pose, rotation_misfit
+from photocal.analysis.estimates import GROUPS, Estimates, without
+from photocal.analysis.stability.methods import Method, View, fitted_pose, rotation_misfit, sensor_grid, view
 from photocal.geometry.camera import Camera, pixel_to_plane
 from photocal.geometry.distortion import undistorted
 

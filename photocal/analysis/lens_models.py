@@ -13,9 +13,8 @@ from photocal.adjustment.mounting import NO_ATTITUDES, NO_POSITIONS
 from photocal.adjustment.near import Removals
 from photocal.adjustment.network import NO_RELATIONS, Network
 from photocal.adjustment.state import State
-from photocal.analysis.systematic_errors.jackknife import NEAR, state_without
-from photocal.analysis.systematic_errors.left_out import Checks
-from photocal.analysis.systematic_errors.refit import Fit, fit, lowest
+from photocal.analysis.robust import NEAR, state_without
+from photocal.analysis.systematic_errors.refit import Checks, Fit, fit, lowest
 from photocal.findings.finding import Figure, Finding, Size
 from photocal.geometry.camera import MODELS, PARAMETERS, Camera, Model
 from photocal.geometry.conversion import converted

@@ -10,18 +10,88 @@ import numpy as np
 
 from photocal.adjustment.network import Network
 from photocal.adjustment.state import State
-from photocal.analysis.camera_analysis import CameraAnalysis, analyse_camera
+from photocal.analysis.components import Proposal, propose_removal
+from photocal.analysis.correlation import (
+    ExteriorCorrelation,
+    StrongCorrelation,
+    exterior_correlations,
+    strong_correlations,
+)
+from photocal.analysis.effects import Effect, effects
+from photocal.analysis.estimates import Estimates, FTest, scaled, significance
 from photocal.analysis.lens_models import LensFit, lens_fits, of_lenses
 from photocal.analysis.method import METHODS, MethodCheck, Shape, check_method, shape
-from photocal.analysis.robust import Robust, bootstrap, sandwich
+from photocal.analysis.robust import GROUPS, MOST_REMOVALS, Robust, bootstrap, sandwich
 from photocal.analysis.systematic_errors.camera_findings import of_datum
+from photocal.analysis.systematic_errors.drift import Within, within_flight
 from photocal.analysis.systematic_errors.findings import findings
-from photocal.analysis.systematic_errors.image_shift import MOST_JOINT
-from photocal.analysis.systematic_errors.jackknife import GROUPS, MOST_REMOVALS
-from photocal.analysis.systematic_errors.left_out import Checks
-from photocal.analysis.systematic_errors.refit import fit
-from photocal.analysis.systematic_errors.search import Search, search
+from photocal.analysis.systematic_errors.refit import Checks, Fit, LeftOut, fit, left_out
+from photocal.analysis.systematic_errors.search import Search, camera_estimates, search
+from photocal.analysis.systematic_errors.shifts import MOST_JOINT
 from photocal.findings.finding import Finding
+
+
+@dataclass(frozen=True)
+class CameraAnalysis:
+    """The parameters of one camera, judged.
+
+    estimates: values with their a priori covariance.
+    variance_factor: by which the covariance was scaled for the tests.
+    tests: single, group and cumulative tests.
+    effects: over the format, px.
+    correlations: over the threshold.
+    exterior: with elements of the exterior orientation, over the threshold.
+    proposal: of the principal component analysis.
+    left_out: adjusted anew without each parameter.
+    within: c, x0 and y0 over the flight; empty for a few images.
+    """
+
+    estimates: Estimates
+    variance_factor: float
+    tests: tuple[FTest, ...]
+    effects: tuple[Effect, ...]
+    correlations: tuple[StrongCorrelation, ...]
+    exterior: tuple[ExteriorCorrelation, ...]
+    proposal: Proposal
+    left_out: tuple[LeftOut, ...]
+    within: tuple[Within, ...] = ()
+
+
+def analyse_camera(
+    fit: Fit,
+    camera: int,
+    checks: Checks,
+    alpha: float,
+    threshold: float,
+    done: Callable[[], None] = lambda: None,
+) -> CameraAnalysis | None:
+    """Judge the parameters of a camera."""
+    estimates = camera_estimates(fit, camera)
+    if not estimates.names:
+        return None
+    # Never better than promised: see `hidden.camera_findings`.
+    factor = max(1.0, fit.solution.variance_factor)
+    judged = scaled(estimates, factor)
+    own = fit.network.cameras[camera].with_values(fit.state.cameras[camera])
+    return CameraAnalysis(
+        estimates,
+        factor,
+        significance(judged, fit.solution.degrees_of_freedom, alpha),
+        effects(own, judged, _reach(fit, camera)),
+        strong_correlations(judged, threshold),
+        exterior_correlations(fit, camera, threshold, done),
+        propose_removal(judged),
+        left_out(fit, camera, checks, done),
+        within_flight(fit, camera),
+    )
+
+
+def _reach(fit: Fit, camera: int) -> float:
+    """Largest distance of an observation of a camera from the image centre."""
+    rays = fit.network.rays
+    mine = fit.network.exposures.camera[rays.image] == camera
+    return float(np.linalg.norm(rays.plane[mine], axis=1).max(initial=0.0))
+
 
 # Of the bootstrap: the same images are drawn again when a certificate is verified.
 SEED = 1

@@ -11,8 +11,7 @@ from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.analysis.components import Components, principal_components
 from photocal.analysis.correlation import StrongCorrelation, strong_correlations
-from photocal.analysis.estimates import Estimates, from_sigmas
-from photocal.analysis.significance import GROUPS, FTest, f_test
+from photocal.analysis.estimates import GROUPS, Estimates, FTest, f_test, from_sigmas
 from photocal.block.table import read_table, require_file
 
 # What the studies call the parameters of ours.

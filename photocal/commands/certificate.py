@@ -50,7 +50,7 @@ def certificate(
     from photocal.report.issue import FORMS, issue
     from photocal.report.signing import own_key
     from photocal.results.origin import CARRIED
-    from photocal.run.warnings import told_beside
+    from photocal.run.summary import told_beside
 
     pictures = told_conditions([read_facts(path) for path in list_images(images)] if images else [])
     own = own_key()

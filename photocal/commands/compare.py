@@ -11,8 +11,7 @@ from photocal.commands.options import AsJson
 
 if TYPE_CHECKING:
     from photocal.analysis.stability.camera_file import CameraFile
-    from photocal.analysis.stability.comparison import Figure, Pair
-    from photocal.analysis.stability.verdict import Followed
+    from photocal.analysis.stability.comparison import Figure, Followed, Pair
     from photocal.run.calibrations import Calibrated, Use
 
 SCHEMA = "photocal.comparison/1"
@@ -63,13 +62,11 @@ def compare(
 
     from acquire.console import answer, progress
     from acquire.outputs import output_file
-    from photocal.analysis.stability.calibration import sensor_grid
     from photocal.analysis.stability.camera_file import read_camera_file
     from photocal.analysis.stability.comparison import compare as compare_pairs
-    from photocal.analysis.stability.heads import compared_heads, heads_text
-    from photocal.analysis.stability.methods import methods
-    from photocal.analysis.stability.repeatability import repeatability_text
-    from photocal.analysis.stability.verdict import follow
+    from photocal.analysis.stability.comparison import follow
+    from photocal.analysis.stability.methods import methods, sensor_grid
+    from photocal.analysis.stability.repeatability import compared_heads, heads_text, repeatability_text
     from photocal.run.calibrations import cameras_of, exchanged, repeated, uses_text
 
     flights = _flights(calibrations, exchange=exchange)
@@ -84,14 +81,14 @@ def compare(
         )
     followed = follow(asked.printed, pairs)
     if picture is not None:
-        from photocal.analysis.stability.picture import draw
+        from photocal.analysis.stability.pictures import draw
 
         with output_file(picture) as aside:
             draw(pairs, tuple(one.id for one in asked.calibrations), asked.thresholds_px, aside, ending)
     repeats = repeated(flights)
     heads = compared_heads({one.name: one.heads for one in flights})
     if curves is not None:
-        from photocal.analysis.stability.curves import draw_curves
+        from photocal.analysis.stability.pictures import draw_curves
 
         kind = _picture_format(curves)
         with output_file(curves) as aside:
@@ -153,7 +150,7 @@ def _picture_format(picture: Path | None) -> str:
 def _figures(
     asked: CameraFile, points: int, pairs: tuple[Pair, ...], followed: tuple[Followed, ...]
 ) -> dict[str, Any]:
-    from photocal.analysis.stability.verdict import sentences
+    from photocal.analysis.stability.comparison import sentences
 
     return {
         "schema": SCHEMA,
@@ -189,7 +186,7 @@ def _figures(
 
 
 def _figure(figure: Figure, thresholds_px: tuple[float, ...]) -> dict[str, Any]:
-    from photocal.analysis.stability.verdict import likeness
+    from photocal.analysis.stability.comparison import likeness
 
     return {
         "method": figure.method,
@@ -205,7 +202,7 @@ def _figure(figure: Figure, thresholds_px: tuple[float, ...]) -> dict[str, Any]:
 
 
 def _text(asked: CameraFile, pairs: tuple[Pair, ...], followed: tuple[Followed, ...]) -> str:
-    from photocal.analysis.stability.verdict import sentences
+    from photocal.analysis.stability.comparison import sentences
 
     names = tuple(one.id for one in asked.calibrations)
     blocks = [_matrix(pairs, names, k) for k in range(len(pairs[0].figures))]

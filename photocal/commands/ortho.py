@@ -144,7 +144,7 @@ def _terrain_file(
 ) -> tuple[Path, list[str]]:
     """Make a raster of terrain points; a raster stays as it is."""
     from photocal.products.raster import system_wkt, write_terrain
-    from photocal.products.tin import grid_of_points, read_terrain_points
+    from photocal.products.terrain import grid_of_points, read_terrain_points
 
     if dtm.suffix.lower() != ".csv":
         if cell is not None or output is not None:

@@ -1,4 +1,4 @@
-"""`photocal verify`: whether the figures of a certificate follow from its inputs."""
+"""`photocal keys`, `sign`, `verify`: who signed a certificate, and whether its figures follow."""
 
 from __future__ import annotations
 
@@ -14,6 +14,73 @@ from drivers.errors import InputMalformedError, InputNotFoundError
 if TYPE_CHECKING:
     from photocal.report.verification import Difference
     from photocal.results.origin import Source
+
+
+def keys(
+    new: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Make the key of this person or office.")
+    ] = None,
+    passphrase: Annotated[
+        str, typer.Option(envvar="PHOTOCAL_PASSPHRASE", help="That the new key asks for.")
+    ] = "",
+    journal: Annotated[bool, typer.Option("--journal", help="Check and list what was signed.")] = False,
+    file: Annotated[Path | None, typer.Option(help="Another journal.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+) -> None:
+    """Show the known keys by their fingerprints, make one, or list the journal of issued certificates.
+
+    With a key, certificates print its fingerprint; publish it where your clients look. Its files lie in your
+    folder of settings, closed to others: keep a copy of them apart.
+
+    Example: `photocal keys --new "Laboratory for photogrammetry"`
+    """
+    from acquire.operating_system import settings_folder
+    from photocal.report import signing
+
+    if journal:
+        entries = signing.journal(file)
+        lines = [f"{e['entry']:>5}  {e['signed']}  {e['number']}  {e['sha256']}" for e in entries]
+        answer(as_json, lambda: entries, lambda: "\n".join(lines))
+        return
+    if new is not None:
+        signing.new_key(new, passphrase)
+    own, known = signing.own_key(), signing.known_keys()
+    mine, folder = "" if own is None else own.fingerprint, str(settings_folder())
+    known_lines = [f"{digits}  {name}{'  (own)' * (digits == mine)}" for digits, name in known.items()]
+    answer(
+        as_json,
+        lambda: {"own": mine or None, "known": known, "folder": folder},
+        lambda: "\n".join([*(known_lines or ["no key is known"]), f"in {folder}"]),
+    )
+
+
+def sign(
+    certificate: Annotated[Path, typer.Argument(help="Folder of a certificate, or its certificate.json.")],
+    passphrase: Annotated[
+        str, typer.Option(envvar="PHOTOCAL_PASSPHRASE", help="Of the key, if it has one.")
+    ] = "",
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was signed as JSON.")] = False,
+) -> None:
+    """Sign a certificate with the key of `photocal keys`: each file of its folder, as it lies there.
+
+    The signature, `signature.json` beside them, is noted in a journal whose entries depend on each other.
+
+    Example: `photocal sign certificate`
+    """
+    import datetime as dt
+
+    from photocal.report.issue import read_record
+    from photocal.report.signing import SIGNATURE
+    from photocal.report.signing import sign as signed
+
+    certified, folder = read_record(certificate)
+    key = signed(folder, certified["number"], dt.datetime.now(dt.UTC), passphrase)
+    file = str(folder / SIGNATURE)
+    answer(
+        as_json,
+        lambda: {"number": certified["number"], "fingerprint": key.fingerprint, "file": file},
+        lambda: f"certificate {certified['number']} signed by {key.name}: {file}\n  {key.fingerprint}",
+    )
 
 
 def verify(
@@ -53,7 +120,7 @@ def verify(
         _printed(certificate, as_json)
         return
     from photocal.block.model import digest
-    from photocal.report.record import NAME, read_record
+    from photocal.report.issue import NAME, read_record
     from photocal.report.signing import SIGNATURE, against_journal, authenticity, journal, known_keys
     from photocal.report.verification import changed_files
 
@@ -121,7 +188,7 @@ def _repeat(
     certified: dict[str, Any], folder: Path, block: Path | None
 ) -> tuple[list[str], list[Difference], list[str]]:
     """Compute and print a certificate anew: changed inputs, other figures, pages that say something else."""
-    from photocal.report.record import certified_result
+    from photocal.report.issue import certified_result
     from photocal.report.verification import (
         PAGES,
         as_certified,
@@ -186,7 +253,7 @@ def _printed(path: Path, as_json: bool) -> None:
 
 def _source(certified: dict[str, Any], folder: Path, block: Path | None) -> Source:
     """What was named, or what the certificate carries."""
-    from photocal.report.record import certified_result
+    from photocal.report.issue import certified_result
     from photocal.results.origin import CARRIED, Source
 
     setup = certified_result(certified, folder).block.setup

@@ -43,15 +43,20 @@ def volume(
     Example: `photocal volume sections.csv --sigma 0.014 --height 9.5 --height-sigma 0.004 --plot rings.pdf`
     or `photocal volume --radius 6.479 --radius-sigma 0.003 --height 9.5 --height-sigma 0.004`
     """
-    from photocal.products.sections import cylinder_volume
-    from photocal.products.volume_answer import SCHEMA, tank_json, tank_text, volume_json, volume_text
+    from photocal.products.sections import (
+        SCHEMA,
+        cylinder_volume,
+        tank_json,
+        tank_text,
+        volume_json,
+        volume_text,
+    )
 
     _require_pairs(sections, radius, radius_sigma, height, height_sigma)
     figures: dict[str, Any] = {"schema": SCHEMA}
     lines: list[str] = []
     if sections is not None:
-        from photocal.products.sections import measure_tank, read_ring_points
-        from photocal.products.volume_answer import draw_rings
+        from photocal.products.sections import draw_rings, measure_tank, read_ring_points
 
         if vertical not in ("X", "Y", "Z"):
             raise ConfigurationError(f"--vertical {vertical} is no axis", remedy="use X, Y or Z")

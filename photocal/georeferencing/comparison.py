@@ -23,21 +23,20 @@ from photocal.georeferencing.differences import (
     differences,
     exposure_difference,
 )
-from photocal.georeferencing.local import in_local_frame
+from photocal.georeferencing.ground_mistakes import Mistyped, ground_findings, mistyped_control
+from photocal.georeferencing.local import as_mounted, in_local_frame, with_attitude_angles
 from photocal.georeferencing.methods import (
     METHODS,
+    Degradation,
     Georeferenced,
     Method,
     checkable,
+    degraded,
     of_method,
     with_shutters,
     without_weak_images,
 )
-from photocal.georeferencing.mistyped import Mistyped, mistyped_control
-from photocal.georeferencing.mounted import as_mounted, with_attitude_angles
-from photocal.georeferencing.plausible import ground_findings
 from photocal.georeferencing.separation import Separation, separation
-from photocal.georeferencing.simulated import Degradation, degraded
 from photocal.georeferencing.systematic import SystematicErrors, systematic_errors
 
 # From here on a position is one of code: its errors are metres and last for minutes.

@@ -1,14 +1,18 @@
-"""Direct georeferencing: exterior orientation from GNSS and inertial unit alone, with its covariance."""
+"""Direct georeferencing: exterior orientation, also of each line, from GNSS and inertial unit alone."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats
+from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.mounting import BORESIGHT, HEIGHT_SCALE, LEVER, SHIFT, STRIPS, TIME, body_to_camera
+from photocal.adjustment.readout import READOUT
 from photocal.block.model import Block
+from photocal.block.network import observed_plane
+from photocal.geometry.camera import plane_to_pixel
+from photocal.geometry.oriented_images import oriented_images
 from photocal.geometry.rotation import left_jacobian, matrix_from_angles, skew, turn_per_angle
 
 
@@ -85,3 +89,45 @@ def direct_orientation(block: Block) -> DirectOrientation:
     stated = np.where(np.isfinite(mounting.sigma), mounting.sigma, 0.0)
     unstated = bool(row_p and row_a and np.isinf(mounting.sigma).any())
     return DirectOrientation(known, rotation, centre, covariance, by_common, np.diag(stated**2), unstated)
+
+
+@dataclass(frozen=True)
+class MovedRays:
+    """Poses of a block's observations.
+
+    rotation (n, 3, 3), centre (n, 3): of the line in which each was recorded.
+    late (n,): when it was read, in readouts from the middle.
+    by_readout (n, 6): derivative of turn (camera axes) and centre with respect to the readout.
+    spread (images, 6): sigmas of turn and centre during the whole readout.
+    """
+
+    rotation: Floats
+    centre: Floats
+    late: Floats
+    by_readout: Floats
+    spread: Floats
+
+
+def moved_rays(block: Block, orientation: DirectOrientation) -> MovedRays:
+    """Poses of all observations, moved as their images move."""
+    image, camera = block.observations.image, block.images.camera
+    readout = np.array([own.values[READOUT] for own in block.cameras])[camera][:, None]
+    motion, sigma = (np.nan_to_num(part) for part in (block.images.motion, block.images.motion_sigma))
+    views = oriented_images(block.cameras, camera, orientation.rotation, orientation.centre)
+    views = replace(views, movement=motion * readout)
+    pixels = _pixels(block, image, camera)
+    rotation, centre = views.at_lines(image, pixels)
+    late, turn_first = views.late(image, pixels), np.r_[3:6, :3]
+    return MovedRays(
+        rotation,
+        centre,
+        late,
+        late[:, None] * motion[image][:, turn_first],
+        (sigma * np.abs(readout))[:, turn_first],
+    )
+
+
+def _pixels(block: Block, image: Integers, camera: Integers) -> Floats:
+    size = np.array([own.size_px for own in block.cameras], dtype=float)[camera[image]]
+    pitch = np.array([own.pitch for own in block.cameras], dtype=float)[camera[image]]
+    return plane_to_pixel(size, pitch, observed_plane(block)[0])

@@ -14,7 +14,7 @@ from photocal.findings.finding import Figure, Finding
 from photocal.findings.hypotheses import fault
 from photocal.georeferencing.comparison import BlockCheck, Judged, coarsely_placed
 from photocal.georeferencing.freed_groups import Estimate
-from photocal.georeferencing.mistyped import Mistyped
+from photocal.georeferencing.ground_mistakes import Mistyped
 from photocal.georeferencing.separation import Separation
 from photocal.georeferencing.systematic import Hypothesis, SystematicError
 

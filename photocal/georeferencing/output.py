@@ -1,27 +1,318 @@
-"""The files of a block's check: tables, figures, GeoPackage, report section."""
+"""A block's check as JSON (schema `photocal.block-check/2`), as text, and as files."""
 
 from __future__ import annotations
 
 import csv
 import io
 import json
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from acquire.outputs import output_folder
-from photocal.accuracy.as_json import finite
+from drivers.arrays import Floats
+from photocal.accuracy.classes import class_cm
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.figures import histograms, residual_map
 from photocal.accuracy.geopackage import write_geopackage
-from photocal.findings.catalogue import catalogue
-from photocal.findings.texts import finding_text
+from photocal.accuracy.output import findings_text, finite
+from photocal.accuracy.output import to_json as assessment_json
+from photocal.accuracy.standard import size_text
+from photocal.findings.catalogue import Catalogue, catalogue
+from photocal.findings.finding import verdict
+from photocal.findings.texts import finding_json, finding_text
 from photocal.geopackage import ReferenceSystem
-from photocal.georeferencing.comparison import BlockCheck
-from photocal.georeferencing.differences import Differences
-from photocal.georeferencing.findings import block_findings
-from photocal.georeferencing.standards_table import standards_rows
+from photocal.georeferencing.comparison import BlockCheck, Judged
+from photocal.georeferencing.differences import CRITICAL_W, ELLIPSE_PROBABILITY, Differences, JointTest
+from photocal.georeferencing.findings import block_findings, estimate_text
+from photocal.georeferencing.freed_groups import Estimate
+from photocal.georeferencing.separation import Separation
+from photocal.georeferencing.systematic import Hypothesis, SystematicErrors
+
+
+def standards_rows(check: BlockCheck) -> list[list[str]]:
+    """Give one row for each statement, one column for each method that has check points."""
+    judged = [(one.found.method, one.assessment) for one in check.judged]
+    known = [(method, assessment) for method, assessment in judged if assessment is not None]
+    if not known:
+        return []
+    rows = [["", *(method for method, _ in known)]]
+    for k, component in enumerate(known[0][1].components):
+        cells = []
+        for _, assessment in known:
+            one = assessment.components[k]
+            t = "-" if one.bias is None else f"t {one.bias.t:+.2f}{' biased' if one.bias.significant else ''}"
+            cells.append(f"{one.moments.mean_m:+.4f} m, {t}")
+        rows.append([f"mean d{component.name}", *cells])
+    for k, table in enumerate(known[0][1].tables):
+        name, basis = f"{table.standard_id} {table.table.product}", table.table.basis
+        results = [assessment.tables[k] for _, assessment in known]
+        if table.size is not None:
+            asked = size_text(basis, table.size)
+            cells = [
+                f"precision {one.precision_class or 'none'}, accuracy {one.accuracy_class or 'none'}"
+                for one in results
+            ]
+            rows.append([f"{name} at {asked}", *cells])
+        best = table.admitted[0].name
+        smallest = [one.admitted[0] for one in results]
+        cells = [
+            f"precision {_size(basis, one.precision)}, accuracy {_size(basis, one.accuracy)}"
+            for one in smallest
+        ]
+        rows.append([f"{name}, class {best} from", *cells])
+    for k, value in enumerate(known[0][1].values):
+        reached = [assessment.values[k] for _, assessment in known]
+        cells = [
+            f"{_class(one.horizontal_m)} horizontal, {_class(one.vertical_m)} vertical" for one in reached
+        ]
+        rows.append([f"{value.standard.id}, class reached", *cells])
+    return rows
+
+
+def _size(basis: str, size: float | None) -> str:
+    return "none" if size is None else size_text(basis, size).removeprefix("interval ")
+
+
+def _class(rmse_m: float | None) -> str:
+    return "-" if rmse_m is None else f"{class_cm(rmse_m):.1f} cm"
+
+
+SCHEMA = "photocal.block-check/2"
+_AXES = ("X", "Y", "Z")
+_POSE = ("omega_deg", "phi_deg", "kappa_deg", "X_m", "Y_m", "Z_m")
+
+
+def to_json(check: BlockCheck, say: Catalogue | None = None) -> dict[str, Any]:
+    """Give a block's check as a JSON value, its findings in a language (English when none is given).
+
+    returns: lengths in m; null where a figure does not exist.
+    """
+    exposures, found = check.exposures, block_findings(check)
+    scale = np.array([*np.degrees(np.ones(3)), 1.0, 1.0, 1.0])
+    return {
+        "schema": SCHEMA,
+        "block": check.block.name,
+        "sign": SIGN,
+        "methods": {one.found.method: _method(check, one) for one in check.judged},
+        "refused": [{"method": method, "reason": reason} for method, reason in check.refused],
+        "exposures_direct_less_indirect": None
+        if exposures is None
+        else {
+            "images": exposures.images,
+            "mean": dict(zip(_POSE, (exposures.mean * scale).tolist(), strict=True)),
+            "rmse": dict(zip(_POSE, (exposures.rmse * scale).tolist(), strict=True)),
+        },
+        "systematic_errors": None if check.systematic is None else _systematic(check.systematic),
+        "separation": None if check.separation is None else _separation(check.separation),
+        "mistyped": [
+            {
+                "point": one.point,
+                "d_m": one.d.tolist(),
+                "sigma_m": one.sigma.tolist(),
+                "slips": list(one.slips),
+            }
+            for one in check.mistyped
+        ],
+        "verdict": finding_json(verdict(found), say or catalogue("en")),
+        "findings": [finding_json(one, say or catalogue("en")) for one in found],
+    }
+
+
+def _method(check: BlockCheck, judged: Judged) -> dict[str, Any]:
+    found = judged.found
+    return {
+        "label": found.label,
+        "chi_squared": found.chi_squared,
+        "degrees_of_freedom": found.degrees_of_freedom,
+        "global_test": None if found.test is None else dict(vars(found.test)),
+        "control": _differences(judged.control),
+        "check": _differences(judged.check),
+        "images": [
+            {"image": name, "rays": n, "rms_x_px": x, "rms_y_px": y, "largest_w": w}
+            for name, n, (x, y), w in zip(
+                check.block.images.names,
+                found.images.rays.tolist(),
+                found.images.rms.tolist(),
+                found.images.largest.tolist(),
+                strict=True,
+            )
+        ],
+        "assessment": None if judged.assessment is None else assessment_json(judged.assessment),
+    }
+
+
+def _differences(found: Differences) -> dict[str, Any]:
+    return {
+        "n": len(found.names),
+        "rmse_m": _by_axis(found.rmse),
+        "predicted_m": _by_axis(found.predicted),
+        "errors_over_prediction": finite(found.ratio),
+        "critical_w": CRITICAL_W,
+        "ellipse_probability": ELLIPSE_PROBABILITY,
+        "joint": None if found.joint is None else _joint(found.joint),
+        "points": [_point(found, k) for k in range(len(found.names))],
+    }
+
+
+def _by_axis(values: Floats) -> dict[str, float | None]:
+    return {axis: finite(value) for axis, value in zip(_AXES, values.tolist(), strict=True)}
+
+
+def _joint(one: JointTest) -> dict[str, Any]:
+    return {
+        **vars(one),
+        "mean": _by_axis(one.mean),
+        "mean_sigma": _by_axis(one.mean_sigma),
+    }
+
+
+def _point(found: Differences, k: int) -> dict[str, Any]:
+    keyed: dict[str, Any] = {"point": found.names[k]}
+    for a, axis in enumerate(_AXES):
+        keyed[f"d{axis}_m"] = float(found.d[k, a])
+        keyed[f"s{axis}_m"] = float(found.product_sigma[k, a])
+        keyed[f"w{axis}"] = finite(float(found.w[k, a]))
+    keyed["chi_squared"] = finite(float(found.distance[k]))
+    keyed["covariance_m2"] = found.covariance[k][np.tril_indices(3)].tolist()
+    keyed["ellipse"] = {
+        "semi_major_m": float(found.ellipses.semi_axes[k, 0]),
+        "semi_minor_m": float(found.ellipses.semi_axes[k, 1]),
+        "azimuth_deg": math.degrees(found.ellipses.azimuth[k]),
+    }
+    return keyed
+
+
+def _systematic(errors: SystematicErrors) -> dict[str, Any]:
+    return {
+        "tested": [_hypothesis(one) for one in errors.tested],
+        "found": [
+            {**_hypothesis(one.found), "not_separated_from": [_name(code) for code in one.same]}
+            for one in errors.errors
+        ],
+        "together": [_estimate(one) for one in errors.estimates],
+        "untested": list(errors.untested),
+        "stated_sigmas": [vars(one) for one in errors.sigmas],
+        "free_in_block": [_estimate(one) for one in errors.own],
+    }
+
+
+def _name(code: str) -> str:
+    """What schema 1 calls a fault."""
+    return code.replace("-", " ")
+
+
+def _hypothesis(one: Hypothesis) -> dict[str, Any]:
+    return {
+        "name": _name(one.name),
+        "gain": one.gain,
+        "factor": one.factor,
+        "unknowns": one.unknowns,
+        "f": one.f,
+        "critical": one.critical,
+        "significant": one.significant,
+        "estimates": [_estimate(e) for e in one.estimates],
+    }
+
+
+def _estimate(one: Estimate) -> dict[str, Any]:
+    return {key: (bool(v) if key == "significant" else v) for key, v in vars(one).items()}
+
+
+def _separation(found: Separation) -> dict[str, Any]:
+    return {
+        "names": list(found.names),
+        "sigma": found.sigma.tolist(),
+        "correlation": found.correlation.tolist(),
+        "not_separated": [list(group) for group in found.groups],
+    }
+
+
+def to_text(check: BlockCheck) -> str:
+    """Write a block's check for people: several lines, figures in m."""
+    lines = [f"{check.block.name}: differences are {SIGN}, in metres; sigma is predicted, a priori."]
+    lines.append(
+        f"{'method':<12}{'points':<9}{'n':>4}  {'RMSE X':>9}{'Y':>9}{'Z':>9}   {'sigma X':>9}{'Y':>9}{'Z':>9}"
+        f"   {'error/sigma':>11}"
+    )
+    for judged in check.judged:
+        lines += [_row(judged, found) for found in (judged.check, judged.control) if found.names]
+    lines += ["", *(f"{judged.found.label}" for judged in check.judged), ""]
+    lines += _aligned(standards_rows(check))
+    lines.append("")
+    for judged in check.judged:
+        lines += _points(judged)
+    if check.exposures is not None:
+        e = check.exposures
+        angles = " ".join(f"{v:.4f}" for v in np.degrees(e.rmse[:3]))
+        places = " ".join(f"{v:.3f}" for v in e.rmse[3:])
+        lines.append(
+            f"orientation, direct less indirect, RMSE over {e.images} images: "
+            f"omega phi kappa {angles} deg, X Y Z {places} m\n"
+        )
+    if check.systematic is not None:
+        lines += ["systematic errors, each freed alone:"]
+        for one in check.systematic.tested:
+            outcome = "significant" if one.significant else "not significant"
+            figures = ", ".join(estimate_text(e) for e in one.estimates[:3])
+            lines.append(f"  {one.name}: F {one.f:.1f} (limit {one.critical:.1f}), {outcome}; {figures}")
+        lines += [f"  {text}" for text in check.systematic.untested] + [""]
+    if check.systematic is not None and check.systematic.own:
+        own = [
+            f"  {estimate_text(e)}, {'significant' if e.significant else 'not significant'}"
+            for e in check.systematic.own
+        ]
+        lines += ["left free in block.toml, estimated by the integrated method:", *own, ""]
+    lines += [f"{method}: not possible: {reason}" for method, reason in check.refused]
+    findings = block_findings(check)
+    lines += [findings_text(findings), finding_text(verdict(findings), catalogue("en"))]
+    return "\n".join(lines)
+
+
+def _aligned(rows: list[list[str]]) -> list[str]:
+    """Rows of cells as lines with columns as wide as they must be."""
+    widths = [max(len(cell) for cell in column) + 3 for column in zip(*rows, strict=True)]
+    return ["".join(f"{c:<{w}}" for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+
+
+def _row(judged: Judged, found: Differences) -> str:
+    ratio = "-" if math.isnan(found.ratio) else f"{found.ratio:.2f}"
+    left = f"{judged.found.method:<12}{found.role:<9}{len(found.names):>4}  "
+    return (
+        left
+        + "".join(f"{v:9.4f}" for v in found.rmse)
+        + "   "
+        + "".join(f"{v:9.4f}" for v in found.predicted)
+        + f"   {ratio:>11}"
+    )
+
+
+def _points(judged: Judged) -> list[str]:
+    lines = []
+    for found in (judged.check, judged.control):
+        if not found.names:
+            continue
+        if found.joint is not None:
+            one = found.joint
+            pairs = zip("XYZ", one.mean, one.mean_sigma, strict=True)
+            means = ", ".join(f"{axis} {mean:+.4f} +- {sigma:.4f}" for axis, mean, sigma in pairs)
+            lines.append(
+                f"{judged.found.method}, check points jointly: d' C^-1 d {one.chi_squared:.1f} over "
+                f"{one.degrees_of_freedom} (p {one.p_value:.3f}); mean {means} (p {one.mean_p_value:.3f})"
+            )
+        lines.append(f"{judged.found.method}, {found.role} points: d, predicted sigma of the point, w")
+        for name, d, s, w in zip(found.names, found.d, found.product_sigma, found.w, strict=True):
+            tested = " ".join("     -" if math.isnan(x) else f"{x:6.2f}" for x in w.tolist())
+            lines.append(
+                f"  {name:<12}"
+                + " ".join(f"{x:+9.4f}" for x in d.tolist())
+                + "   "
+                + " ".join(f"{x:8.4f}" for x in s.tolist())
+                + f"   {tested}"
+            )
+    return [*lines, ""] if lines else []
 
 
 def write_check(
@@ -39,7 +330,7 @@ def write_check(
         "report.md": _report(check),
     }
     if check.systematic is not None:
-        texts["systematic_errors.csv"] = _systematic(check)
+        texts["systematic_errors.csv"] = _systematic_csv(check)
     names = list(texts)
     with output_folder(folder) as aside:
         for name, text in texts.items():
@@ -104,7 +395,7 @@ def _images(check: BlockCheck) -> str:
     return _table(header, [list(row) for row in zip(*columns, strict=True)])
 
 
-def _systematic(check: BlockCheck) -> str:
+def _systematic_csv(check: BlockCheck) -> str:
     header = ["group", "name", "unit", "correction", "value", "sigma", "t", "f", "critical", "significant"]
     rows: list[list[object]] = []
     for one in check.systematic.tested if check.systematic else ():

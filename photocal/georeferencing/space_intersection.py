@@ -15,8 +15,7 @@ from photocal.block.network import observed_plane, plane_per_unit
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.rotation import skew
-from photocal.georeferencing.direct import DirectOrientation
-from photocal.georeferencing.shutters import MovedRays, moved_rays
+from photocal.georeferencing.direct import DirectOrientation, MovedRays, moved_rays
 
 _ITERATIONS = 20
 _ENOUGH_M = 1e-7

@@ -13,7 +13,7 @@ from drivers.errors import ConfigurationError
 from photocal.geometry.frames import Frame
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.kernels import look_up
-from photocal.products.lens_tables import lens_tables
+from photocal.products.oriented import lens_tables
 from photocal.products.terrain import Terrain
 
 _PASSES = 100

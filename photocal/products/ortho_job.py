@@ -14,10 +14,9 @@ from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoun
 from photocal.block.model import Block
 from photocal.geometry.frames import Frame
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.products.coverage import footprints
 from photocal.products.displacement import Displacement, displacement
 from photocal.products.kernels import BILINEAR, CUBIC, NEAREST
-from photocal.products.orthophoto import ImageStore, Recipe, orthophoto
+from photocal.products.orthophoto import ImageStore, Recipe, footprints, orthophoto
 from photocal.products.raster import RasterFile, describe, geotiff, read_image, same_system, system_wkt
 from photocal.products.terrain import Bounds, Grid, Terrain, TerrainSource
 

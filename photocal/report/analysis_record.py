@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 
 from acquire.outputs import output_file
-from photocal.analysis.camera_analysis import CameraAnalysis
 from photocal.analysis.method import MethodCheck
-from photocal.analysis.outcome import Outcome, analyse_network
+from photocal.analysis.outcome import CameraAnalysis, Outcome, analyse_network
 from photocal.analysis.robust import Robust
-from photocal.analysis.systematic_errors.left_out import Checks
+from photocal.analysis.systematic_errors.refit import Checks
 from photocal.analysis.systematic_errors.search import Search
 from photocal.block.model import Block, digest
 from photocal.block.network import NetworkOfBlock, block_frame

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from photocal.analysis.camera_analysis import CameraAnalysis
 from photocal.analysis.components import Components
 from photocal.analysis.method import MethodCheck
-from photocal.analysis.outcome import Outcome
+from photocal.analysis.outcome import CameraAnalysis, Outcome
 from photocal.analysis.published import PublishedSet
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import Number

@@ -1,9 +1,20 @@
-"""What a report consists of, whatever prints it: sections of paragraphs, lists, tables and figures."""
+"""What a report consists of, and its pages: HTML, and PDF set by typst."""
 
 from __future__ import annotations
 
+import dataclasses
+import datetime as dt
+import json
+import re
 from dataclasses import dataclass
-from typing import Literal
+from importlib import resources
+from typing import TYPE_CHECKING, Any, Literal
+
+from drivers.errors import OutputError
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
 
 Align = Literal["left", "right", "center"]
 Tone = Literal["good", "bad", "note"]
@@ -131,3 +142,114 @@ class Document:
     verdicts: tuple[Statement, ...]
     sections: tuple[Section, ...]
     words: dict[str, str]
+
+
+HTML_TEMPLATE = "certificate.html.j2"
+HTML_STYLE = "certificate.css"
+
+
+def html(document: Document) -> str:
+    """Render a report as HTML."""
+    from markupsafe import Markup
+
+    figures = [piece for piece in _pieces(document) if isinstance(piece, Figure)]
+    numbers = numbered(document)
+    template = _environment().get_template(HTML_TEMPLATE)
+    text = template.render(
+        document=document,
+        css=Markup(_text(HTML_STYLE)),  # noqa: S704 - our own style sheet
+        number=lambda piece: numbers[id(piece)],
+        pictures={figure.name: Markup(_inline(figure)) for figure in figures},  # noqa: S704 - drawn here
+    )
+    return re.sub(r"\n{2,}", "\n", text).strip() + "\n"
+
+
+def numbered(document: Document) -> dict[int, int]:
+    """Number the tables and the figures, each kind from 1 on, as they stand: equal ones are two."""
+    numbers: dict[int, int] = {}
+    for kind in (Table, Figure):
+        found = [piece for piece in _pieces(document) if isinstance(piece, kind)]
+        numbers.update({id(piece): number for number, piece in enumerate(found, start=1)})
+    return numbers
+
+
+def _pieces(document: Document) -> list[object]:
+    return [piece for section in document.sections for piece in section.pieces]
+
+
+def _inline(figure: Figure) -> str:
+    """Make the ids of a picture its own, as several stand in one page, and name it for a screen reader."""
+    from markupsafe import escape
+
+    svg = re.sub(r'\bid="', f'id="{figure.name}-', figure.svg)
+    svg = re.sub(r"url\(#", f"url(#{figure.name}-", svg)
+    svg = re.sub(r'href="#', f'href="#{figure.name}-', svg)
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    return svg.replace("<svg", f'<svg role="img" aria-label="{escape(figure.alternative)}"', 1)
+
+
+def _environment() -> Environment:
+    from jinja2 import Environment, FunctionLoader, StrictUndefined
+
+    return Environment(loader=FunctionLoader(_text), autoescape=True, undefined=StrictUndefined)
+
+
+def _text(name: str) -> str:
+    return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
+
+
+TEMPLATE = "certificate.typ"
+
+
+def pdf(document: Document, date: dt.date) -> bytes:
+    """Render a report as PDF."""
+    import typst
+
+    template = resources.files(__package__).joinpath(TEMPLATE).read_bytes()
+    compiler = typst.Compiler(
+        font_paths=typst.Fonts(include_system_fonts=False),
+        sys_inputs={"document": json.dumps(_plain(document), ensure_ascii=False)},
+    )
+    midnight = dt.datetime.combine(date, dt.time(), tzinfo=dt.UTC)
+    try:
+        pages = compiler.compile(template, format="pdf", timestamp=midnight)
+    except typst.TypstError as refusal:
+        raise OutputError(
+            f"the PDF could not be set ({refusal})", remedy="report this with the run folder"
+        ) from None
+    if not isinstance(pages, bytes):
+        raise OutputError(
+            "the PDF could not be set (no single file)", remedy="report this with the run folder"
+        )
+    return pages
+
+
+def _plain(document: Document) -> dict[str, Any]:
+    numbers = numbered(document)
+    plain = dataclasses.asdict(document)
+    plain["facts"] = document.facts.rows
+    plain["sections"] = [
+        {"title": section.title, "pieces": [_piece(piece, numbers) for piece in section.pieces]}
+        for section in document.sections
+    ]
+    return plain
+
+
+def _piece(piece: Piece, numbers: dict[int, int]) -> dict[str, Any]:
+    plain = {"kind": type(piece).__name__, **dataclasses.asdict(piece)}
+    if id(piece) in numbers:
+        plain["number"] = numbers[id(piece)]
+    if isinstance(piece, Table):
+        plain["columns"] = [
+            {**dataclasses.asdict(column), "weight": _weight(piece, i)}
+            for i, column in enumerate(piece.columns)
+        ]
+    return plain
+
+
+def _weight(table: Table, column: int) -> int:
+    """Length of the longest text in a column, by which the width is shared."""
+    texts = [table.columns[column].head, table.columns[column].unit, *(row[column] for row in table.rows)]
+    longest = max(len(text) for text in texts)
+    # A digest is set in very small type.
+    return max(5, min(longest, 40))

@@ -1,23 +1,202 @@
-"""Issuing a certificate: HTML page, PDF and JSON, with the inputs that it was made from."""
+"""Issuing a certificate: its record for programs, HTML page and PDF, with the inputs of them all."""
 
 from __future__ import annotations
 
+import dataclasses
 import datetime as dt
+import hashlib
+import json
 from collections.abc import Callable, Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
 
 from acquire.outputs import output_folder
-from drivers.errors import ConfigurationError, InputNotFoundError
-from photocal.findings.catalogue import catalogue
+from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.findings.catalogue import Catalogue, catalogue
 from photocal.findings.finding import Finding
-from photocal.report.certificate import certificate
-from photocal.report.certificate_metadata import read_particulars
-from photocal.report.document import Document
-from photocal.report.pages import html, pdf
-from photocal.report.record import NAME, record, with_documents
+from photocal.findings.texts import finding_json
+from photocal.report.acceptance import verdict
+from photocal.report.certificate import certificate, certificate_number, overall
+from photocal.report.certificate_metadata import Metadata, read_particulars
+from photocal.report.derived_figures import DerivedFigures, derived_figures
+from photocal.report.document import Document, html, pdf
+from photocal.report.ministry_rows import Context, entries, read_layout
+from photocal.report.sensor import farthest_corner, radial_profile
 from photocal.report.stored_analysis import Run, read_run
+from photocal.results.folder import checked, result_json
 from photocal.results.origin import Source, block_of_run, carry
-from photocal.results.result import Result
+from photocal.results.result import Figures, Result
+
+SCHEMA = "photocal.certificate/1"
+NAME = "certificate.json"
+# What a certificate repeats of `result.json`: all but what differs from one computation to the next.
+RESULT_KEYS = (
+    *("schema", "software", "block", "inputs", "converged", "iterations", "observations", "unknowns"),
+    *("degrees_of_freedom", "chi_squared", "sigma0_squared", "global_test", "groups", "cameras", "images"),
+    *("checks", "snooping", "mounting", "heads", "variance_components"),
+)
+
+
+def record(run: Run, particulars: Metadata, say: Catalogue, told: tuple[Finding, ...] = ()) -> dict[str, Any]:
+    """Make the machine-readable certificate; `say`: language of the technical report's texts."""
+    result = {key: value for key, value in result_json(run.result).items() if key in RESULT_KEYS}
+    known = tuple(derived_figures(run, name, particulars) for name in run.result.cameras)
+    return {
+        "schema": SCHEMA,
+        "number": certificate_number(run, particulars, told),
+        "verdict": finding_json(overall(run, known, told), say),
+        "date": particulars.date.isoformat(),
+        "language": say.language,
+        "particulars": particulars.model_dump(mode="json", exclude={"date"}),
+        "warnings": [finding_json(one, say) for one in told if one.severity != "note"],
+        "notes": [finding_json(one, say) for one in told if one.severity == "note"],
+        # Where the block lay is nobody's concern: the certificate carries its inputs.
+        "result": {**result, "block": {**result["block"], "source": ""}},
+        "exposures": _exposures(run),
+        "cameras": {one.camera_id: _camera(run, one) for one in known},
+        "technical_reports": {one.camera_id: _report(Context(run, particulars, one, say)) for one in known},
+        "analysis": None if run.analysis is None else dataclasses.asdict(run.analysis),
+        "run_files": [dataclasses.asdict(file) for file in run.files],
+        "documents": {},
+    }
+
+
+def _exposures(run: Run) -> list[dict[str, Any]]:
+    images = run.result.images
+    values = np.hstack([images.station, images.angles_deg])
+    sigmas = np.hstack([images.sigma[:, 3:], np.degrees(images.sigma[:, :3])])
+    names = ("X_m", "Y_m", "Z_m", "omega_deg", "phi_deg", "kappa_deg")
+    return [
+        {
+            "image": image,
+            "camera": images.cameras[camera].id,
+            **{
+                n: {"value": float(v), "sigma": float(s)} for n, v, s in zip(names, value, sigma, strict=True)
+            },
+        }
+        for image, camera, value, sigma in zip(images.names, images.camera, values, sigmas, strict=True)
+    ]
+
+
+def _camera(run: Run, known: DerivedFigures) -> dict[str, Any]:
+    camera = run.result.cameras[known.camera_id]
+    curve = radial_profile(camera, np.linspace(0.0, farthest_corner(camera), 21))
+    columns = zip(curve.radius, curve.displacement, curve.sigma, curve.decentering, strict=True)
+    keys = ("radius", "value", "sigma", "decentring_at_most")
+    return {
+        "pixel_mm": known.pixel_mm,
+        "principal_distance_mm": known.focal_mm,
+        "stated": dict(
+            zip(("value", "sigma", "of"), (camera.value("c"), *run.stated(known.camera_id)), strict=True)
+        ),
+        "flying_height_m": known.height_m,
+        "gsd_cm": known.gsd_cm,
+        "air_base_m": known.base_m,
+        "expected_altimetric_error_cm": known.dz_cm,
+        "acceptance": {
+            "verdict": verdict(known.limits),
+            "limits": [{**dataclasses.asdict(limit), "met": limit.met} for limit in known.limits],
+        },
+        "findings": [
+            {"code": f.code, "severity": f.severity, "subject": f.subject, "figures": dict(f.figures)}
+            for f in known.findings
+        ],
+        "radial_displacement": {
+            "unit": camera.unit,
+            "rows": [dict(zip(keys, map(float, row), strict=True)) for row in columns],
+        },
+    }
+
+
+def _report(context: Context) -> list[dict[str, str]]:
+    return [
+        {
+            "section": entry.row.section,
+            "item": entry.row.item,
+            "key": entry.row.key,
+            "label": entry.row.labels[context.say.language],
+            "unit": entry.row.unit,
+            "value": entry.value,
+            "origin": entry.origin,
+        }
+        for entry in entries(read_layout(), context)
+    ]
+
+
+def plain_record(
+    run: Run, particulars: Metadata, say: Catalogue, told: tuple[Finding, ...] = ()
+) -> dict[str, Any]:
+    """Make the certificate as it comes back from JSON: lists for tuples."""
+    content: dict[str, Any] = json.loads(json.dumps(record(run, particulars, say, told), allow_nan=False))
+    return content
+
+
+def with_documents(certificate: dict[str, Any], documents: dict[str, bytes]) -> bytes:
+    """Add the digests of the printed forms and write the whole as JSON."""
+    digests = {name: hashlib.sha256(content).hexdigest() for name, content in documents.items()}
+    text = json.dumps({**certificate, "documents": digests}, indent=1, allow_nan=False, ensure_ascii=False)
+    return (text + "\n").encode()
+
+
+def read_record(path: Path) -> tuple[dict[str, Any], Path]:
+    """Read a machine-readable certificate.
+
+    raises InputNotFoundError: when there is none.
+    raises InputMalformedError: when it is cut, of another schema, or lacks what a verification needs.
+    """
+    file = path / NAME if path.is_dir() else path
+    if file.is_symlink() or not file.is_file():
+        raise InputNotFoundError("no such file", where=file, remedy="name certificate.json or its folder")
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as broken:
+        raise InputMalformedError(
+            f"is not complete JSON ({broken})",
+            where=file,
+            remedy="name the certificate.json of a certificate",
+        ) from None
+    schema = content.get("schema") if isinstance(content, dict) else None
+    if schema != SCHEMA:
+        raise InputMalformedError(
+            f"schema is {schema!r}, {SCHEMA!r} was expected", where=file, remedy="name a certificate.json"
+        )
+    _complete(content, file)
+    return content, file.parent
+
+
+def certified_result(certificate: dict[str, Any], folder: Path) -> Figures:
+    """Give the result of the adjustment that a certificate carries.
+
+    raises InputMalformedError: when it is not complete.
+    """
+    text, remedy = json.dumps(certificate["result"]), "make the certificate again"
+    return checked(text, Figures, folder / NAME, remedy, "result")
+
+
+def _complete(content: dict[str, Any], file: Path) -> None:
+    try:
+        dt.date.fromisoformat(content["date"])
+        names = [(str(entry["path"]), str(entry["sha256"])) for entry in content["result"]["inputs"]]
+        dict(content["documents"]), dict(content["particulars"]), str(content["language"])
+        names += [(str(entry["path"]), str(entry["sha256"])) for entry in content["run_files"]]
+        names.append((str(content["result"]["block"].get("setup", "")), ""))
+        list(content["warnings"]), list(content["notes"])
+    except (KeyError, TypeError, ValueError) as lacking:
+        raise InputMalformedError(
+            f"lacks what a verification needs ({lacking})", where=file, remedy="make the certificate again"
+        ) from None
+    for name, _ in names:
+        # A certificate comes from elsewhere: it may not reach outside the folder of its inputs.
+        path = PurePosixPath(name)
+        if path.is_absolute() or ".." in path.parts or "\\" in name or ":" in name:
+            raise InputMalformedError(
+                f"input {name!r} lies outside the folder of the inputs",
+                where=file,
+                remedy="make the certificate again",
+            )
+
 
 FORMS = ("certificate.html", "certificate.pdf", NAME)
 

@@ -6,11 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from drivers.errors import InputMalformedError
-from photocal.analysis.correlation import StrongCorrelation
-from photocal.analysis.exterior_correlation import ExteriorCorrelation
+from photocal.analysis.correlation import ExteriorCorrelation, StrongCorrelation
 from photocal.analysis.method import MethodCheck
 from photocal.analysis.robust import apart
-from photocal.analysis.systematic_errors.variance_components import AssumedSigma
+from photocal.analysis.systematic_errors.scatter import AssumedSigma
 from photocal.block.model import InputFile, fingerprint
 from photocal.findings.finding import Finding
 from photocal.results.folder import RESULT, read_json, read_result

@@ -18,8 +18,7 @@ from photocal.findings.texts import findings_of
 from photocal.report.analysis_record import analyse_run
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Metadata, given_particulars
-from photocal.report.issue import FORMS, printed
-from photocal.report.record import NAME, certified_result, plain_record
+from photocal.report.issue import FORMS, NAME, certified_result, plain_record, printed
 from photocal.report.signing import SIGNATURE
 from photocal.report.stored_analysis import Run, read_run
 from photocal.results.adjusted import adjust_block

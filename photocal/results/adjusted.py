@@ -36,8 +36,7 @@ from photocal.adjustment.variance_components import (
 from photocal.block.folder import read_block
 from photocal.block.model import ROLES, Block, FiducialFit
 from photocal.block.motion import require_motion
-from photocal.block.network import NetworkOfBlock, assemble, plane_per_unit
-from photocal.block.start import behind_cameras
+from photocal.block.network import NetworkOfBlock, assemble, behind_cameras, plane_per_unit
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.frames import nearest_rotation
 from photocal.geometry.oriented_images import OrientedImages, local_poses

@@ -10,7 +10,7 @@ from photocal.project import Project
 from photocal.report.signing import own_key
 from photocal.run.folders import RECORD
 from photocal.run.stage import Progress, Stage
-from photocal.run.warnings import gather
+from photocal.run.summary import gather
 
 
 def calibration_stage(block: Path) -> Stage:

@@ -16,7 +16,7 @@ from photocal.analysis.stability.repeatability import Occasion, Repeatability, r
 from photocal.geometry.camera import Camera
 from photocal.project import read_project
 from photocal.report.certificate_metadata import given_particulars
-from photocal.report.record import NAME, read_record
+from photocal.report.issue import NAME, read_record
 from photocal.results.folder import RESULT, cameras_of_json, heads_of_json, read_result
 from photocal.results.origin import CARRIED
 from photocal.results.result import AdjustedHead

@@ -23,8 +23,7 @@ from photocal.run.measurements import measurements_stage
 from photocal.run.ppk import ppk_stage
 from photocal.run.project_checks import check_project, explained
 from photocal.run.stage import Progress, Stage, StageResult, made_in, update_stage, written
-from photocal.run.summary import summary
-from photocal.run.warnings import gather, kind
+from photocal.run.summary import gather, kind, summary
 
 _MEMORY = ".digests.json"
 # In the work folder while a run works: how far it is.

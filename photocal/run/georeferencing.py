@@ -36,13 +36,12 @@ def _files(project: Project) -> list[str]:
 
 def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
     from photocal.accuracy.geopackage import reference_system
-    from photocal.accuracy.standard_file import SHIPPED, load_standard
+    from photocal.accuracy.standard import SHIPPED, load_standard
     from photocal.block.folder import read_block
     from photocal.findings.texts import told
-    from photocal.georeferencing.as_json import SCHEMA, to_json
     from photocal.georeferencing.comparison import check_block
     from photocal.georeferencing.methods import METHODS, with_shutters
-    from photocal.georeferencing.output import write_check
+    from photocal.georeferencing.output import SCHEMA, to_json, write_check
     from photocal.measurement.oriented_ties import NOT_PLACED
 
     standards = tuple(load_standard(name) for name in project.contents.judgement.standards or SHIPPED)
@@ -97,9 +96,8 @@ def own_calibration(block: Block) -> Calibration | None:
 def calibrated_on_the_job(block: Block) -> tuple[Block, Calibration]:
     """Calibrate camera and mounting of a flight."""
     from photocal.georeferencing.calibrated import calibrate
-    from photocal.georeferencing.local import in_local_frame
+    from photocal.georeferencing.local import in_local_frame, with_attitude_angles
     from photocal.georeferencing.methods import checkable, without_weak_images
-    from photocal.georeferencing.mounted import with_attitude_angles
 
     local = with_attitude_angles(checkable(in_local_frame(block)))
     return local, calibrate(without_weak_images(local)[0])

@@ -20,8 +20,8 @@ from scipy import stats
 
 from photocal.block.folder import read_block
 from photocal.georeferencing.differences import differences
+from photocal.georeferencing.local import with_attitude_angles
 from photocal.georeferencing.methods import METHODS, of_method
-from photocal.georeferencing.mounted import with_attitude_angles
 from photocal.georeferencing.systematic import systematic_errors
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 

@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from photocal.analysis.outcome import analyse_network
-from photocal.analysis.systematic_errors.left_out import Checks
-from photocal.analysis.systematic_errors.refit import fit
+from photocal.analysis.systematic_errors.refit import Checks, fit
 from tests.photocal.analysis.aerial import Flight, fly
 
 OUTPUT = Path(__file__).parents[2] / "docs" / "evidence" / "growth.md"

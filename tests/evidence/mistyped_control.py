@@ -21,8 +21,8 @@ import numpy as np
 from drivers.arrays import Floats
 from photocal.block.folder import read_block
 from photocal.block.model import Block
-from photocal.georeferencing.mistyped import mistyped_control
-from photocal.georeferencing.mounted import with_attitude_angles
+from photocal.georeferencing.ground_mistakes import mistyped_control
+from photocal.georeferencing.local import with_attitude_angles
 from tests.photocal.georeferencing.flights import Plan, fly
 
 DRAWS = 100

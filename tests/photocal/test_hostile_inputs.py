@@ -16,7 +16,7 @@ from acquire.checked_toml import read_tables
 from acquire.simulate.world.configuration import read_configuration
 from drivers.errors import PhotocalError
 from photocal.accuracy.discrepancies import read_discrepancies
-from photocal.accuracy.standard_file import load_standard
+from photocal.accuracy.standard import load_standard
 from photocal.block.folder import read_block
 from photocal.block.table import read_columns
 from photocal.exchange.formats import read_foreign_block
@@ -31,7 +31,7 @@ from photocal.measurement.marks_files import read_any_marks
 from photocal.navigation.image_metadata import read_images
 from photocal.planning.area import read_area
 from photocal.project import read_project
-from photocal.report.record import read_record
+from photocal.report.issue import read_record
 
 DEEP = 200_000
 TEXTS = {

@@ -13,9 +13,8 @@ from pydantic import Field
 from acquire.checked_toml import Table, checked_tables, read_tables
 from drivers.errors import ConfigurationError, PhotocalError
 from photocal.analysis.estimates import Estimates, from_sigmas
-from photocal.analysis.stability.calibration import Calibration
-from photocal.analysis.stability.methods import Terrain
-from photocal.analysis.stability.verdict import Printed
+from photocal.analysis.stability.comparison import Printed
+from photocal.analysis.stability.methods import Calibration, Terrain
 from photocal.geometry.camera import PARAMETERS, Camera, camera
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]

@@ -6,9 +6,8 @@ import numpy as np
 
 from drivers.arrays import Floats
 from photocal.adjustment.factored import covariance_column
-from photocal.analysis.estimates import Estimates, scaled
-from photocal.analysis.significance import f_test
-from photocal.analysis.systematic_errors.extra_parameter import ExtraParameter
+from photocal.analysis.estimates import Estimates, f_test, scaled
+from photocal.analysis.systematic_errors.candidates import ExtraParameter
 from photocal.analysis.systematic_errors.refit import SMALL_PX, SMALL_SIGMAS, Fit, ground_effect
 from photocal.analysis.systematic_errors.search import LEVEL, WRONG_SIGMA, Round, Search, camera_estimates
 from photocal.findings.finding import Figure, Finding, Severity, Size

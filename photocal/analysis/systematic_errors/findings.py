@@ -2,6 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from drivers.arrays import Floats, Integers
+from photocal.adjustment.envelope import solve
+from photocal.adjustment.observations import mounting_equations
 from photocal.analysis.systematic_errors.camera_findings import (
     of_bias,
     of_jackknife,
@@ -11,10 +19,213 @@ from photocal.analysis.systematic_errors.camera_findings import (
     of_significance,
     of_strips,
 )
-from photocal.analysis.systematic_errors.head_findings import of_heads
-from photocal.analysis.systematic_errors.image_findings import of_groups, of_images, of_maps, of_stated
-from photocal.analysis.systematic_errors.search import Search
-from photocal.findings.finding import Finding
+from photocal.analysis.systematic_errors.refit import SMALL_PX, Fit
+from photocal.analysis.systematic_errors.scatter import VarianceComponent
+from photocal.analysis.systematic_errors.search import LEVEL, WRONG_SIGMA, Search
+from photocal.findings.finding import Figure, Finding, Severity, Size
+
+# An image's own scale or principal point is listed when it moves a ray beyond the noise of single ones.
+VISIBLE_SIGMAS = 2.5
+# Scatter against that of all together: from here on an axis or camera is listed, and no longer called small.
+WORTH_A_LINE = 1.05
+SMALL_RATIO = 1.25
+
+
+def of_stated(search: Search) -> list[Finding]:
+    """Name groups whose stated standard deviations are wrong by a factor."""
+    listed = []
+    for one in search.groups:
+        if one.p_value >= LEVEL / len(search.groups) or abs(one.factor - 1.0) < WRONG_SIGMA:
+            continue
+        # What is known beforehand is stated with caution: no error of measurement says otherwise.
+        if one.factor < 1.0 and one.name in ("camera", "mounting", "head", "rig"):
+            continue
+        figures: dict[str, Figure] = {
+            "group": one.name,
+            "factor": one.factor,
+            "lower": one.lower,
+            "upper": one.upper,
+            "camera": one.of,
+        }
+        size = Size(one.factor, "1")
+        if one.factor > 1.0:
+            severity: Severity = "doubtful" if one.factor > SMALL_RATIO else "note"
+            listed.append(Finding("sigmas-too-small", severity, one.name, figures, size=size))
+        else:
+            listed.append(Finding("sigmas-too-large", "note", one.name, figures, size=size))
+    return listed
+
+
+def of_groups(search: Search) -> list[Finding]:
+    """Describe image axes and cameras that scatter differently."""
+    overall = search.sigma.found / search.sigma.assumed
+    return [
+        _scatter(code, one, search)
+        for code, components in (("axis-scatter", search.axes), ("camera-scatter", search.cameras))
+        for one in components
+        if one.p_value < LEVEL and one.ratio > WORTH_A_LINE * overall
+    ]
+
+
+def of_images(search: Search) -> list[Finding]:
+    """Describe images that scatter more, or have a scale or principal point of their own."""
+    components = {one.name: one for one in search.images}
+    sigma_px = search.sigma.found / min(search.last.network.cameras[0].pitch)
+    overall = search.sigma.found / search.sigma.assumed
+    listed = []
+    shifts = {one.image: one for one in search.shifts}
+    for name, component in components.items():
+        shift = shifts.get(name)
+        shifted = shift is not None and shift.p_value < LEVEL and shift.effect_px > VISIBLE_SIGMAS * sigma_px
+        # One bad image makes the good ones look better than all together: only the bad one is named.
+        scattered = component.p_value < LEVEL and component.ratio > overall
+        if not (scattered or shifted):
+            continue
+        found = _scatter("image", component, search)
+        if shift is None or not shifted:
+            listed.append(found)
+            continue
+        small = shift.effect_px < SMALL_PX
+        figures = {**found.figures, "moved_px": shift.effect_px}
+        clauses = ("own_geometry", "small") if small else ("own_geometry",)
+        size = Size(_relative(component, search), "1", px=shift.effect_px)
+        listed.append(Finding("image", _severity(small=small), name, figures, clauses, size))
+    return sorted(listed, key=lambda one: -one.size.figure if one.size else 0.0)
+
+
+def _severity(*, small: bool) -> Severity:
+    return "note" if small else "doubtful"
+
+
+def _relative(one: VarianceComponent, search: Search) -> float:
+    """Scatter of a group over that of all together."""
+    return one.ratio / (search.sigma.found / search.sigma.assumed)
+
+
+def _scatter(code: str, one: VarianceComponent, search: Search) -> Finding:
+    relative = _relative(one, search)
+    effect = one.ratio * search.sigma.assumed / min(search.last.network.cameras[0].pitch)
+    small = effect < SMALL_PX or relative < SMALL_RATIO
+    figures: dict[str, Figure] = {"name": one.name, "relative": relative, "px": effect}
+    clauses = ("amount", "small") if small else ("amount",)
+    return Finding(code, _severity(small=small), one.name, figures, clauses, Size(relative, "1", px=effect))
+
+
+def of_maps(search: Search) -> list[Finding]:
+    """Describe patterns of the residuals on the sensor."""
+    listed = []
+    for camera, cells in zip(search.last.network.cameras, search.maps, strict=True):
+        if cells is None or (cells.global_p_value >= LEVEL and not cells.significant.any()):
+            continue
+        length = np.linalg.norm(cells.mean_px, axis=-1)
+        length[cells.count == 0] = 0.0
+        if cells.significant.any():
+            length[~cells.significant] = 0.0
+        row, column = np.unravel_index(int(np.argmax(length)), length.shape)
+        effect = float(length[row, column])
+        small = effect < SMALL_PX
+        figures: dict[str, Figure] = {
+            "camera": camera.id,
+            "significant": float(cells.significant.sum()),
+            "cells": float(cells.cells),
+            "px": effect,
+            "column": float(cells.columns_px[column] + cells.columns_px[column + 1]) / 2,
+            "row": float(cells.rows_px[row] + cells.rows_px[row + 1]) / 2,
+        }
+        clauses = ("small",) if small else ()
+        size = Size(effect, "px", px=effect)
+        listed.append(Finding("residual-map", _severity(small=small), camera.id, figures, clauses, size))
+    return listed
+
+
+# The whole family alarms on a clean block in no more than 5 of 1000 cases; places in the flight at which a
+# head is tried to have moved, and exposures that must lie before and after.
+PLACES, FEWEST = 16, 3
+
+
+@dataclass(frozen=True)
+class HeadMove:
+    """A jump of a head on its frame.
+
+    move, sigma (6,): turns about its axes (rad) and shifts in those of the first head (m).
+    before: images of the head before which it moved, the first of the later ones.
+    p_value: of no jump, for all heads and places that were tried.
+    """
+
+    camera: str
+    before: str
+    move: Floats
+    sigma: Floats
+    p_value: float
+
+
+def head_move(fitted: Fit) -> HeadMove | None:
+    """Test whether a head moved between exposures: the likeliest head and place; None without relations."""
+    network, state, at = fitted.network, fitted.state, fitted.factored
+    rig = network.rig
+    if not len(rig.first):
+        return None
+    layout = at.problem.layout
+    equations = mounting_equations(network, layout, state)["rig"]
+    head, when = rig.head_of(network.exposures.camera), network.exposures.time
+    # Exposures without a time stand in the order of their images.
+    known = when is not None and np.isfinite(when).all()
+    moment = when[rig.second] if known and when is not None else rig.second.astype(float)
+    tried = []
+    for k in np.unique(head[rig.second]).tolist():
+        pairs = np.flatnonzero(head[rig.second] == k)
+        pairs = pairs[np.argsort(moment[pairs], kind="stable")]
+        if len(pairs) < 2 * FEWEST:
+            continue
+        starts = np.unique(np.linspace(FEWEST, len(pairs) - FEWEST, PLACES).astype(np.int64))
+        for start in starts.tolist():
+            later = pairs[start:]
+            rows, slope = _rows(later, len(rig.first)), 1.0 / rig.stiffness[k, ::-1].repeat(3)
+            design = np.zeros((layout.size, 6))
+            force = np.zeros(6)
+            for n in range(6):
+                for row in rows[n].tolist():
+                    span = slice(equations.start[row], equations.start[row + 1])
+                    np.add.at(design[:, n], equations.column[span], slope[n] * equations.coefficient[span])
+                force[n] = slope[n] * equations.residual[rows[n]].sum()
+            inside = solve(layout.envelope, at.normal.matrix, design)
+            normal = np.diag(len(later) * slope**2) - design.T @ inside
+            # The jump in units in which the stiffness is 1: what nothing resists has no share.
+            scaled = normal / np.outer(slope, slope)
+            value, vector = np.linalg.eigh((scaled + scaled.T) / 2)
+            good = value > 1e-9 * len(later)
+            inverse = (vector[:, good] / value[good]) @ vector[:, good].T / np.outer(slope, slope)
+            move = inverse @ force
+            tried.append((float(force @ move), int(good.sum()), k, int(later[0]), move, inverse))
+    if not tried:
+        return None
+    # One that moves pulls at the others: the one that moved most is named.
+    chi_squared, freedom, k, pair, move, inverse = max(tried, key=lambda one: one[0] / one[1])
+    p_value = min(1.0, len(tried) * float(special.chdtrc(freedom, chi_squared)))
+    camera, name = network.cameras[rig.camera[k]].id, network.image_names[rig.second[pair]]
+    return HeadMove(camera, name, move, np.sqrt(np.diag(inverse)), p_value)
+
+
+def _rows(pairs: Integers, count: int) -> Integers:
+    """Rows of the relations of some pairs, by component: three turns, then three shifts, shape (6, pairs)."""
+    return np.array([(n // 3) * 3 * count + 3 * pairs + n % 3 for n in range(6)])
+
+
+def of_heads(fitted: Fit) -> list[Finding]:
+    """Name the head that moved."""
+    one = head_move(fitted)
+    if one is None or one.p_value >= LEVEL:
+        return []
+    turn, shift = float(np.linalg.norm(one.move[:3])), float(np.linalg.norm(one.move[3:]))
+    figures = {
+        "camera": one.camera,
+        "image": one.before,
+        "turn_arcsec": 3600.0 * float(np.degrees(turn)),
+        "shift_mm": 1000.0 * shift,
+        "p": one.p_value,
+    }
+    size = Size(float(np.degrees(turn)), "deg", float(np.degrees(np.linalg.norm(one.sigma[:3]))))
+    return [Finding("head-moved", "grave", one.camera, figures, size=size)]
 
 
 def findings(search: Search) -> tuple[Finding, ...]:

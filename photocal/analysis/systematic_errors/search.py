@@ -10,29 +10,33 @@ import numpy as np
 from drivers.arrays import Floats
 from photocal.adjustment.groups import GroupTest, group_tests
 from photocal.analysis.estimates import Estimates
-from photocal.analysis.systematic_errors.candidates import Candidate, candidates, steps_of_c
-from photocal.analysis.systematic_errors.extra_parameter import (
+from photocal.analysis.robust import Jackknife, jackknife
+from photocal.analysis.systematic_errors.candidates import (
+    Candidate,
     ExtraParameter,
     agreed,
+    candidates,
     estimated_amount,
     judged,
+    steps_of_c,
 )
-from photocal.analysis.systematic_errors.image_shift import ImageShift, image_shifts
-from photocal.analysis.systematic_errors.jackknife import Jackknife, jackknife
-from photocal.analysis.systematic_errors.position_shift import (
+from photocal.analysis.systematic_errors.refit import Fit, fit, with_measurements, with_sigmas
+from photocal.analysis.systematic_errors.scatter import (
+    AssumedSigma,
+    ResidualMap,
+    VarianceComponent,
+    assumed_sigma,
+    residual_map,
+    variance_components,
+)
+from photocal.analysis.systematic_errors.shifts import (
+    ImageShift,
     PositionShift,
     StripShift,
+    image_shifts,
     position_shift,
     strip_shifts,
     with_free_shift,
-)
-from photocal.analysis.systematic_errors.refit import Fit, fit, with_measurements, with_sigmas
-from photocal.analysis.systematic_errors.residual_map import ResidualMap, residual_map
-from photocal.analysis.systematic_errors.variance_components import (
-    AssumedSigma,
-    VarianceComponent,
-    assumed_sigma,
-    variance_components,
 )
 from photocal.geometry.camera import PARAMETERS, plane_to_pixel
 

@@ -12,15 +12,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
-from photocal.accuracy.as_json import to_json
-from photocal.accuracy.as_text import to_text
 from photocal.accuracy.assessment import Assessment, TableResult, assess
-from photocal.accuracy.classes import Sample, sample
+from photocal.accuracy.classes import Sample, class_cm, sample, value_class
 from photocal.accuracy.discrepancies import Discrepancies, read_discrepancies
 from photocal.accuracy.findings import findings
-from photocal.accuracy.standard import Question, ValueStandard
-from photocal.accuracy.standard_file import SHIPPED, load_standard
-from photocal.accuracy.value_class import class_cm, value_class
+from photocal.accuracy.output import to_json, to_text
+from photocal.accuracy.standard import SHIPPED, Question, ValueStandard, load_standard
 from photocal.findings.finding import Finding
 from tests.photocal.findings.english import english
 

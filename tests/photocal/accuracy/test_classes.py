@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from photocal.accuracy.classes import Sample, admitted_size, decide, sample, smallest_listed
-from photocal.accuracy.standard import LimitTable, ScaleStandard
-from photocal.accuracy.standard_file import load_standard
+from photocal.accuracy.standard import LimitTable, ScaleStandard, load_standard
 from photocal.accuracy.statistics import Moments
 
 Published = Callable[[str], list[dict[str, str]]]

@@ -8,8 +8,14 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import ConfigurationError, InputNotFoundError
-from photocal.accuracy.standard import LimitTable, ScaleStandard, ValueStandard
-from photocal.accuracy.standard_file import SHIPPED, load_standard, parse_standard
+from photocal.accuracy.standard import (
+    SHIPPED,
+    LimitTable,
+    ScaleStandard,
+    ValueStandard,
+    load_standard,
+    parse_standard,
+)
 
 Published = Callable[[str], list[dict[str, str]]]
 

@@ -11,7 +11,7 @@ from photocal.adjustment.layout import layout
 from photocal.adjustment.observations import mounting_equations
 from photocal.adjustment.rig import pairs_of
 from photocal.adjustment.state import State, moved_exposures, start_state
-from photocal.analysis.systematic_errors.head_findings import of_heads
+from photocal.analysis.systematic_errors.findings import of_heads
 from photocal.analysis.systematic_errors.refit import Fit, fit
 from tests.photocal import rigs
 

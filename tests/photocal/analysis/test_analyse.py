@@ -13,8 +13,7 @@ from typer.testing import CliRunner
 
 from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.analysis.estimates import without
-from photocal.analysis.systematic_errors.left_out import Checks, left_out
-from photocal.analysis.systematic_errors.refit import fit
+from photocal.analysis.systematic_errors.refit import Checks, fit, left_out
 from photocal.analysis.systematic_errors.search import camera_estimates
 from photocal.block.folder import read_block
 from photocal.block.network import assemble

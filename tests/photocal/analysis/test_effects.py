@@ -7,7 +7,7 @@ import pytest
 
 from photocal.analysis.effects import effect, effects
 from photocal.analysis.estimates import Estimates, from_sigmas
-from photocal.analysis.stability.calibration import sensor_grid
+from photocal.analysis.stability.methods import sensor_grid
 from photocal.geometry.camera import Camera, camera
 
 PITCH = 6.17219 / 4608

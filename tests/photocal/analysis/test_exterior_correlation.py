@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from photocal.analysis.correlation import cause
-from photocal.analysis.exterior_correlation import correlation_with, exterior_correlations
+from photocal.analysis.correlation import cause, correlation_with, exterior_correlations
 from photocal.analysis.systematic_errors.refit import Fit, fit, lowest
 from photocal.block.folder import read_block
 from photocal.block.network import assemble

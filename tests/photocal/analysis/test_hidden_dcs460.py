@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from photocal.analysis.robust import jackknife
 from photocal.analysis.systematic_errors.findings import findings
-from photocal.analysis.systematic_errors.jackknife import jackknife
 from photocal.analysis.systematic_errors.refit import Fit, fit, with_measurements
 from photocal.analysis.systematic_errors.search import Search, search
 from photocal.block.folder import read_block

@@ -10,14 +10,13 @@ from scipy import stats
 
 from drivers.arrays import Floats
 from photocal.adjustment.network import Relations
-from photocal.analysis.systematic_errors.candidates import candidates
+from photocal.analysis.robust import jackknife
+from photocal.analysis.systematic_errors.candidates import candidates, estimated_amount
 from photocal.analysis.systematic_errors.drift import within_flight
-from photocal.analysis.systematic_errors.extra_parameter import estimated_amount
 from photocal.analysis.systematic_errors.findings import findings
-from photocal.analysis.systematic_errors.image_shift import joint_shift
-from photocal.analysis.systematic_errors.jackknife import jackknife
 from photocal.analysis.systematic_errors.refit import fit, with_measurements, with_sigmas, without_images
 from photocal.analysis.systematic_errors.search import search
+from photocal.analysis.systematic_errors.shifts import joint_shift
 from photocal.findings.finding import Finding
 from tests.photocal.analysis import aerial
 from tests.photocal.analysis.findings import said, sized

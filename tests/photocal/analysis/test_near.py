@@ -11,9 +11,15 @@ import pytest
 from drivers.errors import NotConvergedError
 from photocal.adjustment.near import Removals
 from photocal.analysis.outcome import analyse_network
-from photocal.analysis.systematic_errors import left_out
-from photocal.analysis.systematic_errors.left_out import Checks, without_parameter
-from photocal.analysis.systematic_errors.refit import Fit, fit, lowest, without_images
+from photocal.analysis.systematic_errors import refit
+from photocal.analysis.systematic_errors.refit import (
+    Checks,
+    Fit,
+    fit,
+    lowest,
+    without_images,
+    without_parameter,
+)
 from photocal.geometry.camera import PARAMETERS
 from tests.photocal.analysis.aerial import Flight, fly
 
@@ -64,7 +70,7 @@ def test_an_analysis_is_that_of_the_long_way(flown: Fit, monkeypatch: pytest.Mon
     # Nothing is left that another lens could explain: none is adjusted.
     assert short.lenses == ((),)
     monkeypatch.setattr(Removals, "without", lambda *_: None)
-    monkeypatch.setattr(left_out, "with_held", refused)
+    monkeypatch.setattr(refit, "with_held", refused)
     long = analyse_network(flown.network, checks, 0.1, 0.8)
     assert [(one.code, one.subject) for one in short.findings] == [
         (one.code, one.subject) for one in long.findings

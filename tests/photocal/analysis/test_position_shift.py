@@ -10,9 +10,9 @@ import pytest
 from photocal.adjustment.adjust import adjust
 from photocal.analysis.systematic_errors.camera_findings import of_datum
 from photocal.analysis.systematic_errors.findings import findings
-from photocal.analysis.systematic_errors.position_shift import position_shift, strip_shifts, with_free_shift
 from photocal.analysis.systematic_errors.refit import fit
 from photocal.analysis.systematic_errors.search import search
+from photocal.analysis.systematic_errors.shifts import position_shift, strip_shifts, with_free_shift
 from tests.photocal.analysis.aerial import Flight, fly
 from tests.photocal.analysis.findings import said, sized
 

@@ -5,8 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from photocal.analysis.systematic_errors.residual_map import grid_shape, residual_map
-from photocal.analysis.systematic_errors.variance_components import assumed_sigma, variance_components
+from photocal.analysis.systematic_errors.scatter import (
+    assumed_sigma,
+    grid_shape,
+    residual_map,
+    variance_components,
+)
 
 
 def test_the_residual_map_finds_a_patch_and_nothing_else() -> None:

@@ -11,8 +11,15 @@ from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError, IllPosedError
 from photocal.adjustment.solution import global_test
-from photocal.analysis.estimates import Estimates, from_sigmas, quadratic_form, scaled, without
-from photocal.analysis.significance import f_test, significance
+from photocal.analysis.estimates import (
+    Estimates,
+    f_test,
+    from_sigmas,
+    quadratic_form,
+    scaled,
+    significance,
+    without,
+)
 
 Rows = list[dict[str, str]]
 NAMES = {"f": "c", "A": "B1", "B": "B2"}

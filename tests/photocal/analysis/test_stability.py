@@ -16,11 +16,19 @@ from drivers.errors import (
     IllPosedError,
 )
 from photocal.analysis.estimates import from_sigmas
-from photocal.analysis.stability.calibration import Calibration, View, sensor_grid, view
 from photocal.analysis.stability.camera_file import CameraFile, brown_from_pix4d, read_camera_file
-from photocal.analysis.stability.comparison import Pair, compare
-from photocal.analysis.stability.methods import Method, Terrain, figure, fitted_pose, methods
-from photocal.analysis.stability.verdict import follow, likeness, sentences
+from photocal.analysis.stability.comparison import Pair, compare, follow, likeness, sentences
+from photocal.analysis.stability.methods import (
+    Calibration,
+    Method,
+    Terrain,
+    View,
+    figure,
+    fitted_pose,
+    methods,
+    sensor_grid,
+    view,
+)
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.distortion import distorted
 from photocal.geometry.rotation import matrix_from_angles

@@ -17,11 +17,10 @@ from drivers.errors import (
     InputNotFoundError,
     PhotocalError,
 )
-from photocal.analysis.stability.calibration import sensor_grid
 from photocal.analysis.stability.camera_file import read_camera_file
 from photocal.analysis.stability.comparison import compare
-from photocal.analysis.stability.curves import displacements
-from photocal.analysis.stability.methods import Terrain, methods
+from photocal.analysis.stability.methods import Terrain, methods, sensor_grid
+from photocal.analysis.stability.pictures import displacements
 from photocal.cli import app
 from photocal.geometry.camera import camera
 

@@ -16,7 +16,7 @@ from photocal.geometry.oriented_images import OrientedImages, oriented_images
 from photocal.georeferencing.direct import direct_orientation
 from photocal.georeferencing.space_intersection import intersect_points
 from photocal.products.kernels import look_up
-from photocal.products.lens_tables import lens_tables
+from photocal.products.oriented import lens_tables
 from photocal.results.adjusted import adjust_network
 from tests.photocal import flights
 

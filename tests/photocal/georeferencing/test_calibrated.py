@@ -16,8 +16,8 @@ from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.georeferencing.calibrated import Calibration, calibrate
 from photocal.georeferencing.differences import differences
+from photocal.georeferencing.local import with_attitude_angles
 from photocal.georeferencing.methods import of_method
-from photocal.georeferencing.mounted import with_attitude_angles
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
 SEEDS = 8

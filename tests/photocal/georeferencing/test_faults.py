@@ -17,9 +17,9 @@ from photocal.block.model import Block
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.georeferencing.comparison import check_block
 from photocal.georeferencing.findings import block_findings
+from photocal.georeferencing.ground_mistakes import _slips, contradicting, mistyped_control
+from photocal.georeferencing.local import as_mounted, with_attitude_angles
 from photocal.georeferencing.methods import with_roles
-from photocal.georeferencing.mistyped import _slips, contradicting, mistyped_control
-from photocal.georeferencing.mounted import as_mounted, with_attitude_angles
 from photocal.georeferencing.systematic import systematic_errors
 from tests.photocal.findings.english import english
 from tests.photocal.georeferencing.flights import Errors, Plan, fly

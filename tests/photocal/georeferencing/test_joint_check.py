@@ -10,8 +10,8 @@ from scipy import stats
 
 from photocal.block.folder import read_block
 from photocal.georeferencing.differences import differences, joint_test
+from photocal.georeferencing.local import with_attitude_angles
 from photocal.georeferencing.methods import of_method
-from photocal.georeferencing.mounted import with_attitude_angles
 from tests.photocal.georeferencing.flights import Plan, fly
 
 

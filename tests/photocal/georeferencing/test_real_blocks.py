@@ -14,8 +14,7 @@ from photocal.exchange.micmac import read_micmac
 from photocal.exchange.photomodeler import block_from_export, read_control, read_export, read_positions
 from photocal.georeferencing.comparison import check_block
 from photocal.georeferencing.differences import differences
-from photocal.georeferencing.methods import of_method, with_roles
-from photocal.georeferencing.simulated import Degradation
+from photocal.georeferencing.methods import Degradation, of_method, with_roles
 
 pytestmark = pytest.mark.shared
 

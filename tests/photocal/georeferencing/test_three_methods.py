@@ -13,9 +13,8 @@ from acquire.simulate.world.site import simulate_flight
 from drivers.errors import IllPosedError
 from photocal.block.folder import read_block
 from photocal.georeferencing.differences import differences
-from photocal.georeferencing.local import in_local_frame
+from photocal.georeferencing.local import in_local_frame, with_attitude_angles
 from photocal.georeferencing.methods import METHODS, Method, checkable, of_method
-from photocal.georeferencing.mounted import with_attitude_angles
 from tests.photocal.georeferencing.flights import Plan, fly
 from tests.simulated import PLANS
 

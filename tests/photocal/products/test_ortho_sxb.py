@@ -19,8 +19,7 @@ from photocal.products.kernels import BILINEAR
 from photocal.products.oriented import oriented
 from photocal.products.orthophoto import ImageStore, Recipe, Tile, orthophoto
 from photocal.products.raster import read_image
-from photocal.products.terrain import Grid, Terrain
-from photocal.products.tin import grid_of_points, read_terrain_points
+from photocal.products.terrain import Grid, Terrain, grid_of_points, read_terrain_points
 from photocal.results.adjusted import adjust_block
 
 CELL = 0.1

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError
 from photocal.products.raster import describe, same_system, system_wkt, terrain_source, write_terrain
-from photocal.products.terrain import Terrain
-from photocal.products.tin import TerrainPoints, grid_of_points, read_terrain_points
+from photocal.products.terrain import Terrain, TerrainPoints, grid_of_points, read_terrain_points
 from tests.photocal.products.test_orthophoto import write_job
 
 Floats = NDArray[np.float64]

@@ -16,10 +16,9 @@ from photocal.report.analysis_record import analyse_run, exterior_difference
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import read_particulars
 from photocal.report.derived_figures import derived_figures
-from photocal.report.document import Document, KeyValues, Paragraph, Signature, Statement, Table
+from photocal.report.document import Document, KeyValues, Paragraph, Signature, Statement, Table, html
+from photocal.report.issue import record
 from photocal.report.ministry_rows import Context, entries, read_layout
-from photocal.report.pages import html
-from photocal.report.record import record
 from photocal.report.stored_analysis import Run, read_run
 from photocal.results.adjusted import adjust_block
 from photocal.results.folder import read_result

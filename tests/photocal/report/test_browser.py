@@ -11,7 +11,7 @@ from playwright.sync_api import Browser
 from photocal.findings.catalogue import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Metadata
-from photocal.report.pages import html
+from photocal.report.document import html
 from photocal.report.stored_analysis import Run
 
 

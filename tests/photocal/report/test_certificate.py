@@ -26,8 +26,7 @@ from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Metadata, read_particulars
-from photocal.report.document import Document, Figure, KeyValues, Table
-from photocal.report.pages import html, pdf
+from photocal.report.document import Document, Figure, KeyValues, Table, html, pdf
 from photocal.report.stored_analysis import Run, read_run
 from tests.photocal.findings.test_findings import every_finding, fragments
 

@@ -15,7 +15,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from photocal.cli import app
-from photocal.report.record import read_record
+from photocal.report.issue import read_record
 from photocal.report.verification import repeated
 from photocal.results.adjusted import adjust_block
 from photocal.results.origin import Source

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner, Result
 
 from photocal.cli import app
-from photocal.report.record import read_record
+from photocal.report.issue import read_record
 from photocal.report.verification import as_certified, differences, record_of, repeated
 from photocal.results.adjusted import adjust_block
 from photocal.results.more_tables import Wanted

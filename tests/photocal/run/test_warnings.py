@@ -13,7 +13,7 @@ from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding, Severity
 from photocal.findings.hypotheses import FAULTS
 from photocal.findings.texts import finding_text
-from photocal.run.warnings import gather, kind
+from photocal.run.summary import gather, kind
 
 PPK = {"fixed_percent": 100.0, "findings": []}
 FILES = {"ppk": "ppk.json", "exposures": "exposures.json", "measurements": "measurement.json"}

@@ -1,4 +1,4 @@
-"""`photocal exposures`: position and attitude of every exposure of a flight."""
+"""`photocal ppk`, `exposures`, `survey`: trajectories, exposures and control points from raw observations."""
 
 from __future__ import annotations
 
@@ -23,6 +23,75 @@ from photocal.commands.options import (
 if TYPE_CHECKING:
     from drivers.arrays import Floats
     from photocal.navigation.exposure_run import Choices
+
+
+def ppk(
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Folder for trajectory.csv, summary and plot.")
+    ],
+    flight: Annotated[
+        list[Path] | None, typer.Argument(help="Flight logs with raw frames of both, that follow each other.")
+    ] = None,
+    rover: Rover = None,
+    base: Base = None,
+    nav: Navigation = None,
+    base_position: BasePosition = None,
+    base_sigma: BaseSigma = None,
+    weather: BaseWeather = None,
+    rover_link: RoverLink = "rover",
+    base_link: BaseLink = "base",
+    rover_antenna_height: Annotated[
+        float | None,
+        typer.Option(help="Antenna reference point above the rover's mark, metres; without: RINEX header."),
+    ] = None,
+    base_antenna_height: Annotated[
+        float | None,
+        typer.Option(help="Antenna reference point above the base's mark, metres; without: RINEX header."),
+    ] = None,
+    antex: Annotated[
+        Path | None, typer.Option(help="Antenna models: an ANTEX file, such as igs20.atx of the IGS.")
+    ] = None,
+    rover_antenna: Annotated[
+        str, typer.Option(help="Type and radome of the rover's antenna in it; none: without a model.")
+    ] = "",
+    base_antenna: Annotated[
+        str, typer.Option(help="The base's; without: as the RINEX header names it.")
+    ] = "",
+    elevation: Annotated[float, typer.Option(help="Least elevation of satellites, degrees.")] = 15.0,
+    static: Annotated[bool, typer.Option("--static", help="The rover stood still: one position.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Compute the trajectory of a rover from raw observations of rover and base.
+
+    Fixes are validated (ratio, both directions, Doppler velocity, code) and doubtful ones become float;
+    float sigmas are rescaled to what both directions show. The columns sen, seu, snu are the roots of the
+    covariances with their signs, in metres.
+
+    Example: `photocal ppk FLIGHT.mcap -o ppk`
+    """
+    import tempfile
+
+    from acquire.outputs import output_folder
+    from photocal.navigation.engine import Rtklib
+    from photocal.navigation.flight_log import FlightLog
+    from photocal.navigation.ppk import options_for, process, with_antennas
+    from photocal.navigation.ppk_inputs import Sources, gather_inputs
+    from photocal.navigation.ppk_report import ppk_figures, ppk_text, write_ppk
+
+    engine = Rtklib()
+    logs = tuple(flight or ())
+    sources = Sources(
+        FlightLog(logs), rover, base, tuple(nav or ()), base_position, rover_link, base_link
+    ).with_base(base_sigma, weather)
+    with tempfile.TemporaryDirectory() as scratch:
+        inputs, remarks = gather_inputs(sources, engine, Path(scratch))
+        options = options_for(inputs.rover, inputs.base, rover_antenna_height, base_antenna_height, elevation)
+        options = with_antennas(options, antex, (inputs.rover, rover_antenna), (inputs.base, base_antenna))
+        result = process(inputs, options, "static" if static else "kinematic", engine, Path(scratch))
+    figures = ppk_figures(result, remarks)
+    with output_folder(output) as folder:
+        write_ppk(folder, result, figures)
+    answer(as_json, lambda: figures, lambda: ppk_text(figures))
 
 
 def exposures(
@@ -167,3 +236,41 @@ def _of_project(path: Path) -> tuple[Choices, str, str | None]:
 
     project = read_project(path)
     return choices_of_project(project), project.camera.id, None if project.crs == "local" else project.crs
+
+
+def survey(
+    setup: Annotated[
+        Path,
+        typer.Argument(
+            help="TOML: required_minutes, optional crs; [[known]] name, lat_deg, lon_deg, height_m, sigma_m; "
+            "[[baseline]] name, start, end, base, rover (RINEX or flight logs, with base_link, rover_link), "
+            "nav, products, base_antenna_m, rover_antenna_m; "
+            "[[ppp]] name, rover, nav, products (SP3, CLK), rover_antenna_m; antex with base_antenna, "
+            "rover_antenna (types and radomes)."
+        ),
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for points.csv and the summary.")],
+    as_json: AsJson = False,
+) -> None:
+    """Compute static baselines, adjust them as a network and write points with full covariances.
+
+    Baselines with blunders are left out and named. Heights are ellipsoidal unless the system says else.
+
+    Example: `photocal survey control.toml -o control`
+    """
+    import json
+    import tempfile
+
+    from acquire.outputs import output_folder
+    from photocal.navigation.engine import Rtklib
+    from photocal.navigation.survey import Survey, read_setup, run_survey
+    from photocal.navigation.survey_report import survey_figures, survey_text, write_points
+
+    plan = read_setup(setup)
+    with tempfile.TemporaryDirectory() as scratch:
+        solution, sessions = run_survey(Survey(plan, setup.parent, Rtklib(), Path(scratch)))
+    figures = survey_figures(solution, sessions)
+    with output_folder(output) as folder:
+        figures["points_csv"] = write_points(folder / "points.csv", solution, plan.crs)
+        (folder / "survey.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    answer(as_json, lambda: figures, lambda: survey_text(figures))

@@ -1,0 +1,142 @@
+"""`photocal new`, `adopt`, `run`, `debrief`: commands on a whole project."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from acquire.console import answer, progress
+from photocal.commands.options import AsJson
+
+if TYPE_CHECKING:
+    from photocal.geometry.camera import Camera
+
+
+def new(
+    folder: Annotated[Path, typer.Argument(help="Folder of a flight: pictures, control, marks, logs.")],
+    crs: Annotated[str, typer.Option(help="System of the control points, where their file has none.")] = "",
+    height: Annotated[str, typer.Option(help="Of the control points: ellipsoidal or orthometric.")] = "",
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
+) -> None:
+    """Look at a folder and write its project.toml, saying what was found and what is missing.
+
+    Example: `photocal new flight`, then `photocal run flight/project.toml`
+    """
+    from photocal.run.new_project import new_project
+
+    made = new_project(folder, crs, height)
+    parts = {"found": made.found, "missing": made.missing, "asked": made.asked}
+    answer(
+        as_json,
+        lambda: {"schema": "photocal.new/1", "project": str(made.path), **parts},
+        lambda: "\n".join(
+            [
+                *(f"{word}: {line}" for word, lines in parts.items() for line in lines),
+                f"written: {made.path}; next: "
+                + ("fill in what is asked, then " if made.asked else "")
+                + f"photocal run {made.path}",
+            ]
+        ),
+    )
+
+
+def adopt(
+    project: Annotated[Path, typer.Argument(help="Folder of the project, or its set-up file.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for block, run and certificate.")],
+    gcp: Annotated[Path | None, typer.Option(help="gcp_list.txt for a project without control.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print adoption.json.")] = False,
+) -> None:
+    """Adjust a project of Pix4D, Metashape, ODM, OpenSfM, COLMAP or MicMac anew, beside its own result.
+
+    Example: `photocal adopt field/1_initial/params -o second-opinion`
+    """
+    import datetime as dt
+
+    from photocal.run.adopt import adopt as adopted
+    from photocal.run.adopt import adoption_text
+
+    figures = adopted(project, output, dt.datetime.now().astimezone().date(), progress, gcp)
+    answer(as_json, lambda: figures, lambda: adoption_text(figures) + f"\nwritten: {output}")
+
+
+def run(
+    projects: Annotated[list[Path], typer.Argument(help="Project file; several are run one by one.")],
+    until: Annotated[str | None, typer.Option(help="Last stage to be made.")] = None,
+    again: Annotated[
+        str | None, typer.Option(help="Stage to be made again although nothing has changed.")
+    ] = None,
+    rehash: Annotated[
+        bool, typer.Option("--rehash", help="Read all files again, whatever their size and times say.")
+    ] = False,
+    workers: Annotated[int, typer.Option(min=1, help="Projects at a time.")] = 1,
+    cluster: Annotated[
+        str | None, typer.Option(help="Dask scheduler that runs the projects: tcp://HOST:PORT.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Process a flight: PPK, exposures, image points, calibration, check points, analysis, certificate.
+
+    Without a flight log the pictures and their control points, positions, or neither, take its place.
+
+    Each stage has its folder in the project's work folder and is kept while neither its inputs nor the code
+    that it runs change. Files of yours in these folders stay, and are named. The project file is described in
+    docs/project-file.md.
+
+    Example: `photocal run PROJECT.toml`
+    """
+    import datetime as dt
+
+    from photocal.run.campaign import run_projects
+    from photocal.run.summary import summary_text
+
+    day = dt.datetime.now().astimezone().date()
+    figures = run_projects(projects, day, progress, until, again, rehash, workers, cluster)
+    answer(
+        as_json,
+        lambda: figures[0] if len(projects) == 1 else figures,
+        lambda: "\n\n".join(summary_text(one) for one in figures),
+    )
+
+
+def debrief(
+    project: Annotated[Path, typer.Argument(help="Project file, or the folder that has `project.toml`.")],
+    since: Annotated[
+        Path | None,
+        typer.Option(help="Run folder or file of cameras of the last calibration, to hold c against."),
+    ] = None,
+    workers: Annotated[int, typer.Option(min=0, help="Processes; 0: one for each core.")] = 0,
+    language: Annotated[str, typer.Option(help="Language: en or pt-BR.")] = "en",
+    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+) -> None:
+    """Judge a flight before the crew drives home: complete, to be looked at, or to be flown again.
+
+    Exposures without pictures, blurred and badly exposed pictures, another camera or lens setting, positions
+    that are not fixed, strips with too little overlap, ground that is not covered, and a quick calibration on
+    reduced pictures. Run it again while pictures come in: what was looked at is kept. The answer is also
+    written as debrief.json into the project's work folder.
+
+    Example: `photocal debrief project.toml --since last/calibration`
+    """
+    import os
+
+    from photocal.debrief.verdict import debrief as judged
+    from photocal.debrief.verdict import debrief_json, debrief_text
+    from photocal.findings.catalogue import catalogue
+    from photocal.project import read_project
+
+    file = project / "project.toml" if project.is_dir() else project
+    say, last = catalogue(language), () if since is None else _cameras(since)
+    made = judged(read_project(file), workers or os.cpu_count() or 1, progress, last)
+    answer(as_json, lambda: debrief_json(made), lambda: debrief_text(made, say))
+
+
+def _cameras(since: Path) -> tuple[Camera, ...]:
+    """Cameras of a run folder or of a file of cameras."""
+    from photocal.analysis.stability.camera_file import read_camera_file
+    from photocal.results.folder import read_result
+
+    if since.is_dir():
+        return tuple(read_result(since).cameras.values())
+    return tuple(one.camera for one in read_camera_file(since).calibrations)
