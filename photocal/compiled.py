@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import os
 import subprocess
@@ -89,8 +90,23 @@ def allocating(function: Function) -> Function:
 
 
 def compiled_parallel(function: Function) -> Function:
-    """Compile a function that may make arrays and whose `numba.prange` loops run on all threads."""
-    return cast("Function", numba.njit(**_COMMON, parallel=True)(function))
+    """Compile a function that may make arrays and whose `numba.prange` loops share a design's pieces.
+
+    Its first argument is the design. Threads without a piece are not woken: that costs more than a small
+    block's work, and ten times as much where other programs use the machine's cores.
+    """
+    kernel = numba.njit(**_COMMON, parallel=True)(function)
+
+    @functools.wraps(function)
+    def divided(design: Any, *others: Any) -> Any:
+        allowed = numba.get_num_threads()
+        numba.set_num_threads(min(allowed, len(design.pieces) - 1))
+        try:
+            return kernel(design, *others)
+        finally:
+            numba.set_num_threads(allowed)
+
+    return cast("Function", divided)
 
 
 if __name__ == "__main__":

@@ -369,9 +369,10 @@ def _released(
         for own in block.cameras
     )
     findings = []
-    for own, before in zip(kept, block.cameras, strict=True):
+    used = np.isin(np.arange(len(kept)), released.start.images.camera)
+    for own, before, in_use in zip(kept, block.cameras, used, strict=True):
         gone = before.estimated & ~own.estimated
-        if gone.any():
+        if in_use and gone.any():
             names = tuple(n for n, lost in zip(PARAMETERS, gone, strict=True) if lost)
             clause = "would-become" if "value" in refusal else "run-away"
             findings.append(

@@ -257,7 +257,8 @@ def _refuse_a_guess(run: Path, result: Result) -> None:
         raise ConfigurationError(
             f"the principal distance of camera {guessed[0]} is a guess that was held",
             where=run,
-            remedy="name c under estimate, or give its calibrated value and remove guessed = true",
+            remedy="give its calibrated value and remove guessed = true, or name c under estimate; where it"
+            " stands there already, this flight does not determine it: fly two heights, with crossed strips",
         )
 
 
