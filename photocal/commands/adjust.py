@@ -9,42 +9,36 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
-import typer
-
 from acquire.console import answer
 from drivers.errors import ConfigurationError
+from photocal.commands.options import argument, option
 
 
 def adjust(
     block: Annotated[
         Path,
-        typer.Argument(
-            help="Block folder (block.toml, images.csv, points.csv, observations.csv), or a set-up file of "
+        argument(
+            "Block folder (block.toml, images.csv, points.csv, observations.csv), or a set-up file of "
             "another program (DBAT, JAICOV)."
         ),
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")],
+    output: Annotated[Path, option("Folder for the results.", "-o", "--output")],
     snoop: Annotated[
-        str, typer.Option(help="Search for gross errors: `w` (a priori sigmas) or `tau` (a posteriori).")
+        str, option("Search for gross errors: `w` (a priori sigmas) or `tau` (a posteriori).")
     ] = "",
     ellipses: Annotated[
-        float | None,
-        typer.Option(help="Write error ellipses and ellipsoids of this probability, such as 0.95."),
+        float | None, option("Write error ellipses and ellipsoids of this probability, such as 0.95.")
     ] = None,
     reliability: Annotated[
-        bool, typer.Option("--reliability", help="Write the smallest errors that the tests find.")
+        bool, option("Write the smallest errors that the tests find.", "--reliability")
     ] = False,
     components: Annotated[
-        bool,
-        typer.Option("--components", help="Estimate the sigma of each group of observations and use it."),
+        bool, option("Estimate the sigma of each group of observations and use it.", "--components")
     ] = False,
     joint: Annotated[
-        str,
-        typer.Option(
-            help="Write the joint covariance of `image:NAME,point:NAME,camera:ID,head:CAMERA,mounting`."
-        ),
+        str, option("Write the joint covariance of `image:NAME,point:NAME,camera:ID,head:CAMERA,mounting`.")
     ] = "",
-    as_json: Annotated[bool, typer.Option("--json", help="Print result.json instead of a summary.")] = False,
+    as_json: Annotated[bool, option("Print result.json instead of a summary.", "--json")] = False,
 ) -> None:
     """Adjust a block: camera, orientations and points with their complete statistics.
 

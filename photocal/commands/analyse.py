@@ -5,41 +5,33 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
-from photocal.commands.options import AsJson
+from photocal.commands.options import AsJson, argument, option
 
 
 def analyse(
     run: Annotated[
         Path,
-        typer.Argument(
-            help="Folder that `photocal adjust` wrote; or a CSV of published parameters or correlations."
-        ),
+        argument("Folder that `photocal adjust` wrote; or a CSV of published parameters or correlations."),
     ],
     block: Annotated[
-        Path | None, typer.Option(help="Block folder of the run, or its set-up file, when it is not found.")
+        Path | None, option("Block folder of the run, or its set-up file, when it is not found.")
     ] = None,
-    alpha: Annotated[float, typer.Option(min=1e-4, max=0.5, help="Level of the significance tests.")] = 0.10,
-    correlation: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Correlations from here on are named.")
-    ] = 0.8,
+    alpha: Annotated[float, option("Level of the significance tests.", min=1e-4, max=0.5)] = 0.10,
+    correlation: Annotated[float, option("Correlations from here on are named.", min=0.0, max=1.0)] = 0.8,
     bootstrap: Annotated[
         int,
-        typer.Option(
-            min=0, max=10_000, help="Adjust so many blocks of images drawn with replacement; 100 tell enough."
-        ),
+        option("Adjust so many blocks of images drawn with replacement; 100 tell enough.", min=0, max=10_000),
     ] = 0,
     matrix: Annotated[
-        Path | None, typer.Option(help="CSV of the correlations or the covariance of published parameters.")
+        Path | None, option("CSV of the correlations or the covariance of published parameters.")
     ] = None,
     set_name: Annotated[
-        str | None, typer.Option("--set", help="Set of a published table; without, all of them.")
+        str | None, option("Set of a published table; without, all of them.", "--set")
     ] = None,
-    degrees_of_freedom: Annotated[
-        float, typer.Option(min=1.0, help="Redundancy behind published parameters.")
-    ] = float("inf"),
-    language: Annotated[str, typer.Option(help="Language: en or pt-BR.")] = "en",
+    degrees_of_freedom: Annotated[float, option("Redundancy behind published parameters.", min=1.0)] = float(
+        "inf"
+    ),
+    language: Annotated[str, option("Language: en or pt-BR.")] = "en",
     as_json: AsJson = False,
 ) -> None:
     """Analyse a calibration: hidden errors worst first, significance, correlations, method.

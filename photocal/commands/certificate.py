@@ -5,41 +5,35 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from acquire.console import answer, progress
+from photocal.commands.options import argument, option
 
 if TYPE_CHECKING:
     import datetime as dt
 
 
 def certificate(
-    run: Annotated[Path, typer.Argument(help="Folder that `photocal adjust` wrote.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the certificate.")],
-    language: Annotated[str, typer.Option(help="Language: en or pt-BR.")] = "en",
-    date: Annotated[
-        str | None, typer.Option(help="Day of the certificate, YYYY-MM-DD; today if not given.")
-    ] = None,
+    run: Annotated[Path, argument("Folder that `photocal adjust` wrote.")],
+    output: Annotated[Path, option("Folder for the certificate.", "-o", "--output")],
+    language: Annotated[str, option("Language: en or pt-BR.")] = "en",
+    date: Annotated[str | None, option("Day of the certificate, YYYY-MM-DD; today if not given.")] = None,
     block: Annotated[
         Path | None,
-        typer.Option(
-            help="Block folder of the run, or its set-up file, when it is not found near it: the certificate "
+        option(
+            "Block folder of the run, or its set-up file, when it is not found near it: the certificate "
             "carries the inputs for `photocal verify`."
         ),
     ] = None,
     particulars: Annotated[
         Path | None,
-        typer.Option(
-            help="TOML file: camera, campaign, positioning system, equipment, validity, responsible."
-        ),
+        option("TOML file: camera, campaign, positioning system, equipment, validity, responsible."),
     ] = None,
-    client: Annotated[str, typer.Option(help="For whom.")] = "",
-    operator: Annotated[str, typer.Option(help="By whom.")] = "",
+    client: Annotated[str, option("For whom.")] = "",
+    operator: Annotated[str, option("By whom.")] = "",
     images: Annotated[
-        Path | None,
-        typer.Option(help="Folder of the pictures: their EXIF tells camera, aperture, focus and firmware."),
+        Path | None, option("Folder of the pictures: their EXIF tells camera, aperture, focus and firmware.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
+    as_json: Annotated[bool, option("Print what was written as JSON.", "--json")] = False,
 ) -> None:
     """Write the certificate of a calibration: HTML page, PDF and JSON.
 

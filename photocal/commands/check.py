@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from acquire.console import answer, numbers_of, progress
 from drivers.errors import ConfigurationError
-from photocal.commands.options import AsJson
+from photocal.commands.options import AsJson, argument, option
 
 if TYPE_CHECKING:
     import numpy as np
@@ -211,90 +209,73 @@ def noise_of(text: str, seed: int) -> tuple[Degradation, np.random.Generator]:
 def check(
     block: Annotated[
         Path | None,
-        typer.Argument(
-            help="Block folder, PROJECT.toml, or a set-up file of another program; its points have roles."
-        ),
+        argument("Block folder, PROJECT.toml, or a set-up file of another program; its points have roles."),
     ] = None,
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="Folder for tables, figures, GeoPackages and the report."),
+        Path | None, option("Folder for tables, figures, GeoPackages and the report.", "-o", "--output")
     ] = None,
     discrepancies: Annotated[
         Path | None,
-        typer.Option(
-            help="Instead of a block: CSV with the columns point, correction_E, correction_N, correction_h, "
+        option(
+            "Instead of a block: CSV with the columns point, correction_E, correction_N, correction_h, "
             "or dE, dN, dh as studies print them (both reference minus product), in metres or with the "
             "unit in the header (dE_cm); optional E, N, h."
         ),
     ] = None,
     experiment: Annotated[
-        Path | None,
-        typer.Option(help="Instead of a block: TOML file with interior orientations and control patterns."),
+        Path | None, option("Instead of a block: TOML file with interior orientations and control patterns.")
     ] = None,
     points: Annotated[
         Path | None,
-        typer.Option(
-            help="Instead of a block: CSV of check points (point, E, N, h) for --ortho and --dtm, in their "
+        option(
+            "Instead of a block: CSV of check points (point, E, N, h) for --ortho and --dtm, in their "
             "reference system."
         ),
     ] = None,
-    ortho: Annotated[
-        Path | None, typer.Option(help="Orthomosaic that shows the targets of the check points.")
-    ] = None,
-    target_diameter: Annotated[float | None, typer.Option(help="Of those round targets, metres.")] = None,
-    search_radius: Annotated[
-        float, typer.Option(help="How far from its place a target is looked for, metres.")
-    ] = 2.0,
-    dtm: Annotated[Path | None, typer.Option(help="Terrain model that is read at the check points.")] = None,
+    ortho: Annotated[Path | None, option("Orthomosaic that shows the targets of the check points.")] = None,
+    target_diameter: Annotated[float | None, option("Of those round targets, metres.")] = None,
+    search_radius: Annotated[float, option("How far from its place a target is looked for, metres.")] = 2.0,
+    dtm: Annotated[Path | None, option("Terrain model that is read at the check points.")] = None,
     height_kind: Annotated[
-        str | None, typer.Option(help="Of the check points: ellipsoidal, orthometric or local.")
+        str | None, option("Of the check points: ellipsoidal, orthometric or local.")
     ] = None,
-    dtm_height_kind: Annotated[
-        str | None, typer.Option(help="Of a terrain model that does not say it itself.")
-    ] = None,
+    dtm_height_kind: Annotated[str | None, option("Of a terrain model that does not say it itself.")] = None,
     standard: Annotated[
         list[str] | None,
-        typer.Option(
-            help="decree-89817, pec-pcd, asprs-2024 or a TOML file; may be repeated. Without: all three."
-        ),
+        option("decree-89817, pec-pcd, asprs-2024 or a TOML file; may be repeated. Without: all three."),
     ] = None,
-    scale: Annotated[str | None, typer.Option(help="Map scale to judge at, such as 1:1000.")] = None,
-    interval: Annotated[float | None, typer.Option(help="Contour interval in metres to judge at.")] = None,
+    scale: Annotated[str | None, option("Map scale to judge at, such as 1:1000.")] = None,
+    interval: Annotated[float | None, option("Contour interval in metres to judge at.")] = None,
     confidence: Annotated[
-        float, typer.Option(help="Level of the tests: two-sided for the bias, one-sided for the precision.")
+        float, option("Level of the tests: two-sided for the bias, one-sided for the precision.")
     ] = 0.90,
     survey_horizontal: Annotated[
-        float | None, typer.Option(help="Horizontal (radial) RMSE of the survey of the check points, metres.")
+        float | None, option("Horizontal (radial) RMSE of the survey of the check points, metres.")
     ] = None,
     survey_vertical: Annotated[
-        float | None, typer.Option(help="Vertical RMSE of the survey of the check points, metres.")
+        float | None, option("Vertical RMSE of the survey of the check points, metres.")
     ] = None,
     target_horizontal: Annotated[
-        float | None, typer.Option(help="Horizontal (radial) RMSE that is asked for, metres.")
+        float | None, option("Horizontal (radial) RMSE that is asked for, metres.")
     ] = None,
-    target_vertical: Annotated[
-        float | None, typer.Option(help="Vertical RMSE that is asked for, metres.")
-    ] = None,
+    target_vertical: Annotated[float | None, option("Vertical RMSE that is asked for, metres.")] = None,
     figures: Annotated[
-        Path | None, typer.Option(help="With --discrepancies: folder for residual map and histograms (PDF).")
+        Path | None, option("With --discrepancies: folder for residual map and histograms (PDF).")
     ] = None,
     geopackage: Annotated[
-        Path | None, typer.Option(help="With --discrepancies: GeoPackage for QGIS, to be written.")
+        Path | None, option("With --discrepancies: GeoPackage for QGIS, to be written.")
     ] = None,
     crs: Annotated[
-        str | None, typer.Option(help="Projected system of E and N for the GeoPackage, such as EPSG:31982.")
+        str | None, option("Projected system of E and N for the GeoPackage, such as EPSG:31982.")
     ] = None,
     control_numbers: Annotated[
-        str | None,
-        typer.Option(help="How much control is needed: repeat with so many control points, such as 0,1,3,5."),
+        str | None, option("How much control is needed: repeat with so many control points, such as 0,1,3,5.")
     ] = None,
     simulate_direct: Annotated[
         str | None,
-        typer.Option(
-            help="Noise M,DEG of simulated exposures for direct georeferencing from the adjusted orientation."
-        ),
+        option("Noise M,DEG of simulated exposures for direct georeferencing from the adjusted orientation."),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of that noise.")] = 0,
+    seed: Annotated[int, option("Of that noise.")] = 0,
     as_json: AsJson = False,
 ) -> None:
     """Judge a block or a product at its check points: statistics, tests and accuracy classes.

@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from photocal.commands.options import AsJson
+from photocal.commands.options import AsJson, argument, option
 
 if TYPE_CHECKING:
     from photocal.analysis.stability.camera_file import CameraFile
@@ -20,24 +18,18 @@ SCHEMA = "photocal.comparison/1"
 def compare(
     calibrations: Annotated[
         list[Path],
-        typer.Argument(
-            help="One TOML file of [[camera]] entries; or certificates, run or work folders, or projects."
-        ),
+        argument("One TOML file of [[camera]] entries; or certificates, run or work folders, or projects."),
     ],
     picture: Annotated[
-        Path | None, typer.Option("--picture", help="Draw the matrices of all pairs (.png, .svg, .pdf).")
+        Path | None, option("Draw the matrices of all pairs (.png, .svg, .pdf).", "--picture")
     ] = None,
     curves: Annotated[
         Path | None,
-        typer.Option(
-            "--curves", help="Draw distortion profiles, parameters over the calibrations, and vectors."
-        ),
+        option("Draw distortion profiles, parameters over the calibrations, and vectors.", "--curves"),
     ] = None,
     exchange: Annotated[
         bool,
-        typer.Option(
-            "--exchange", help="Use camera and mounting of each flight in each other, at its check points."
-        ),
+        option("Use camera and mounting of each flight in each other, at its check points.", "--exchange"),
     ] = False,
     as_json: AsJson = False,
 ) -> None:

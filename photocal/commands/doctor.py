@@ -14,10 +14,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from acquire.console import Check, answer
 from drivers.errors import PhotocalError, ProgramMissingError
+from photocal.commands.options import argument, option
 
 OLDEST_PYTHON = (3, 11)
 # The program is not older than this: a clock before it is wrong.
@@ -30,11 +29,11 @@ _PORTS = ("ttyUSB*", "ttyACM*")
 
 
 def doctor(
-    folder: Annotated[Path, typer.Argument(help="Where you will record or process.")] = Path(),
+    folder: Annotated[Path, argument("Where you will record or process.")] = Path(),
     crs: Annotated[
-        str | None, typer.Option(help="System of a project, such as EPSG:31982+5773: are its grids here?")
+        str | None, option("System of a project, such as EPSG:31982+5773: are its grids here?")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the checks as JSON.")] = False,
+    as_json: Annotated[bool, option("Print the checks as JSON.", "--json")] = False,
 ) -> None:
     """Say whether this machine is ready to record and to process.
 
@@ -226,13 +225,13 @@ def _key() -> Check:
 
 
 def fetch_grids(
-    crs: Annotated[str, typer.Argument(help="System of the project, with its heights: EPSG:31982+5773.")],
+    crs: Annotated[str, argument("System of the project, with its heights: EPSG:31982+5773.")],
     area: Annotated[
         tuple[float, float, float, float] | None,
-        typer.Option(metavar="W S E N", help="Degrees; without, the whole area of the system."),
+        option("Degrees; without, the whole area of the system.", metavar="W S E N"),
     ] = None,
-    dry: Annotated[bool, typer.Option("--dry-run", help="Only say what is missing.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the names as JSON.")] = False,
+    dry: Annotated[bool, option("Only say what is missing.", "--dry-run")] = False,
+    as_json: Annotated[bool, option("Print the names as JSON.", "--json")] = False,
 ) -> None:
     """Fetch the grids that a reference system needs, so that it can be used without a network.
 

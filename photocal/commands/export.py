@@ -6,10 +6,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
-import typer
-
 from acquire.console import answer, numbers_of
 from drivers.errors import ConfigurationError
+from photocal.commands.options import argument, option
 from photocal.exchange.formats import exported
 
 if TYPE_CHECKING:
@@ -19,19 +18,16 @@ FORMATS = ", ".join(exported())
 
 
 def export(
-    run: Annotated[Path, typer.Argument(help="Run folder that photocal adjust wrote.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the files.")],
-    form: Annotated[str, typer.Option("--format", help=f"One of {FORMATS}.")],
+    run: Annotated[Path, argument("Run folder that photocal adjust wrote.")],
+    output: Annotated[Path, option("Folder for the files.", "-o", "--output")],
+    form: Annotated[str, option(f"One of {FORMATS}.", "--format")],
     angle_unit: Annotated[
-        str, typer.Option("--angle-unit", help="Unit of omega, phi, kappa for patb: deg or gon.")
+        str, option("Unit of omega, phi, kappa for patb: deg or gon.", "--angle-unit")
     ] = "",
     origin: Annotated[
-        str,
-        typer.Option(
-            "--origin", help="LATITUDE,LONGITUDE,HEIGHT of the local frame (geojson, kml, geopackage)."
-        ),
+        str, option("LATITUDE,LONGITUDE,HEIGHT of the local frame (geojson, kml, geopackage).", "--origin")
     ] = "",
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
+    as_json: Annotated[bool, option("Print what was written as JSON.", "--json")] = False,
 ) -> None:
     """Export cameras, orientations, points and measurements; says what a change of camera model costs.
 

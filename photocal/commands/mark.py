@@ -9,6 +9,7 @@ import typer
 
 from acquire.console import answer, progress
 from drivers.errors import ConfigurationError
+from photocal.commands.options import argument, option
 
 if TYPE_CHECKING:
     from photocal.measurement.marking.scene import Scene
@@ -17,27 +18,21 @@ if TYPE_CHECKING:
 
 def mark(
     project: Annotated[
-        Path | None, typer.Argument(help="Project file: pictures, control points and where marks are kept.")
+        Path | None, argument("Project file: pictures, control points and where marks are kept.")
     ] = None,
-    images: Annotated[Path | None, typer.Option(help="Folder with the images, without a project.")] = None,
+    images: Annotated[Path | None, option("Folder with the images, without a project.")] = None,
     points: Annotated[
-        Path | None, typer.Option(help="points.csv; without it, beside --images, any name may be marked.")
+        Path | None, option("points.csv; without it, beside --images, any name may be marked.")
     ] = None,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="marks.csv to write, beside --images.")
-    ] = None,
+    output: Annotated[Path | None, option("marks.csv to write, beside --images.", "-o", "--output")] = None,
     run: Annotated[
-        Path | None, typer.Option(help="Folder of an adjustment that says how the images are oriented.")
+        Path | None, option("Folder of an adjustment that says how the images are oriented.")
     ] = None,
     address: Annotated[
-        str, typer.Option(help="HOST:PORT of the page. Beyond this computer the page demands a token.")
+        str, option("HOST:PORT of the page. Beyond this computer the page demands a token.")
     ] = "127.0.0.1:8750",
-    cache: Annotated[
-        Path | None, typer.Option(help="Folder for tiles; ~/.cache/photocal when not given.")
-    ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print what is marked as JSON, and show no page.")
-    ] = False,
+    cache: Annotated[Path | None, option("Folder for tiles; ~/.cache/photocal when not given.")] = None,
+    as_json: Annotated[bool, option("Print what is marked as JSON, and show no page.", "--json")] = False,
 ) -> None:
     """Mark control and check points in the images on a local web page; every mark is saved at once.
 
@@ -104,19 +99,17 @@ def _show(scene: Scene, store: MarkStore, address: str, cache: Path | None) -> N
 def targets(
     kind: Annotated[
         str,
-        typer.Argument(
-            help="disc, ring, cross, hourglass, chessboard, charuco, or a dictionary such as apriltag_36h11."
+        argument(
+            "disc, ring, cross, hourglass, chessboard, charuco, or a dictionary such as apriltag_36h11."
         ),
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="PDF to write.")],
-    size_mm: Annotated[
-        float, typer.Option(help="Diameter or side of the target, of a square for boards, mm.")
-    ] = 120.0,
-    numbers: Annotated[str, typer.Option(help="Numbers of coded targets, such as 1-20 or 3,7.")] = "0",
-    board: Annotated[str, typer.Option(help="Squares of a board in a row and in a column.")] = "10x7",
-    charuco: Annotated[str, typer.Option(help="Marker dictionary of a ChArUco board.")] = "4x4_50",
-    paper: Annotated[str, typer.Option(help="a4, a3, a2, a1 or a0.")] = "a4",
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
+    output: Annotated[Path, option("PDF to write.", "-o", "--output")],
+    size_mm: Annotated[float, option("Diameter or side of the target, of a square for boards, mm.")] = 120.0,
+    numbers: Annotated[str, option("Numbers of coded targets, such as 1-20 or 3,7.")] = "0",
+    board: Annotated[str, option("Squares of a board in a row and in a column.")] = "10x7",
+    charuco: Annotated[str, option("Marker dictionary of a ChArUco board.")] = "4x4_50",
+    paper: Annotated[str, option("a4, a3, a2, a1 or a0.")] = "a4",
+    as_json: Annotated[bool, option("Print what was written as JSON.", "--json")] = False,
 ) -> None:
     """Write target sheets as PDF, true to scale, for all targets that `photocal measure` reads.
 

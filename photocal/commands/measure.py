@@ -7,10 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-import typer
-
 from acquire.console import answer, numbers_of, progress
 from drivers.errors import ConfigurationError
+from photocal.commands.options import argument, option
 
 if TYPE_CHECKING:
     from photocal.measurement.block_files import Measured
@@ -26,67 +25,48 @@ WEAK = 0.005
 
 
 def measure(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Block folder to write.")],
+    output: Annotated[Path, option("Block folder to write.", "-o", "--output")],
     project: Annotated[
-        Path | None, typer.Argument(help="Project file: pictures, camera, control, marks and targets.")
+        Path | None, argument("Project file: pictures, camera, control, marks and targets.")
     ] = None,
-    images: Annotated[Path | None, typer.Option(help="Folder with the images.")] = None,
+    images: Annotated[Path | None, option("Folder with the images.")] = None,
     gcp: Annotated[
         Path | None,
-        typer.Option(
-            help="Marked control points: gcp_list.txt, Metashape's markers (.xml), OpenSfM's (.json)."
-        ),
+        option("Marked control points: gcp_list.txt, Metashape's markers (.xml), OpenSfM's (.json)."),
     ] = None,
     marks: Annotated[
         list[Path] | None,
-        typer.Option(
-            help="Marks for a project: of Pix4D (.csv, .txt), Metashape (.xml, .csv), OpenSfM, gcp_list.txt."
-        ),
+        option("Marks for a project: of Pix4D (.csv, .txt), Metashape (.xml, .csv), OpenSfM, gcp_list.txt."),
     ] = None,
-    height: Annotated[
-        str, typer.Option(help="What the control points' heights are: ellipsoidal or orthometric.")
-    ] = "",
-    crs: Annotated[
-        str, typer.Option(help="System of the control points where their file does not say it right.")
-    ] = "",
+    height: Annotated[str, option("What the control points' heights are: ellipsoidal or orthometric.")] = "",
+    crs: Annotated[str, option("System of the control points where their file does not say it right.")] = "",
     gcp_sigma: Annotated[
-        str, typer.Option(help="Sigma of control points, horizontal,vertical, m, where their file has none.")
+        str, option("Sigma of control points, horizontal,vertical, m, where their file has none.")
     ] = "0.02,0.03",
-    board: Annotated[
-        str, typer.Option(help="Calibration board: squares in a row and in a column, such as 10x7.")
-    ] = "",
+    board: Annotated[str, option("Calibration board: squares in a row and in a column, such as 10x7.")] = "",
     square_m: Annotated[
-        float, typer.Option(help="Side of a square of the board, m; without it the unit is one square.")
+        float, option("Side of a square of the board, m; without it the unit is one square.")
     ] = 1.0,
     charuco: Annotated[
-        str, typer.Option(help="Marker dictionary of a ChArUco board, such as 4x4_50 or apriltag_36h11.")
+        str, option("Marker dictionary of a ChArUco board, such as 4x4_50 or apriltag_36h11.")
     ] = "",
     field: Annotated[
-        str,
-        typer.Option(help="Field of coded targets without coordinates: their dictionary, such as 4x4_250."),
+        str, option("Field of coded targets without coordinates: their dictionary, such as 4x4_250.")
     ] = "",
     distances: Annotated[
-        Path | None,
-        typer.Option(help="Tape distances in a field: CSV from, to, value, sigma (m) between corners 17.1."),
+        Path | None, option("Tape distances in a field: CSV from, to, value, sigma (m) between corners 17.1.")
     ] = None,
-    run: Annotated[
-        Path | None, typer.Option(help="With --field: adjust the block, too, into this folder.")
-    ] = None,
-    c_px: Annotated[
-        float, typer.Option(help="Principal distance, px, in place of what the pictures state.")
-    ] = 0.0,
-    focal_mm: Annotated[
-        float, typer.Option(help="Focal length, mm, in place of what the pictures state.")
-    ] = 0.0,
-    workers: Annotated[int, typer.Option(help="Processes; 0 for one on each core.")] = 0,
+    run: Annotated[Path | None, option("With --field: adjust the block, too, into this folder.")] = None,
+    c_px: Annotated[float, option("Principal distance, px, in place of what the pictures state.")] = 0.0,
+    focal_mm: Annotated[float, option("Focal length, mm, in place of what the pictures state.")] = 0.0,
+    workers: Annotated[int, option("Processes; 0 for one on each core.")] = 0,
     cluster: Annotated[
-        str,
-        typer.Option(help="Dask scheduler whose workers share images and cache, such as tcp://HOST:8786."),
+        str, option("Dask scheduler whose workers share images and cache, such as tcp://HOST:8786.")
     ] = "",
     cache: Annotated[
-        Path | None, typer.Option(help="Folder for features and matches; ~/.cache/photocal when not given.")
+        Path | None, option("Folder for features and matches; ~/.cache/photocal when not given.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print measurement.json.")] = False,
+    as_json: Annotated[bool, option("Print measurement.json.", "--json")] = False,
 ) -> None:
     """Measure images, a project, a calibration board or tie points, as a block folder for `photocal adjust`.
 

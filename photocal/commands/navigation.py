@@ -18,6 +18,8 @@ from photocal.commands.options import (
     Navigation,
     Rover,
     RoverLink,
+    argument,
+    option,
 )
 
 if TYPE_CHECKING:
@@ -26,11 +28,9 @@ if TYPE_CHECKING:
 
 
 def ppk(
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="Folder for trajectory.csv, summary and plot.")
-    ],
+    output: Annotated[Path, option("Folder for trajectory.csv, summary and plot.", "-o", "--output")],
     flight: Annotated[
-        list[Path] | None, typer.Argument(help="Flight logs with raw frames of both, that follow each other.")
+        list[Path] | None, argument("Flight logs with raw frames of both, that follow each other.")
     ] = None,
     rover: Rover = None,
     base: Base = None,
@@ -41,24 +41,20 @@ def ppk(
     rover_link: RoverLink = "rover",
     base_link: BaseLink = "base",
     rover_antenna_height: Annotated[
-        float | None,
-        typer.Option(help="Antenna reference point above the rover's mark, metres; without: RINEX header."),
+        float | None, option("Antenna reference point above the rover's mark, metres; without: RINEX header.")
     ] = None,
     base_antenna_height: Annotated[
-        float | None,
-        typer.Option(help="Antenna reference point above the base's mark, metres; without: RINEX header."),
+        float | None, option("Antenna reference point above the base's mark, metres; without: RINEX header.")
     ] = None,
     antex: Annotated[
-        Path | None, typer.Option(help="Antenna models: an ANTEX file, such as igs20.atx of the IGS.")
+        Path | None, option("Antenna models: an ANTEX file, such as igs20.atx of the IGS.")
     ] = None,
     rover_antenna: Annotated[
-        str, typer.Option(help="Type and radome of the rover's antenna in it; none: without a model.")
+        str, option("Type and radome of the rover's antenna in it; none: without a model.")
     ] = "",
-    base_antenna: Annotated[
-        str, typer.Option(help="The base's; without: as the RINEX header names it.")
-    ] = "",
-    elevation: Annotated[float, typer.Option(help="Least elevation of satellites, degrees.")] = 15.0,
-    static: Annotated[bool, typer.Option("--static", help="The rover stood still: one position.")] = False,
+    base_antenna: Annotated[str, option("The base's; without: as the RINEX header names it.")] = "",
+    elevation: Annotated[float, option("Least elevation of satellites, degrees.")] = 15.0,
+    static: Annotated[bool, option("The rover stood still: one position.", "--static")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Compute the trajectory of a rover from raw observations of rover and base.
@@ -95,56 +91,43 @@ def ppk(
 
 
 def exposures(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for exposures.csv and the rest.")],
+    output: Annotated[Path, option("Folder for exposures.csv and the rest.", "-o", "--output")],
     flight: Annotated[
         list[Path] | None,
-        typer.Argument(help="Flight logs that follow each other, or one PROJECT.toml that names everything."),
+        argument("Flight logs that follow each other, or one PROJECT.toml that names everything."),
     ] = None,
-    images: Annotated[
-        Path | None, typer.Option(help="Folder of the images, or a table image,taken[,camera].")
-    ] = None,
-    mrk: Annotated[Path | None, typer.Option(help="The vehicle's own event list (Timestamp.MRK).")] = None,
-    edge: Annotated[str, typer.Option(help="Edge of the time marks: rising or falling.")] = "rising",
-    delay: Annotated[float, typer.Option(help="From the event to the exposure, seconds.")] = 0.0,
-    delay_sigma: Annotated[
-        float, typer.Option(help="Its standard deviation from exposure to exposure, seconds.")
-    ] = 0.0,
+    images: Annotated[Path | None, option("Folder of the images, or a table image,taken[,camera].")] = None,
+    mrk: Annotated[Path | None, option("The vehicle's own event list (Timestamp.MRK).")] = None,
+    edge: Annotated[str, option("Edge of the time marks: rising or falling.")] = "rising",
+    delay: Annotated[float, option("From the event to the exposure, seconds.")] = 0.0,
+    delay_sigma: Annotated[float, option("Its standard deviation from exposure to exposure, seconds.")] = 0.0,
     camera_to_antenna: Annotated[
         str | None,
-        typer.Option(
-            help="Lever arm: X,Y,Z from the camera's projection centre to the antenna, metres forward, "
+        option(
+            "Lever arm: X,Y,Z from the camera's projection centre to the antenna, metres forward, "
             "right, down (above is negative)."
         ),
     ] = None,
-    camera_to_antenna_sigma: Annotated[
-        str, typer.Option(help="Its standard deviations, metres.")
-    ] = "0.01,0.01,0.01",
+    camera_to_antenna_sigma: Annotated[str, option("Its standard deviations, metres.")] = "0.01,0.01,0.01",
     lever_arm: Annotated[str | None, typer.Option(hidden=True)] = None,
-    attitude_sigma: Annotated[
-        str | None, typer.Option(help="Standard deviations of roll, pitch, yaw, degrees.")
-    ] = None,
+    attitude_sigma: Annotated[str | None, option("Standard deviations of roll, pitch, yaw, degrees.")] = None,
     boresight: Annotated[
-        str,
-        typer.Option(help="Turn from nominal to true camera axes, about camera x, y, z, degrees."),
+        str, option("Turn from nominal to true camera axes, about camera x, y, z, degrees.")
     ] = "0,0,0",
-    boresight_sigma: Annotated[str, typer.Option(help="Its standard deviations, degrees.")] = "0,0,0",
+    boresight_sigma: Annotated[str, option("Its standard deviations, degrees.")] = "0,0,0",
     camera_axes: Annotated[
-        str, typer.Option(help="Body directions of camera x (right), y (up in the image), z (backwards).")
+        str, option("Body directions of camera x (right), y (up in the image), z (backwards).")
     ] = "right,forward,up",
     clock_offset: Annotated[
-        float, typer.Option(help="Largest offset between the camera's clock and the log's, seconds.")
+        float, option("Largest offset between the camera's clock and the log's, seconds.")
     ] = 60.0,
-    camera: Annotated[str, typer.Option(help="Id of the camera in images.csv.")] = "camera",
-    crs: Annotated[
-        str | None, typer.Option(help="System of images.csv, such as EPSG:32722; without: local.")
-    ] = None,
+    camera: Annotated[str, option("Id of the camera in images.csv.")] = "camera",
+    crs: Annotated[str | None, option("System of images.csv, such as EPSG:32722; without: local.")] = None,
     oriented: Annotated[
-        Path | None,
-        typer.Option(help="Run folder of an adjustment of these images: its positions check the exposures."),
+        Path | None, option("Run folder of an adjustment of these images: its positions check the exposures.")
     ] = None,
     check_images: Annotated[
-        bool,
-        typer.Option("--check-images", help="Orient the images by tie points and compare their rotations."),
+        bool, option("Orient the images by tie points and compare their rotations.", "--check-images")
     ] = False,
     rover: Rover = None,
     base: Base = None,
@@ -241,15 +224,15 @@ def _of_project(path: Path) -> tuple[Choices, str, str | None]:
 def survey(
     setup: Annotated[
         Path,
-        typer.Argument(
-            help="TOML: required_minutes, optional crs; [[known]] name, lat_deg, lon_deg, height_m, sigma_m; "
+        argument(
+            "TOML: required_minutes, optional crs; [[known]] name, lat_deg, lon_deg, height_m, sigma_m; "
             "[[baseline]] name, start, end, base, rover (RINEX or flight logs, with base_link, rover_link), "
             "nav, products, base_antenna_m, rover_antenna_m; "
             "[[ppp]] name, rover, nav, products (SP3, CLK), rover_antenna_m; antex with base_antenna, "
             "rover_antenna (types and radomes)."
         ),
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for points.csv and the summary.")],
+    output: Annotated[Path, option("Folder for points.csv and the summary.", "-o", "--output")],
     as_json: AsJson = False,
 ) -> None:
     """Compute static baselines, adjust them as a network and write points with full covariances.

@@ -3,29 +3,36 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-Rover = Annotated[Path | None, typer.Option(help="RINEX observations of the rover.")]
-Base = Annotated[Path | None, typer.Option(help="RINEX observations of the base.")]
+
+def option(text: str, *names: str, **settings: Any) -> Any:
+    """Describe an option of a command: its help, and its names where they are not that of the parameter."""
+    return typer.Option(*names, help=text, **settings)
+
+
+def argument(text: str, **settings: Any) -> Any:
+    """Describe an argument of a command by its help."""
+    return typer.Argument(help=text, **settings)
+
+
+Rover = Annotated[Path | None, option("RINEX observations of the rover.")]
+Base = Annotated[Path | None, option("RINEX observations of the base.")]
 Navigation = Annotated[
     list[str] | None,
-    typer.Option(help="RINEX navigation file; may be repeated. `base`: those that the base's link recorded."),
+    option("RINEX navigation file; may be repeated. `base`: those that the base's link recorded."),
 ]
 BasePosition = Annotated[
     str | None,
-    typer.Option(
-        help="LAT,LON,H of the base: degrees, ellipsoidal height in metres; or a CSRS-PPP or SINEX file."
-    ),
+    option("LAT,LON,H of the base: degrees, ellipsoidal height in metres; or a CSRS-PPP or SINEX file."),
 ]
-BaseSigma = Annotated[
-    str | None, typer.Option(help="Standard deviations E,N,U of the base's position, metres.")
-]
+BaseSigma = Annotated[str | None, option("Standard deviations E,N,U of the base's position, metres.")]
 BaseWeather = Annotated[
     str | None,
-    typer.Option(help="TEMPERATURE,HUMIDITY[,PRESSURE] at the base: degrees Celsius, percent, hPa."),
+    option("TEMPERATURE,HUMIDITY[,PRESSURE] at the base: degrees Celsius, percent, hPa."),
 ]
-RoverLink = Annotated[str, typer.Option(help="Link of the rover in the flight log.")]
-BaseLink = Annotated[str, typer.Option(help="Link of the base in the flight log.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")]
+RoverLink = Annotated[str, option("Link of the rover in the flight log.")]
+BaseLink = Annotated[str, option("Link of the base in the flight log.")]
+AsJson = Annotated[bool, option("Print the figures as JSON.", "--json")]

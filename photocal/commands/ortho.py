@@ -6,57 +6,46 @@ import os
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from acquire.console import answer, numbers_of, progress
 from drivers.errors import ConfigurationError
-from photocal.commands.options import AsJson
+from photocal.commands.options import AsJson, argument, option
 
 # Cells so many pixels wide leave pixels out.
 _COARSE = 2.0
 
 
 def ortho(
-    block: Annotated[Path, typer.Argument(help="Block folder, or a set-up file of another program.")],
-    images: Annotated[Path, typer.Option(help="Folder of the image files.")],
+    block: Annotated[Path, argument("Block folder, or a set-up file of another program.")],
+    images: Annotated[Path, option("Folder of the image files.")],
     dtm: Annotated[
         Path,
-        typer.Option(
-            help="Terrain model: any raster that GDAL reads, or a CSV of points or contours (X, Y, Z, "
+        option(
+            "Terrain model: any raster that GDAL reads, or a CSV of points or contours (X, Y, Z, "
             "optional line), such as points.csv of an adjustment, all in metres."
         ),
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="GeoTIFF to write.")],
-    run: Annotated[
-        Path | None, typer.Option(help="Adjustment of the block; without: orientations as given.")
-    ] = None,
-    image: Annotated[list[str] | None, typer.Option(help="Only this image; may be repeated.")] = None,
-    cell: Annotated[
-        float | None, typer.Option(help="Size of a cell, m; without: the pixel on the ground.")
-    ] = None,
-    bounds: Annotated[str | None, typer.Option(help="Rectangle: WEST,SOUTH,EAST,NORTH in metres.")] = None,
-    resampling: Annotated[str, typer.Option(help="nearest, bilinear or cubic.")] = "bilinear",
-    crs: Annotated[str | None, typer.Option(help="Reference system of block and terrain model.")] = None,
-    heights: Annotated[
-        str | None, typer.Option(help="Kind of heights of a terrain model that does not say it.")
-    ] = None,
+    output: Annotated[Path, option("GeoTIFF to write.", "-o", "--output")],
+    run: Annotated[Path | None, option("Adjustment of the block; without: orientations as given.")] = None,
+    image: Annotated[list[str] | None, option("Only this image; may be repeated.")] = None,
+    cell: Annotated[float | None, option("Size of a cell, m; without: the pixel on the ground.")] = None,
+    bounds: Annotated[str | None, option("Rectangle: WEST,SOUTH,EAST,NORTH in metres.")] = None,
+    resampling: Annotated[str, option("nearest, bilinear or cubic.")] = "bilinear",
+    crs: Annotated[str | None, option("Reference system of block and terrain model.")] = None,
+    heights: Annotated[str | None, option("Kind of heights of a terrain model that does not say it.")] = None,
     dtm_cell: Annotated[
-        float | None, typer.Option(help="Size of the cells that a CSV of terrain points is put on, m.")
+        float | None, option("Size of the cells that a CSV of terrain points is put on, m.")
     ] = None,
-    dtm_output: Annotated[
-        Path | None, typer.Option(help="GeoTIFF of the terrain model made from a CSV.")
-    ] = None,
+    dtm_output: Annotated[Path | None, option("GeoTIFF of the terrain model made from a CSV.")] = None,
     nodata: Annotated[
-        float, typer.Option(help="Value of cells without image; real grey levels keep clear of it.")
+        float, option("Value of cells without image; real grey levels keep clear of it.")
     ] = 0.0,
     compare: Annotated[
-        Path | None, typer.Option(help="Another adjustment of the block, with another interior orientation.")
+        Path | None, option("Another adjustment of the block, with another interior orientation.")
     ] = None,
     displacement: Annotated[
-        Path | None,
-        typer.Option(help="Map (.pdf, .svg, .png) of how far --compare would put things elsewhere."),
+        Path | None, option("Map (.pdf, .svg, .png) of how far --compare would put things elsewhere.")
     ] = None,
-    workers: Annotated[int, typer.Option(help="Threads; 0 for all cores.")] = 0,
+    workers: Annotated[int, option("Threads; 0 for all cores.")] = 0,
     as_json: AsJson = False,
 ) -> None:
     """Make an orthophoto: every cell takes its grey value from the image that sees it best from above.

@@ -7,11 +7,9 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from acquire.console import answer, numbers_of, progress
 from drivers.errors import ConfigurationError
-from photocal.commands.options import AsJson
+from photocal.commands.options import AsJson, argument, option
 
 if TYPE_CHECKING:
     from photocal.planning.control_layout import Layout
@@ -24,59 +22,51 @@ _SIZE = re.compile(r"^(?P<columns>[0-9]+)\s*[xX]\s*(?P<rows>[0-9]+)$")
 
 
 def plan(
-    area: Annotated[Path, typer.Argument(help="Polygon: GeoJSON, KML, or CSV with lat_deg and lon_deg.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the plan.")],
-    focal_mm: Annotated[float, typer.Option(help="Principal distance, mm.")],
-    pixel_um: Annotated[float, typer.Option(help="Pixel pitch, micrometres.")],
-    image_px: Annotated[str, typer.Option(help="Image size, columns x rows, such as 5472x3648.")],
-    height: Annotated[float | None, typer.Option(help="Height above ground, m (or --gsd-cm).")] = None,
-    gsd_cm: Annotated[float | None, typer.Option(help="Ground sample distance, cm (or --height).")] = None,
-    forward: Annotated[float, typer.Option(help="Forward overlap, 0 to 1.")] = 0.8,
-    side: Annotated[float, typer.Option(help="Side overlap, 0 to 1.")] = 0.7,
-    width_along: Annotated[
-        bool, typer.Option(help="Image width along the flight line (otherwise across it).")
-    ] = False,
+    area: Annotated[Path, argument("Polygon: GeoJSON, KML, or CSV with lat_deg and lon_deg.")],
+    output: Annotated[Path, option("Folder for the plan.", "-o", "--output")],
+    focal_mm: Annotated[float, option("Principal distance, mm.")],
+    pixel_um: Annotated[float, option("Pixel pitch, micrometres.")],
+    image_px: Annotated[str, option("Image size, columns x rows, such as 5472x3648.")],
+    height: Annotated[float | None, option("Height above ground, m (or --gsd-cm).")] = None,
+    gsd_cm: Annotated[float | None, option("Ground sample distance, cm (or --height).")] = None,
+    forward: Annotated[float, option("Forward overlap, 0 to 1.")] = 0.8,
+    side: Annotated[float, option("Side overlap, 0 to 1.")] = 0.7,
+    width_along: Annotated[bool, option("Image width along the flight line (otherwise across it).")] = False,
     azimuth_deg: Annotated[
-        float | None, typer.Option(help="Flying direction, degrees from north; without: fewest strips.")
+        float | None, option("Flying direction, degrees from north; without: fewest strips.")
     ] = None,
-    cross: Annotated[bool, typer.Option("--cross", help="Add cross strips.")] = False,
+    cross: Annotated[bool, option("Add cross strips.", "--cross")] = False,
     second_height: Annotated[
-        float | None, typer.Option(help="Fly the cross strips at this height above ground, m (calibration).")
+        float | None, option("Fly the cross strips at this height above ground, m (calibration).")
     ] = None,
-    speed: Annotated[float, typer.Option(help="Speed over ground, m/s.")] = 10.0,
-    scale: Annotated[str | None, typer.Option(help="Map scale of the product, such as 1:1000.")] = None,
-    map_class: Annotated[str, typer.Option("--class", help="Class that the product shall reach.")] = "A",
-    standard: Annotated[str, typer.Option(help="Standard of that class.")] = "pec-pcd",
-    exposure_ms: Annotated[float | None, typer.Option(help="Exposure time, ms, to check the smear.")] = None,
+    speed: Annotated[float, option("Speed over ground, m/s.")] = 10.0,
+    scale: Annotated[str | None, option("Map scale of the product, such as 1:1000.")] = None,
+    map_class: Annotated[str, option("Class that the product shall reach.", "--class")] = "A",
+    standard: Annotated[str, option("Standard of that class.")] = "pec-pcd",
+    exposure_ms: Annotated[float | None, option("Exposure time, ms, to check the smear.")] = None,
     shortest_interval: Annotated[
-        float | None, typer.Option(help="Shortest time between two photos of the camera, s.")
+        float | None, option("Shortest time between two photos of the camera, s.")
     ] = None,
     home: Annotated[
-        str | None,
-        typer.Option(help="Take-off place: LAT,LON,HEIGHT above mean sea level; needed for a mission."),
+        str | None, option("Take-off place: LAT,LON,HEIGHT above mean sea level; needed for a mission.")
     ] = None,
     ground_height: Annotated[
-        float | None,
-        typer.Option(help="Mean height of the area above mean sea level, m; needed for a mission."),
+        float | None, option("Mean height of the area above mean sea level, m; needed for a mission.")
     ] = None,
-    autopilot: Annotated[str, typer.Option(help="ardupilot or px4.")] = "ardupilot",
-    vehicle: Annotated[str, typer.Option(help="quadrotor or fixed-wing.")] = "quadrotor",
-    control: Annotated[int, typer.Option(help="Number of control points to suggest.")] = 8,
-    check: Annotated[int, typer.Option(help="Number of check points to suggest.")] = 30,
-    simulation: Annotated[
-        bool, typer.Option(help="Adjust the planned flight to expect its precision.")
-    ] = True,
-    image_sigma_px: Annotated[float, typer.Option(help="Expected precision in the image, px.")] = 0.5,
+    autopilot: Annotated[str, option("ardupilot or px4.")] = "ardupilot",
+    vehicle: Annotated[str, option("quadrotor or fixed-wing.")] = "quadrotor",
+    control: Annotated[int, option("Number of control points to suggest.")] = 8,
+    check: Annotated[int, option("Number of check points to suggest.")] = 30,
+    simulation: Annotated[bool, option("Adjust the planned flight to expect its precision.")] = True,
+    image_sigma_px: Annotated[float, option("Expected precision in the image, px.")] = 0.5,
     control_sigma_m: Annotated[
-        str, typer.Option(help="Expected precision of control in plane and height, m.")
+        str, option("Expected precision of control in plane and height, m.")
     ] = "0.02,0.03",
     gnss_sigma_m: Annotated[
-        str | None, typer.Option(help="Precision of exposure positions in plane and height, m.")
+        str | None, option("Precision of exposure positions in plane and height, m.")
     ] = None,
-    calibrate: Annotated[
-        bool, typer.Option("--calibrate", help="Estimate the camera from the flight itself.")
-    ] = False,
-    relief_m: Annotated[float, typer.Option(help="Terrain above and below its mean, m.")] = 0.0,
+    calibrate: Annotated[bool, option("Estimate the camera from the flight itself.", "--calibrate")] = False,
+    relief_m: Annotated[float, option("Terrain above and below its mean, m.")] = 0.0,
     as_json: AsJson = False,
 ) -> None:
     """Plan a photo flight: height, overlaps, strips, expected precision, control, mission.
@@ -178,26 +168,16 @@ def _home(text: str) -> Home:
 
 
 def flown(
-    block: Annotated[
-        Path, typer.Argument(help="Block folder, PROJECT.toml, or a set-up file of another program.")
-    ],
-    run: Annotated[
-        Path | None, typer.Option(help="Adjustment of the block; without: orientations as given.")
-    ] = None,
-    images: Annotated[
-        Path | None, typer.Option(help="Folder of the image files, for exposure time and ISO.")
-    ] = None,
-    plan: Annotated[Path | None, typer.Option(help="plan.json of `photocal plan`, to compare with.")] = None,
-    exposure_ms: Annotated[
-        float | None, typer.Option(help="Exposure time where the images do not tell it, ms.")
-    ] = None,
-    speed: Annotated[
-        float | None, typer.Option(help="Speed over ground where the block does not tell it, m/s.")
-    ] = None,
+    block: Annotated[Path, argument("Block folder, PROJECT.toml, or a set-up file of another program.")],
+    run: Annotated[Path | None, option("Adjustment of the block; without: orientations as given.")] = None,
+    images: Annotated[Path | None, option("Folder of the image files, for exposure time and ISO.")] = None,
+    plan: Annotated[Path | None, option("plan.json of `photocal plan`, to compare with.")] = None,
+    exposure_ms: Annotated[float | None, option("Exposure time where the images do not tell it, ms.")] = None,
+    speed: Annotated[float | None, option("Speed over ground where the block does not tell it, m/s.")] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Folder for figures, table, map and picture.")
+        Path | None, option("Folder for figures, table, map and picture.", "-o", "--output")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+    as_json: Annotated[bool, option("Print the figures as JSON.", "--json")] = False,
 ) -> None:
     """Measure a flown block: height, ground sampling, tilt, real overlaps, rays, gaps, smear.
 

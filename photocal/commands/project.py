@@ -5,20 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from acquire.console import answer, progress
-from photocal.commands.options import AsJson
+from photocal.commands.options import AsJson, argument, option
 
 if TYPE_CHECKING:
     from photocal.geometry.camera import Camera
 
 
 def new(
-    folder: Annotated[Path, typer.Argument(help="Folder of a flight: pictures, control, marks, logs.")],
-    crs: Annotated[str, typer.Option(help="System of the control points, where their file has none.")] = "",
-    height: Annotated[str, typer.Option(help="Of the control points: ellipsoidal or orthometric.")] = "",
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
+    folder: Annotated[Path, argument("Folder of a flight: pictures, control, marks, logs.")],
+    crs: Annotated[str, option("System of the control points, where their file has none.")] = "",
+    height: Annotated[str, option("Of the control points: ellipsoidal or orthometric.")] = "",
+    as_json: Annotated[bool, option("Print what was found as JSON.", "--json")] = False,
 ) -> None:
     """Look at a folder and write its project.toml, saying what was found and what is missing.
 
@@ -43,10 +41,10 @@ def new(
 
 
 def adopt(
-    project: Annotated[Path, typer.Argument(help="Folder of the project, or its set-up file.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for block, run and certificate.")],
-    gcp: Annotated[Path | None, typer.Option(help="gcp_list.txt for a project without control.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print adoption.json.")] = False,
+    project: Annotated[Path, argument("Folder of the project, or its set-up file.")],
+    output: Annotated[Path, option("Folder for block, run and certificate.", "-o", "--output")],
+    gcp: Annotated[Path | None, option("gcp_list.txt for a project without control.")] = None,
+    as_json: Annotated[bool, option("Print adoption.json.", "--json")] = False,
 ) -> None:
     """Adjust a project of Pix4D, Metashape, ODM, OpenSfM, COLMAP or MicMac anew, beside its own result.
 
@@ -62,18 +60,14 @@ def adopt(
 
 
 def run(
-    projects: Annotated[list[Path], typer.Argument(help="Project file; several are run one by one.")],
-    until: Annotated[str | None, typer.Option(help="Last stage to be made.")] = None,
-    again: Annotated[
-        str | None, typer.Option(help="Stage to be made again although nothing has changed.")
-    ] = None,
+    projects: Annotated[list[Path], argument("Project file; several are run one by one.")],
+    until: Annotated[str | None, option("Last stage to be made.")] = None,
+    again: Annotated[str | None, option("Stage to be made again although nothing has changed.")] = None,
     rehash: Annotated[
-        bool, typer.Option("--rehash", help="Read all files again, whatever their size and times say.")
+        bool, option("Read all files again, whatever their size and times say.", "--rehash")
     ] = False,
-    workers: Annotated[int, typer.Option(min=1, help="Projects at a time.")] = 1,
-    cluster: Annotated[
-        str | None, typer.Option(help="Dask scheduler that runs the projects: tcp://HOST:PORT.")
-    ] = None,
+    workers: Annotated[int, option("Projects at a time.", min=1)] = 1,
+    cluster: Annotated[str | None, option("Dask scheduler that runs the projects: tcp://HOST:PORT.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Process a flight: PPK, exposures, image points, calibration, check points, analysis, certificate.
@@ -101,14 +95,13 @@ def run(
 
 
 def debrief(
-    project: Annotated[Path, typer.Argument(help="Project file, or the folder that has `project.toml`.")],
+    project: Annotated[Path, argument("Project file, or the folder that has `project.toml`.")],
     since: Annotated[
-        Path | None,
-        typer.Option(help="Run folder or file of cameras of the last calibration, to hold c against."),
+        Path | None, option("Run folder or file of cameras of the last calibration, to hold c against.")
     ] = None,
-    workers: Annotated[int, typer.Option(min=0, help="Processes; 0: one for each core.")] = 0,
-    language: Annotated[str, typer.Option(help="Language: en or pt-BR.")] = "en",
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+    workers: Annotated[int, option("Processes; 0: one for each core.", min=0)] = 0,
+    language: Annotated[str, option("Language: en or pt-BR.")] = "en",
+    as_json: Annotated[bool, option("Print the figures as JSON.", "--json")] = False,
 ) -> None:
     """Judge a flight before the crew drives home: complete, to be looked at, or to be flown again.
 

@@ -6,10 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from acquire.console import answer, progress
 from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.commands.options import argument, option
 
 if TYPE_CHECKING:
     from photocal.report.verification import Difference
@@ -17,15 +16,11 @@ if TYPE_CHECKING:
 
 
 def keys(
-    new: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Make the key of this person or office.")
-    ] = None,
-    passphrase: Annotated[
-        str, typer.Option(envvar="PHOTOCAL_PASSPHRASE", help="That the new key asks for.")
-    ] = "",
-    journal: Annotated[bool, typer.Option("--journal", help="Check and list what was signed.")] = False,
-    file: Annotated[Path | None, typer.Option(help="Another journal.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    new: Annotated[str | None, option("Make the key of this person or office.", metavar="NAME")] = None,
+    passphrase: Annotated[str, option("That the new key asks for.", envvar="PHOTOCAL_PASSPHRASE")] = "",
+    journal: Annotated[bool, option("Check and list what was signed.", "--journal")] = False,
+    file: Annotated[Path | None, option("Another journal.")] = None,
+    as_json: Annotated[bool, option("Print as JSON.", "--json")] = False,
 ) -> None:
     """Show the known keys by their fingerprints, make one, or list the journal of issued certificates.
 
@@ -55,11 +50,9 @@ def keys(
 
 
 def sign(
-    certificate: Annotated[Path, typer.Argument(help="Folder of a certificate, or its certificate.json.")],
-    passphrase: Annotated[
-        str, typer.Option(envvar="PHOTOCAL_PASSPHRASE", help="Of the key, if it has one.")
-    ] = "",
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was signed as JSON.")] = False,
+    certificate: Annotated[Path, argument("Folder of a certificate, or its certificate.json.")],
+    passphrase: Annotated[str, option("Of the key, if it has one.", envvar="PHOTOCAL_PASSPHRASE")] = "",
+    as_json: Annotated[bool, option("Print what was signed as JSON.", "--json")] = False,
 ) -> None:
     """Sign a certificate with the key of `photocal keys`: each file of its folder, as it lies there.
 
@@ -86,26 +79,22 @@ def sign(
 def verify(
     certificate: Annotated[
         Path,
-        typer.Argument(
-            help="Folder of a certificate, its certificate.json, or a TOML file with a printed calibration."
-        ),
+        argument("Folder of a certificate, its certificate.json, or a TOML file with a printed calibration."),
     ],
     block: Annotated[
         Path | None,
-        typer.Option(
-            help="Block folder with the inputs; that carried by the certificate, or near it, if not given."
-        ),
+        option("Block folder with the inputs; that carried by the certificate, or near it, if not given."),
     ] = None,
     keys: Annotated[
-        Path | None, typer.Option(help="List of keys, `FINGERPRINT NAME` each: one of them must have signed.")
+        Path | None, option("List of keys, `FINGERPRINT NAME` each: one of them must have signed.")
     ] = None,
     trust: Annotated[
-        bool, typer.Option("--trust", help="Remember the key, which you have compared, from now on.")
+        bool, option("Remember the key, which you have compared, from now on.", "--trust")
     ] = False,
     issued: Annotated[
-        Path | None, typer.Option("--journal", help="Journal of the issuer that must have this certificate.")
+        Path | None, option("Journal of the issuer that must have this certificate.", "--journal")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+    as_json: Annotated[bool, option("Print the outcome as JSON.", "--json")] = False,
 ) -> None:
     """Repeat a certificate from its inputs, compare every figure and page, and judge its signature.
 

@@ -5,35 +5,33 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
-import typer
-
 from acquire.console import answer
 from drivers.errors import ConfigurationError
-from photocal.commands.options import AsJson
+from photocal.commands.options import AsJson, argument, option
 
 
 def volume(
     sections: Annotated[
         Path | None,
-        typer.Argument(
-            help="CSV of the points on the shell: section, point, X, Y, Z in metres, optional standard "
+        argument(
+            "CSV of the points on the shell: section, point, X, Y, Z in metres, optional standard "
             "deviations sX, sY, sZ and correlations rXY, rXZ, rYZ."
         ),
     ] = None,
-    radius: Annotated[float | None, typer.Option(help="Mean radius, m, in place of sections.")] = None,
-    radius_sigma: Annotated[float | None, typer.Option(help="Its standard deviation, m.")] = None,
+    radius: Annotated[float | None, option("Mean radius, m, in place of sections.")] = None,
+    radius_sigma: Annotated[float | None, option("Its standard deviation, m.")] = None,
     height: Annotated[
-        float | None, typer.Option(help="Measured height, m; with sections: volume by their mean radius too.")
+        float | None, option("Measured height, m; with sections: volume by their mean radius too.")
     ] = None,
-    height_sigma: Annotated[float | None, typer.Option(help="Its standard deviation, m.")] = None,
+    height_sigma: Annotated[float | None, option("Its standard deviation, m.")] = None,
     sigma: Annotated[
-        float | None, typer.Option(help="Standard deviation of all coordinates of a table without, m.")
+        float | None, option("Standard deviation of all coordinates of a table without, m.")
     ] = None,
-    vertical: Annotated[str, typer.Option(help="Axis of the table that points up: X, Y or Z.")] = "Z",
+    vertical: Annotated[str, option("Axis of the table that points up: X, Y or Z.")] = "Z",
     wall_thickness: Annotated[
-        float, typer.Option(help="Taken from the measured radii, m, where the points lie outside.")
+        float, option("Taken from the measured radii, m, where the points lie outside.")
     ] = 0.0,
-    plot: Annotated[Path | None, typer.Option(help="Residual ring plot to write: .pdf, .svg, .png.")] = None,
+    plot: Annotated[Path | None, option("Residual ring plot to write: .pdf, .svg, .png.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Volume of a round tank with its standard deviation.

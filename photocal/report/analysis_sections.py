@@ -7,7 +7,7 @@ from photocal.findings.digits import fixed, significant, symbol
 from photocal.findings.finding import Finding
 from photocal.findings.texts import finding_text, need_words
 from photocal.geometry.camera import Camera
-from photocal.report.document import Column, Paragraph, Piece, Section, Statement, Table
+from photocal.report.document import Column, Paragraph, Piece, Section, Statement, Table, columns
 from photocal.report.stored_analysis import CameraRecord, JackknifeRecord, Run, StoredAnalysis
 
 
@@ -28,15 +28,12 @@ def hidden_errors(run: Run, say: Catalogue) -> Section:
     pieces: list[Piece] = [Paragraph(say("analysis.hidden_text"))]
     found = run.analysis.findings
     if found:
-        columns = (
-            Column(say("analysis.grade"), align="left"),
-            Column(say("analysis.finding"), align="left"),
-        )
+        heads = columns(say, "analysis", "grade<", "finding<")
         rows = tuple(
             (say("analysis.small" if one.small else "analysis.large"), finding_text(one, say))
             for one in found
         )
-        pieces.append(Table(say("analysis.hidden_table"), columns, rows, widths=(0.14, 0.86)))
+        pieces.append(Table(say("analysis.hidden_table"), heads, rows, widths=(0.14, 0.86)))
     else:
         pieces.append(Paragraph(say("analysis.none_found")))
     pieces.append(Paragraph(_sigma(run, run.analysis, say)))
@@ -71,15 +68,7 @@ def parameters(title: str, camera_id: str, run: Run, analysis: StoredAnalysis, s
 
 
 def _tests(record: CameraRecord, alpha: float, say: Catalogue) -> Table:
-    columns = (
-        Column(say("analysis.tested"), align="left"),
-        Column(say("analysis.kind"), align="left"),
-        Column(say("analysis.statistic")),
-        Column(say("analysis.critical")),
-        Column(say("analysis.significant"), align="center"),
-        Column(say("analysis.effect"), "px"),
-        Column(say("analysis.remaining"), "px"),
-    )
+    heads = ("tested<", "kind<", "statistic", "critical", "significant=", "effect [px]", "remaining [px]")
     effects = {effect.parameters: effect for effect in record.effects}
     rows = []
     for test in record.significance:
@@ -99,7 +88,7 @@ def _tests(record: CameraRecord, alpha: float, say: Catalogue) -> Table:
         )
     title = say("analysis.parameters_table", alpha=significant(alpha, 2, say.mark))
     note = say("analysis.parameters_note", factor=significant(record.variance_factor_of_tests, 4, say.mark))
-    return Table(title, columns, tuple(rows), note, dense=True)
+    return Table(title, columns(say, "analysis", *heads), tuple(rows), note, dense=True)
 
 
 def _correlations(record: CameraRecord, say: Catalogue) -> list[Table]:
@@ -113,22 +102,13 @@ def _correlations(record: CameraRecord, say: Catalogue) -> list[Table]:
         rows.append((pair, fixed(p.value, 2, say.mark), f"{where}: {say(f'cause.{p.cause}')}"))
     if not rows:
         return []
-    columns = (
-        Column(say("analysis.pair"), align="left"),
-        Column(say("analysis.value")),
-        Column(say("analysis.cause"), align="left"),
-    )
-    return [Table(say("analysis.causes"), columns, tuple(rows), widths=(0.12, 0.1, 0.78))]
+    heads = columns(say, "analysis", "pair<", "value", "cause<")
+    return [Table(say("analysis.causes"), heads, tuple(rows), widths=(0.12, 0.1, 0.78))]
 
 
 def _components(record: CameraRecord, say: Catalogue) -> list[Piece]:
     final = record.components.final
-    columns = (
-        Column(say("analysis.component"), align="left"),
-        Column(say("analysis.eigenvalue")),
-        Column(say("analysis.share"), "%"),
-        Column(say("analysis.cumulative"), "%"),
-    )
+    heads = columns(say, "analysis", "component<", "eigenvalue", "share [%]", "cumulative [%]")
     rows = tuple(
         (str(n), fixed(value, 4, say.mark), fixed(share, 2, say.mark), fixed(total, 2, say.mark))
         for n, (value, share, total) in enumerate(
@@ -136,16 +116,12 @@ def _components(record: CameraRecord, say: Catalogue) -> list[Piece]:
         )
     )
     said = " ".join(finding_text(remark, say) for remark in record.components.remarks)
-    return [Table(say("analysis.components"), columns, rows), Paragraph(said)]
+    return [Table(say("analysis.components"), heads, rows), Paragraph(said)]
 
 
 def _left_out(record: CameraRecord, camera: Camera, say: Catalogue) -> Table:
-    columns = (
-        Column(say("analysis.without"), align="left"),
-        Column("c", camera.unit),
-        Column(say("analysis.change_of_c"), camera.unit),
-        Column(say("analysis.variance_factor")),
-        Column(say("analysis.rmse"), "mm"),
+    first, *others = columns(
+        say, "analysis", "without<", f"change_of_c [{camera.unit}]", "variance_factor", "rmse [mm]"
     )
     none = say("word.none")
     rows = tuple(
@@ -160,18 +136,12 @@ def _left_out(record: CameraRecord, camera: Camera, say: Catalogue) -> Table:
         )
         for left in record.left_out
     )
-    return Table(say("analysis.left_out"), columns, rows)
+    return Table(say("analysis.left_out"), (first, Column("c", camera.unit), *others), rows)
 
 
 def _jackknife(record: JackknifeRecord, camera: Camera, say: Catalogue) -> Table:
-    columns = (
-        Column(say("analysis.parameter"), align="left"),
-        Column(say("analysis.formal")),
-        Column(say("analysis.error")),
-        Column(say("analysis.corrected")),
-        Column(say("analysis.sandwich")),
-        *([] if record.bootstrap is None else [Column(say("analysis.bootstrap"))]),
-    )
+    heads = ["parameter<", "formal", "error", "corrected", "sandwich"]
+    heads += [] if record.bootstrap is None else ["bootstrap"]
 
     def small(value: float | None) -> str:
         # Coefficients have any power of ten: three digits and the exponent, as Python writes them.
@@ -189,15 +159,12 @@ def _jackknife(record: JackknifeRecord, camera: Camera, say: Catalogue) -> Table
         for name, error in record.standard_error.items()
     )
     note = say("analysis.jackknife_note", count=len(record.left_out))
-    return Table(say("analysis.jackknife"), columns, rows, note)
+    return Table(say("analysis.jackknife"), columns(say, "analysis", *heads), rows, note)
 
 
 def method_check(analysis: StoredAnalysis, say: Catalogue) -> Section:
     """Say what each method of calibration asks for and what the network has."""
-    columns = tuple(
-        Column(say(f"analysis.{key}"), align="left")
-        for key in ("method_name", "requirement", "found", "needed", "met")
-    )
+    heads = columns(say, "analysis", "method_name<", "requirement<", "found<", "needed<", "met<")
     rows, advice = [], list[str]()
     for one in analysis.methods:
         for need in one.requirements:
@@ -208,7 +175,7 @@ def method_check(analysis: StoredAnalysis, say: Catalogue) -> Section:
             if need.severity != "passed" and words["advice"] not in advice:
                 advice.append(words["advice"])
     table = Table(
-        say("analysis.method_table"), columns, tuple(rows), widths=(0.17, 0.27, 0.22, 0.24, 0.1), dense=True
+        say("analysis.method_table"), heads, tuple(rows), widths=(0.17, 0.27, 0.22, 0.24, 0.1), dense=True
     )
     pieces: list[Piece] = [Paragraph(say("analysis.method_text")), table]
     if advice:
@@ -230,8 +197,8 @@ def warning_sections(findings: tuple[Finding, ...], say: Catalogue) -> list[Sect
     tables = []
     for kind in ("warning", "note"):
         texts = [finding_text(one, say) for one in findings if (one.severity == "note") == (kind == "note")]
-        columns = (Column("", align="right"), Column(say(f"warnings.{kind}"), align="left"))
+        heads = (Column(""), *columns(say, "warnings", f"{kind}<"))
         rows = tuple((str(n), text) for n, text in enumerate(texts, start=1))
         if rows:
-            tables.append(Table(say(f"warnings.table_{kind}"), columns, rows, widths=(0.06, 0.94)))
+            tables.append(Table(say(f"warnings.table_{kind}"), heads, rows, widths=(0.06, 0.94)))
     return [Section(say("warnings.section"), tuple(tables))] if tables else []

@@ -11,7 +11,7 @@ from drivers.arrays import Floats
 from photocal.block.model import InputFile
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import decimals_of, fixed, probability, significant, symbol
-from photocal.report.document import Column, Figure, KeyValues, Paragraph, Piece, Section, Table
+from photocal.report.document import Column, Figure, KeyValues, Paragraph, Piece, Section, Table, columns
 from photocal.report.figures import difference_histograms, difference_map
 from photocal.report.sensor import RADIAL
 from photocal.report.stored_analysis import Run
@@ -27,13 +27,7 @@ def method(title: str, run: Run, say: Catalogue) -> Section:
     models = sorted({camera.model for camera in result.cameras.values()})
     texts = [say("method.text"), *(say(f"method.model_{m.removeprefix('brown-')}") for m in models)]
     pieces: list[Piece] = [Paragraph(" ".join([*texts, _terms(run, say)])), _block_facts(run, say)]
-    columns = (
-        Column(say("method.group"), align="left"),
-        Column(say("method.group_n")),
-        Column(say("method.group_chi2")),
-        Column(say("method.group_redundancy")),
-        Column(say("method.group_factor")),
-    )
+    heads = columns(say, "method", "group<", "group_n", "group_chi2", "group_redundancy", "group_factor")
     rows = tuple(
         (
             say(f"group.{g.name}") if f"group.{g.name}" in say.messages else g.name,
@@ -45,7 +39,7 @@ def method(title: str, run: Run, say: Catalogue) -> Section:
         for g in result.groups
     )
     if rows:
-        pieces.append(Table(say("method.groups"), columns, rows))
+        pieces.append(Table(say("method.groups"), heads, rows))
     return Section(title, tuple(pieces))
 
 
@@ -108,18 +102,11 @@ def relative_orientations(title: str, run: Run, say: Catalogue) -> tuple[Section
     heads = run.result.heads
     if not heads:
         return ()
-    quantities = (
-        ("x", "mm"),
-        ("y", "mm"),
-        ("z", "mm"),
-        ("rx", "(°)"),
-        ("ry", "(°)"),
-        ("rz", "(°)"),
-        ("t", "ms"),
-    )
-    columns = [Column(say("heads.camera"), align="left"), Column(say("heads.exposures"))]
-    columns += [Column(name, unit) for name, unit in quantities]
-    columns += [Column(f"σ {name}", unit.replace("(°)", "(″)")) for name, unit in quantities]
+    quantities = [(name, "mm") for name in "xyz"] + [(name, "(°)") for name in ("rx", "ry", "rz")]
+    quantities.append(("t", "ms"))
+    heads_of = [*columns(say, "heads", "camera<", "exposures")]
+    heads_of += [Column(name, unit) for name, unit in quantities]
+    heads_of += [Column(f"σ {name}", unit.replace("(°)", "(″)")) for name, unit in quantities]
     rows, strong = [], []
     for one in heads:
         places = [one.values[name] for name in CENTRES]
@@ -145,7 +132,7 @@ def relative_orientations(title: str, run: Run, say: Catalogue) -> tuple[Section
             if abs(matrix[i, j]) > 0.9
         ]
     note = say("heads.note") + (" " + say("heads.strong", pairs="; ".join(strong)) if strong else "")
-    return (Section(title, (Table(say("heads.table"), tuple(columns), tuple(rows), note, dense=True),)),)
+    return (Section(title, (Table(say("heads.table"), tuple(heads_of), tuple(rows), note, dense=True),)),)
 
 
 def exterior_orientation(title: str, run: Run, say: Catalogue) -> Section:
@@ -157,13 +144,12 @@ def exterior_orientation(title: str, run: Run, say: Catalogue) -> Section:
         order = [int(i) for i in np.argsort(-size, kind="stable")[: ROWS // 3]]
         caption, remark = say("eop.table_worst", shown=len(order), n=n), say("eop.all")
     quantities = (("X", "m"), ("Y", "m"), ("Z", "m"), ("ω", "(°)"), ("φ", "(°)"), ("κ", "(°)"))
-    columns = [Column(say("eop.image"), align="left")]
-    columns += [Column(name, unit) for name, unit in quantities]
-    columns += [Column(f"σ {name}", "mm" if unit == "m" else "(″)") for name, unit in quantities]
+    heads = [*columns(say, "eop", "image<"), *(Column(name, unit) for name, unit in quantities)]
+    heads += [Column(f"σ {name}", "mm" if unit == "m" else "(″)") for name, unit in quantities]
     rows = _eop_rows(run, order, say)
     if run.result.scale:
         remark += say("eop.scaled", factor=fixed(run.result.scale, 3, say.mark))
-    table = Table(caption, tuple(columns), rows, say("eop.note", all=remark).strip(), dense=True)
+    table = Table(caption, tuple(heads), rows, say("eop.note", all=remark).strip(), dense=True)
     return Section(title, (_eop_quality(run, say), table) if n else (table,))
 
 
@@ -197,17 +183,15 @@ def _sigma(sigma: float, say: Catalogue) -> str:
 def _eop_quality(run: Run, say: Catalogue) -> Table:
     images = run.result.images
     sigma = np.hstack([1e3 * images.sigma[:, 3:], ARCSECONDS * np.degrees(images.sigma[:, :3])])
-    columns = (
-        Column(say("eop.quantity"), align="left"),
-        *(Column(f"σ {name}", unit) for name, unit in zip("XYZωφκ", ["mm"] * 3 + ["(″)"] * 3, strict=True)),
-    )
+    spreads = (Column(f"σ {name}", "mm" if name in "XYZ" else "(″)") for name in "XYZωφκ")
     factor = run.result.scale
     rows = tuple(
         (say(f"eop.{key}"), *(_both(float(v), factor, say) for v in function(sigma, axis=0)))
         for key, function in (("least", np.min), ("median", np.median), ("most", np.max))
     )
     note = say("checks.scaled").strip() if factor else ""
-    return Table(say("eop.quality", n=len(images)), columns, rows, note)
+    heads = (*columns(say, "eop", "quantity<"), *spreads)
+    return Table(say("eop.quality", n=len(images)), heads, rows, note)
 
 
 def check_points(title: str, run: Run, say: Catalogue) -> Section:
@@ -218,7 +202,7 @@ def check_points(title: str, run: Run, say: Catalogue) -> Section:
         return Section(title, (Paragraph(say("checks.none")), *lengths))
     heads = [(f"Δ{axis}", "mm") for axis in "XYZ"]
     heads += [(say(f"checks.{key}", axis=axis), "mm") for key in ("adjusted", "surveyed") for axis in "XYZ"]
-    columns = (Column(say("checks.point"), align="left"), *(Column(*head) for head in heads))
+    shown = (*columns(say, "checks", "point<"), *(Column(*head) for head in heads))
     decimals = _check_decimals(checks.points)
     rows = [
         (
@@ -235,7 +219,7 @@ def check_points(title: str, run: Run, say: Catalogue) -> Section:
     return Section(
         title,
         (
-            Table(say("checks.table"), columns, tuple(rows), note, dense=True),
+            Table(say("checks.table"), shown, tuple(rows), note, dense=True),
             *lengths,
             *_check_figures(run, say),
         ),
@@ -245,10 +229,7 @@ def check_points(title: str, run: Run, say: Catalogue) -> Section:
 def _check_lengths(run: Run, say: Catalogue) -> Table:
     """Known distances that took no part, after VDI/VDE 2634 part 1: the largest error is the figure."""
     lengths, factor = run.result.checks.lengths, run.result.scale
-    columns = (
-        Column(say("checks.line"), align="left"),
-        *(Column(say(f"checks.{key}"), "mm") for key in ("known", "error", "adjusted_length", "known_sigma")),
-    )
+    lengths_of = ("known [mm]", "error [mm]", "adjusted_length [mm]", "known_sigma [mm]")
     rows = [
         (
             f"{one.first}–{one.second}",
@@ -262,7 +243,7 @@ def _check_lengths(run: Run, say: Catalogue) -> Table:
     worst = max(lengths, key=lambda one: abs(one.error))
     largest = significant(1e3 * abs(worst.error), 3, say.mark)
     note = say("checks.lengths_note", n=len(lengths), largest=largest, line=f"{worst.first}–{worst.second}")
-    return Table(say("checks.lengths"), columns, tuple(rows), note)
+    return Table(say("checks.lengths"), columns(say, "checks", "line<", *lengths_of), tuple(rows), note)
 
 
 def _both(sigma: float, factor: float | None, say: Catalogue) -> str:
@@ -333,9 +314,5 @@ def inputs(title: str, run: Run, say: Catalogue) -> Section:
 
 
 def _files(caption: str, files: tuple[InputFile, ...], say: Catalogue) -> Table:
-    columns = (
-        Column(say("inputs.file"), align="left"),
-        Column(say("inputs.bytes")),
-        Column(say("inputs.sha256"), align="left", code=True),
-    )
-    return Table(caption, columns, tuple((f.path, str(f.bytes), f.sha256) for f in files), dense=True)
+    heads = (*columns(say, "inputs", "file<", "bytes"), Column(say("inputs.sha256"), "", "left", code=True))
+    return Table(caption, heads, tuple((f.path, str(f.bytes), f.sha256) for f in files), dense=True)

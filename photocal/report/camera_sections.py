@@ -15,6 +15,7 @@ from photocal.report.document import (
     Section,
     Statement,
     Table,
+    columns,
 )
 from photocal.report.figures import correlation_picture, natural_width
 from photocal.report.stored_analysis import Run
@@ -93,16 +94,7 @@ def interior_orientation(title: str, camera_id: str, run: Run, say: Catalogue) -
     opinions = _opinions(camera_id, run)
     further = [] if factor is None else ["scaled"]
     further += [key for k, key in enumerate(OPINIONS) if any(pair[k] for pair in opinions.values())]
-    columns = (
-        Column(say("iop.name"), align="left"),
-        Column(say("iop.meaning"), align="left"),
-        Column(say("iop.value")),
-        Column(say("iop.sigma")),
-        *(Column(say(f"iop.{key}")) for key in further),
-        Column(say("iop.unit"), align="left"),
-        Column(say("iop.t")),
-        Column(say("iop.significant"), align="center"),
-    )
+    heads = ("name<", "meaning<", "value", "sigma", *further, "unit<", "t", "significant=")
     rows = []
     for name in camera.used:
         sigma = camera.sigma_of(name)
@@ -112,7 +104,7 @@ def interior_orientation(title: str, camera_id: str, run: Run, say: Catalogue) -
     note = say("iop.note", critical=fixed(critical, 2, say.mark))
     if len(further) > (factor is not None):
         note += say("iop.robust_note")
-    pieces: list[Piece] = [Table(say("iop.table"), columns, tuple(rows), note)]
+    pieces: list[Piece] = [Table(say("iop.table"), columns(say, "iop", *heads), tuple(rows), note)]
     weak = [symbol(name) for name in insignificant(camera, run.result.degrees_of_freedom)]
     if weak:
         text = say("iop.insignificant", names=", ".join(weak))
@@ -169,7 +161,7 @@ def correlations(title: str, name: str, camera: Camera, say: Catalogue) -> Secti
     """Make the correlation matrix as a table, a picture and a sentence."""
     heads = [symbol(n) for n in camera.free]
     correlation = camera.correlation_of(camera.free)
-    columns = (Column("", align="left"), *(Column(head) for head in heads))
+    shown = (Column("", align="left"), *(Column(head) for head in heads))
     rows = tuple(
         (heads[i], *(fixed(row[j], 2, say.mark) if j <= i else "" for j in range(len(heads))))
         for i, row in enumerate(correlation.tolist())
@@ -185,7 +177,7 @@ def correlations(title: str, name: str, camera: Camera, say: Catalogue) -> Secti
     return Section(
         title,
         (
-            Table(say("correlation.table"), columns, rows, dense=len(heads) > 9),
+            Table(say("correlation.table"), shown, rows, dense=len(heads) > 9),
             Paragraph(_strong(camera, say)),
             picture,
         ),

@@ -11,6 +11,7 @@ from importlib import resources
 from typing import TYPE_CHECKING, Any, Literal
 
 from drivers.errors import OutputError
+from photocal.findings.catalogue import Catalogue
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -51,6 +52,20 @@ class Column:
     unit: str = ""
     align: Align = "right"
     code: bool = False
+
+
+def columns(say: Catalogue, section: str, *heads: str) -> tuple[Column, ...]:
+    """Make columns whose heads stand in a section of the catalogue.
+
+    heads: keys, "key<" for a column set left and "key=" for a centred one, "key [unit]".
+    """
+    aligned: dict[str, Align] = {"<": "left", "=": "center"}
+    made = []
+    for head in heads:
+        key, _, unit = head.removesuffix("]").partition(" [")
+        name = key.rstrip("<=")
+        made.append(Column(say(f"{section}.{name}"), unit, aligned.get(key[len(name) :], "right")))
+    return tuple(made)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import fixed
 from photocal.geometry.camera import Camera
-from photocal.report.document import Column, Figure, Paragraph, Piece, Section, Table
+from photocal.report.document import Figure, Paragraph, Piece, Section, Table, columns
 from photocal.report.figures import radial_curve, residual_map
 from photocal.report.sensor import (
     RADIAL,
@@ -53,11 +53,10 @@ def _distortion_table(camera: Camera, corner: float, note: str, say: Catalogue) 
     profile = radial_profile(camera, np.append(np.arange(0.0, corner, step), corner))
     millimetres = camera.unit == "mm"
     pitch = float(np.mean(camera.pitch))
-    columns = [Column(say("distortion.radius"), camera.unit)]
-    if millimetres:
-        columns += [Column(say("distortion.displacement"), "µm"), Column(say("distortion.sigma"), "µm")]
-    columns += [Column(say("distortion.displacement"), "px"), Column(say("distortion.sigma"), "px")]
-    columns.append(Column(say("distortion.decentring"), "µm" if millimetres else "px"))
+    units = ("µm", "px") if millimetres else ("px",)
+    heads = [f"radius [{camera.unit}]"]
+    heads += [f"{key} [{unit}]" for unit in units for key in ("displacement", "sigma")]
+    heads.append(f"decentring [{units[0]}]")
     rows = []
     for r, d, s, t in zip(
         profile.radius, profile.displacement, profile.sigma, profile.decentering, strict=True
@@ -68,7 +67,7 @@ def _distortion_table(camera: Camera, corner: float, note: str, say: Catalogue) 
         row += [fixed(float(d) / pitch, 2, say.mark), fixed(float(s) / pitch, 2, say.mark)]
         row.append(fixed(1e3 * float(t), 1, say.mark) if millimetres else fixed(float(t), 2, say.mark))
         rows.append(tuple(row))
-    return Table(say("distortion.table"), tuple(columns), tuple(rows), note)
+    return Table(say("distortion.table"), columns(say, "distortion", *heads), tuple(rows), note)
 
 
 def _round_step(step: float) -> float:
@@ -133,13 +132,12 @@ def _rms_table(run: Run, camera_id: str, residuals: SensorResiduals, say: Catalo
         shown = sorted(own, key=lambda i: -rms[i].max())[: ROWS // 3]
         caption = say("residuals.table_worst", shown=len(shown), n=len(own))
     micrometres = camera.unit == "mm"
-    columns = [Column(say("residuals.image"), align="left"), Column(say("residuals.rays"))]
-    for unit in ("px", "µm") if micrometres else ("px",):
-        columns += [Column(say("residuals.rms_x"), unit), Column(say("residuals.rms_y"), unit)]
+    units = ("px", "µm") if micrometres else ("px",)
+    heads = ["image<", "rays", *(f"{key} [{unit}]" for unit in units for key in ("rms_x", "rms_y"))]
     names = run.result.images.names
     rows = [_rms_row(names[i], int(count[i]), tuple(rms[i].tolist()), camera, say) for i in shown]
     rows.append(_rms_row(say("residuals.all"), len(residuals.place), rms_px(residuals), camera, say))
-    return Table(caption, tuple(columns), tuple(rows))
+    return Table(caption, columns(say, "residuals", *heads), tuple(rows))
 
 
 def _rms_row(

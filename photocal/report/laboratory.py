@@ -8,7 +8,7 @@ from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import decimals_of, fixed, measured, significant
 from photocal.report.camera_sections import critical_t
 from photocal.report.certificate_metadata import Metadata, Source
-from photocal.report.document import Column, KeyValues, Paragraph, Section, Table
+from photocal.report.document import Column, KeyValues, Paragraph, Section, Table, columns
 from photocal.report.stored_analysis import Run
 
 # Contributions that a person may enter, in the order of the budget; type B.
@@ -91,12 +91,7 @@ def _budget(camera_id: str, run: Run, particulars: Metadata, say: Catalogue) -> 
     parts = [(own, float(result.degrees_of_freedom if whose == "formal" else images))]
     parts += [(entered[key], math.inf) for key in ENTERED if key in entered]
     total, freedom, k = combined(parts)
-    columns = (
-        Column(say("uncertainty.source"), align="left"),
-        Column(say("uncertainty.type"), align="center"),
-        Column("u", camera.unit),
-        Column(say("uncertainty.share"), "%"),
-    )
+    source, kind_of, share_of = columns(say, "uncertainty", "source<", "type=", "share [%]")
 
     def row(key: str, kind: str, u: float | None) -> tuple[str, ...]:
         if u is None:
@@ -116,4 +111,5 @@ def _budget(camera_id: str, run: Run, particulars: Metadata, say: Catalogue) -> 
         nu=f"{math.floor(freedom)}" if math.isfinite(freedom) else "∞",
         factor=fixed(factor, max(decimals_of(factor), 2), say.mark),
     )
-    return Table(say("uncertainty.table", camera=camera_id), columns, tuple(rows), note)
+    heads = (source, kind_of, Column("u", camera.unit), share_of)
+    return Table(say("uncertainty.table", camera=camera_id), heads, tuple(rows), note)

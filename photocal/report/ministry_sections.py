@@ -19,6 +19,7 @@ from photocal.report.document import (
     Statement,
     Table,
     Tone,
+    columns,
 )
 from photocal.report.ministry_rows import Context, corners, entries, read_layout
 
@@ -27,17 +28,11 @@ TONES: dict[str, Tone] = {"acceptable": "good", "new_calibration": "bad", "not_d
 
 def acceptance(title: str, facts: DerivedFigures, final: Finding, say: Catalogue) -> Section:
     """Set the figures against the ministry's limits."""
-    columns = (
-        Column(say("acceptance.quantity"), align="left"),
-        Column(say("acceptance.value")),
-        Column(say("acceptance.limit")),
-        Column(say("acceptance.unit"), align="left"),
-        Column(say("acceptance.met"), align="center"),
-    )
+    heads = columns(say, "acceptance", "quantity<", "value", "limit", "unit<", "met=")
     rows = tuple(_limit_row(limit, say) for limit in facts.limits)
     note = say("acceptance.note", dz=_centimetres(facts.dz_cm, say), gsd=_centimetres(facts.gsd_cm, say))
     return Section(
-        title, (acceptance_statement(facts, final, say), Table(say("acceptance.table"), columns, rows, note))
+        title, (acceptance_statement(facts, final, say), Table(say("acceptance.table"), heads, rows, note))
     )
 
 
@@ -76,12 +71,9 @@ def findings(title: str, found: tuple[Finding, ...], say: Catalogue) -> Section:
     text = Paragraph(say("plausibility.text"))
     if not found:
         return Section(title, (text, Paragraph(say("plausibility.none"))))
-    columns = (
-        Column(say("plausibility.severity"), align="left"),
-        Column(say("plausibility.finding"), align="left"),
-    )
+    heads = columns(say, "plausibility", "severity<", "finding<")
     rows = tuple((say(f"plausibility.{f.severity}"), finding_text(f, say)) for f in found)
-    return Section(title, (text, Table(say("plausibility.table"), columns, rows, widths=(0.16, 0.84))))
+    return Section(title, (text, Table(say("plausibility.table"), heads, rows, widths=(0.16, 0.84))))
 
 
 def equipment(title: str, particulars: Metadata, say: Catalogue) -> Section:
@@ -97,9 +89,9 @@ def equipment(title: str, particulars: Metadata, say: Catalogue) -> Section:
     pieces: list[Piece] = [KeyValues(rows), _offsets(particulars, say)]
     if particulars.equipment:
         keys = ("name", "manufacturer", "serial", "use", "calibration")
-        columns = tuple(Column(say(f"equipment.{key}"), align="left") for key in keys)
+        heads = columns(say, "equipment", *(f"{key}<" for key in keys))
         listed = tuple(tuple(getattr(item, key) or missing for key in keys) for item in particulars.equipment)
-        pieces.append(Table(say("equipment.table"), columns, listed, widths=(0.2, 0.18, 0.14, 0.22, 0.26)))
+        pieces.append(Table(say("equipment.table"), heads, listed, widths=(0.2, 0.18, 0.14, 0.22, 0.26)))
     return Section(title, tuple(pieces))
 
 
@@ -107,11 +99,8 @@ def _offsets(particulars: Metadata, say: Catalogue) -> Piece:
     system, missing = particulars.gnss_ins, say("ministry.not_determined")
     if system.lever_arm_cm is None and system.boresight_deg is None:
         return KeyValues(((say("equipment.offsets"), missing),))
-    columns = (
-        Column(say("equipment.offset"), align="left"),
-        *(Column(axis) for axis in ("X / ω", "Y / φ", "Z / κ")),
-        *(Column(f"σ {axis}") for axis in ("X / ω", "Y / φ", "Z / κ")),
-    )
+    axes = ("X / ω", "Y / φ", "Z / κ")
+    heads = [*columns(say, "equipment", "offset<"), *map(Column, axes), *(Column(f"σ {a}") for a in axes)]
     table = (
         (say("equipment.lever_arm"), system.lever_arm_cm, system.lever_arm_sigma_cm),
         (say("equipment.boresight"), system.boresight_deg, system.boresight_sigma_deg),
@@ -120,7 +109,7 @@ def _offsets(particulars: Metadata, say: Catalogue) -> Piece:
         (label, *(as_given(v, say.mark) if v is not None else say("word.none") for v in _six(values, sigmas)))
         for label, values, sigmas in table
     )
-    return Table(say("equipment.offsets"), columns, rows)
+    return Table(say("equipment.offsets"), tuple(heads), rows)
 
 
 def _six(
@@ -132,9 +121,7 @@ def _six(
 def technical_report(title: str, context: Context) -> Section:
     """Fill the ministry's form."""
     say = context.say
-    columns = tuple(
-        Column(say(f"ministry.{key}"), align="left") for key in ("item", "field", "value", "origin")
-    )
+    heads = columns(say, "ministry", "item<", "field<", "value<", "origin<")
     rows = []
     for entry in entries(read_layout(), context):
         row = entry.row
@@ -143,18 +130,13 @@ def technical_report(title: str, context: Context) -> Section:
         item = f"{row.section} {letter}" if len(letter) == 1 and letter.isalpha() else row.section
         label = row.labels[say.language] + (f" [{row.unit}]" if row.unit else "")
         rows.append((item, label, entry.value, say(f"ministry.origin_{entry.origin}")))
-    corner_columns = tuple(
-        Column(say(f"ministry.{key}"), unit, "left" if key == "corner" else "right")
-        for key, unit in (("corner", ""), ("column", "px"), ("line", "px"), ("x", "mm"), ("y", "mm"))
-    )
+    corner_heads = columns(say, "ministry", "corner<", "column [px]", "line [px]", "x [mm]", "y [mm]")
     return Section(
         title,
         (
             Paragraph(say("ministry.text")),
-            Table(say("ministry.table"), columns, tuple(rows), widths=(0.11, 0.31, 0.44, 0.14)),
-            Table(
-                say("ministry.corner_table"), corner_columns, corners(context), say("ministry.corner_note")
-            ),
+            Table(say("ministry.table"), heads, tuple(rows), widths=(0.11, 0.31, 0.44, 0.14)),
+            Table(say("ministry.corner_table"), corner_heads, corners(context), say("ministry.corner_note")),
         ),
     )
 
