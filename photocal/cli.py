@@ -5,9 +5,7 @@ from __future__ import annotations
 from acquire.console import application
 from acquire.console import run as run_application
 from photocal.commands import (
-    adjust,
-    analyse,
-    certificate,
+    calibration,
     check,
     compare,
     doctor,
@@ -15,11 +13,10 @@ from photocal.commands import (
     mark,
     measure,
     navigation,
-    ortho,
     plan,
+    products,
     project,
     verify,
-    volume,
 )
 
 app = application("From flight log, images and control points to a calibrated camera and its certificate.")
@@ -29,14 +26,14 @@ app.command()(project.debrief)
 app.command()(mark.mark)
 app.command()(measure.measure)
 app.command()(mark.targets)
-app.command()(adjust.adjust)
-app.command()(certificate.certificate)
+app.command()(calibration.adjust)
+app.command()(calibration.certificate)
 app.command()(verify.verify)
 app.command()(verify.keys)
 app.command()(verify.sign)
 app.command()(doctor.doctor)
 app.command("fetch-grids")(doctor.fetch_grids)
-app.command()(analyse.analyse)
+app.command()(calibration.analyse)
 app.command()(compare.compare)
 app.command()(check.check)
 app.command()(plan.plan)
@@ -46,8 +43,8 @@ app.command()(navigation.exposures)
 app.command()(navigation.survey)
 app.command()(project.adopt)
 app.command()(export.export)
-app.command()(volume.volume)
-app.command()(ortho.ortho)
+app.command()(products.volume)
+app.command()(products.ortho)
 
 
 def main() -> None:

@@ -1,16 +1,301 @@
-"""`PROJECT.toml`: everything that a flight is processed from, named in one file."""
+"""Project files, and their tables checked key by key."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
-from acquire.checked_toml import read_toml
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    FiniteFloat,
+    PositiveFloat,
+    Tag,
+    ValidationInfo,
+    model_validator,
+)
+
+from acquire.checked_toml import Table, read_toml
 from drivers.errors import ConfigurationError
-from photocal.block.camera_setup import make_camera
+from photocal.block.camera_setup import CameraKeys, NonNegative, Sigma, make_camera
+from photocal.block.rig import HeadKeys
+from photocal.block.setup import BodyAxis, MountingKeys
 from photocal.geometry.camera import Camera
-from photocal.project_tables import Contents, Control, Flight, Images, Rig
+
+Degrees = Annotated[FiniteFloat, Field(ge=-360, le=360)]
+Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Sigmas = tuple[PositiveFloat, PositiveFloat, PositiveFloat]
+
+
+def _beside(path: Path, info: ValidationInfo) -> Path:
+    """Take a path from the folder of the project file."""
+    return path if info.context is None else Path(info.context["folder"]) / path
+
+
+Beside = Annotated[Path, AfterValidator(_beside)]
+
+
+# What `photocal new` writes where it does not know.
+ASKED = "?"
+
+
+class ProjectKeys(Table):
+    """`[project]`: name, the coordinates of results and of the control table, the work folder."""
+
+    name: Annotated[str, Field(min_length=1)]
+    crs: str
+    height: Literal["ellipsoidal", "orthometric", "local"]
+    output: Beside
+
+    @model_validator(mode="before")
+    @classmethod
+    def _said(cls, given: Any) -> Any:
+        open_keys = [key for key, value in given.items() if value == ASKED] if isinstance(given, dict) else []
+        if open_keys:
+            raise ValueError(f"{open_keys[0]} = {ASKED!r} is still to be filled in")
+        return given
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if (self.crs == "local") != (self.height == "local"):
+            raise ValueError('crs = "local" and height = "local" go together')
+        return self
+
+
+class AirAtBase(Table):
+    """`[flight] weather`: temperature in the shade, humidity, pressure at the place (not of sea level)."""
+
+    temperature_c: Annotated[float, Field(ge=-60, le=60)]
+    relative_humidity_percent: Annotated[float, Field(ge=0, le=100)]
+    pressure_hpa: Annotated[float, Field(ge=400, le=1100)] | None = None
+
+
+class Flight(Table):
+    """`[flight]`: recordings and what is known of the receivers and the camera's events.
+
+    logs: flight logs in the order of time.
+    vehicle, rover, base: names of links in the logs.
+    rover_rinex, base_rinex: RINEX observations, which go before the links.
+    navigation: RINEX navigation files.
+    base_position: latitude, longitude in degrees, ellipsoidal height in m; goes before what the log says.
+    base_antenna_height_m, rover_antenna_height_m: antenna reference point above the mark; None: as the RINEX
+        headers have it.
+    base_sigma_m: standard deviations of the base's position, east, north, up.
+    weather: measured at the base during the flight.
+    edge: of the time marks.
+    delay_s: from the event to the exposure.
+    clock_offset_s: largest difference between the clocks of camera and log.
+    """
+
+    logs: tuple[Beside, ...] = Field(min_length=1)
+    vehicle: str = "vehicle"
+    rover: str = "rover"
+    base: str = "base"
+    rover_rinex: Beside | None = None
+    base_rinex: Beside | None = None
+    navigation: tuple[Beside, ...] = ()
+    base_position: tuple[Annotated[float, Field(ge=-90, le=90)], Degrees, FiniteFloat] | None = None
+    base_antenna_height_m: FiniteFloat | None = None
+    rover_antenna_height_m: FiniteFloat | None = None
+    base_sigma_m: Sigmas | None = None
+    weather: AirAtBase | None = None
+    edge: Literal["rising", "falling"] = "rising"
+    delay_s: FiniteFloat = 0.0
+    clock_offset_s: PositiveFloat = 60.0
+
+
+class Images(Table):
+    """`[images]`: a folder of pictures, or without pictures a table of their names and times.
+
+    Parameters
+    ----------
+    position_sigma_m : (float, float, float), "free" or None
+        Without a flight: east, north, up, of positions whose pictures do not state it; "free" takes them as
+        start values only, None assumes what a receiver without corrections reaches.
+    positions : Path or None
+        Without a flight: a `Timestamp.MRK`, geo.txt or reference table whose positions go before those of the
+        pictures.
+    pictures : Path or None
+        Table of pictures with the camera that took each and, of cameras on one frame, the exposure.
+    """
+
+    folder: Beside | None = None
+    pictures: Beside | None = None
+    times: Beside | None = None
+    positions: Beside | None = None
+    position_sigma_m: Sigmas | Literal["free"] | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if (self.folder is None) == (self.times is None):
+            raise ValueError("give either folder (pictures) or times (a table of names and times)")
+        return self
+
+
+class Rig(Table):
+    """`[rig]`: camera, antenna and inertial unit beside each other, in body axes forward, right, down.
+
+    camera_to_antenna_m: vector from the projection centre to the antenna.
+    camera_to_antenna_sigma_m: float, 3 of them, or "free". One rule holds for all of these: 0 holds the
+        value, a number makes it an observation.
+    boresight_deg, boresight_sigma_deg: small turns about the body axes between body and camera.
+    attitude_sigma_deg: of roll, pitch, yaw.
+    time_offset_s, time_offset_sigma_s: of the exposure against its event, beyond `delay_s`.
+    camera_axes: body directions of the camera's x (right), y (up in the image), z (backwards).
+    """
+
+    camera_to_antenna_m: Triple
+    camera_to_antenna_sigma_m: Sigma
+    boresight_deg: Triple = (0.0, 0.0, 0.0)
+    boresight_sigma_deg: Sigma
+    attitude_sigma_deg: Sigmas
+    time_offset_s: FiniteFloat = 0.0
+    time_offset_sigma_s: NonNegative | Literal["free"]
+    camera_axes: tuple[BodyAxis, BodyAxis, BodyAxis] = ("right", "forward", "up")
+
+    def mounting(self) -> MountingKeys:
+        """Give the section `[mounting]` of a block."""
+        return MountingKeys(
+            lever_arm_m=self.camera_to_antenna_m,
+            lever_arm_sigma_m=self.camera_to_antenna_sigma_m,
+            boresight_deg=self.boresight_deg,
+            boresight_sigma_deg=self.boresight_sigma_deg,
+            time_offset_s=self.time_offset_s,
+            time_offset_sigma_s=self.time_offset_sigma_s,
+            camera_axes=self.camera_axes,
+        )
+
+
+class CodedTargets(Table):
+    """`targets` of `[control]` with a code: found in whole images, named by it."""
+
+    dictionary: str
+    side_m: PositiveFloat
+    names: dict[str, str]
+
+
+class PlainTargets(Table):
+    """`targets` of `[control]` without a code: found and named where the exposures predict them.
+
+    kind: as `photocal targets` prints them.
+    side_m: diameter, or side of the square around the target.
+    part: width of a cross's bars, or diameter of a ring's hole, as a part of `side_m`; None: as printed.
+    points: control and check points that have such a target; empty for all.
+    """
+
+    kind: Literal["disc", "ring", "cross", "hourglass"]
+    side_m: PositiveFloat
+    part: Annotated[float, Field(ge=0.05, le=0.9)] | None = None
+    points: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.part is not None and self.kind not in ("ring", "cross"):
+            raise ValueError(f"a {self.kind} has no part: remove it")
+        return self
+
+
+def _variant(given: Any) -> str:
+    plain = isinstance(given, PlainTargets) or (isinstance(given, dict) and "kind" in given)
+    return "<plain>" if plain else "<coded>"
+
+
+def _several(given: Any) -> Any:
+    """Take one table as a list of one."""
+    return (given,) if isinstance(given, dict) else given
+
+
+Targets = Annotated[
+    Annotated[CodedTargets, Tag("<coded>")] | Annotated[PlainTargets, Tag("<plain>")], Discriminator(_variant)
+]
+
+
+class Control(Table):
+    """`[control]`: surveyed points, marks made by hand, distances, targets that are found by themselves."""
+
+    points: Beside | None = None
+    marks: Beside | None = None
+    distances: Beside | None = None
+    targets: Annotated[tuple[Targets, ...], BeforeValidator(_several)] = ()
+
+    @property
+    def coded_targets(self) -> tuple[CodedTargets, ...]:
+        """Targets with a code."""
+        return tuple(own for own in self.targets if isinstance(own, CodedTargets))
+
+    @property
+    def plain_targets(self) -> tuple[PlainTargets, ...]:
+        """Targets without a code."""
+        return tuple(own for own in self.targets if isinstance(own, PlainTargets))
+
+
+class Measurements(Table):
+    """`[measurements]`: what was measured elsewhere.
+
+    observations: instead of measuring in pictures: `observations.csv` as in a block folder, in pixels.
+    sigma_px: of observations without sigmas of their own.
+    block: instead of flight, images, rig, cameras and control: a block folder that has all of them.
+    """
+
+    observations: Beside | None = None
+    sigma_px: PositiveFloat | None = None
+    block: Beside | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if (self.observations is None) == (self.block is None):
+            raise ValueError("give either observations (a table) or block (a folder)")
+        return self
+
+
+class Judgement(Table):
+    """`[judgement]`: what the check points are judged against."""
+
+    scale: str | None = None
+    contour_interval_m: PositiveFloat | None = None
+    standards: tuple[str, ...] = ()
+    survey_horizontal_m: PositiveFloat | None = None
+    survey_vertical_m: PositiveFloat | None = None
+    target_horizontal_m: PositiveFloat | None = None
+    target_vertical_m: PositiveFloat | None = None
+
+
+class CertificateKeys(Table):
+    """`[certificate]`: what only people know, and the language."""
+
+    particulars: Beside | None = None
+    client: str = ""
+    operator: str = ""
+    language: Literal["en", "pt-BR"] = "en"
+
+
+class Contents(Table):
+    """The whole file."""
+
+    project: ProjectKeys
+    flight: Flight | None = None
+    images: Images | None = None
+    rig: Rig | None = None
+    camera: tuple[CameraKeys, ...] = ()
+    head: tuple[HeadKeys, ...] = ()
+    control: Control | None = None
+    measurements: Measurements | None = None
+    judgement: Judgement = Judgement()
+    certificate: CertificateKeys = CertificateKeys()
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        sections = ("flight", "images", "rig", "camera", "control")
+        given = [name for name in sections if getattr(self, name)]
+        if self.measurements is not None and self.measurements.block is not None and given:
+            raise ValueError(f"[{given[0]}] stands beside a ready block, which has all of this: remove one")
+        if len({one.id for one in self.camera}) < len(self.camera):
+            raise ValueError("two cameras have the same id: rename one")
+        return self
+
 
 Part = TypeVar("Part")
 

@@ -23,7 +23,7 @@ from photocal.analysis.lens_models import LensFit, lens_fits, of_lenses
 from photocal.analysis.method import METHODS, MethodCheck, Shape, check_method, shape
 from photocal.analysis.robust import GROUPS, MOST_REMOVALS, Robust, bootstrap, sandwich
 from photocal.analysis.systematic_errors.camera_findings import of_datum
-from photocal.analysis.systematic_errors.drift import Within, within_flight
+from photocal.analysis.systematic_errors.candidates import Within, within_flight
 from photocal.analysis.systematic_errors.findings import findings
 from photocal.analysis.systematic_errors.refit import Checks, Fit, LeftOut, fit, left_out
 from photocal.analysis.systematic_errors.search import Search, camera_estimates, search

@@ -51,11 +51,11 @@ def _files(
 ) -> None:
     """Residual map, histograms and GeoPackage of a product, where they are asked for."""
     if figures is not None:
-        from photocal.accuracy.figures import write_figures
+        from photocal.accuracy.maps import write_figures
 
         write_figures(found, figures)
     if geopackage is not None:
-        from photocal.accuracy.geopackage import reference_system, write_geopackage
+        from photocal.accuracy.maps import reference_system, write_geopackage
 
         write_geopackage(geopackage, (("check", found),), reference_system(crs), changed_utc(path))
 
@@ -81,16 +81,17 @@ def judge_block(
     as_json: bool,
 ) -> None:
     """Georeference a block three ways, judge it and answer."""
-    from photocal.accuracy.geopackage import reference_system
+    from photocal.accuracy.maps import reference_system
     from photocal.exchange.formats import read_any_block
     from photocal.findings.catalogue import catalogue
-    from photocal.findings.texts import finding_json
+    from photocal.findings.finding import Finding
+    from photocal.findings.texts import finding_json, finding_text, plain
     from photocal.georeferencing.comparison import check_block
     from photocal.georeferencing.methods import METHODS, with_shutters
     from photocal.georeferencing.output import to_json, to_text
     from photocal.run.georeferencing import own_calibration
     from photocal.run.stage import is_stage
-    from photocal.run.summary import project_verdict
+    from photocal.run.summary import outdated, project_verdict
 
     read = read_any_block(source)
     # Known beforehand only where it is needed: a wrong frame is better explained by the check itself.
@@ -102,10 +103,15 @@ def judge_block(
         result = check_block(read, standards, question, noise, lambda _: advance(1), calibration)
     content, text = to_json(result), to_text(result)
     # A project has one verdict, however its block is named: that over all its stages.
-    final = project_verdict(source.parent) if on_the_job or is_stage(source) else None
+    say, of_project = catalogue("en"), on_the_job or is_stage(source)
+    final = project_verdict(source.parent) if of_project else None
     if final is not None:
-        own, content["verdict"] = content["verdict"]["text"], finding_json(final, catalogue("en"))
+        own, content["verdict"] = content["verdict"]["text"], finding_json(final, say)
         text = text.replace(own, content["verdict"]["text"])
+    elif of_project and outdated(source.parent):
+        note = Finding("certificate-outdated", "note")
+        content["findings"].append(finding_json(note, say))
+        text += f"\n{finding_text(note, say, plain)}"
     if output is not None:
         from photocal.georeferencing.output import write_check
 

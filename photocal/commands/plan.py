@@ -192,7 +192,7 @@ def flown(
 
     from acquire.console import answer
     from drivers.errors import InputMalformedError
-    from photocal.accuracy.geopackage import reference_system
+    from photocal.accuracy.maps import reference_system
     from photocal.block.motion import strips, velocity_of_neighbours
     from photocal.commands.check import changed_utc
     from photocal.measurement.image_facts import read_facts

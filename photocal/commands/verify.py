@@ -204,8 +204,7 @@ def _repeat(
 def _printed(path: Path, as_json: bool) -> None:
     from photocal.findings.catalogue import catalogue
     from photocal.findings.texts import finding_text
-    from photocal.report.acceptance import verdict
-    from photocal.report.printed import check_printed
+    from photocal.report.derived_figures import check_printed, verdict
 
     checked = check_printed(path)
     say = catalogue("en")

@@ -25,7 +25,7 @@ def published(output: Path) -> None:
 
 def calibrate(block: Path, output: Path) -> None:
     """Adjust a block into `run` and write its `certificate`, which prints what it says."""
-    from photocal.commands.certificate import certificate
+    from photocal.commands.calibration import certificate
     from photocal.results.adjusted import adjust_block
 
     adjust_block(block, output / "run")

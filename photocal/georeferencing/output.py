@@ -15,8 +15,7 @@ from acquire.outputs import output_folder
 from drivers.arrays import Floats
 from photocal.accuracy.classes import class_cm
 from photocal.accuracy.discrepancies import SIGN
-from photocal.accuracy.figures import histograms, residual_map
-from photocal.accuracy.geopackage import write_geopackage
+from photocal.accuracy.maps import histograms, residual_map, write_geopackage
 from photocal.accuracy.output import findings_text, finite
 from photocal.accuracy.output import to_json as assessment_json
 from photocal.accuracy.standard import size_text

@@ -23,8 +23,7 @@ from photocal.measurement.orientation import Orientation, predict
 from photocal.measurement.oriented_ties import Progress
 from photocal.measurement.refine import Source
 from photocal.measurement.target_search import find_targets
-from photocal.project import Project
-from photocal.project_tables import PlainTargets
+from photocal.project import PlainTargets, Project
 from photocal.tasks.workers import Workers, run_tasks
 
 # Raised whenever the meaning of cached results changes.

@@ -75,6 +75,8 @@ CREDIBLE_SIGMAS = 4.0
 ANOTHER_C = 0.02
 # With enough control points heights of the images are hardly needed; they may count from another surface.
 OTHER_SURFACE_M = 50.0
+# Of more marks that do not fit only the worst are named.
+MARKS_NAMED = 3
 
 
 def measure_project(
@@ -462,8 +464,18 @@ def findings_of_marks(
         findings.append(Finding("image-left-out", "doubtful", figures={"images": images}, cause=cause))
     findings += [Finding("unknown-mark", "doubtful", f"{mark.point} ({mark.image})") for mark in unknown]
     findings += [Finding("unknown-target", "doubtful", name) for name in strangers]
-    for one in suspects:
+    return findings + _marks_off(suspects)
+
+
+def _marks_off(suspects: Sequence[dict[str, Any]]) -> list[Finding]:
+    """Each mark that is far off; of many the worst, with their number and those that come next."""
+    places = [f"{one['point']} ({one['image']})" for one in suspects]
+    findings = []
+    for one, name in zip(suspects, places, strict=True):
         figures = {"point": one["point"], "image": one["image"]}
         figures |= {"px": one["residual_px"], "sigmas": one["in_sigmas"]}
-        findings.append(Finding("mark-off", "doubtful", f"{one['point']} ({one['image']})", figures))
+        if len(suspects) > MARKS_NAMED:
+            figures |= {"n": float(len(suspects) - 1), "marks": tuple(places[1 : MARKS_NAMED + 1])}
+            return [Finding("mark-off", "doubtful", name, figures, ("marks-off",))]
+        findings.append(Finding("mark-off", "doubtful", name, figures))
     return findings

@@ -22,7 +22,7 @@ from photocal.navigation.receiver_recording import pick, read_receivers, refuse_
 from photocal.navigation.static_position import precise_point
 from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric
 from photocal.navigation.troposphere import measured_weather
-from photocal.project_tables import AirAtBase
+from photocal.project import AirAtBase
 
 
 class KnownMark(Table):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.errors import ConfigurationError
-from photocal.project_tables import AirAtBase
+from photocal.project import AirAtBase
 
 # Means and seasonal amplitudes at 15, 30, 45, 60 and 75 degrees: pressure (hPa), temperature (K), vapour
 # pressure (hPa), lapse rate (K/m), exponent of the vapour (RTCA DO-229D, table A-2; Collins and Langley

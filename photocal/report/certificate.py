@@ -11,7 +11,6 @@ from photocal.findings.digits import fixed, measured, relation, significant
 from photocal.findings.finding import Finding, of_global_test, verdict
 from photocal.findings.texts import finding_text, identity
 from photocal.geometry.camera import Camera
-from photocal.report.acceptance import verdict as keeps
 from photocal.report.analysis_sections import (
     analysis_verdict,
     hidden_errors,
@@ -31,6 +30,7 @@ from photocal.report.block_sections import (
 from photocal.report.camera_sections import camera_facts, correlations, interior_orientation
 from photocal.report.certificate_metadata import Metadata
 from photocal.report.derived_figures import DerivedFigures, derived_figures
+from photocal.report.derived_figures import verdict as keeps
 from photocal.report.document import Document, Highlight, KeyValues, Piece, Section, Statement, Tone
 from photocal.report.image_sections import image_residuals, radial_distortion, rms_px
 from photocal.report.laboratory import laboratory, uncertainty

@@ -1,21 +1,230 @@
-"""Figures of a calibration flight that the run and the particulars give together."""
+"""Figures of a calibration flight that run and particulars give together, or that another program printed."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import FiniteFloat, PositiveInt
 
+from acquire.checked_toml import Table, read_toml
 from drivers.arrays import Floats
-from photocal.analysis.plausibility import CalibrationRecord, plausibility
+from drivers.errors import ConfigurationError
+from photocal.analysis.plausibility import CalibrationRecord, Offsets, effective_unit, plausibility
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS, Camera
-from photocal.report.acceptance import Limit, expected_altimetric_error_cm, limits
-from photocal.report.certificate_metadata import Metadata
+from photocal.report.certificate_metadata import CameraKeys, CampaignKeys, GnssInsKeys, Metadata
 from photocal.report.image_sections import rms_px
-from photocal.report.printed import given_figures
 from photocal.report.sensor import sensor_residuals
 from photocal.report.stored_analysis import Run
+
+Verdict = Literal["acceptable", "new_calibration", "not_determined"]
+
+
+@dataclass(frozen=True)
+class Limit:
+    """One figure and what it may not exceed; None where it is not determined.
+
+    key: "image_x", "image_y", "planimetric" or "altimetric".
+    unit: unit of both.
+    value, limit: the root mean square error and its limit.
+    """
+
+    key: str
+    unit: str
+    value: float | None
+    limit: float | None
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the limit is kept; None when not determined."""
+        return None if self.value is None or self.limit is None else self.value <= self.limit
+
+
+def expected_altimetric_error_cm(height_m: float, base_m: float, focal_mm: float, pixel_mm: float) -> float:
+    """Expected altimetric accuracy dz by which the ministry measures the check points.
+
+    Notes
+    -----
+    Ministry of Defence of Brazil, technical report for aerial survey with remotely piloted aircraft,
+    item 2.r.
+    """
+    return 100.0 * math.sqrt(2.0) * height_m**2 / (base_m * focal_mm) * pixel_mm
+
+
+def limits(
+    image_rmse_mm: tuple[float, float] | None,
+    pixel_mm: float | None,
+    check_rmse_cm: tuple[float, float] | None,
+    gsd_cm: float | None,
+    dz_cm: float | None,
+) -> tuple[Limit, ...]:
+    """Set each figure against its limit.
+
+    image_rmse_mm: root mean square of the image residuals in x and y, mm.
+    pixel_mm: pixel size, their limit.
+    check_rmse_cm: planimetric and altimetric root mean square error of the check points, cm.
+    gsd_cm, dz_cm: their limits: ground sampling distance, expected altimetric accuracy.
+    """
+    x, y = image_rmse_mm if image_rmse_mm is not None else (None, None)
+    plane, height = check_rmse_cm if check_rmse_cm is not None else (None, None)
+    return (
+        Limit("image_x", "mm", x, pixel_mm),
+        Limit("image_y", "mm", y, pixel_mm),
+        Limit("planimetric", "cm", plane, gsd_cm),
+        Limit("altimetric", "cm", height, dz_cm),
+    )
+
+
+def verdict(checked: tuple[Limit, ...]) -> Verdict:
+    """Judge over all limits: one that is broken decides, one that is not determined leaves it open."""
+    kept = [limit.met for limit in checked]
+    if False in kept:
+        return "new_calibration"
+    return "acceptable" if all(kept) else "not_determined"
+
+
+Pair = tuple[FiniteFloat, FiniteFloat]
+
+
+class CalibrationKeys(Table):
+    """Table `[calibration]`: parameters as (value, standard deviation), correlations as lower triangle."""
+
+    name: str
+    unit: Literal["mm", "px"]
+    coefficients: Literal["plane", "normalised"]
+    direction: Literal["observed", "ideal"]
+    parameters: dict[str, Pair]
+    correlation_names: tuple[str, ...] = ()
+    correlation: tuple[tuple[FiniteFloat, ...], ...] = ()
+    correlation_decimals: PositiveInt = 2
+
+
+class PrintedCameraKeys(CameraKeys):
+    """Table `[camera]`."""
+
+    size_px: tuple[PositiveInt, PositiveInt] | None = None
+
+
+class ResidualKeys(Table):
+    """Table `[residuals]`: root mean square errors."""
+
+    image_rmse_mm: Pair | None = None
+    check_rmse_cm: Pair | None = None
+
+
+class PrintedKeys(Table):
+    """The whole file."""
+
+    calibration: CalibrationKeys
+    camera: PrintedCameraKeys = PrintedCameraKeys()
+    campaign: CampaignKeys = CampaignKeys()
+    gnss_ins: GnssInsKeys = GnssInsKeys()
+    residuals: ResidualKeys = ResidualKeys()
+
+
+@dataclass(frozen=True)
+class PrintedCheck:
+    """What the check of a printed calibration gave.
+
+    name: what the calibration is of.
+    findings: worst first.
+    limits: the ministry's limits, with the figures taken as they are printed.
+    """
+
+    name: str
+    findings: tuple[Finding, ...]
+    limits: tuple[Limit, ...]
+
+
+def check_printed(path: Path) -> PrintedCheck:
+    """Check a printed calibration against itself.
+
+    path: TOML file with the printed figures.
+    raises InputNotFoundError: when there is no such file.
+    raises ConfigurationError: for a wrong key or value.
+    """
+    keys = read_toml(path, PrintedKeys)
+    record = _record_of_print(keys, path)
+    flight, camera = keys.campaign, keys.camera
+    # The form works with the focal length in millimetres; a value in pixels cannot stand in for it.
+    focal = camera.nominal_focal_length_mm
+    if effective_unit(record) == "mm":
+        focal = record.values["c"]
+    dz = None
+    if flight.flying_height_m and flight.air_base_m and focal and camera.pixel_size_mm:
+        dz = expected_altimetric_error_cm(
+            flight.flying_height_m, flight.air_base_m, focal, camera.pixel_size_mm
+        )
+    checked = limits(
+        keys.residuals.image_rmse_mm,
+        camera.pixel_size_mm,
+        keys.residuals.check_rmse_cm,
+        flight.gsd_cm,
+        dz,
+    )
+    return PrintedCheck(keys.calibration.name, plausibility(record), checked)
+
+
+def _record_of_print(keys: PrintedKeys, path: Path) -> CalibrationRecord:
+    printed, camera, flight, system = keys.calibration, keys.camera, keys.campaign, keys.gnss_ins
+    if not printed.parameters.get("c", (0.0, 0.0))[0] > 0.0:
+        raise ConfigurationError("calibration.parameters: c must be positive", where=path, remedy="give c")
+    names, rows = printed.correlation_names, printed.correlation
+    if [len(row) for row in rows] != list(range(1, len(names) + 1)):
+        raise ConfigurationError(
+            f"calibration.correlation is no lower triangle of {len(names)} rows",
+            where=path,
+            remedy="give one number more in each row",
+        )
+    matrix = np.eye(len(names))
+    for i, row in enumerate(rows):
+        matrix[i, : i + 1] = matrix[: i + 1, i] = row
+    return CalibrationRecord(
+        unit=printed.unit,
+        values={name: value for name, (value, _) in printed.parameters.items()},
+        sigmas={name: sigma for name, (_, sigma) in printed.parameters.items()},
+        coefficients=printed.coefficients,
+        direction=printed.direction,
+        names=names,
+        correlation=matrix if names else None,
+        correlation_rounding=0.5 * 10.0**-printed.correlation_decimals,
+        size_px=camera.size_px,
+        pitch_mm=camera.pixel_size_mm,
+        **given_figures(camera, flight, system),
+    )
+
+
+def given_figures(camera: CameraKeys, campaign: CampaignKeys, system: GnssInsKeys) -> dict[str, Any]:
+    """What a person gives of the fields of a `CalibrationRecord`."""
+    prior = system.boresight_prior_sigma_deg
+    return {
+        "sensor_mm": camera.sensor_size_mm,
+        "nominal_focal_mm": camera.nominal_focal_length_mm,
+        "height_m": campaign.flying_height_m,
+        "gsd_cm": campaign.gsd_cm,
+        "base_m": campaign.air_base_m,
+        "forward_overlap": campaign.forward_overlap,
+        "lever_arm_cm": offsets(system.lever_arm_cm, system.lever_arm_sigma_cm),
+        "boresight_deg": offsets(system.boresight_deg, system.boresight_sigma_deg, prior),
+    }
+
+
+def offsets(
+    values: tuple[float, float, float] | None,
+    sigmas: tuple[float, float, float] | None,
+    prior: float | None = None,
+) -> Offsets | None:
+    """Make offsets of what is given; None unless values and standard deviations are.
+
+    values, sigmas: three components and their standard deviations.
+    prior: standard deviation beforehand.
+    """
+    return Offsets(values, sigmas, prior) if values is not None and sigmas is not None else None
+
 
 # A block counts as flown when every camera looks down within so many degrees.
 NADIR_DEG = 30.0

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drivers.arrays import Floats
-from photocal.accuracy.figures import draw_histogram, draw_vectors
+from photocal.accuracy.maps import draw_histogram, draw_vectors
 from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import MINUS, fixed, significant, symbol
 from photocal.geometry.camera import Camera

@@ -17,10 +17,9 @@ from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoun
 from photocal.findings.catalogue import Catalogue, catalogue
 from photocal.findings.finding import Finding
 from photocal.findings.texts import finding_json
-from photocal.report.acceptance import verdict
 from photocal.report.certificate import certificate, certificate_number, overall
 from photocal.report.certificate_metadata import Metadata, read_particulars
-from photocal.report.derived_figures import DerivedFigures, derived_figures
+from photocal.report.derived_figures import DerivedFigures, derived_figures, verdict
 from photocal.report.document import Document, html, pdf
 from photocal.report.ministry_rows import Context, entries, read_layout
 from photocal.report.sensor import farthest_corner, radial_profile

@@ -21,9 +21,8 @@ from photocal.findings.digits import (
     unit_power,
 )
 from photocal.geometry.camera import Camera
-from photocal.report.acceptance import verdict
 from photocal.report.certificate_metadata import Metadata
-from photocal.report.derived_figures import DerivedFigures
+from photocal.report.derived_figures import DerivedFigures, verdict
 from photocal.report.stored_analysis import Run
 
 Origin = Literal["computed", "given", "fixed", "not_determined"]

@@ -6,9 +6,8 @@ from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import as_given, significant
 from photocal.findings.finding import Finding
 from photocal.findings.texts import finding_text
-from photocal.report.acceptance import Limit, verdict
 from photocal.report.certificate_metadata import Metadata
-from photocal.report.derived_figures import DerivedFigures
+from photocal.report.derived_figures import DerivedFigures, Limit, verdict
 from photocal.report.document import (
     Column,
     KeyValues,

@@ -35,7 +35,7 @@ def _files(project: Project) -> list[str]:
 
 
 def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
-    from photocal.accuracy.geopackage import reference_system
+    from photocal.accuracy.maps import reference_system
     from photocal.accuracy.standard import SHIPPED, load_standard
     from photocal.block.folder import read_block
     from photocal.findings.texts import told

@@ -23,7 +23,7 @@ from photocal.measurement.marks_files import named_after
 from photocal.measurement.rigs import Frame, recognised
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.vehicle import told_mounting
-from photocal.project_tables import ASKED
+from photocal.project import ASKED
 from photocal.run.folder_survey import ASSUMED_M, Found, Survey, survey
 
 NAME, PICTURES = "project.toml", "pictures.csv"

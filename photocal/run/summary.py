@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from photocal.block.model import InputFile
 from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding, of_global_test, verdict
 from photocal.findings.hypotheses import FAULTS, Fault, fault
@@ -16,6 +17,7 @@ from photocal.findings.texts import finding_json, findings_of
 from photocal.geometry.camera import PARAMETERS
 from photocal.report.stored_analysis import Run, read_run
 from photocal.results.folder import RESULT, read_result
+from photocal.results.origin import changed_inputs
 from photocal.run.stage import StageResult, is_stage
 
 # A parameter that goes so many of its prior sigmas away.
@@ -52,8 +54,10 @@ def told_beside(run: Path) -> tuple[Finding, ...]:
 def project_verdict(work: Path, stages: Container[str] | None = None) -> Finding | None:
     """Give the one verdict over a project: that of its certificate, else over what its stages found.
 
-    returns: none before there is an adjustment.
+    returns: none before the block, as it is now, was adjusted.
     """
+    if outdated(work):
+        return None
     certified = read_json(work / "certificate" / "certificate.json")
     if certified is not None and (stages is None or "certificate" in stages):
         return findings_of([certified["verdict"]], work / "certificate")[0]
@@ -65,6 +69,14 @@ def project_verdict(work: Path, stages: Container[str] | None = None) -> Finding
     accepted = None if result.global_test is None else result.global_test.accepted
     figures = result.chi_squared, result.degrees_of_freedom
     return verdict((*findings, of_global_test(*figures, accepted, estimated=estimated)))
+
+
+def outdated(work: Path) -> bool:
+    """Whether the certificate of a project, or else its adjustment, was made of another block than this."""
+    certified = read_json(work / "certificate" / "certificate.json")
+    adjusted = read_json(work / "calibration" / RESULT) if certified is None else certified["result"]
+    inputs = () if adjusted is None else tuple(InputFile(**one) for one in adjusted["inputs"])
+    return bool(changed_inputs(inputs, work / "block"))
 
 
 def kind(finding: Finding) -> str:

@@ -96,7 +96,7 @@ BOXES = (
     Box("measurement", "targets, ties, marks", ("photocal.measurement",), 560, 150, 3, "5"),
     Box("georeferencing", "DG, ISO, AT", ("photocal.georeferencing",), 880, 130, 3, "8"),
     Box("accuracy", "classes", ("photocal.accuracy",), 1060, 100, 4, "8"),
-    Box("project", "the project file", ("photocal.project", "photocal.project_tables"), 560, 150, 4),
+    Box("project", "the project file", ("photocal.project", "photocal.project"), 560, 150, 4),
     Box("analysis", "hidden errors", ("photocal.analysis",), 780, 150, 4, "8"),
     Box(
         "block · results · exchange",

@@ -23,7 +23,7 @@ from acquire.simulate.world.configuration import FLIGHTS
 from photocal.block.mounting import BODY_AXES
 from photocal.findings.catalogue import catalogue
 from photocal.findings.hypotheses import FAULTS
-from photocal.project_tables import Rig
+from photocal.project import Rig
 from tests.installed import surroundings
 
 ROOT = Path(__file__).parents[2]

@@ -10,7 +10,7 @@ import pytest
 
 from acquire.checked_toml import Table
 from drivers import errors
-from photocal import project_tables
+from photocal import project
 from photocal.adjustment.mounting import COMMON
 from photocal.analysis.stability.methods import methods
 from photocal.block import camera_setup, setup
@@ -135,7 +135,7 @@ def test_symbols_that_are_printed_are_explained() -> None:
 
 @pytest.mark.parametrize(
     ("page", "modules"),
-    [("block-folder", (setup, camera_setup)), ("project-file", (project_tables,))],
+    [("block-folder", (setup, camera_setup)), ("project-file", (project,))],
     ids=["block-folder", "project-file"],
 )
 def test_every_key_of_a_file_stands_on_its_page(page: str, modules: tuple[ModuleType, ...]) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numba
 import numpy as np
 
-from photocal.analysis.systematic_errors.drift import within_flight
+from photocal.analysis.systematic_errors.candidates import within_flight
 from photocal.analysis.systematic_errors.findings import findings
 from photocal.analysis.systematic_errors.refit import fit, with_measurements
 from photocal.analysis.systematic_errors.search import search

@@ -10,8 +10,7 @@ import pytest
 
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.block.setup import read_setup
-from photocal.project import read_project
-from photocal.project_tables import Contents
+from photocal.project import Contents, read_project
 
 CAMERA = """
 [[camera]]

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from matplotlib.quiver import QuiverKey
 
 from photocal.accuracy.discrepancies import Discrepancies
-from photocal.accuracy.figures import histograms, residual_map, round_down
+from photocal.accuracy.maps import histograms, residual_map, round_down
 
 D = np.random.default_rng(6).normal(0.0, 0.3, (10, 3))
 POSITIONS = np.random.default_rng(7).uniform(0.0, 900.0, (10, 3)) + 1e5

@@ -11,8 +11,7 @@ from scipy import stats
 from drivers.arrays import Floats
 from photocal.adjustment.network import Relations
 from photocal.analysis.robust import jackknife
-from photocal.analysis.systematic_errors.candidates import candidates, estimated_amount
-from photocal.analysis.systematic_errors.drift import within_flight
+from photocal.analysis.systematic_errors.candidates import candidates, estimated_amount, within_flight
 from photocal.analysis.systematic_errors.findings import findings
 from photocal.analysis.systematic_errors.refit import fit, with_measurements, with_sigmas, without_images
 from photocal.analysis.systematic_errors.search import search

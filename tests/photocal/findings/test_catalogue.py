@@ -34,6 +34,9 @@ def test_every_text_is_used() -> None:
     source = "".join(p.read_text(encoding="utf-8") for p in Path(photocal.__file__).parent.rglob("*.py"))
     used = set(re.findall(r'["\x27]([a-z0-9_]+\.[a-zA-Z0-9_.]+)["\x27]', source))
     made = {m.split("{")[0] for m in re.findall(r'f"([a-z0-9_]+\.[^"]*\{[^"]*)"', source)}
+    # Heads of tables are data: `columns(say, "section", "key<", "key [unit]")`.
+    tables = set(re.findall(r'columns\(\s*say, "(\w+)"', source))
+    heads = set(re.findall(r'"([a-z0-9_]+)[<=]?(?: \[[^"]*\])?"', source))
     root = Path(photocal.__file__).parent
     source += "".join(p.read_text(encoding="utf-8") for p in root.rglob("standards/*.toml"))
     quoted = set(re.findall(r'"([A-Za-z0-9_-]+)[" ]', source))
@@ -41,6 +44,8 @@ def test_every_text_is_used() -> None:
         section, _, code = key.partition(".")
         if section in OF_FINDINGS:
             assert code in quoted or " " in code, key
+            continue
+        if section in tables and code in heads:
             continue
         assert key in used or any(key.startswith(prefix) for prefix in made), key
 

@@ -30,7 +30,7 @@ from photocal.navigation.troposphere import (
     remaining_lapse,
     saturation_hpa,
 )
-from photocal.project_tables import AirAtBase
+from photocal.project import AirAtBase
 from tests.acquire.simulate.gnss.flights import AXES, BASE_DEG, BASE_M, SECOND, Loop, gps_ns
 from tests.photocal.navigation.conftest import needs_engine
 

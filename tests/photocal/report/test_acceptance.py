@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from photocal.report.acceptance import expected_altimetric_error_cm, limits, verdict
+from photocal.report.derived_figures import expected_altimetric_error_cm, limits, verdict
 
 
 def test_expected_altimetric_accuracy_is_the_published_one() -> None:

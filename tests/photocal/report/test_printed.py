@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from photocal.cli import app
-from photocal.report.printed import check_printed
+from photocal.report.derived_figures import check_printed
 
 STUDY = Path(__file__).parents[3] / "configs" / "studies" / "phantom4pro.toml"
 

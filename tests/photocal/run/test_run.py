@@ -89,6 +89,19 @@ def test_one_verdict_everywhere(shifted: tuple[Path, Result]) -> None:
         assert json.loads(answer)["verdict"]["text"] == sentence
 
 
+def test_a_check_after_the_block_changed_does_not_repeat_the_old_certificate(
+    shifted: tuple[Path, Result], tmp_path: Path
+) -> None:
+    shutil.copytree(shifted[0].parent, tmp_path / "again")
+    table = tmp_path / "again" / "block" / "points.csv"
+    # Other ends of lines: another file, the same figures.
+    table.write_text(table.read_text(encoding="utf-8").replace("\n", "\r\n"), encoding="utf-8", newline="")
+    answer = CliRunner().invoke(app, ["check", str(tmp_path / "again" / "project.toml"), "--json"])
+    assert answer.exit_code == 0, answer.output
+    codes = {one["code"] for one in json.loads(answer.stdout)["findings"]}
+    assert {"certificate-outdated", "base-position"} <= codes
+
+
 def test_no_certificate_of_a_stage_is_silent(shifted: tuple[Path, Result], tmp_path: Path) -> None:
     work = shifted[0].parent / "work"
     said = CliRunner().invoke(app, ["certificate", str(work / "calibration"), "-o", str(tmp_path / "c")])

@@ -1,0 +1,219 @@
+"""`photocal adjust`, `analyse`, `certificate`: a block adjusted, its calibration judged, and certified."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+
+from acquire.console import answer, progress
+from drivers.errors import ConfigurationError
+from photocal.commands.options import AsJson, argument, option
+
+if TYPE_CHECKING:
+    import datetime as dt
+
+
+def adjust(
+    block: Annotated[
+        Path,
+        argument(
+            "Block folder (block.toml, images.csv, points.csv, observations.csv), or a set-up file of "
+            "another program (DBAT, JAICOV)."
+        ),
+    ],
+    output: Annotated[Path, option("Folder for the results.", "-o", "--output")],
+    snoop: Annotated[
+        str, option("Search for gross errors: `w` (a priori sigmas) or `tau` (a posteriori).")
+    ] = "",
+    ellipses: Annotated[
+        float | None, option("Write error ellipses and ellipsoids of this probability, such as 0.95.")
+    ] = None,
+    reliability: Annotated[
+        bool, option("Write the smallest errors that the tests find.", "--reliability")
+    ] = False,
+    components: Annotated[
+        bool, option("Estimate the sigma of each group of observations and use it.", "--components")
+    ] = False,
+    joint: Annotated[
+        str, option("Write the joint covariance of `image:NAME,point:NAME,camera:ID,head:CAMERA,mounting`.")
+    ] = "",
+    as_json: Annotated[bool, option("Print result.json instead of a summary.", "--json")] = False,
+) -> None:
+    """Adjust a block: camera, orientations and points with their complete statistics.
+
+    Example: `photocal adjust my-block -o run`
+    """
+    from photocal.exchange.formats import read_any_block
+    from photocal.results.adjusted import adjust_block
+    from photocal.results.folder import result_json
+    from photocal.results.more_tables import Wanted, parse_joint
+
+    if snoop not in ("", "w", "tau"):
+        raise ConfigurationError(f"--snoop {snoop} is not known", remedy="use w or tau")
+    test = cast("Literal['w', 'tau'] | None", snoop or None)
+    if ellipses is not None and not 0 < ellipses < 1:
+        raise ConfigurationError(f"--ellipses {ellipses:g} is no probability", remedy="give 0.95 for 95 %")
+    wanted = Wanted(ellipses, reliability, components, parse_joint(joint))
+    with iteration_lines("adjusting") as report:
+        result = adjust_block(block, output, test, report, wanted, read_any_block)
+    answer(as_json, lambda: result_json(result), lambda: f"{result!r}\nwritten to {output}")
+
+
+@contextmanager
+def iteration_lines(title: str) -> Iterator[Callable[[Any], None]]:
+    """Show each iteration on standard error when a person watches and it takes more than a second."""
+    began = time.monotonic()
+
+    def line(iteration: Any) -> None:
+        if sys.stderr.isatty() and time.monotonic() - began > 1.0:
+            sys.stderr.write(
+                f"{title}: iteration {iteration.number}, chi-squared {iteration.chi_squared:.6g}, "
+                f"step {iteration.decrement**0.5:.2g} sigma\n"
+            )
+
+    yield line
+
+
+def analyse(
+    run: Annotated[
+        Path,
+        argument("Folder that `photocal adjust` wrote; or a CSV of published parameters or correlations."),
+    ],
+    block: Annotated[
+        Path | None, option("Block folder of the run, or its set-up file, when it is not found.")
+    ] = None,
+    alpha: Annotated[float, option("Level of the significance tests.", min=1e-4, max=0.5)] = 0.10,
+    correlation: Annotated[float, option("Correlations from here on are named.", min=0.0, max=1.0)] = 0.8,
+    bootstrap: Annotated[
+        int,
+        option("Adjust so many blocks of images drawn with replacement; 100 tell enough.", min=0, max=10_000),
+    ] = 0,
+    matrix: Annotated[
+        Path | None, option("CSV of the correlations or the covariance of published parameters.")
+    ] = None,
+    set_name: Annotated[
+        str | None, option("Set of a published table; without, all of them.", "--set")
+    ] = None,
+    degrees_of_freedom: Annotated[float, option("Redundancy behind published parameters.", min=1.0)] = float(
+        "inf"
+    ),
+    language: Annotated[str, option("Language: en or pt-BR.")] = "en",
+    as_json: AsJson = False,
+) -> None:
+    """Analyse a calibration: hidden errors worst first, significance, correlations, method.
+
+    The block of the run is adjusted again, with one thing changed at a time. It is looked for where the run
+    says, beside the run and below the current folder, and recognised by its hashes. The answer is also
+    written as analysis.json into the run, from where `photocal certificate` takes it.
+
+    A CSV with the columns parameter, value and std_dev (perhaps set), as publications and other programs
+    print them, is tested as it stands; with its correlations or covariance (--matrix), or of such a matrix
+    alone, strong correlations and principal components follow, too.
+
+    Example: `photocal adjust my-block -o run && photocal analyse run`, or
+    `photocal analyse iop.csv --matrix correlations.csv --degrees-of-freedom 2470`
+    """
+    from acquire.console import answer, progress
+    from photocal.findings.catalogue import catalogue
+    from photocal.report.analysis_record import analyse_run, analysis_record
+    from photocal.report.analysis_text import analysis_text
+
+    say = catalogue(language)
+    if run.is_file():
+        from photocal.analysis.published import analyse_published
+        from photocal.report.analysis_text import published_record, published_text
+
+        sets = analyse_published(run, matrix, set_name, degrees_of_freedom, alpha, correlation)
+        answer(as_json, lambda: published_record(sets), lambda: published_text(sets, say))
+        return
+    with progress("adjusting again", 1.0) as advance:
+        outcome = analyse_run(run, block, alpha, correlation, advance, say, bootstrap)
+    answer(as_json, lambda: analysis_record(outcome, say), lambda: analysis_text(outcome, say))
+
+
+def certificate(
+    run: Annotated[Path, argument("Folder that `photocal adjust` wrote.")],
+    output: Annotated[Path, option("Folder for the certificate.", "-o", "--output")],
+    language: Annotated[str, option("Language: en or pt-BR.")] = "en",
+    date: Annotated[str | None, option("Day of the certificate, YYYY-MM-DD; today if not given.")] = None,
+    block: Annotated[
+        Path | None,
+        option(
+            "Block folder of the run, or its set-up file, when it is not found near it: the certificate "
+            "carries the inputs for `photocal verify`."
+        ),
+    ] = None,
+    particulars: Annotated[
+        Path | None,
+        option("TOML file: camera, campaign, positioning system, equipment, validity, responsible."),
+    ] = None,
+    client: Annotated[str, option("For whom.")] = "",
+    operator: Annotated[str, option("By whom.")] = "",
+    images: Annotated[
+        Path | None, option("Folder of the pictures: their EXIF tells camera, aperture, focus and firmware.")
+    ] = None,
+    as_json: Annotated[bool, option("Print what was written as JSON.", "--json")] = False,
+) -> None:
+    """Write the certificate of a calibration: HTML page, PDF and JSON.
+
+    Example: `photocal certificate run -o certificate --block block --language pt-BR`
+    """
+    from photocal.measurement.image_facts import read_facts, told_conditions
+    from photocal.measurement.image_file import list_images
+    from photocal.report.issue import FORMS, issue
+    from photocal.report.signing import own_key
+    from photocal.results.origin import CARRIED
+    from photocal.run.summary import told_beside
+
+    pictures = told_conditions([read_facts(path) for path in list_images(images)] if images else [])
+    own = own_key()
+    with progress("certificate", 4) as step:
+        document = issue(
+            run,
+            output,
+            day=_day(date),
+            language=language,
+            block=block,
+            particulars=particulars,
+            client=client,
+            operator=operator,
+            key=own.fingerprint if own else "",
+            told=told_beside(run),
+            pictures=pictures,
+            done=lambda: step(1),
+        )
+    written = [str(output / name) for name in (*FORMS, CARRIED) if (output / name).exists()]
+    answer(
+        as_json,
+        lambda: {
+            "number": document.number,
+            "files": written,
+            "highlights": {item.label: item.value for item in document.highlights},
+        },
+        lambda: "\n".join(
+            [
+                f"{document.title} {document.number}",
+                *(f"  {item.label}: {item.value} ({item.remark})" for item in document.highlights),
+                *(f"  {path}" for path in written),
+            ]
+        ),
+    )
+
+
+def _day(date: str | None) -> dt.date:
+    import datetime as dt
+
+    from drivers.errors import ConfigurationError
+
+    if date is None:
+        return dt.datetime.now().astimezone().date()
+    try:
+        return dt.date.fromisoformat(date)
+    except ValueError:
+        raise ConfigurationError(
+            f"{date!r} is no date", where="--date", remedy="write it as YYYY-MM-DD"
+        ) from None
