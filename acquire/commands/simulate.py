@@ -16,7 +16,7 @@ FAULTS = (
 )
 # How long after the start a flight with the clocks of now begins: the recorder is started meanwhile.
 _LEAD_S = 60
-app = application("Simulate flights: a minute of telemetry, a whole survey with its truth, devices on ports.")
+app = application("Simulate flights: their telemetry, a whole survey with its truth, devices on ports.")
 
 
 @app.callback(invoke_without_command=True)
@@ -27,7 +27,7 @@ def simulate(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
-    """Write the telemetry log of a synthetic flight of a minute, the same bytes each time.
+    """Write the telemetry log of the flight `small`, which never took place: the same bytes each time.
 
     Example: `acquire simulate -o flight.tlog`
     """
@@ -40,10 +40,13 @@ def simulate(
     if output is None:
         raise ConfigurationError("nothing to write", remedy="give -o FILE.tlog, or a command, see --help")
     from acquire.outputs import output_file
-    from acquire.simulate.flight import LABEL, telemetry_log
-    from drivers.mavlink.dialect import ardupilotmega
+    from acquire.simulate.world.configuration import FLIGHTS, read_configuration
+    from acquire.simulate.world.streams import telemetry_log, vehicle_wire
+    from acquire.simulate.world.telemetry import LABEL
+    from acquire.simulate.world.world import make_world
 
-    log = telemetry_log(ardupilotmega())
+    world = make_world(read_configuration(FLIGHTS / "small.toml"))
+    log = telemetry_log(world, vehicle_wire(world, world.random("wires")))
     with output_file(output) as aside:
         aside.write_bytes(log)
     answer(

@@ -29,7 +29,7 @@ from photocal.exchange.dbat_camera import (
     to_column_row,
     to_dbat,
 )
-from photocal.exchange.reconstruction import Choices, Reconstruction, as_block, of_block
+from photocal.exchange.reconstruction import Choices, Reconstruction, as_block
 from photocal.exchange.source import (
     beside,
     child,
@@ -81,25 +81,9 @@ def read_dbat(path: Path) -> Block:
     image_of = {row.name("id"): row.cells.get("path", "") for row in reader.rows("images", IMAGE_FIELDS)}
     names = _image_names(image_of)
     marks = [_mark(row, names, sigma) for row, sigma in reader.marks()]
-    known = {point.name for point in surveyed}
-    tie = dict.fromkeys(mark.point for mark in marks if mark.point not in known)
-    points = [*surveyed, *(parts.PointEntry(name, "tie") for name in tie)]
-    parts.require_unique([point.name for point in points], "point", path)
-    observed = parts.observations(
-        marks, list(names.values()), [point.name for point in points], "px", "pixel"
-    )
-    return Block(
-        (root.findtext("meta/name") or path.stem).strip(),
-        "local",
-        "",
-        "control",
-        (),
-        tuple(cameras),
-        parts.images(list(names.values()), [0] * len(names)),
-        parts.object_points(points),
-        observed,
-        (fingerprint(path), *reader.read),
-    )
+    title = (root.findtext("meta/name") or path.stem).strip()
+    shots = parts.images(list(names.values()), [0] * len(names))
+    return parts.block(title, cameras, shots, surveyed, marks, [fingerprint(path), *reader.read])
 
 
 def read_dbat_cameras(path: Path) -> tuple[DbatCamera, ...]:
@@ -303,11 +287,6 @@ def _list(
     return values
 
 
-def read_back(folder: Path) -> Reconstruction:
-    """A set-up with its tables; it has no orientations."""
-    return of_block(read_dbat(folder / "setup.xml"))
-
-
 def recognises(path: Path) -> bool:
     """Whether an XML file is a set-up of this program."""
     return "dbat_script_version" in read_xml(path).attrib
@@ -335,17 +314,18 @@ def write_dbat(folder: Path, block: Block) -> Path:
     names = block.points.names
     control = np.flatnonzero(block.points.of_role("control"))
     check = np.flatnonzero(block.points.of_role("check"))
-    _write(folder / "control.txt", _surveyed(block.points, control))
-    _write(folder / "check.txt", _surveyed(block.points, check))
-    _write(folder / "images.txt", [[k, name] for k, name in enumerate(block.images.names, start=1)])
+    parts.write_rows(folder / "control.txt", _surveyed(block.points, control), ", ")
+    parts.write_rows(folder / "check.txt", _surveyed(block.points, check), ", ")
+    parts.write_rows(folder / "images.txt", list(enumerate(block.images.names, start=1)), ", ")
     observations = block.observations
     pixels, sigma = _pixels(block, own)
-    _write(
+    parts.write_rows(
         folder / "marks.txt",
         [
             [names[j], int(i) + 1, *(pixel + 0.5).tolist(), *s.tolist()]
             for i, j, pixel, s in zip(observations.image, observations.point, pixels, sigma, strict=True)
         ],
+        ", ",
     )
     root = Element("document", dbat_script_version="1.0")
     SubElement(SubElement(root, "meta"), "name").text = block.name
@@ -414,8 +394,8 @@ def _count(own: Camera, key: str) -> int:
     return int(used[-1]) + 1 if len(used) else 0
 
 
-def _surveyed(points: ObjectPoints, rows: Integers) -> list[list[object]]:
-    found: list[list[object]] = []
+def _surveyed(points: ObjectPoints, rows: Integers) -> list[parts.Row]:
+    found: list[parts.Row] = []
     for k in rows:
         if not np.isfinite(points.sigma[k]).all() and points.of_role("control")[k]:
             raise InputMalformedError(f"control point {points.names[k]} has coordinates without sigma")
@@ -467,11 +447,6 @@ def _operations(element: Element, own: Camera) -> None:
     SubElement(SubElement(estimate, "op"), "all").text = "default"
     for name in ("spatial_resection", "forward_intersection", "bundle_adjustment"):
         SubElement(element, "operation").text = name
-
-
-def _write(path: Path, rows: list[list[object]]) -> None:
-    lines = (", ".join(cell if isinstance(cell, str) else repr(cell) for cell in row) for row in rows)
-    path.write_text("".join(line + "\n" for line in lines), encoding="utf-8", newline="\n")
 
 
 def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:

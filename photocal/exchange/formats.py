@@ -46,7 +46,8 @@ class Format:
     distortion: its direction: added to the projection, or correcting the measurement.
     writes: takes a folder, or the file in it that is named after another colon, a `Reconstruction` and
         `Choices`; gives a `Conversion` for each camera. Empty: it is not exported.
-    reads: takes the folder that was written; gives a `Reconstruction`.
+    reads: takes the folder that was written, or the file in it that is named after another colon; gives a
+        `Reconstruction`, a block, or names and orientations of images.
     blocks: takes a file of which the name fits one of `opens`; gives the block that `photocal adjust` takes.
     recognises: whether such a file is of this format, where its name does not say it.
     """
@@ -68,7 +69,16 @@ class Format:
     @property
     def read(self) -> Callable[[Path], Reconstruction] | None:
         """Reader of a folder that was written."""
-        return _loaded(self.reads) if self.reads else None
+        return self._read if self.reads else None
+
+    def _read(self, folder: Path) -> Reconstruction:
+        from photocal.exchange.reconstruction import Reconstruction, of_block, orientations_alone
+
+        module, function, *file = self.reads.split(":")
+        content = _loaded(f"{module}:{function}")(folder.joinpath(*file))
+        if isinstance(content, Reconstruction):
+            return content
+        return orientations_alone(*content) if isinstance(content, tuple) else of_block(content)
 
     def takes(self, path: Path) -> bool:
         """Whether a file is one of this format."""
@@ -92,41 +102,44 @@ FORMATS: tuple[Format, ...] = (
            "px, m, unit quaternion", "colmap:export_binary", "colmap:read_colmap",
            "colmap:read_model_block", ("cameras.bin", "images.bin", "points3D.bin")),
     Format("opencv", "OpenCV, YAML or JSON", ("cameras",), "none", CENTRE, VISION, "brown-ideal", "px",
-           "opencv:export", "opencv:read_back"),
+           "opencv:export", "opencv:read_cameras"),
     Format("opensfm", "OpenSfM and ODM, reconstruction", WHOLE, "cartesian",
            "middle of the image, by its larger side", VISION, "brown-ideal",
-           "larger side of the image, m, rotation vector", "opensfm:export", "opensfm:read_back",
-           "opensfm:read_reconstruction_block", ("*.json",)),
+           "larger side of the image, m, rotation vector", "opensfm:export",
+           "opensfm:read_reconstruction:reconstruction.json", "opensfm:read_reconstruction_block",
+           ("*.json",)),
     Format("odm", "ODM, gcp_list.txt and geo.txt", ("points", "marks"), "own", CENTRE, "none", "none",
            "px, m", "ground_points:export", ""),
     Format("metashape", "Metashape, camera XML", ("cameras", "orientations", "points", "marks"),
            "cartesian", CORNER, VISION, "brown-ideal", "px, m, 4 x 4 matrix",
-           "metashape:write_metashape:cameras.xml", "metashape:read_back", "metashape:read_camera_block",
-           ("*.xml",), "metashape:recognises"),
+           "metashape:write_metashape:cameras.xml", "metashape:read_local:cameras.xml",
+           "metashape:read_camera_block", ("*.xml",), "metashape:recognises"),
     Format("metashape-csv", "Metashape, reference tables", ("points",), "own", "none", "none", "none", "m",
            "reference_table:export", ""),
     Format("pix4d", "Pix4D, .cam", ("cameras",), "none", CORNER, VISION, "brown-ideal",
            "mm on a nominal sensor", "pix4d_project:export", ""),
     Format("opf", "Open Photogrammetry Format 1.0", WHOLE, "cartesian", CORNER, PHOTO, "brown-ideal",
-           "px, m, deg", "opf:export", "opf:read_back", "opf:read_project_block", ("*.opf",)),
+           "px, m, deg", "opf:export", "opf:read_opf:project.opf", "opf:read_project_block",
+           ("*.opf",)),
     Format("photomodeler", "PhotoModeler, text export", WHOLE, "cartesian", CORNER, PHOTO, "brown-observed",
            "px, mm in the camera, m, deg", "photomodeler:write_photomodeler:block.txt",
-           "photomodeler:read_back", "photomodeler:read_with_control", ("*.txt",),
+           "photomodeler:read_with_control:block.txt", "photomodeler:read_with_control", ("*.txt",),
            "photomodeler:looks_like_export"),
     Format("dbat", "DBAT, XML set-up", ("cameras", "points", "marks"), "cartesian", CORNER, PHOTO,
-           "brown-observed", "px, mm in the camera, m", "dbat:export", "dbat:read_back",
+           "brown-observed", "px, mm in the camera, m", "dbat:export", "dbat:read_dbat:setup.xml",
            "dbat:read_dbat", ("*.xml",), "dbat:recognises"),
     Format("jaicov", "JAICOV and AICON 3D Studio", WHOLE, "cartesian", "middle of the sensor, y up", PHOTO,
-           "brown-ideal", "mm, rad", "jaicov:write_jaicov:block", "jaicov:read_back", "jaicov:read_jaicov",
-           ("*.ior", "*.eor", "*.obc", "*.phc")),
+           "brown-ideal", "mm, rad", "jaicov:write_jaicov:block", "jaicov:read_unweighted:block.ior",
+           "jaicov:read_jaicov", ("*.ior", "*.eor", "*.obc", "*.phc")),
     Format("micmac", "MicMac, XML", WHOLE, "cartesian", CENTRE, VISION, "brown-ideal", "px, m, matrix",
-           "micmac:export", "micmac:read_back"),
+           "micmac:export", "micmac:read_export"),
     Format("patb", "PATB style, tables", ("orientations",), "own", "none", PHOTO, "none",
            "m; deg or gon, as asked; matrix from camera to object", "orientation_tables:export",
-           "orientation_tables:read_back"),
+           "orientation_tables:read_matrices:orientations_matrix.txt"),
     Format("inpho", "Inpho, .prj", ("orientations",), "own", CENTRE, PHOTO, "none",
            "mm in the camera, m, matrix from object to camera",
-           "orientation_tables:write_inpho:orientations.prj", "orientation_tables:read_back_inpho"),
+           "orientation_tables:write_inpho:orientations.prj",
+           "orientation_tables:read_inpho:orientations.prj"),
     Format("geojson", "GeoJSON", ("orientations", "points"), "wgs84", CENTRE, PHOTO, "none", "deg, m, px",
            "geographic:export_geojson", ""),
     Format("kml", "KML", ("orientations", "points"), "wgs84", CENTRE, PHOTO, "none", "deg, m, px",

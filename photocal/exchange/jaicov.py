@@ -12,7 +12,6 @@ parameters of the camera were estimated is not in the files: all but A3, C1 and 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +21,8 @@ from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.adjustment.network import RELATIONS, Relations
 from photocal.block.model import Block
 from photocal.exchange import parts
-from photocal.exchange.parts import whole_numbers
-from photocal.exchange.reconstruction import Choices, Reconstruction, of_block
+from photocal.exchange.parts import Row, whole_numbers, write_rows
+from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.source import (
     Line,
     fingerprint,
@@ -57,18 +56,16 @@ def read_jaicov(path: Path, sigma_mm: float | None = None, *, switched_off: bool
     told = [path.with_suffix(".htm")] if sigma_mm is None else []
     read = [*files.values(), *([bars] if bars.exists() else []), *told]
     entries = [parts.PointEntry(name, "tie", row) for name, row in zip(points, xyz, strict=True)]
-    return Block(
+    return parts.block(
         path.stem,
-        "local",
-        "",
-        "free",
-        (),
         cameras,
         parts.images(names, which, poses),
-        parts.object_points(entries),
-        parts.observations(marks, names, points, "mm", "photo"),
-        tuple(fingerprint(file) for file in read),
-        _distances(scale, points, bars),
+        entries,
+        marks,
+        [fingerprint(file) for file in read],
+        unit="mm",
+        datum="free",
+        relations=_distances(scale, points, bars),
     )
 
 
@@ -194,12 +191,10 @@ def _marks(
     return marks
 
 
-def read_back(folder: Path) -> Reconstruction:
-    """The four files of a project."""
-    return of_block(read_jaicov(folder / "block.ior", sigma_mm=1e-3))
+def read_unweighted(path: Path) -> Block:
+    """Read a project without a report, its measurements weighted alike."""
+    return read_jaicov(path, sigma_mm=1e-3)
 
-
-Row = Sequence[str | float]
 
 _TERMS = ("K1", "K2", "K3", "P1", "P2", "B1", "B2")
 
@@ -212,20 +207,20 @@ def write_jaicov(stem: Path, given: Reconstruction, _: Choices | None = None) ->
     cameras = whole_numbers([own.id for own in given.cameras])
     images, points = whole_numbers(given.image_names), whole_numbers(given.point_names)
     ior = [row for name, own in zip(cameras, made, strict=True) for row in _interior(name, own.camera)]
-    _write(stem.with_suffix(".ior"), ior)
+    write_rows(stem.with_suffix(".ior"), ior)
     eor: list[Row] = [
         [name, cameras[own], *(pose[3:] / MM).tolist(), *pose[:3].tolist(), "0", "0", "3"]
         for name, own, pose in zip(images, given.image_camera.tolist(), given.poses, strict=True)
     ]
-    _write(stem.with_suffix(".eor"), eor)
+    write_rows(stem.with_suffix(".eor"), eor)
     rays = np.bincount(given.point, minlength=len(points))
     sigma = given.xyz_sigma / MM if len(given.xyz_sigma) else np.zeros(given.xyz.shape)
     obc: list[Row] = [
         [name, *(xyz / MM).tolist(), *s.tolist(), str(count), "1", "1", "0"]
         for name, xyz, s, count in zip(points, given.xyz, sigma, rays, strict=True)
     ]
-    _write(stem.with_suffix(".obc"), obc)
-    _write(stem.with_suffix(".phc"), _mark_rows(given, images, points))
+    write_rows(stem.with_suffix(".obc"), obc)
+    write_rows(stem.with_suffix(".phc"), _mark_rows(given, images, points))
     return made
 
 
@@ -253,8 +248,3 @@ def _mark_rows(given: Reconstruction, images: list[str], points: list[str]) -> l
         [images[i], points[j], *xy.tolist(), 0.0, 0.0, *r.tolist(), "1", "1", "1"]
         for i, j, xy, r in zip(given.image, given.point, plane, residuals, strict=True)
     ]
-
-
-def _write(path: Path, rows: Sequence[Row]) -> None:
-    lines = (" ".join(cell if isinstance(cell, str) else repr(float(cell)) for cell in row) for row in rows)
-    path.write_text("\n".join(lines) + "\n", encoding="ascii", newline="\n")

@@ -209,9 +209,9 @@ def _numbers(element: Element, path: Path, count: int) -> list[float]:
     return numbers(element.text or "", path, element.tag, count)
 
 
-def read_back(folder: Path) -> Reconstruction:
-    """Cameras, aligned images and markers."""
-    return read_metashape(folder / "cameras.xml").reconstruction
+def read_local(path: Path) -> Reconstruction:
+    """Read cameras, aligned images and markers of a camera XML."""
+    return read_metashape(path).reconstruction
 
 
 def read_camera_block(path: Path) -> Block:

@@ -22,7 +22,7 @@ from photocal.block.model import Block
 from photocal.exchange import parts
 from photocal.exchange.parts import digits, require_file_name
 from photocal.exchange.pinhole import from_vision, to_vision
-from photocal.exchange.reconstruction import Choices, Reconstruction, of_block
+from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.source import (
     child,
     fingerprint,
@@ -146,31 +146,18 @@ def read_micmac(points: Path, measures: Path, orientations: Path) -> Block:
     calibrations = list(dict.fromkeys(own.calibration for own in found.values()))
     cameras = tuple(read_calibration(orientations / name) for name in calibrations)
     used = [mark for mark in marks if mark.image in found]
-    known = {point.name for point in ground}
-    tie = dict.fromkeys(mark.point for mark in used if mark.point not in known)
-    entries = [*ground, *(parts.PointEntry(name) for name in tie)]
     read = [
         points,
         measures,
         *(files[name] for name in found),
         *(orientations / name for name in calibrations),
     ]
-    return Block(
-        points.stem,
-        "local",
-        "",
-        "control",
-        (),
-        cameras,
-        parts.images(
-            list(found),
-            [calibrations.index(own.calibration) for own in found.values()],
-            np.array([own.pose for own in found.values()]),
-        ),
-        parts.object_points(entries),
-        parts.observations(used, list(found), [entry.name for entry in entries], "px", "pixel"),
-        tuple(fingerprint(path) for path in read),
+    shots = parts.images(
+        list(found),
+        [calibrations.index(own.calibration) for own in found.values()],
+        np.array([own.pose for own in found.values()]),
     )
+    return parts.block(points.stem, cameras, shots, ground, used, [fingerprint(path) for path in read])
 
 
 def _ground(name: str, xyz: list[float], sigma: list[float], path: Path) -> parts.PointEntry:
@@ -313,6 +300,6 @@ def _leaves(element: Element, *rows: tuple[str, str]) -> None:
         SubElement(element, tag).text = text
 
 
-def read_back(folder: Path) -> Reconstruction:
-    """Control points, measurements, orientations and calibrations."""
-    return of_block(read_micmac(folder / "Ground-Pts3D.xml", folder / "GroundMeasure.xml", folder / FOLDER))
+def read_export(folder: Path) -> Block:
+    """Read control points, measurements, orientations and calibrations of a folder that was written."""
+    return read_micmac(folder / "Ground-Pts3D.xml", folder / "GroundMeasure.xml", folder / FOLDER)

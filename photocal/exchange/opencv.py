@@ -118,6 +118,6 @@ def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion,
     return tuple(write_opencv(folder / f"{file_name(own.id)}.yml", own) for own in given.cameras)
 
 
-def read_back(folder: Path) -> Reconstruction:
+def read_cameras(folder: Path) -> Reconstruction:
     """All calibrations of a folder, by their file names."""
     return cameras_alone([read_opencv(path) for path in files_of(folder, "*.yml")])

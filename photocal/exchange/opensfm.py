@@ -190,11 +190,6 @@ def _rotations(vectors: Floats) -> Floats:
     return np.asarray(Rotation.from_rotvec(vectors).as_matrix(), dtype=float)
 
 
-def read_back(folder: Path) -> Reconstruction:
-    """A reconstruction with its tracks."""
-    return read_reconstruction(folder / "reconstruction.json")
-
-
 def read_reconstruction_block(path: Path) -> Block:
     """Read an OpenSfM reconstruction with its tracks."""
     given = read_reconstruction(path)

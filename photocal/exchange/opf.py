@@ -212,11 +212,6 @@ def _triples(rows: list[Any]) -> Floats:
     return np.array([[float(value) for value in row] for row in rows], dtype=float).reshape(-1, 3)
 
 
-def read_back(folder: Path) -> Reconstruction:
-    """A calibrated project."""
-    return read_opf(folder / "project.opf")
-
-
 def read_project_block(path: Path) -> Block:
     """Read an OPF project."""
     given = read_opf(path)

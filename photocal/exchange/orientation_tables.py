@@ -1,13 +1,12 @@
 """Tables of exterior orientations in PATB's style: angles or rotation matrix.
 
-from __future__ import annotations
-
-
 Object coordinates X, Y, Z in m; angles omega, phi, kappa of our own rotation, in the unit that the caller
 names: degrees or gon (400 to a circle). The rotation matrix goes from camera (x right, y up, z backwards)
 to object axes, by rows. One line an image: `name X Y Z omega phi kappa`, or `name X Y Z r11 r12 r13 r21 ...
 r33`. In a map projection X and Y are map coordinates and the angles refer to the map's axes at the image.
 """
+
+from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -18,7 +17,7 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.exchange.parts import digits, poses_of_matrices, require_no_blanks, require_unique
-from photocal.exchange.reconstruction import Angle, Choices, Reconstruction, orientations_alone
+from photocal.exchange.reconstruction import Angle, Choices, Reconstruction
 from photocal.exchange.source import Line, numbers, read_lines
 from photocal.geometry.camera import Camera
 from photocal.geometry.conversion import Conversion, apart_px
@@ -87,11 +86,6 @@ def export(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conve
     )
     write_matrices(folder / "orientations_matrix.txt", given.image_names, given.poses)
     return ()
-
-
-def read_back(folder: Path) -> Reconstruction:
-    """The table of rotation matrices, which needs no unit."""
-    return orientations_alone(*read_matrices(folder / "orientations_matrix.txt"))
 
 
 def read_inpho(path: Path) -> tuple[tuple[str, ...], Floats]:
@@ -167,8 +161,3 @@ def _next(lines: Iterator[Line], path: Path, count: int) -> list[float]:
     if line is None:
         raise InputMalformedError("ends inside an $EXT_ORI", where=path, remedy="was it written completely?")
     return numbers(line.text, line.place, "$EXT_ORI", count)
-
-
-def read_back_inpho(folder: Path) -> Reconstruction:
-    """Photos of a project."""
-    return orientations_alone(*read_inpho(folder / "orientations.prj"))

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
-from photocal.block.model import ROLES, Images, ObjectPoints, Observations, Role
+from photocal.adjustment.network import NO_RELATIONS, Relations
+from photocal.block.model import ROLES, Block, Images, InputFile, ObjectPoints, Observations, Role
+from photocal.geometry.camera import Camera
 from photocal.geometry.rotation import angles_from_matrix
 
 # What a value without a standard deviation of its own is: free.
@@ -123,6 +126,36 @@ def observations(
     )
 
 
+def block(
+    name: str,
+    cameras: Sequence[Camera],
+    shots: Images,
+    points: Iterable[PointEntry],
+    marks: Sequence[Mark],
+    inputs: Sequence[InputFile],
+    *,
+    frame: str = "local",
+    unit: Literal["px", "mm"] = "px",
+    datum: Literal["control", "free"] = "control",
+    relations: Relations = NO_RELATIONS,
+) -> Block:
+    """Put a block together; what is measured and not among the points is a tie point of unknown place.
+
+    raises InputMalformedError: for a point that is listed twice, and as `observations`.
+    """
+    entries = list(points)
+    known = {entry.name for entry in entries}
+    measured = dict.fromkeys(mark.point for mark in marks)
+    entries += [PointEntry(point) for point in measured if point not in known]
+    names = [entry.name for entry in entries]
+    require_unique(names, "point", inputs[0].path)
+    observed = observations(marks, shots.names, names, unit, "pixel" if unit == "px" else "photo")
+    surveyed = object_points(entries)
+    return Block(
+        name, frame, "", datum, (), tuple(cameras), shots, surveyed, observed, tuple(inputs), relations
+    )
+
+
 def require_unique(names: Sequence[str], what: str, place: object) -> None:
     """Complain when a name comes twice; raises InputMalformedError."""
     if len(set(names)) < len(names):
@@ -143,6 +176,15 @@ def require_no_blanks(names: Iterable[str], remedy: str = "rename it") -> None:
     for name in names:
         if any(letter.isspace() for letter in name):
             raise InputMalformedError(f"the name {name!r} has blanks", remedy=remedy)
+
+
+Row = Sequence[str | float]
+
+
+def write_rows(path: Path, rows: Iterable[Row], between: str = " ") -> None:
+    """Write a table: texts as they are, numbers with all their digits."""
+    texts = ([str(c) if isinstance(c, str | int) else repr(float(c)) for c in row] for row in rows)
+    path.write_text("".join(between.join(row) + "\n" for row in texts), encoding="utf-8", newline="\n")
 
 
 def digits(values: Iterable[float]) -> str:

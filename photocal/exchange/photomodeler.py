@@ -22,7 +22,7 @@ from photocal.block.model import Block, InputFile
 from photocal.exchange import parts
 from photocal.exchange.dbat_camera import read_rows, to_column_row
 from photocal.exchange.parts import digits, require_file_name, whole_numbers
-from photocal.exchange.reconstruction import Choices, Reconstruction, of_block
+from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.source import Line, fingerprint, image_size, numbers, read_lines, read_text
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.conversion import Conversion, converted
@@ -218,10 +218,9 @@ def block_from_export(
             remedy="export its marks, or take it out",
         )
     points = [parts.PointEntry(name, "control", xyz, sigma) for name, (xyz, sigma) in control.items()]
-    tie = dict.fromkeys([*export.points, *observed])
     points += [
-        parts.PointEntry(name, "tie", export.points.get(name, np.full(3, np.nan)) + shift)
-        for name in tie
+        parts.PointEntry(name, "tie", xyz + shift)
+        for name, xyz in export.points.items()
         if name not in control
     ]
     values = np.array([photo.pose for photo in export.photos])
@@ -237,18 +236,10 @@ def block_from_export(
         _camera(export, interior, f"camera{k}", place) for k, interior in enumerate(interiors, start=1)
     )
     which = [interiors.index(photo.interior) for photo in export.photos]
-    return Block(
-        export.title or place,
-        "local",
-        "",
-        "control",
-        (),
-        cameras if own_camera is None else (own_camera,),
-        parts.images(names, which if own_camera is None else [0] * len(names), values, sigma),
-        parts.object_points(points),
-        parts.observations(export.marks, names, [point.name for point in points], "px", "pixel"),
-        (export.file,),
-    )
+    if own_camera is not None:
+        cameras, which = (own_camera,), [0] * len(names)
+    shots = parts.images(names, which, values, sigma)
+    return parts.block(export.title or place, cameras, shots, points, export.marks, [export.file])
 
 
 def read_photomodeler(export: Path, control: Path | None = None, positions: Path | None = None) -> Block:
@@ -306,11 +297,6 @@ def _camera(export: Export, own: tuple[float, ...], name: str, place: str) -> Ca
         | {"K1": -k1, "K2": -k2, "K3": -k3, "P1": -p1, "P2": -p2},
     )
     return replace(found, distortion_at="measured")
-
-
-def read_back(folder: Path) -> Reconstruction:
-    """A text export with its table of control points."""
-    return of_block(read_with_control(folder / "block.txt"))
 
 
 def read_with_control(path: Path) -> Block:

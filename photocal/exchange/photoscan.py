@@ -34,7 +34,7 @@ _TYPES = {
     "float": "<f4",
     "double": "<f8",
 }
-_MAX_MEMBER = 1 << 30
+_MAX_MEMBER = 256 << 20
 # What a damaged, encrypted or exotic archive makes the reader raise.
 _ARCHIVE_FAILURES = (
     zipfile.BadZipFile,
@@ -69,7 +69,6 @@ def _block(archive: zipfile.ZipFile, path: Path) -> Block:
         if key.get("name", "").startswith("accuracy_")
     }
     given = chunk.reconstruction
-    image = {name: k for k, name in enumerate(given.image_names)}
     entries = [_marker(marker, settings, path) for marker in chunk.markers]
     sigma = _setting(settings, "accuracy_projections", path)
     marks = [
@@ -79,20 +78,14 @@ def _block(archive: zipfile.ZipFile, path: Path) -> Block:
     ties, tie_marks = _tie_points(
         archive, element, chunk, _setting(settings, "accuracy_tiepoints", path), path
     )
-    taken = {entry.name for entry in entries}
-    parts.require_unique([*taken, *(entry.name for entry in ties)], "point", path)
-    names = [entry.name for entry in (*entries, *ties)]
-    return Block(
+    return parts.block(
         path.stem,
-        chunk.crs or "local",
-        "",
-        "control",
-        (),
         given.cameras,
-        parts.images(list(image), given.image_camera.tolist(), given.poses),
-        parts.object_points([*entries, *ties]),
-        parts.observations([*marks, *tie_marks], list(image), names, "px", "pixel"),
-        (fingerprint(path),),
+        parts.images(given.image_names, given.image_camera.tolist(), given.poses),
+        [*entries, *ties],
+        [*marks, *tie_marks],
+        [fingerprint(path)],
+        frame=chunk.crs or "local",
     )
 
 
@@ -145,6 +138,9 @@ def _tie_points(
 def _member(archive: zipfile.ZipFile, name: str, path: Path, most: int) -> bytes:
     """Content of a member, never more than `most` bytes whatever its header says."""
     try:
+        # Other compressions may ask for dictionaries of any size.
+        if archive.getinfo(name).compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise InputMalformedError(f"its {name!r} is compressed in a strange way", where=path)
         with archive.open(name) as member:
             content = member.read(most + 1)
     except KeyError as failure:

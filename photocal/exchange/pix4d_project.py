@@ -199,13 +199,11 @@ def _shots(path: Path) -> list[_Shot]:
         name, width, height = lines[k].text.rsplit(None, 2)
         w, h = image_size(float(width), float(height), lines[k].place)
         rows = [numbers(line.text, line.place, "camera") for line in lines[k + 1 : k + _ROWS]]
-        matrix, rotation = np.array(rows[:3]), np.array(rows[6:])
-        if (
-            [len(row) for row in rows[3:6]] != [3, 2, 3]
-            or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4
-            or np.linalg.det(rotation) < 0
-        ):
+        if [len(row) for row in rows] != [3, 3, 3, 3, 2, 3, 3, 3, 3]:
             raise InputMalformedError("is no image of this file", where=lines[k].place)
+        matrix, rotation = np.array(rows[:3]), np.array(rows[6:])
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
+            raise InputMalformedError("has a matrix that is no rotation", where=lines[k].place)
         lens = (w, h, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *rows[3], *rows[4])
         shots.append((name.strip().strip('"'), lens, np.array(rows[5]), rotation))
     return shots
@@ -215,7 +213,9 @@ def _begins(lines: Sequence[Line], k: int) -> bool:
     cells = lines[k].text.split()
     matrix = [line.text.split() for line in lines[k + 1 : k + 4]]
     whole = len(cells) >= 3 and all(cell.isdecimal() for cell in cells[-2:])
-    return whole and all(len(row) == 3 for row in matrix) and [float(c) for c in matrix[2]] == [0.0, 0.0, 1.0]
+    return (
+        whole and all(len(row) == 3 for row in matrix) and [_value(c) for c in matrix[2]] == [0.0, 0.0, 1.0]
+    )
 
 
 def _camera(lens: tuple[float, ...], name: str, path: Path) -> Camera:

@@ -120,7 +120,7 @@ def _micmac(path: Path) -> ForeignProject:
 
 def _metashape_sigmas(path: Path, block: Block) -> dict[str, dict[str, float]]:
     """Standard deviations of the adjusted calibration, where the XML has their covariance."""
-    from photocal.exchange.source import read_xml
+    from photocal.exchange.source import numbers, read_xml
 
     found: dict[str, dict[str, float]] = {}
     power = {"k1": ("K1", 2), "k2": ("K2", 4), "k3": ("K3", 6), "k4": ("K4", 8), "p1": ("P1", 1)}
@@ -136,7 +136,7 @@ def _metashape_sigmas(path: Path, block: Block) -> dict[str, dict[str, float]]:
         name = sensor.get("label") or sensor.get("id") or "camera"
         own = next((one for one in block.cameras if one.id == name), None)
         names = (sensor.findtext("covariance/params") or "").split()
-        matrix = [float(cell) for cell in (sensor.findtext("covariance/coeffs") or "").split()]
+        matrix = numbers(sensor.findtext("covariance/coeffs") or "", path, "covariance")
         if own is None or not names or len(matrix) != len(names) ** 2:
             continue
         sigma = np.sqrt(np.diag(np.reshape(matrix, (len(names), len(names)))))

@@ -21,13 +21,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from drivers.arrays import Floats
+from drivers.errors import InputMalformedError
 from photocal.adjustment.rig import CENTRE, OF_HEAD, TURN
 from photocal.block.rig import Head
+from photocal.exchange.pinhole import FLIP, rotation_from_quaternion
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import numbers, read_json, read_lines, structured
 
-# Vision axes (x right, y down, z forward) and ours (x right, y up, z backwards).
-_FLIP = np.diag([1.0, -1.0, -1.0])
+# By how much a quaternion that was printed may fail the length 1.
+LARGEST_MISFIT = 1e-3
 # Rotation and translation from rig to sensor, in vision axes; none where it is not known.
 Sensor = tuple[Floats, Floats] | None
 
@@ -80,9 +82,9 @@ def _head(name: str, base: str, ids: Mapping[str, str], sensors: Mapping[str, Se
     sigma[TURN], sigma[CENTRE] = np.inf, np.inf
     if first is None or own is None:
         return Head(ids[name], ids[base], None, values, sigma)
-    between = _FLIP @ own[0] @ first[0].T @ _FLIP
+    between = FLIP @ own[0] @ first[0].T @ FLIP
     centres = [-rotation.T @ translation for rotation, translation in (first, own)]
-    values[CENTRE] = _FLIP @ first[0] @ (centres[1] - centres[0])
+    values[CENTRE] = FLIP @ first[0] @ (centres[1] - centres[0])
     return Head(ids[name], ids[base], Rotation.from_matrix(between).as_rotvec(), values, sigma)
 
 
@@ -96,7 +98,7 @@ def of_opensfm(given: Reconstruction, path: Path) -> Reconstruction:
 
     def sensors() -> dict[str, Sensor]:
         return {
-            name: (_turn(keys["rotation"]), np.array(keys["translation"], dtype=float))
+            name: (_turn(keys["rotation"]), np.array(keys["translation"], dtype=float).reshape(3))
             for name, keys in read_json(poses).items()
         }
 
@@ -110,7 +112,7 @@ def of_opensfm(given: Reconstruction, path: Path) -> Reconstruction:
 
 
 def _turn(vector: Any) -> Floats:
-    return np.asarray(Rotation.from_rotvec(np.array(vector, dtype=float)).as_matrix())
+    return np.asarray(Rotation.from_rotvec(np.array(vector, dtype=float).reshape(3)).as_matrix())
 
 
 def of_colmap(given: Reconstruction, folder: Path, keys: Mapping[int, str]) -> Reconstruction:
@@ -126,7 +128,7 @@ def of_colmap(given: Reconstruction, folder: Path, keys: Mapping[int, str]) -> R
         return given
 
     def rigs() -> list[list[tuple[str, bool, Sensor]]]:
-        return [[_prefixed(camera) for camera in rig["cameras"]] for rig in read_json(path)]
+        return [[_prefixed(camera, path) for camera in rig["cameras"]] for rig in read_json(path)]
 
     for k, rig in enumerate(structured(path, "a rig_config.json of COLMAP", rigs)):
         sensors = {prefix: sensor for prefix, _, sensor in sorted(rig, key=lambda one: not one[1])}
@@ -146,7 +148,7 @@ def _of_model(given: Reconstruction, folder: Path, keys: Mapping[int, str]) -> R
         while at + 2 < len(cells):
             name, known = " ".join(cells[at : at + 2]), cells[at + 2] == "1"
             pose = numbers(" ".join(cells[at + 3 : at + 10]), line.place, "sensor", 7) if known else []
-            sensors[name] = (_of_quaternion(pose[:4]), np.array(pose[4:])) if known else None
+            sensors[name] = _sensor(pose[:4], pose[4:], line.place) if known else None
             at += 10 if known else 3
         if len(sensors) > 1:
             rigs[cells[0]] = sensors
@@ -163,19 +165,21 @@ def _of_model(given: Reconstruction, folder: Path, keys: Mapping[int, str]) -> R
     return given
 
 
-def _of_quaternion(wxyz: Sequence[float]) -> Floats:
-    w, x, y, z = wxyz
-    return np.asarray(Rotation.from_quat([x, y, z, w]).as_matrix())
-
-
-def _prefixed(camera: dict[str, Any]) -> tuple[str, bool, Sensor]:
+def _prefixed(camera: dict[str, Any], path: Path) -> tuple[str, bool, Sensor]:
     first = bool(camera.get("ref_sensor"))
     if first:
         return camera["image_prefix"], first, (np.eye(3), np.zeros(3))
     if "cam_from_rig_rotation" not in camera:
         return camera["image_prefix"], first, None
-    shift = np.array(camera.get("cam_from_rig_translation", [0.0] * 3), dtype=float)
-    return camera["image_prefix"], first, (_of_quaternion(camera["cam_from_rig_rotation"]), shift)
+    shift = camera.get("cam_from_rig_translation", [0.0] * 3)
+    return camera["image_prefix"], first, _sensor(camera["cam_from_rig_rotation"], shift, path)
+
+
+def _sensor(wxyz: Sequence[float], shift: Sequence[float], place: object) -> Sensor:
+    quaternion = np.array(wxyz, dtype=float).reshape(4)
+    if not abs(np.linalg.norm(quaternion) - 1) < LARGEST_MISFIT:
+        raise InputMalformedError("the quaternion of a sensor of a rig has not the length 1", where=place)
+    return rotation_from_quaternion(quaternion), np.array(shift, dtype=float).reshape(3)
 
 
 def of_metashape(

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from acquire.cli import main
-from acquire.simulate.flight import telemetry_log
 from drivers.mavlink.dialect import ardupilotmega
+from tests.telemetry import telemetry_log
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]
 

@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink import mavutil
 
-from acquire.simulate.flight import telemetry_log
 from drivers.checksums import x25
 from drivers.frames import Batch
 from drivers.mavlink.dialect import ardupilotmega
 from drivers.tlog import TlogFramer
+from tests.telemetry import telemetry_log
 
 DIALECT = ardupilotmega()
 DEMO = telemetry_log(DIALECT)

@@ -189,8 +189,7 @@ def write_streams(world: World, streams: Streams, folder: Path) -> None:
     """Write the recorded streams to the site, and when each frame arrived beside the truth."""
     site, wires = folder / "site", folder / "truth" / "wires"
     wires.mkdir(parents=True)
-    start_us = int(world.utc_ns(np.zeros(1))[0]) // 1000
-    (site / "vehicle.tlog").write_bytes(telemetry_log(streams.vehicle, start_us))
+    (site / "vehicle.tlog").write_bytes(telemetry_log(world, streams.vehicle))
     (site / "rover.ubx").write_bytes(streams.rover.data)
     (site / f"base.{world.configuration.gnss.base_protocol}").write_bytes(streams.base.data)
     for name, wire in streams.links().items():

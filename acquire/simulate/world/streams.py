@@ -77,8 +77,9 @@ def _turned(frame: bytes, random: np.random.Generator) -> bytes:
     return bytes(octets)
 
 
-def telemetry_log(wire: Wire, utc_start_us: int) -> bytes:
+def telemetry_log(world: World, wire: Wire) -> bytes:
     """Give the bytes of a `.tlog`: each frame after the UTC of its arrival, microseconds, big-endian."""
+    utc_start_us = int(world.utc_ns(np.zeros(1))[0]) // 1000
     stamps = utc_start_us + np.rint(wire.arrival_s * 1e6).astype(np.int64)
     pairs = zip(stamps.tolist(), wire.frames, strict=True)
     return b"".join(stamp.to_bytes(8, "big") + frame for stamp, frame in pairs)
@@ -104,16 +105,7 @@ def make_streams(world: World) -> Streams:
     """Let the devices of a flight send."""
     given = world.configuration
     random = world.random("wires")
-    sent = telemetry.messages(world)
-    vehicle = carry(
-        np.array([one.time_s for one in sent]),
-        telemetry.frames(sent),
-        random,
-        latency_s=given.telemetry.latency_s,
-        loss=given.wires.vehicle_loss,
-        damage=given.wires.vehicle_damage,
-        gap_s=telemetry_gap(world),
-    )
+    vehicle = vehicle_wire(world, random)
     session, chance = _session(world)
     own = OwnPosition(geoid_m=given.place.geoid_m)
     rover = rover_ubx(session, _events(world), own, rng=chance)
@@ -122,6 +114,20 @@ def make_streams(world: World) -> Streams:
         vehicle,
         _carried(world, rover, random, given.wires.rover_loss, given.wires.rover_damage),
         _carried(world, base, random, 0.0, 0.0),
+    )
+
+
+def vehicle_wire(world: World, random: np.random.Generator) -> Wire:
+    """Let the autopilot send over its radio."""
+    given, sent = world.configuration, telemetry.messages(world)
+    return carry(
+        np.array([message.time_s for message in sent]),
+        telemetry.frames(sent),
+        random,
+        latency_s=given.telemetry.latency_s,
+        loss=given.wires.vehicle_loss,
+        damage=given.wires.vehicle_damage,
+        gap_s=telemetry_gap(world),
     )
 
 

@@ -18,12 +18,12 @@ from acquire.channels.receiver import ReceiverDecoder
 from acquire.channels.receiver_time import ReceiverClock
 from acquire.channels.vehicle import VehicleDecoder
 from acquire.log.records import Channel
-from acquire.simulate.flight import SYSTEM, telemetry_log
 from drivers import nmea
 from drivers.frames import GNSS, Batch, Framer, StreamFramer, Wire
 from drivers.mavlink.decode import encode
 from drivers.mavlink.dialect import ardupilotmega
 from drivers.tlog import TlogFramer
+from tests.telemetry import SYSTEM, telemetry_log
 
 DIALECT = ardupilotmega()
 DEMO = telemetry_log(DIALECT)

@@ -13,11 +13,11 @@ from typing import Any
 
 from acquire.recording.configuration import Configuration
 from acquire.recording.recorder import record
-from acquire.simulate.flight import state
 from acquire.simulate.receiver import Receiver
 from drivers import rtcm3
 from drivers.mavlink.decode import encode
 from drivers.mavlink.dialect import ardupilotmega
+from tests.telemetry import state
 
 TICK_S = 0.1
 NO_FIX, RTK_FIXED = 1, 6

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from drivers.errors import InputMalformedError
 from photocal.adjustment.rig import CENTRE
 from photocal.exchange.colmap import read_colmap
 from photocal.exchange.metashape import read_metashape
@@ -148,3 +149,21 @@ def test_metashape(tmp_path: Path) -> None:
         f"<cameras>{''.join(cameras)}</cameras></chunk></document>"
     )
     as_images_have_them(read_metashape(tmp_path / "cameras.xml").reconstruction)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("cam_from_rig_rotation", [0.0] * 4),
+        ("cam_from_rig_rotation", [1.0]),
+        ("cam_from_rig_translation", [1.0]),
+    ],
+)
+def test_a_damaged_rig_is_refused(tmp_path: Path, key: str, value: list[float]) -> None:
+    test_colmap(tmp_path, "config")
+    path = tmp_path / "rig_config.json"
+    rigs = json.loads(path.read_text())
+    rigs[0]["cameras"][0][key] = value
+    path.write_text(json.dumps(rigs))
+    with pytest.raises(InputMalformedError):
+        read_colmap(tmp_path)

@@ -11,13 +11,13 @@ import pytest
 
 from acquire.importing.importer import import_recordings
 from acquire.log.reader import LogReader
-from acquire.simulate.flight import telemetry_log
 from drivers.frames import Wire
 from drivers.mavlink.dialect import ardupilotmega
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.exposure_run import Choices, run_exposures
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk_inputs import Sources
+from tests.telemetry import telemetry_log
 
 ROOT = Path(__file__).parents[3]
 

@@ -15,6 +15,7 @@ from drivers.errors import InputMalformedError
 from photocal.block.model import ROLES
 from photocal.exchange.formats import export, named
 from photocal.exchange.pinhole import to_pinhole, to_vision
+from photocal.exchange.pix4d_project import read_pix4d_project
 from photocal.exchange.project_detection import read_foreign_project
 from photocal.exchange.reconstruction import Choices, Reconstruction, as_block, of_result
 from photocal.geometry.camera import PARAMETERS, Model, camera
@@ -191,6 +192,17 @@ def test_variants_of_a_pix4d_project(tmp_path: Path, adjusted: Reconstruction) -
     assert len(read_foreign_project(tmp_path).block.observations.image) == len(
         foreign.block.observations.image
     )
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_a_damaged_pix4d_project_is_refused(tmp_path: Path, adjusted: Reconstruction, cut: bool) -> None:
+    pix4d(tmp_path, adjusted)
+    cameras = next(tmp_path.glob("*calibrated_camera_parameters.txt"))
+    text = cameras.read_text()
+    # A word in a matrix; and the last row of the last rotation cut within.
+    cameras.write_text(text.rsplit(" ", 1)[0] if cut else text.replace("0.0 0.0 1.0", "0.0 x 1.0"))
+    with pytest.raises(InputMalformedError):
+        read_pix4d_project(tmp_path)
 
 
 def test_a_pix4d_project_without_positions_is_the_same_camera(

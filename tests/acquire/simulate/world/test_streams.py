@@ -116,8 +116,9 @@ def test_a_lossy_link_is_imported_with_its_damage(acquire: Acquire, tmp_path: Pa
     from acquire.simulate.world.streams import telemetry_log
 
     given = configured("small", wires={"vehicle_loss": 0.02, "vehicle_damage": 0.02})
-    streams = make_streams(make_world(given))
-    (tmp_path / "vehicle.tlog").write_bytes(telemetry_log(streams.vehicle, 1_749_996_000_000_000))
+    world = make_world(given)
+    streams = make_streams(world)
+    (tmp_path / "vehicle.tlog").write_bytes(telemetry_log(world, streams.vehicle))
     done = acquire("import", tmp_path / "vehicle.tlog", "-o", tmp_path / "log.mcap", "--json")
     (link,) = json.loads(done.stdout)["links"]
     intact = len(streams.vehicle.frames) - streams.vehicle.damaged
