@@ -101,15 +101,20 @@ def estimate_components(
     rays: RayGroups | None = None,
     hold: Collection[str] = (),
     report: Callable[[Iteration], None] | None = None,
+    start: State | None = None,
+    settled: float = SETTLED,
 ) -> VarianceComponents:
     """Estimate the variance of each group of observations.
 
+    hold: groups whose variance stays as it is given.
+    start: values of all unknowns to start from.
+    settled: share of itself by which a variance may still change.
     raises IllPosedError: when the network is singular, or a variance runs to zero.
     raises NotConvergedError: when the variances do not settle.
     """
     rays = rays or rays_together(network)
     factors: dict[str, float] = {}
-    state: State | None = None
+    state = start
     for rounds in range(1, ROUNDS + 1):
         scaled = with_factors(network, rays, factors)
         solution = adjust(scaled, report, state)
@@ -117,8 +122,8 @@ def estimate_components(
         fits = _fits(scaled, rays, solution)
         free = {n: f for n, f in fits.items() if n not in hold and f.redundancy > FEWEST}
         change = {name: fit.chi_squared / fit.redundancy for name, fit in free.items()}
-        if all(abs(share - 1) < SETTLED for share in change.values()):
-            found = adjust(scaled, report)
+        if all(abs(share - 1) < settled for share in change.values()):
+            found = adjust(scaled, report, start)
             return VarianceComponents(_components(fits, free, factors), scaled, found, rounds)
         for name, share in change.items():
             factors[name] = factors.get(name, 1.0) * float(np.sqrt(share))

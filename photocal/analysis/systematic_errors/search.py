@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.arrays import Floats
-from photocal.adjustment.groups import GroupTest, group_tests
+from drivers.errors import IllPosedError, NotConvergedError
+from photocal.adjustment.groups import CONTROL, GroupTest, group_tests
+from photocal.adjustment.variance_components import VarianceComponents, estimate_components
 from photocal.analysis.estimates import Estimates
 from photocal.analysis.robust import Jackknife, jackknife
 from photocal.analysis.systematic_errors.candidates import (
@@ -45,6 +47,10 @@ LEVEL = 0.005
 ROUNDS = 6
 # Less than this is no wrong sigma.
 WRONG_SIGMA = 0.10
+# From here on causes are judged with the sigmas that residuals agree with, too; when those are settled.
+_JUDGED_ANEW, _SETTLED = 1.25, 0.02
+# What positions, attitudes and control points were stated to be: of these people write down what they hope.
+_STATED = ("position", "attitude", "control")
 # Steps in which an error is corrected, until this share of its standard deviation is left of it.
 _STEPS, _NEAR = 5, 0.005
 # Candidates count as alike when their displacements are this parallel and their F this close.
@@ -154,7 +160,11 @@ def camera_estimates(fitted: Fit, camera: int) -> Estimates:
 
 
 def _suspected(last: Fit, found: tuple[Candidate, ...], done: Callable[[], None]) -> Iterator[ExtraParameter]:
-    """Test every candidate that was not yet found; give the significant ones, the worst first."""
+    """Test every candidate that was not yet found; give the significant ones, the worst first.
+
+    Positions that are three times worse than stated pull at the rays, and look like an error of the camera:
+    what is claimed is significant with the sigmas that the residuals agree with, too.
+    """
     tested = []
     for candidate in candidates(last.network, last.state, last.computed):
         if any(_same(candidate, one) for one in found):
@@ -164,7 +174,11 @@ def _suspected(last: Fit, found: tuple[Candidate, ...], done: Callable[[], None]
         if outcome is not None and (candidate.kind != "rolling-shutter" or outcome.amount > 0.0):
             tested.append(outcome)
         done()
-    significant = [one for one in tested if max(one.p_value, one.by_images) < LEVEL / len(tested)]
+    level = LEVEL / max(len(tested), 1)
+    significant = [one for one in tested if max(one.p_value, one.by_images) < level]
+    if significant and (weighed := _as_residuals_agree(last)) is not None:
+        again = [(one, estimated_amount(weighed, one.candidate)) for one in significant]
+        significant = [one for one, other in again if other is not None and other.p_value < level]
     for one in sorted(significant, key=lambda one: -one.statistic):
         worst = _step_or_drift(last, one)
         alike = tuple(
@@ -223,11 +237,61 @@ def _same(one: Candidate, other: Candidate) -> bool:
 
 
 def _groups(last: Fit, sigma: AssumedSigma) -> tuple[GroupTest, ...]:
-    """Test groups of observations, with the sigma of the rays that was found where it differs."""
+    """Test groups of observations, with the sigma of the rays that was found where it differs.
+
+    Where a group is far off, its residuals show its sigma only when it is weighted with it.
+    """
     ratio = sigma.found / sigma.assumed
     if sigma.p_value < LEVEL and abs(ratio - 1.0) > WRONG_SIGMA:
         last = fit(with_sigmas(last.network, ratio), last.state)
-    return group_tests(last.network, last.solution)
+    tests = group_tests(last.network, last.solution)
+    components = _components(last, tests)
+    if components is None:
+        return tests
+    applied = {one.name: one.factor for one in components.components}
+    settled = {(one.name, one.of): one for one in group_tests(components.network, components.solution)}
+    return tuple(
+        _multiplied(one, settled[one.name, one.of], applied["control" if one.name in CONTROL else one.name])
+        if (one.name, one.of) in settled and (one.name in CONTROL or one.name in _STATED)
+        else one
+        for one in tests
+    )
+
+
+def _multiplied(first: GroupTest, settled: GroupTest, applied: float) -> GroupTest:
+    """The test of a group with the factor that was found by applying another one first."""
+    factors = {name: applied * getattr(settled, name) for name in ("factor", "lower", "upper")}
+    return replace(first, **factors)
+
+
+def _wrong(tests: tuple[GroupTest, ...]) -> set[str]:
+    """Groups of what was stated whose sigmas are far from what their residuals show."""
+    far = [
+        one.name
+        for one in tests
+        if one.p_value < LEVEL / len(tests) and not 1.0 / _JUDGED_ANEW < one.factor < _JUDGED_ANEW
+    ]
+    return {"control" if name in CONTROL else name for name in far} & set(_STATED)
+
+
+def _components(last: Fit, tests: tuple[GroupTest, ...]) -> VarianceComponents | None:
+    """Estimate the variances of the rays and of wrongly stated groups together; None where all is well."""
+    wrong = _wrong(tests)
+    hold = {one.name for one in last.solution.groups} - wrong - {"image"}
+    try:
+        return estimate_components(last.network, None, hold, None, last.state, _SETTLED) if wrong else None
+    except (IllPosedError, NotConvergedError):
+        return None
+
+
+def _as_residuals_agree(last: Fit) -> Fit | None:
+    """The network with larger sigmas of positions, attitudes or control, where residuals ask for them."""
+    components = _components(last, group_tests(last.network, last.solution))
+    if components is None or all(
+        one.factor < _JUDGED_ANEW for one in components.components if one.name in _STATED
+    ):
+        return None
+    return fit(components.network, components.solution.state)
 
 
 def _map(last: Fit, camera: int, factor: float) -> ResidualMap | None:
