@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import json
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from scipy.stats import f
 from acquire.outputs import write_rows
 from drivers.arrays import Flags, Floats
 from drivers.errors import IllPosedError, NotConvergedError
+from photocal.adjustment.variance_components import estimate_components
 from photocal.block.folder import read_block
 from photocal.block.network import assemble, block_frame
 from photocal.block.setup import MountingKeys
@@ -59,8 +61,13 @@ def camera_figures(foreign: ForeignProject, result: Result) -> dict[str, Any]:
     return figures
 
 
-def sigma_figures(foreign: ForeignProject, result: Result) -> list[dict[str, Any]]:
-    """What each group of observations was promised to be, and what its residuals show."""
+def sigma_figures(
+    foreign: ForeignProject, result: Result, factors: Mapping[str, float]
+) -> list[dict[str, Any]]:
+    """What each group of observations was promised to be, and what its residuals show.
+
+    result: adjusted with the sigmas of control and positions multiplied by these factors.
+    """
     tie, seen = ties_of(result), result.residuals
     rows: list[dict[str, Any]] = []
     for name, mine in (("image coordinates of tie points", tie), ("marks of surveyed points", ~tie)):
@@ -83,13 +90,13 @@ def sigma_figures(foreign: ForeignProject, result: Result) -> list[dict[str, Any
         place = dict(zip(result.points.names, result.points.values, strict=True))
         error = np.array([place[points.names[k]] - points.values[k] for k in control])
         for name, axes in (("control in plane", slice(0, 2)), ("control in height", slice(2, 3))):
-            rows.append(_group(name, error[:, axes], points.sigma[control][:, axes]))
+            rows.append(_group(name, axes, error, points.sigma[control], factors.get("control")))
     known = np.isfinite(foreign.position).all(axis=1)
     if known.any():
         error = (result.images.values[:, 3:] - foreign.position)[known]
         error -= np.mean(error, axis=0)
         for name, axes in (("positions in plane", slice(0, 2)), ("positions in height", slice(2, 3))):
-            rows.append(_group(name, error[:, axes], foreign.position_sigma[known][:, axes]))
+            rows.append(_group(name, axes, error, foreign.position_sigma[known], factors.get("position")))
     return rows
 
 
@@ -101,12 +108,20 @@ def ties_of(result: Result) -> Flags:
     return np.asarray(tie[seen.point])
 
 
-def _group(name: str, error: Floats, stated: Floats) -> dict[str, Any]:
-    """A group whose residuals stand for its errors: all others outnumber it."""
+def _group(name: str, axes: slice, error: Floats, stated: Floats, factor: float | None) -> dict[str, Any]:
+    """Some axes of a group; the errors share among them what was found for all together."""
     usable = np.isfinite(stated) & np.isfinite(error)
-    rms = float(np.sqrt(np.mean(error[usable] ** 2))) if usable.any() else None
-    typical = float(np.sqrt(np.mean(stated[usable] ** 2))) if usable.any() else None
-    return {"group": name, "unit": "m", "n": len(error), "stated": typical, "found": rms}
+    mine = usable[:, axes]
+    row = {"group": name, "unit": "m", "n": len(error), "stated": None, "found": None}
+    if not mine.any():
+        return row
+    typical = float(np.sqrt(np.mean(stated[:, axes][mine] ** 2)))
+    if factor is None:
+        return {**row, "stated": typical}
+    # Residuals are smaller than errors by what the adjustment takes from their observations.
+    whole = np.sqrt(np.mean((error[usable] / stated[usable]) ** 2))
+    share = np.sqrt(np.mean((error[:, axes][mine] / stated[:, axes][mine]) ** 2)) / whole
+    return {**row, "stated": typical, "found": float(typical * factor * share)}
 
 
 def position_figures(foreign: ForeignProject, result: Result) -> dict[str, Any] | None:
@@ -215,6 +230,8 @@ FEWEST_CONTROL = 3
 # How often the sigmas of image coordinates are estimated, where the program states none.
 _WEIGHTINGS = 2
 FEWEST_FREE = 5.0
+# Sigmas are found to one per cent.
+_SETTLED = 0.02
 # Two variances are different from this significance on.
 LEAST = 0.0005
 
@@ -243,6 +260,8 @@ def adopt(
         result = adjust_block(source, run)
     with progress("analysis", None):
         analyse_run(run, source)
+    with progress("sigmas of control and positions", None):
+        weighed, factors = _as_residuals_agree(source)
     hidden = json.loads((run / "analysis.json").read_text(encoding="utf-8"))["findings"]
     figures = {
         "schema": SCHEMA,
@@ -254,7 +273,7 @@ def adopt(
         "remarks": [*foreign.remarks, *([f"{weak} points have one ray only: left out"] if weak else [])],
         "sigma0_squared": result.sigma0_squared,
         "cameras": camera_figures(foreign, result),
-        "sigmas": sigma_figures(foreign, result),
+        "sigmas": sigma_figures(foreign, weighed or result, factors),
         "positions": position_figures(foreign, result),
         "control": control_figures(foreign, result),
         "exterior": exterior_figures(foreign, result),
@@ -391,6 +410,18 @@ def _weighted(folder: Path, foreign: ForeignProject) -> None:
                     sigma[mine] = np.sqrt(square / count)
         observations = replace(foreign.block.observations, sigma=sigma)
         _write(folder, replace(foreign, block=replace(foreign.block, observations=observations)))
+
+
+def _as_residuals_agree(folder: Path) -> tuple[Result | None, dict[str, float]]:
+    """Adjust with the sigmas that the residuals of each group show, and by what they were multiplied."""
+    block = read_block(folder)
+    assembly = assemble(block)
+    try:
+        found = estimate_components(assembly.network, settled=_SETTLED)
+    except (IllPosedError, NotConvergedError):
+        return None, {}
+    factors = {one.name: one.factor for one in found.components if one.estimated}
+    return result_of(block, replace(assembly, network=found.network), found.solution), factors
 
 
 def _solved(folder: Path) -> Result:

@@ -70,7 +70,7 @@ def test_heights_of_control_that_are_worse_than_stated_are_named() -> None:
 
 
 def test_the_factor_of_a_group_is_that_of_its_errors() -> None:
-    """Over 12 flights with positions 2.5 times worse than stated: the intervals hold the truth, no cause is told."""
+    """In 12 flights with positions 2.5 times worse than stated the intervals hold it; no cause is told."""
     held = 0
     for seed in range(12):
         network = fly(replace(SMALL, sigma_px=0.7), 40 + seed).network
