@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import hashlib
 import os
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -54,13 +55,20 @@ def _cache_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="photocal-"))
 
 
-numba.config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
+FOLDER = _cache_folder()
+# As many as there are cores, or as the environment says.
+THREADS: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
 
 
 def compile_all() -> None:
-    """Compile the kernels of adjustment and matching side by side, so that nobody waits for them later."""
-    parts = ("photocal.adjustment.compile", "photocal.measurement.compile")
-    running = [subprocess.Popen([sys.executable, "-m", part]) for part in parts]  # noqa: S603 - our own
+    """Compile all kernels, in several processes side by side, so that nobody waits for them later."""
+    parts = (
+        "photocal.adjustment.compile as part; part.compile_unusual()",
+        "photocal.adjustment.compile as part; part.compile_usual()",
+        "photocal.measurement.compile as part; part.compile_kernels()",
+        "drivers.scan as part; part.compile_search()",
+    )
+    running = [subprocess.Popen([sys.executable, "-c", f"import {part}"]) for part in parts]  # noqa: S603
     if sum(abs(part.wait()) for part in running):
         raise ProgramMissingError("the kernels cannot be compiled", remedy="run: photocal doctor")
 
@@ -76,37 +84,50 @@ _LEAN: dict[str, Any] = {**_COMMON, "fastmath": {"contract"}, "_nrt": False}
 
 def compiled(function: Function) -> Function:
     """Compile a function of numbers and arrays that makes no arrays."""
-    return cast("Function", numba.njit(**_LEAN)(function))
+    return _compiled(function, **_LEAN)
 
 
 def inlined(function: Function) -> Function:
     """Compile a function that makes no arrays so that it melts into its caller."""
-    return cast("Function", numba.njit(**_LEAN, forceinline=True)(function))
+    return _compiled(function, **_LEAN, forceinline=True)
 
 
 def allocating(function: Function) -> Function:
     """Compile a function that makes arrays."""
-    return cast("Function", numba.njit(**_COMMON)(function))
+    return _compiled(function, **_COMMON)
 
 
-def compiled_parallel(function: Function) -> Function:
-    """Compile a function that may make arrays and whose `numba.prange` loops share a design's pieces.
+def _compiled(function: Function, **options: Any) -> Function:
+    # The place is asked for here; elsewhere, as for the search of streams, it stays what it is.
+    before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
+    numba.config.CACHE_DIR = str(FOLDER)  # type: ignore[attr-defined]
+    try:
+        return cast("Function", numba.njit(**options)(function))
+    finally:
+        numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
 
-    Its first argument is the design. Threads without a piece are not woken: that costs more than a small
-    block's work, and ten times as much where other programs use the machine's cores.
+
+def each_piece(count: int, work: Callable[[int], None]) -> None:
+    """Do the work of each piece on all threads: kernels run without the interpreter's lock.
+
+    Each thread takes the next piece that nobody has taken. Loops that the compiler itself shares among
+    threads would be compiled three times over.
     """
-    kernel = numba.njit(**_COMMON, parallel=True)(function)
+    pieces = iter(range(count))
 
-    @functools.wraps(function)
-    def divided(design: Any, *others: Any) -> Any:
-        allowed = numba.get_num_threads()
-        numba.set_num_threads(min(allowed, len(design.pieces) - 1))
-        try:
-            return kernel(design, *others)
-        finally:
-            numba.set_num_threads(allowed)
+    def work_on() -> None:
+        for piece in pieces:
+            work(piece)
 
-    return cast("Function", divided)
+    others = [_threads().submit(work_on) for _ in range(min(count, THREADS) - 1)]
+    work_on()
+    for other in others:
+        other.result()
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(THREADS)
 
 
 if __name__ == "__main__":

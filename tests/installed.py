@@ -46,20 +46,18 @@ def lend_kernels(installed: Path) -> None:
 
     The compiler's cache knows a source by its folder's name, its time and its size.
     """
-    import numba
     from numba.core.caching import _CacheLocator
 
-    from photocal.compiled import PACKAGE
+    from photocal.compiled import FOLDER, PACKAGE
 
-    ours = Path(str(numba.config.CACHE_DIR))  # type: ignore[attr-defined]
     for source in PACKAGE.rglob("*.py"):
         copy = installed / source.relative_to(PACKAGE)
         os.utime(copy, ns=(source.stat().st_mtime_ns,) * 2)
         places = [_CacheLocator.get_suitable_cache_subpath(str(path)) for path in (source, copy)]  # type: ignore[no-untyped-call]
         kept, taken = places
-        if (ours / kept).is_dir():
-            target = installed / "__pycache__" / ours.name / taken
-            shutil.copytree(ours / kept, target, dirs_exist_ok=True)
+        if (FOLDER / kept).is_dir():
+            target = installed / "__pycache__" / FOLDER.name / taken
+            shutil.copytree(FOLDER / kept, target, dirs_exist_ok=True)
 
 
 def surroundings(cache: Path) -> dict[str, str]:

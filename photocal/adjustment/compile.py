@@ -1,4 +1,7 @@
-"""Compile the kernels once, at setup, so that the first adjustment does not wait for it."""
+"""Compile the kernels once, at setup, so that the first adjustment does not wait for it.
+
+Two processes share the work: `compile_usual` and `compile_unusual`.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +18,8 @@ from photocal.adjustment.solver import gradient
 from photocal.geometry.camera import PARAMETERS, camera
 
 
-def compile_kernels() -> None:
-    """Adjust the smallest network that passes through every kernel."""
+def _network() -> Network:
+    """Make the smallest network that passes through every kernel."""
     grid = np.array([[x, y, 0.1 * x * y] for x in (-2.0, -1.0, 1.0, 2.0) for y in (-2.0, -1.0, 1.0, 2.0)])
     stations = np.array([[-1.0, 0.0, 5.0], [1.0, 0.0, 5.0]])
     values = np.hstack([np.zeros((2, 3)), stations])
@@ -29,7 +32,7 @@ def compile_kernels() -> None:
     lens = camera("c", "brown-observed", "mm", (100, 100), (0.1, 0.1), {"c": 20.0}, estimate=("c",))
     rays = Rays(image, point, plane, np.full(plane.shape, 0.01))
     names = tuple(str(j) for j in range(16))
-    network = Network(
+    return Network(
         (lens,),
         Exposures(np.zeros(2, np.int64), values, sigma),
         Points(grid, held, weight),
@@ -37,34 +40,37 @@ def compile_kernels() -> None:
         ("a", "b"),
         names,
     )
+
+
+def compile_usual() -> None:
+    """Compile what networks of Brown's lenses without a rolling shutter need."""
+    network = _network()
     solution = adjust(network)
     snoop(network)
     # What an analysis does with the factor.
     at = factored(network, solution.state)
-    ones = score(at, solution.residuals, np.ones((1, *plane.shape)))
+    ones = score(at, solution.residuals, np.ones((1, *solution.residuals.shape)))
     followed_by(at, ones.steps[0], ones.moved[0])
     gradient(at.problem, at.state, [])
+    # A free network with a scale bar passes through what the datum and kept points need.
+    points = network.points.values
+    length = np.linalg.norm(points[15:] - points[:1], axis=1)
+    ends = np.zeros(1, np.int64), np.full(1, 15)
+    bar = Relations(np.zeros(1, np.int64), *ends, length, np.full(1, 0.001))
+    free = Points(points, *point_weights(np.full((16, 3), np.inf)))
+    lens = camera("c", "brown-observed", "mm", (100, 100), (0.1, 0.1), {"c": 20.0})
+    adjust(replace(network, cameras=(lens,), points=free, relations=bar, datum_points=np.zeros(0, np.int64)))
+
+
+def compile_unusual() -> None:
+    """Compile what other lenses, parameters of single images and rolling shutters need."""
+    network = _network()
     # Cameras without a rolling shutter share lenses of any model.
     adjust(replace(network, cameras=(camera("c", "rational", "mm", (100, 100), (0.1, 0.1), {"c": 20.0}),)))
     # With a few photo-variant parameters every image has columns for them.
-    varied = replace(lens, deviation_sigma=np.where(np.arange(len(PARAMETERS)) == 1, 0.1, 0.0))
+    varied = replace(network.cameras[0], deviation_sigma=np.where(np.arange(len(PARAMETERS)) == 1, 0.1, 0.0))
     adjust(replace(network, cameras=(varied,)))
     # Moving while it is read, every image has six more columns.
     rolls = camera("c", "brown-observed", "mm", (100, 100), (0.1, 0.1), {"c": 20.0, "readout": 0.01})
-    moving = Exposures(np.zeros(2, np.int64), values, sigma, np.ones((2, 6)), np.ones((2, 6)))
+    moving = replace(network.exposures, motion=np.ones((2, 6)), motion_sigma=np.ones((2, 6)))
     adjust(replace(network, cameras=(rolls,), exposures=moving))
-    # A free network with a scale bar passes through what the datum and kept points need.
-    length = np.linalg.norm(grid[15:] - grid[:1], axis=1)
-    ends = np.zeros(1, np.int64), np.full(1, 15)
-    bar = Relations(np.zeros(1, np.int64), *ends, length, np.full(1, 0.001))
-    free = Points(grid, *point_weights(np.full((16, 3), np.inf)))
-    fixed_lens = camera("c", "brown-observed", "mm", (100, 100), (0.1, 0.1), {"c": 20.0})
-    adjust(
-        replace(
-            network, cameras=(fixed_lens,), points=free, relations=bar, datum_points=np.zeros(0, np.int64)
-        )
-    )
-
-
-if __name__ == "__main__":
-    compile_kernels()

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from drivers.arrays import Floats
-from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns
+from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns, width
 from photocal.adjustment.kernels.ray import ray_rows
 from photocal.adjustment.kernels.statistics import gather, most_rays
-from photocal.compiled import compiled, compiled_parallel, inlined
+from photocal.compiled import compiled, each_piece, inlined
 from photocal.geometry.lens import Scratch, scratch
 
 
@@ -42,7 +41,6 @@ def along_piece(
                 change[r, a] = total
 
 
-@compiled_parallel
 def along(
     design: Design, values: Values, structure: Structure, step: Floats, point_step: Floats, change: Floats
 ) -> None:
@@ -52,8 +50,11 @@ def along(
     point_step (points, 3).
     change (rays, 2): receives A d.
     """
-    for piece in numba.prange(len(design.pieces) - 1):
-        along_piece(design, values, structure, piece, step, point_step, change, scratch(columns(design)))
+
+    def work(piece: int) -> None:
+        along_piece(design, values, structure, piece, step, point_step, change, scratch(width(design)))
+
+    each_piece(len(design.pieces) - 1, work)
 
 
 @inlined
@@ -104,14 +105,16 @@ def across_piece(
                 add_pull(design, structure, r, i, j, dx, dy, room, reduced, points)
 
 
-@compiled_parallel
 def across(
     design: Design, values: Values, structure: Structure, change: Floats, reduced: Floats, points: Floats
 ) -> None:
     """Right-hand side A'P d of the normal equations for a change d of all image coordinates."""
-    for piece in numba.prange(len(design.pieces) - 1):
-        room = scratch(columns(design))
+
+    def work(piece: int) -> None:
+        room = scratch(width(design))
         across_piece(design, values, structure, piece, change, room, reduced[piece], points)
+
+    each_piece(len(reduced), work)
 
 
 @compiled
@@ -138,14 +141,16 @@ def pulls_piece(
     return total
 
 
-@compiled_parallel
 def pulls(
     design: Design, values: Values, structure: Structure, totals: Floats, reduced: Floats, points: Floats
 ) -> None:
     """Right-hand side A'P v of the normal equations and v'Pv, infinite for a point behind a camera."""
-    for piece in numba.prange(len(design.pieces) - 1):
-        room = scratch(columns(design))
+
+    def work(piece: int) -> None:
+        room = scratch(width(design))
         totals[piece] = pulls_piece(design, values, structure, piece, room, reduced[piece], points)
+
+    each_piece(len(totals), work)
 
 
 @compiled
@@ -233,7 +238,6 @@ def point_effects_piece(
             ray_effect(design, r, at, columns(design) * (r - begin), own, cross, room, effect)
 
 
-@compiled_parallel
 def point_effects(
     design: Design,
     values: Values,
@@ -244,8 +248,9 @@ def point_effects(
     effect: Floats,
 ) -> None:
     """Change of the point that a ray belongs to per unit of change of the ray's coordinates."""
-    for piece in numba.prange(len(design.pieces) - 1):
-        size = columns(design) * most_rays(design, piece) + structure.border
+
+    def work(piece: int) -> None:
+        size = width(design) * most_rays(design, piece) + structure.border
         point_effects_piece(
             design,
             values,
@@ -255,9 +260,11 @@ def point_effects(
             kept,
             covariance,
             effect,
-            scratch(columns(design)),
+            scratch(width(design)),
             np.zeros((3, size)),
             np.zeros((3, size)),
             np.zeros((size, size)),
             np.zeros((3, 3)),
         )
+
+    each_piece(len(design.pieces) - 1, work)

@@ -100,19 +100,16 @@ def _packages() -> Check:
 
 
 def _kernels() -> Check:
-    import numba
-
     from acquire.operating_system import cache_folder
-    from photocal.compiled import PACKAGE
+    from photocal.compiled import FOLDER, PACKAGE
 
-    folder = Path(str(numba.config.CACHE_DIR))  # type: ignore[attr-defined]
-    if not any(parent in (PACKAGE, cache_folder()) for parent in folder.parents):
+    if not any(parent in (PACKAGE, cache_folder()) for parent in FOLDER.parents):
         remedy = f"make {cache_folder()} writable, mode 700"
-        return Check("kernels", "poor", f"in {folder}, which is not kept", remedy)
-    if not any(folder.rglob("*.nbi")):
+        return Check("kernels", "poor", f"in {FOLDER}, which is not kept", remedy)
+    if not any(FOLDER.rglob("*.nbi")):
         remedy = "run: python -m photocal.compiled"
         return Check("kernels", "poor", "not compiled yet: the first adjustment is slow", remedy)
-    return Check("kernels", "good", f"in {folder}")
+    return Check("kernels", "good", f"in {FOLDER}")
 
 
 def _engine() -> Check:

@@ -14,7 +14,3 @@ def compile_kernels() -> None:
     patches = np.ascontiguousarray(picture[None, 2:13, 2:13])
     found, likeness, covariance = np.empty((1, 2)), np.empty(1), np.zeros((1, 2, 2))
     match_patches(patches, picture, np.full((1, 2), 7.0), np.eye(2)[None], 1.0, found, likeness, covariance)
-
-
-if __name__ == "__main__":
-    compile_kernels()

@@ -13,7 +13,6 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
-import numba
 import numpy as np
 
 from drivers.arrays import Floats
@@ -102,7 +101,6 @@ _CASES: tuple[tuple[str, str, Callable[[Simulated], Floats]], ...] = (
 
 def main() -> None:
     """Run both studies and write their tables."""
-    numba.set_num_threads(1)
     lines = [
         "# Analysis: false alarms and hidden errors",
         "",

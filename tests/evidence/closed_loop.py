@@ -24,7 +24,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
@@ -82,7 +81,6 @@ class Loop:
 def loop(task: tuple[Level, int]) -> Loop:
     """Fly, process, compare with the truth."""
     level, seed = task
-    numba.set_num_threads(1)
     with tempfile.TemporaryDirectory() as scratch:
         first = _fly(Path(scratch) / "first", level, seed, {})
         solution, found = _compared(first)

@@ -12,7 +12,6 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-import numba
 import numpy as np
 
 from photocal.analysis.systematic_errors.candidates import within_flight
@@ -71,7 +70,6 @@ def row(shape: str, carried: str, flights: int) -> str:
 
 def main() -> None:
     """Fly, analyse, count, and write the page."""
-    numba.set_num_threads(1)
     OUTPUT.write_text(page([row(*which, flights) for which, flights in FLIGHTS.items()]), encoding="utf-8")
     sys.stderr.write(f"\nwritten to {OUTPUT}\n")
 

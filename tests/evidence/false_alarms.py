@@ -14,7 +14,6 @@ import time
 from collections import Counter
 from pathlib import Path
 
-import numba
 import numpy as np
 
 from photocal.analysis.systematic_errors.findings import findings
@@ -55,7 +54,6 @@ def invented(flight: Flight, seed: int) -> tuple[tuple[Finding, ...], float]:
 
 def main(blocks: int = BLOCKS) -> None:
     """Fly, analyse, count, and write the page."""
-    numba.set_num_threads(1)
     count, hit, codes = Counter[tuple[str, str]](), Counter[tuple[str, str]](), Counter[str]()
     worst, began = 0.0, time.process_time()
     for seed in range(blocks):

@@ -23,8 +23,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import numba
-
 from acquire.simulate.world.configuration import Fault
 from drivers.errors import PhotocalError
 from photocal.run.campaign import run_one
@@ -96,7 +94,6 @@ Task = tuple[Fault | None, int, dict[str, Any]]
 def processed(task: Task) -> Processed:
     """Fly with a fault or without one, and process to the certificate."""
     fault, seed, sizes = task
-    numba.set_num_threads(1)
     with tempfile.TemporaryDirectory() as scratch:
         project = fly(
             Path(scratch) / "flight",

@@ -13,7 +13,6 @@ import tempfile
 from collections import Counter
 from pathlib import Path
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
@@ -103,7 +102,6 @@ def injected(folder: Path) -> list[str]:
 
 def main() -> None:
     """Run both studies and write their tables."""
-    numba.set_num_threads(1)
     with tempfile.TemporaryDirectory() as folder:
         lines = [
             "# Georeferencing: predicted and actual errors",

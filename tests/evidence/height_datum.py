@@ -12,7 +12,6 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import numba
 import numpy as np
 
 from photocal.analysis.systematic_errors.camera_findings import of_datum
@@ -53,7 +52,6 @@ def analysed(images: int, seed: int, *, control: bool, shifted: bool) -> tuple[f
 
 def main(hundred: int = 20, large: int = 2) -> None:
     """Fly, analyse, and write the page."""
-    numba.set_num_threads(1)
     rows = []
     for images, flights in ((100, hundred), (580, large)):
         for name, control, shifted in CASES:

@@ -12,7 +12,6 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import numba
 import numpy as np
 from scipy import stats
 
@@ -50,7 +49,6 @@ def judged(seed: int) -> tuple[JointTest, bool, bool]:
 
 def main(flights: int = FLIGHTS) -> None:
     """Fly, check, count, and write the page."""
-    numba.set_num_threads(1)
     counts = np.zeros(4, dtype=int)
     for seed in range(flights):
         joint, biased, outside = judged(seed)

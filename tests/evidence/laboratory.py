@@ -13,7 +13,6 @@ import sys
 import tempfile
 from pathlib import Path
 
-import numba
 import numpy as np
 from scipy import stats
 
@@ -72,7 +71,6 @@ def rendered() -> str:
 
 def main(draws: int = DRAWS) -> None:
     """Draw, adjust, count, and write the page."""
-    numba.set_num_threads(1)
     found = []
     for seed in range(draws):
         found.append(drawn(seed))

@@ -15,7 +15,6 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
-import numba
 import numpy as np
 
 from drivers.arrays import Floats
@@ -89,7 +88,6 @@ def drawn(control: int, seed: int) -> tuple[str, bool, bool]:
 
 def main(draws: int = DRAWS) -> None:
     """Fly, mistype, look, and write the page."""
-    numba.set_num_threads(1)
     rows = []
     for control in (4, 6):
         named, told, wrong = 0, 0, Counter[str]()

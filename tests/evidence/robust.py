@@ -12,7 +12,6 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-import numba
 import numpy as np
 
 from photocal.adjustment.network import Network
@@ -49,7 +48,6 @@ def errors(noise: str, images: int, seed: int) -> np.ndarray:
 
 def main(flights: int = FLIGHTS) -> None:
     """Fly, adjust, count, and write the page."""
-    numba.set_num_threads(1)
     rows = []
     for images in IMAGES:
         for noise in NOISE:

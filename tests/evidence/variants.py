@@ -19,8 +19,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numba
-
 from drivers.errors import PhotocalError
 from photocal.demo.simulated import Row, against_truth
 from photocal.run.campaign import run_one
@@ -120,7 +118,6 @@ class Outcome:
 def outcome(task: Task) -> Outcome:
     """Fly, process, compare with the truth."""
     name, seed = task
-    numba.set_num_threads(1)
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "flight"
         project = fly(folder, seed=seed, observing={"ties": TIES}, **VARIANTS[name])

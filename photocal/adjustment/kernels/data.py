@@ -114,10 +114,12 @@ class Eliminated(NamedTuple):
     gradient: Floats
 
 
-@inlined
-def columns(design: Design) -> int:
+def width(design: Design) -> int:
     """Columns of an image, a constant of the compiled kernel."""
     return WIDTHS[design.width.ndim - 1]
+
+
+columns = inlined(width)
 
 
 @inlined

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from drivers.arrays import Flags, Floats, Integers
-from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns
+from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns, width
 from photocal.adjustment.kernels.ray import inverse3, ray_rows
-from photocal.compiled import compiled, compiled_parallel, inlined
+from photocal.compiled import compiled, each_piece, inlined
 from photocal.geometry.lens import Scratch, scratch
 
 
@@ -241,7 +240,6 @@ def accumulate_piece(
     return total
 
 
-@compiled_parallel
 def accumulate(
     design: Design,
     values: Values,
@@ -260,7 +258,8 @@ def accumulate(
     start (pieces + 1,): where each piece's strips begin in `matrix`; its border stands at their end.
     singular (points,): receives the points that their rays do not determine.
     """
-    for piece in numba.prange(len(design.pieces) - 1):
+
+    def work(piece: int) -> None:
         totals[piece] = accumulate_piece(
             design,
             values,
@@ -275,44 +274,47 @@ def accumulate(
             gradients[piece],
             kept,
             singular,
-            scratch(columns(design)),
+            scratch(width(design)),
             np.zeros((2, max(structure.lens, 1))),
             np.zeros((3, 3)),
             np.zeros(3),
-            np.zeros((3, columns(design))),
+            np.zeros((3, width(design))),
             np.zeros((3, max(structure.lens, 1))),
         )
 
+    each_piece(len(totals), work)
+
 
 @compiled
-def join_strip(
+def join_strips(
     design: Design,
     strips: Structure,
     structure: Structure,
     start: Integers,
     pieces: Floats,
     sign: float,
-    strip: int,
+    begin: int,
+    end: int,
     matrix: Floats,
 ) -> None:
-    """Add what the pieces have given to the columns of one image, see `join`."""
+    """Add what the pieces have given to the columns of some images, see `join`."""
     wide, border = columns(design), structure.border
-    column, rows = strip * wide, strips.last[strip] - strip * wide
-    home = column // structure.panel
-    top, step = home * structure.panel, structure.width[home]
-    corner = structure.offset[home] + (column - top) * step + column - top
-    foot = structure.offset[home] + (structure.last[home] - top) * step + column - top
-    for piece in range(len(design.reach)):
-        if strip < design.reach[piece, 0] or strip >= design.reach[piece, 1]:
-            continue
-        at = start[piece] - strips.offset[design.reach[piece, 0]] + strips.offset[strip]
-        for row in range(rows + border):
-            to = corner + row * step if row < rows else foot + (row - rows) * step
-            for b in range(wide):
-                matrix[to + b] += sign * pieces[at + row * wide + b]
+    for strip in range(begin, end):
+        column, rows = strip * wide, strips.last[strip] - strip * wide
+        home = column // structure.panel
+        top, step = home * structure.panel, structure.width[home]
+        corner = structure.offset[home] + (column - top) * step + column - top
+        foot = structure.offset[home] + (structure.last[home] - top) * step + column - top
+        for piece in range(len(design.reach)):
+            if strip < design.reach[piece, 0] or strip >= design.reach[piece, 1]:
+                continue
+            at = start[piece] - strips.offset[design.reach[piece, 0]] + strips.offset[strip]
+            for row in range(rows + border):
+                to = corner + row * step if row < rows else foot + (row - rows) * step
+                for b in range(wide):
+                    matrix[to + b] += sign * pieces[at + row * wide + b]
 
 
-@compiled_parallel
 def join(
     design: Design,
     strips: Structure,
@@ -329,5 +331,9 @@ def join(
     strips : Structure
         Of the pieces' values: a panel for each image.
     """
-    for strip in numba.prange(len(strips.last)):
-        join_strip(design, strips, structure, start, pieces, sign, strip, matrix)
+    shares = np.linspace(0, len(strips.last), len(design.pieces)).astype(np.int64)
+
+    def work(share: int) -> None:
+        join_strips(design, strips, structure, start, pieces, sign, shares[share], shares[share + 1], matrix)
+
+    each_piece(len(shares) - 1, work)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import numba
-
 from drivers.arrays import Floats
-from photocal.adjustment.kernels.data import Design, Values, columns
+from photocal.adjustment.kernels.data import Design, Values, width
 from photocal.adjustment.kernels.ray import ray_rows
-from photocal.compiled import compiled, compiled_parallel
+from photocal.compiled import compiled, each_piece
 from photocal.geometry.lens import Scratch, scratch
 
 
@@ -22,12 +20,14 @@ def evaluate_piece(
             depth[r] = room.depth[0]
 
 
-@compiled_parallel
 def evaluate(design: Design, values: Values, residuals: Floats, depth: Floats) -> None:
     """Residuals of all rays.
 
     residuals (rays, 2): receives computed minus measured.
     depth (rays,): receives how far each point lies in front of the camera, m.
     """
-    for piece in numba.prange(len(design.pieces) - 1):
-        evaluate_piece(design, values, piece, scratch(columns(design)), residuals, depth)
+
+    def work(piece: int) -> None:
+        evaluate_piece(design, values, piece, scratch(width(design)), residuals, depth)
+
+    each_piece(len(design.pieces) - 1, work)

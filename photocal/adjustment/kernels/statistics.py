@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from drivers.arrays import Floats
-from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns
+from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns, width
 from photocal.adjustment.kernels.ray import ray_rows
-from photocal.compiled import compiled, compiled_parallel, inlined
+from photocal.compiled import compiled, each_piece, inlined
 from photocal.geometry.lens import Scratch, scratch
 
 
-@compiled
 def most_rays(design: Design, piece: int) -> int:
     """Largest number of rays of a point among one piece's points, at least 1."""
-    most = 1
-    for nth in range(design.pieces[piece], design.pieces[piece + 1]):
-        j = design.order[nth]
-        most = max(most, design.ray_start[j + 1] - design.ray_start[j])
-    return most
+    points = design.order[design.pieces[piece] : design.pieces[piece + 1]]
+    return int(np.max(design.ray_start[points + 1] - design.ray_start[points], initial=1))
 
 
 @inlined
@@ -154,7 +149,6 @@ def statistics_piece(
                 redundancy[r, a] = 1.0 - design.weight[r, a] * variance
 
 
-@compiled_parallel
 def statistics(
     design: Design,
     values: Values,
@@ -171,8 +165,9 @@ def statistics(
     residuals, redundancy (rays, 2): receive the results. r = 1 - p a Q a' with a the row of the design matrix
         (Foerstner 1979).
     """
-    for piece in numba.prange(len(design.pieces) - 1):
-        size = columns(design) * most_rays(design, piece) + structure.border
+
+    def work(piece: int) -> None:
+        size = width(design) * most_rays(design, piece) + structure.border
         statistics_piece(
             design,
             values,
@@ -183,10 +178,12 @@ def statistics(
             point_covariance,
             residuals,
             redundancy,
-            scratch(columns(design)),
+            scratch(width(design)),
             np.zeros((3, size)),
             np.zeros((3, size)),
             np.zeros((size, size)),
             np.zeros(size),
             np.zeros((3, 3)),
         )
+
+    each_piece(len(design.pieces) - 1, work)

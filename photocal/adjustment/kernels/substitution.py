@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import numba
-
 from drivers.arrays import Floats
 from photocal.adjustment.kernels.data import Design, Eliminated, Structure, columns
-from photocal.compiled import compiled, compiled_parallel
+from photocal.compiled import compiled, each_piece
 
 
 @compiled
@@ -35,13 +33,15 @@ def back_substitute_piece(
     return decrease
 
 
-@compiled_parallel
 def back_substitute(
     design: Design, structure: Structure, step: Floats, kept: Eliminated, points: Floats, decreases: Floats
 ) -> None:
     """Move the points by the steps that belong to a step of the reduced system."""
-    for piece in numba.prange(len(design.pieces) - 1):
+
+    def work(piece: int) -> None:
         decreases[piece] = back_substitute_piece(design, structure, step, kept, piece, points)
+
+    each_piece(len(decreases), work)
 
 
 @compiled
@@ -64,10 +64,12 @@ def reduce_right_piece(
                 reduced[band + s] -= kept.mixed_border[j, a, s] * x
 
 
-@compiled_parallel
 def reduce_right(
     design: Design, structure: Structure, right: Floats, kept: Eliminated, reduced: Floats
 ) -> None:
     """Eliminate the points from a right-hand side: what each piece takes off, (pieces, layout.size)."""
-    for piece in numba.prange(len(design.pieces) - 1):
+
+    def work(piece: int) -> None:
         reduce_right_piece(design, structure, right, kept, piece, reduced[piece])
+
+    each_piece(len(reduced), work)

@@ -13,11 +13,11 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
-import numba
 import pytest
 from typer.testing import CliRunner
 
 from acquire.console import Check
+from photocal import compiled
 from photocal.cli import app
 from photocal.commands import doctor
 from photocal.commands.doctor import examine
@@ -47,7 +47,7 @@ def lost_package(_: Path, patch: Patch) -> None:
 
 
 def temporary_kernels(folder: Path, patch: Patch) -> None:
-    patch.setattr(numba.config, "CACHE_DIR", str(folder / "kernels"))
+    patch.setattr(compiled, "FOLDER", folder / "kernels")
 
 
 def no_engine(folder: Path, patch: Patch) -> None:
