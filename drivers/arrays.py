@@ -1,6 +1,11 @@
-"""Kinds of arrays, for annotations."""
+"""Kinds of arrays, for annotations, and arrays and dataclasses as JSON values."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,3 +14,16 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
+
+
+def as_plain(value: Any) -> Any:
+    """Turn dataclasses into mappings and arrays into lists; what is no finite number becomes null."""
+    if isinstance(value, np.ndarray | np.generic):
+        return as_plain(value.tolist())
+    if is_dataclass(value):
+        return {field.name: as_plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {key: as_plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_plain(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -20,27 +20,25 @@ from photocal.accuracy.classes import (
     value_class,
 )
 from photocal.accuracy.discrepancies import COMPONENTS, Discrepancies
-from photocal.accuracy.significance_tests import (
-    BiasTest,
-    NormalityTest,
-    SimilarityTrend,
-    bias_test,
-    normality_test,
-    outliers,
-    rmse_after_trend_removal,
-    similarity_trend,
-)
 from photocal.accuracy.standard import LimitTable, Question, ScaleStandard, Standard, ValueStandard
 from photocal.accuracy.statistics import (
+    BiasTest,
     LengthStatistics,
     Moments,
+    NormalityTest,
+    SimilarityTrend,
     Spread,
+    bias_test,
     circular_error,
     counted_error,
     length_statistics,
     lengths,
     linear_error,
     moments,
+    normality_test,
+    outliers,
+    rmse_after_trend_removal,
+    similarity_trend,
     spread,
 )
 

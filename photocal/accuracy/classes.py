@@ -9,9 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.arrays import Floats
-from photocal.accuracy.significance_tests import PrecisionTest, precision_quantile, precision_test
 from photocal.accuracy.standard import ClassLimit, LimitTable, Question, ValueStandard
-from photocal.accuracy.statistics import Moments, combined_rmse, counted_error, lengths, moments
+from photocal.accuracy.statistics import (
+    Moments,
+    PrecisionTest,
+    combined_rmse,
+    counted_error,
+    lengths,
+    moments,
+    precision_quantile,
+    precision_test,
+)
 
 
 @dataclass(frozen=True)

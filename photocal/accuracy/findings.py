@@ -5,8 +5,8 @@ from __future__ import annotations
 from photocal.accuracy.assessment import Assessment, ComponentResult, TableResult
 from photocal.accuracy.classes import ValueClass
 from photocal.accuracy.discrepancies import SIGN
-from photocal.accuracy.significance_tests import std_interval_factors
 from photocal.accuracy.standard import size_text
+from photocal.accuracy.statistics import std_interval_factors
 from photocal.findings.finding import Figure, Finding
 
 # Below this number the standard deviation is known to worse than about a quarter of itself (95 %).

@@ -1,7 +1,4 @@
-"""Moments of discrepancies: mean, standard deviation, root mean square error, lengths.
-
-A discrepancy is product minus reference, everywhere; its opposite is called a correction.
-"""
+"""Moments of discrepancies, and tests on them: bias, precision, normality, outliers, trends."""
 
 from __future__ import annotations
 
@@ -13,7 +10,7 @@ from scipy import stats
 from scipy.optimize import brentq
 
 from drivers.arrays import Floats
-from drivers.errors import InputMalformedError
+from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError
 
 # 1 / the 0.75 quantile of the standard normal distribution: the median of absolute deviations
 # times this estimates the standard deviation of normal data (Hoehle and Hoehle 2009).
@@ -178,3 +175,211 @@ def circular_error(second_moments_m2: Floats, probability: float) -> float:
 
     upper = math.sqrt(float(stats.chi2.ppf(probability, 2)))
     return math.sqrt(large) * float(brentq(missing, 0.0, upper * (1.0 + 1e-9), xtol=1e-12))
+
+
+# The approximation of Royston 1995 that scipy computes holds for these numbers of points.
+SHAPIRO_WILK_SAMPLES = range(3, 5001)
+# A smaller range is no measurement: all values are equal.
+_NO_RANGE_M = 1e-9
+
+
+@dataclass(frozen=True)
+class BiasTest:
+    """Two-sided Student test of a mean against zero.
+
+    t: mean over its standard deviation, with the sign of the mean; infinite when the spread is zero.
+    critical: value that |t| must stay below.
+    confidence: two-sided level of confidence, 0 to 1.
+    p_value: probability of a larger |t| without bias.
+    """
+
+    t: float
+    critical: float
+    confidence: float
+    p_value: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether the mean differs from zero, that is, whether there is a bias."""
+        return not abs(self.t) < self.critical
+
+
+@dataclass(frozen=True)
+class PrecisionTest:
+    """One-sided chi-square test of a standard deviation against a required one.
+
+    chi_squared: degrees of freedom times the ratio of the variances.
+    critical: value that it must stay below.
+    confidence: one-sided level of confidence, 0 to 1.
+    """
+
+    chi_squared: float
+    critical: float
+    confidence: float
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the spread agrees with the required standard deviation."""
+        return self.chi_squared < self.critical
+
+
+@dataclass(frozen=True)
+class NormalityTest:
+    """Shapiro-Wilk test of normality.
+
+    w: statistic of Shapiro and Wilk, 1 for normal data.
+    p_value: probability of a smaller value for normal data.
+    confidence: level of confidence of the decision, 0 to 1.
+    """
+
+    w: float
+    p_value: float
+    confidence: float
+
+    @property
+    def rejected(self) -> bool:
+        """Whether the data are not normal at the level of confidence."""
+        return self.p_value < 1.0 - self.confidence
+
+
+def bias_test(component: Moments, confidence: float) -> BiasTest:
+    """Test whether the mean of a component is zero."""
+    dof = _degrees_of_freedom(component)
+    _require_level(confidence)
+    critical = float(stats.t.ppf(0.5 + confidence / 2.0, dof))
+    if component.std_m == 0.0:
+        t = 0.0 if component.mean_m == 0.0 else math.copysign(math.inf, component.mean_m)
+    else:
+        t = component.mean_m / component.std_m * math.sqrt(component.n)
+    return BiasTest(t, critical, confidence, 2.0 * float(stats.t.sf(abs(t), dof)))
+
+
+def precision_test(component: Moments, sigma_m: float, confidence: float) -> PrecisionTest:
+    """Test whether the spread of a component is not larger than a required standard deviation.
+
+    It sees precision only: a bias of any size passes.
+    """
+    dof = _degrees_of_freedom(component)
+    if not sigma_m > 0.0:
+        raise ConfigurationError(f"required standard deviation {sigma_m} m is not positive")
+    chi_squared = dof * (component.std_m / sigma_m) ** 2
+    return PrecisionTest(chi_squared, precision_quantile(component.n, confidence), confidence)
+
+
+def precision_quantile(n: int, confidence: float) -> float:
+    """Give the chi-square value that the precision test compares with."""
+    _require_level(confidence)
+    return float(stats.chi2.ppf(confidence, n - 1))
+
+
+def normality_test(values_m: Floats, confidence: float) -> NormalityTest | None:
+    """Test whether a component is normally distributed (Shapiro and Wilk 1965)."""
+    _require_level(confidence)
+    if len(values_m) not in SHAPIRO_WILK_SAMPLES or float(values_m.max() - values_m.min()) < _NO_RANGE_M:
+        return None
+    result = stats.shapiro(values_m)
+    return NormalityTest(float(result.statistic), float(result.pvalue), confidence)
+
+
+def std_interval_factors(n: int, confidence: float) -> tuple[float, float]:
+    """Say how badly a standard deviation from n points is known."""
+    _require_level(confidence)
+    dof = n - 1
+    low = float(stats.chi2.ppf(0.5 - confidence / 2.0, dof))
+    high = float(stats.chi2.ppf(0.5 + confidence / 2.0, dof))
+    return math.sqrt(dof / high), math.sqrt(dof / low)
+
+
+def _degrees_of_freedom(component: Moments) -> int:
+    if component.n < 2:
+        raise IllPosedError(
+            "a test needs at least two check points, there is one", remedy="measure more check points"
+        )
+    return component.n - 1
+
+
+def _require_level(confidence: float) -> None:
+    if not 0.0 < confidence < 1.0:
+        raise ConfigurationError(
+            f"confidence {confidence} is not between 0 and 1", remedy="give for example 0.90"
+        )
+
+
+# Below this many points a deviation cannot be told from the spread it makes itself.
+SMALLEST_SAMPLE = 5
+# More outliers than this are no outliers any more but another distribution.
+MOST_TESTED = 100
+
+
+def outliers(values_m: Floats, confidence: float) -> tuple[int, ...]:
+    """Find the values that do not belong to the normal distribution of the others.
+
+    They are shown, never removed: a check point with a large error is the reason for checking.
+    """
+    if len(values_m) < SMALLEST_SAMPLE:
+        return ()
+    rows = np.arange(len(values_m))
+    removed: list[int] = []
+    found = 0
+    for _ in range(min(max(1, len(values_m) // 4), MOST_TESTED)):
+        rest = values_m[rows]
+        deviation = np.abs(rest - np.mean(rest))
+        std = float(np.std(rest, ddof=1))
+        if std == 0.0:
+            break
+        worst = int(np.argmax(deviation))
+        removed.append(int(rows[worst]))
+        # The number of outliers is the last step that passes, not the first that fails: two outliers
+        # side by side hide each other in the first step.
+        if float(deviation[worst]) / std > critical_deviate(len(rest), confidence):
+            found = len(removed)
+        rows = np.delete(rows, worst)
+    return tuple(removed[:found])
+
+
+def critical_deviate(n: int, confidence: float) -> float:
+    """Give the largest Studentised deviate that n normal values may show."""
+    t = float(stats.t.ppf(1.0 - (1.0 - confidence) / (2.0 * n), n - 2))
+    return (n - 1) * t / math.sqrt((n - 2 + t**2) * n)
+
+
+@dataclass(frozen=True)
+class SimilarityTrend:
+    """Scale, rotation and shift that explain planimetric discrepancies best.
+
+    shift_m: east and north part at the centre of the points, m.
+    scale: by which the product is too large: 0.01 is 1 %.
+    rotation_rad: by which the product is turned counter-clockwise, rad.
+    rmse_left_m: planimetric root mean square (over n) of what it does not explain, m.
+    """
+
+    shift_m: tuple[float, float]
+    scale: float
+    rotation_rad: float
+    rmse_left_m: float
+
+
+def rmse_after_trend_removal(component: Moments, confidence: float) -> float:
+    """Give the RMSE after the mean has been subtracted where it is significant."""
+    biased = bias_test(component, confidence).significant
+    return component.rmse_without_mean_m if biased else component.rmse_m
+
+
+def similarity_trend(positions_m: Floats, discrepancies_m: Floats) -> SimilarityTrend:
+    """Fit shift, scale and rotation to planimetric discrepancies by least squares."""
+    if len(positions_m) < 3:
+        raise IllPosedError("a similarity trend needs at least three check points with coordinates")
+    reduced = positions_m - positions_m.mean(axis=0)
+    inertia = float(np.sum(reduced**2))
+    if inertia == 0.0:
+        raise IllPosedError(
+            "all check points have the same coordinates", remedy="look at the columns E and N"
+        )
+    shift = discrepancies_m.mean(axis=0)
+    east, north = reduced.T
+    scale = float(np.sum(reduced * discrepancies_m)) / inertia
+    rotation = float(np.sum(east * discrepancies_m[:, 1] - north * discrepancies_m[:, 0])) / inertia
+    explained = shift + np.column_stack((scale * east - rotation * north, rotation * east + scale * north))
+    left = discrepancies_m - explained
+    rmse_left = math.sqrt(float(np.sum(left**2)) / len(left))
+    return SimilarityTrend((float(shift[0]), float(shift[1])), scale, rotation, rmse_left)

@@ -17,7 +17,7 @@ from photocal.adjustment.state import State
 from photocal.analysis.systematic_errors.refit import Fit, left_without, lowest, without_images
 
 # Beyond this many images, neighbours are left out together, in so many groups.
-MOST_REMOVALS, GROUPS = 30, 15
+MOST_REMOVALS, REMOVED_TOGETHER = 30, 15
 # Left of each adjustment, see `minimise`: some 1e-4 standard deviations.
 NEAR = 1e-8
 
@@ -63,7 +63,7 @@ def jackknife(fit: Fit, done: Callable[[], None] = lambda: None) -> Jackknife:
 def groups_of(fit: Fit) -> list[Flags]:
     """Images that are left out together: each alone, in a large network neighbours."""
     count = len(fit.network.image_names)
-    parts = np.array_split(np.arange(count), count if count <= MOST_REMOVALS else GROUPS)
+    parts = np.array_split(np.arange(count), count if count <= MOST_REMOVALS else REMOVED_TOGETHER)
     return [np.isin(np.arange(count), part) for part in parts]
 
 

@@ -157,7 +157,7 @@ def judge_numbers(source: Path, counts: str, output: Path | None, *, as_json: bo
 
     from acquire.outputs import output_folder
     from photocal.exchange.formats import read_any_block
-    from photocal.georeferencing.control_numbers import control_numbers, numbers_text
+    from photocal.georeferencing.experiment import control_numbers, numbers_text
     from photocal.georeferencing.experiment_output import control_plot
 
     try:

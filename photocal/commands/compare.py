@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from drivers.arrays import as_plain
 from photocal.commands.options import AsJson, argument, option
 
 if TYPE_CHECKING:
@@ -48,8 +49,6 @@ def compare(
     Example: `photocal compare configs/studies/canon-elph.toml --picture pairs.png`, or
     `photocal compare MAY.toml JUNE.toml --exchange`
     """
-    from dataclasses import asdict
-
     import numpy as np
 
     from acquire.console import answer, progress
@@ -93,9 +92,9 @@ def compare(
         as_json,
         lambda: {
             **_figures(asked, len(pixels), pairs, followed),
-            "repeatability": {name: [asdict(one) for one in found] for name, found in repeats.items()},
-            "heads": [asdict(one) | {"different": one.different} for one in heads],
-            "exchange": [dict(vars(use)) for use in uses],
+            "repeatability": as_plain(repeats),
+            "heads": [as_plain(one) | {"different": one.different} for one in heads],
+            "exchange": as_plain(uses),
         },
         lambda: "\n\n".join(
             [
@@ -149,7 +148,7 @@ def _figures(
         "cameras": [one.id for one in asked.calibrations],
         "grid": {"points": points, "step_px": asked.grid_step_px},
         "thresholds_px": list(asked.thresholds_px),
-        "terrains": [{"height_m": one.height_m, "relief_m": one.relief_m} for one in asked.terrains],
+        "terrains": as_plain(asked.terrains),
         "terrains_each": asked.terrains_each,
         "seed": asked.seed,
         "pairs": [
@@ -180,17 +179,8 @@ def _figures(
 def _figure(figure: Figure, thresholds_px: tuple[float, ...]) -> dict[str, Any]:
     from photocal.analysis.stability.comparison import likeness
 
-    return {
-        "method": figure.method,
-        "definition": figure.definition,
-        "source": figure.source,
-        "value_px": figure.value_px,
-        "sigma_px": figure.sigma_px,
-        "noise_px": figure.noise_px,
-        "p_value": figure.p_value,
-        "different": figure.different,
-        "within_px": likeness(figure, thresholds_px),
-    }
+    more = {"different": figure.different, "within_px": likeness(figure, thresholds_px)}
+    return {**as_plain(figure), **more}
 
 
 def _text(asked: CameraFile, pairs: tuple[Pair, ...], followed: tuple[Followed, ...]) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from acquire.console import answer, progress
+from drivers.arrays import as_plain
 from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.commands.options import argument, option
 
@@ -146,7 +147,7 @@ def verify(
             "signature": {"trust": signed.trust, "name": signed.name, "fingerprint": signed.fingerprint},
             "changed_inputs": changed,
             "changed_files": files,
-            "differences": [vars(d) for d in found],
+            "differences": as_plain(found),
             "problems": problems,
         },
         lambda: "\n".join(

@@ -12,7 +12,7 @@ import numpy as np
 
 from acquire.operating_system import cache_folder
 from acquire.outputs import output_file
-from drivers.arrays import Flags, Floats, Integers
+from drivers.arrays import Flags, Floats, Integers, as_plain
 from drivers.errors import PhotocalError
 from photocal.block.motion import strips
 from photocal.debrief.pictures import (
@@ -39,8 +39,7 @@ from photocal.planning.area import LocalPlane
 from photocal.planning.flown import FlownBlock, flown_block, gaps, level_ground
 from photocal.project import Project
 from photocal.run.exposures import exposures_of
-from photocal.run.folders import alone
-from photocal.run.stage import Progress
+from photocal.run.stage import Progress, alone
 from photocal.tasks.workers import Workers
 
 # Neighbours along a strip must share so much of what they show: less is no stereoscopic cover.
@@ -292,8 +291,8 @@ def debrief_json(made: Debrief) -> dict[str, Any]:
 
 
 def _picture(look: Look) -> dict[str, Any]:
-    figures = {name: getattr(look, name) for name in ("softness", "white", "black", "range")}
-    return {"image": look.path.name, **{name: v if np.isfinite(v) else None for name, v in figures.items()}}
+    figures = {name: as_plain(getattr(look, name)) for name in ("softness", "white", "black", "range")}
+    return {"image": look.path.name, **figures}
 
 
 def _exposures(run: ExposureRun, flown: Coverage | None) -> list[dict[str, Any]]:

@@ -1,13 +1,61 @@
-"""`python -m photocal.demo`: what `make demo` runs."""
+"""`python -m photocal.demo`: what `make demo` and `make demo-dcs460` run."""
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from acquire.console import application, run
+
+_DATA = Path(__file__).parent
+
+
+def published(output: Path) -> None:
+    """Calibrate a Kodak DCS460 into a folder, write its certificate, import a synthetic flight."""
+    began = time.monotonic()
+    typer.echo("Calibration of a Kodak DCS460 from its published observations\n")
+    calibrate(_DATA / "dcs460", output)
+    typer.echo("\nFlight log. The flight is SYNTHETIC, made by the project's own encoder\n")
+    typer.echo("\n".join(f"  {line}" for line in fly(_DATA / "flight" / "flight.tlog", output)))
+    typer.echo(f"\nThe certificate: {output / 'certificate' / 'certificate.html'}, the same as .pdf")
+    typer.echo(f"The flight log, for Foxglove or Lichtblick: {output / 'flight.mcap'}")
+    typer.echo(f"Done in {time.monotonic() - began:.1f} s.")
+
+
+def calibrate(block: Path, output: Path) -> None:
+    """Adjust a block into `run` and write its `certificate`, which prints what it says."""
+    from photocal.commands.calibration import certificate
+    from photocal.results.adjusted import adjust_block
+
+    adjust_block(block, output / "run")
+    certificate(output / "run", output / "certificate", block=block)
+
+
+def fly(recording: Path, output: Path) -> tuple[str, ...]:
+    """Import a recording as flight log and say in three lines what it holds."""
+    from acquire.importing.importer import import_recordings
+    from acquire.log.summary import summarise
+    from drivers.mavlink.dialect import ardupilotmega
+
+    import_recordings([], [recording], output / "flight.mcap", lambda _: None)
+    figures = summarise(output / "flight.mcap", ardupilotmega()).as_json()
+    return tuple(_lines(figures))
+
+
+def _lines(figures: dict[str, Any]) -> list[str]:
+    link = figures["links"][0]
+    frames = {kind["type"]: kind["frames"] for kind in link["types"]}
+    fixes = [f"{name} {count}" for counts in figures["fixes"].values() for name, count in counts.items()]
+    amount = f"{link['frames']} frames in {link['duration_s']:.1f} s"
+    return [
+        f"{link['link']}: {amount}, {link['damage_bytes']} bytes belong to no valid frame",
+        f"position fixes: {', '.join(fixes)}",
+        f"exposures: {frames.get('CAMERA_FEEDBACK', 0)}; clock: {link['clock']['verdict']}",
+    ]
+
 
 app = application("Demonstrations: a simulated flight with known truth, a camera of a published study.")
 
@@ -42,8 +90,6 @@ def dcs460(
 
     Example: `python -m photocal.demo dcs460`
     """
-    from photocal.demo.published import published
-
     published(output)
 
 

@@ -6,9 +6,9 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict
 from typing import Any
 
+from drivers.arrays import as_plain
 from drivers.errors import InputMalformedError
 from photocal.findings.catalogue import Catalogue, catalogue
 from photocal.findings.digits import Number, symbol
@@ -75,13 +75,12 @@ def remedy_text(finding: Finding, say: Catalogue, figures: Mapping[str, object])
 
 def finding_json(finding: Finding, say: Catalogue) -> dict[str, Any]:
     """Give a finding as a JSON value; `Finding` can be validated from it."""
-    record = {**asdict(finding), "text": finding_text(finding, say, plain)}
-    return {key: _plain(value) for key, value in record.items()}
+    return {**as_plain(finding), "text": finding_text(finding, say, plain)}
 
 
 def identity(finding: Finding) -> str:
     """Everything of a finding but its words: the same before and after it was stored."""
-    return json.dumps(_plain(asdict(finding)), sort_keys=True)
+    return json.dumps(as_plain(finding), sort_keys=True)
 
 
 def told(findings: Iterable[Finding]) -> dict[str, Any]:
@@ -158,11 +157,3 @@ def _phrase(section: str, text: str, say: Catalogue, name: Callable[[str], str])
     code, *parts = text.split(" ")
     values = (name(one) if section == "candidate" else _number(_term(one, say), say) for one in parts)
     return say.messages[f"{section}.{code}"].format(*values)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, tuple | list):
-        return [_plain(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -16,13 +16,14 @@ from photocal.block.network import block_frame
 from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding
 from photocal.findings.texts import finding_text
-from photocal.georeferencing.calibrated import Calibration
 from photocal.georeferencing.differences import (
     Differences,
     ExposureDifference,
     differences,
     exposure_difference,
 )
+from photocal.georeferencing.direct import Calibration
+from photocal.georeferencing.freed_groups import Separation, separation
 from photocal.georeferencing.ground_mistakes import Mistyped, ground_findings, mistyped_control
 from photocal.georeferencing.local import as_mounted, in_local_frame, with_attitude_angles
 from photocal.georeferencing.methods import (
@@ -36,7 +37,6 @@ from photocal.georeferencing.methods import (
     with_shutters,
     without_weak_images,
 )
-from photocal.georeferencing.separation import Separation, separation
 from photocal.georeferencing.systematic import SystematicErrors, systematic_errors
 
 # From here on a position is one of code: its errors are metres and last for minutes.

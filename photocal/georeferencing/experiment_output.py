@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from acquire.outputs import output_folder
+from acquire.outputs import output_folder, rows_text
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.output import finite
 from photocal.georeferencing.differences import Differences
@@ -230,8 +228,4 @@ def _rmse(left: list[LeftOut]) -> list[float | None]:
 
 
 def _csv(rows: list[dict[str, Any]]) -> str:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
+    return rows_text(list(rows[0]), [list(row.values()) for row in rows])

@@ -13,9 +13,8 @@ from photocal.adjustment.groups import GroupTest
 from photocal.findings.finding import Figure, Finding
 from photocal.findings.hypotheses import fault
 from photocal.georeferencing.comparison import BlockCheck, Judged, coarsely_placed
-from photocal.georeferencing.freed_groups import Estimate
+from photocal.georeferencing.freed_groups import Estimate, Separation
 from photocal.georeferencing.ground_mistakes import Mistyped
-from photocal.georeferencing.separation import Separation
 from photocal.georeferencing.systematic import Hypothesis, SystematicError
 
 # Errors this many times as large as predicted, or as small, are worth a word.

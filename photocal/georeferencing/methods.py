@@ -18,8 +18,7 @@ from photocal.adjustment.solution import GlobalTest, Solution, global_test
 from photocal.block.model import ROLES, Block, Role
 from photocal.block.network import NetworkOfBlock, assemble, plane_per_unit
 from photocal.geometry.rotation import angles_from_matrix
-from photocal.georeferencing.calibrated import Calibration, joint_covariance, with_calibration
-from photocal.georeferencing.direct import direct_orientation
+from photocal.georeferencing.direct import Calibration, direct_orientation, joint_covariance, with_calibration
 from photocal.georeferencing.space_intersection import Intersected, intersect_points
 
 Method = Literal["direct", "integrated", "indirect"]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from pathlib import Path
@@ -11,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from acquire.outputs import output_folder
-from drivers.arrays import Floats
+from acquire.outputs import output_folder, rows_text
+from drivers.arrays import Floats, as_plain
 from photocal.accuracy.classes import class_cm
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.maps import histograms, residual_map, write_geopackage
@@ -26,8 +24,7 @@ from photocal.geopackage import ReferenceSystem
 from photocal.georeferencing.comparison import BlockCheck, Judged
 from photocal.georeferencing.differences import CRITICAL_W, ELLIPSE_PROBABILITY, Differences, JointTest
 from photocal.georeferencing.findings import block_findings, estimate_text
-from photocal.georeferencing.freed_groups import Estimate
-from photocal.georeferencing.separation import Separation
+from photocal.georeferencing.freed_groups import Separation
 from photocal.georeferencing.systematic import Hypothesis, SystematicErrors
 
 
@@ -126,7 +123,7 @@ def _method(check: BlockCheck, judged: Judged) -> dict[str, Any]:
         "label": found.label,
         "chi_squared": found.chi_squared,
         "degrees_of_freedom": found.degrees_of_freedom,
-        "global_test": None if found.test is None else dict(vars(found.test)),
+        "global_test": as_plain(found.test),
         "control": _differences(judged.control),
         "check": _differences(judged.check),
         "images": [
@@ -161,11 +158,7 @@ def _by_axis(values: Floats) -> dict[str, float | None]:
 
 
 def _joint(one: JointTest) -> dict[str, Any]:
-    return {
-        **vars(one),
-        "mean": _by_axis(one.mean),
-        "mean_sigma": _by_axis(one.mean_sigma),
-    }
+    return {**as_plain(one), "mean": _by_axis(one.mean), "mean_sigma": _by_axis(one.mean_sigma)}
 
 
 def _point(found: Differences, k: int) -> dict[str, Any]:
@@ -191,10 +184,10 @@ def _systematic(errors: SystematicErrors) -> dict[str, Any]:
             {**_hypothesis(one.found), "not_separated_from": [_name(code) for code in one.same]}
             for one in errors.errors
         ],
-        "together": [_estimate(one) for one in errors.estimates],
+        "together": as_plain(errors.estimates),
         "untested": list(errors.untested),
-        "stated_sigmas": [vars(one) for one in errors.sigmas],
-        "free_in_block": [_estimate(one) for one in errors.own],
+        "stated_sigmas": as_plain(errors.sigmas),
+        "free_in_block": as_plain(errors.own),
     }
 
 
@@ -204,20 +197,7 @@ def _name(code: str) -> str:
 
 
 def _hypothesis(one: Hypothesis) -> dict[str, Any]:
-    return {
-        "name": _name(one.name),
-        "gain": one.gain,
-        "factor": one.factor,
-        "unknowns": one.unknowns,
-        "f": one.f,
-        "critical": one.critical,
-        "significant": one.significant,
-        "estimates": [_estimate(e) for e in one.estimates],
-    }
-
-
-def _estimate(one: Estimate) -> dict[str, Any]:
-    return {key: (bool(v) if key == "significant" else v) for key, v in vars(one).items()}
+    return {**as_plain(one), "name": _name(one.name)}
 
 
 def _separation(found: Separation) -> dict[str, Any]:
@@ -353,14 +333,6 @@ def write_check(
     return tuple(names)
 
 
-def _table(header: list[str], rows: list[list[object]]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows([["" if v is None else v for v in row] for row in rows])
-    return text.getvalue()
-
-
 def _ground_points(check: BlockCheck) -> str:
     header = ["method", "role", "point"]
     header += [
@@ -374,7 +346,7 @@ def _ground_points(check: BlockCheck) -> str:
                 [judged.found.method, found.role, name, *_figures(found, k)]
                 for k, name in enumerate(found.names)
             ]
-    return _table(header, rows)
+    return rows_text(header, rows)
 
 
 def _figures(found: Differences, k: int) -> list[object]:
@@ -391,7 +363,7 @@ def _images(check: BlockCheck) -> str:
         header += [f"{method}_{name}" for name in ("rays", "rms_x_px", "rms_y_px", "largest_w")]
         columns += [images.rays.tolist(), *np.round(images.rms, 4).T.tolist()]
         columns.append(np.round(images.largest, 3).tolist())
-    return _table(header, [list(row) for row in zip(*columns, strict=True)])
+    return rows_text(header, [list(row) for row in zip(*columns, strict=True)])
 
 
 def _systematic_csv(check: BlockCheck) -> str:
@@ -399,21 +371,10 @@ def _systematic_csv(check: BlockCheck) -> str:
     rows: list[list[object]] = []
     for one in check.systematic.tested if check.systematic else ():
         rows += [
-            [
-                one.name,
-                e.name,
-                e.unit,
-                e.correction,
-                e.value,
-                e.sigma,
-                e.t,
-                one.f,
-                one.critical,
-                one.significant,
-            ]
+            [one.name, *(getattr(e, key) for key in header[1:7]), one.f, one.critical, one.significant]
             for e in one.estimates
         ]
-    return _table(header, rows)
+    return rows_text(header, rows)
 
 
 def _report(check: BlockCheck) -> str:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from acquire.outputs import output_file
-from drivers.arrays import Floats
+from drivers.arrays import Floats, as_plain
 from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError, PhotocalError
 from photocal.adjustment.solution import global_test
 from photocal.block.table import Table, read_table, refuse
@@ -302,7 +302,7 @@ def tank_json(tank: Tank, axes: tuple[str, str, str], wall_thickness: float) -> 
             "radius_sigma_m": cylinder.radius_sigma,
             "tilt_deg": float(np.degrees(tank.tilt)),
             "tilt_sigma_deg": float(np.degrees(tank.tilt_sigma)),
-            "variance_factor": _number(cylinder.adjusted.variance_factor),
+            "variance_factor": as_plain(cylinder.adjusted.variance_factor),
         },
         "between_sections": None if tank.between is None else volume_json(tank.between),
     }
@@ -322,7 +322,7 @@ def _section_json(ring: Section, axes: tuple[str, str, str]) -> dict[str, Any]:
         "radius_m": circle.radius,
         "radius_sigma_m": float(sigma[2]),
         "area_m2": float(np.pi * circle.radius**2),
-        "variance_factor": _number(circle.adjusted.variance_factor),
+        "variance_factor": as_plain(circle.adjusted.variance_factor),
         "degrees_of_freedom": circle.adjusted.degrees_of_freedom,
         "global_test": None if test is None else dict(vars(test)),
         "largest_residual_m": float(np.abs(circle.radial).max()),
@@ -373,10 +373,6 @@ def tank_text(tank: Tank, axes: tuple[str, str, str], wall_thickness: float) -> 
     if tank.between is not None:
         lines.append(f"between the lowest and the highest section, end areas: {volume_text(tank.between)}")
     return "\n".join(lines)
-
-
-def _number(value: float) -> float | None:
-    return value if np.isfinite(value) else None
 
 
 _INK, _RULE = "#1a1a1a", "#8a8f94"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from acquire.outputs import output_file
+from drivers.arrays import as_plain
 from photocal.analysis.method import MethodCheck
 from photocal.analysis.outcome import CameraAnalysis, Outcome, analyse_network
 from photocal.analysis.robust import Robust
@@ -49,25 +49,19 @@ def analysis_record(outcome: Outcome, say: Catalogue) -> dict[str, Any]:
             name: None if one is None else _camera(one, say)
             for name, one in zip(names, outcome.cameras, strict=True)
         },
-        "lens_models": {
-            name: [as_plain(asdict(one)) for one in fits]
-            for name, fits in zip(names, outcome.lenses, strict=True)
-        },
-        "observation_sigma": as_plain(asdict(search.sigma)),
-        "groups": [as_plain(asdict(one)) for one in search.groups],
+        "lens_models": {name: as_plain(fits) for name, fits in zip(names, outcome.lenses, strict=True)},
+        "observation_sigma": as_plain(search.sigma),
+        "groups": as_plain(search.groups),
         "variance_components": {
-            "images": [as_plain(asdict(one)) for one in search.images],
-            "axes": [as_plain(asdict(one)) for one in search.axes],
-            "cameras": [as_plain(asdict(one)) for one in search.cameras],
+            "images": as_plain(search.images),
+            "axes": as_plain(search.axes),
+            "cameras": as_plain(search.cameras),
         },
-        "image_shifts": [as_plain(asdict(one)) for one in search.shifts],
-        "residual_maps": {
-            name: None if cells is None else as_plain(asdict(cells))
-            for name, cells in zip(names, search.maps, strict=True)
-        },
+        "image_shifts": as_plain(search.shifts),
+        "residual_maps": {name: as_plain(cells) for name, cells in zip(names, search.maps, strict=True)},
         "jackknife": _jackknife(search, outcome.robust, names),
         "bootstrap_draws": outcome.robust.draws,
-        "network": as_plain(asdict(outcome.shape)),
+        "network": as_plain(outcome.shape),
         "methods": [_method(one, say) for one in outcome.methods],
     }
 
@@ -89,25 +83,25 @@ def _camera(one: CameraAnalysis, say: Catalogue) -> dict[str, Any]:
     proposal = one.proposal
     return {
         "variance_factor_of_tests": one.variance_factor,
-        "significance": [as_plain(asdict(test)) for test in one.tests],
-        "effects": [as_plain(asdict(effect)) for effect in one.effects],
+        "significance": as_plain(one.tests),
+        "effects": as_plain(one.effects),
         "correlations": [
-            {**as_plain(asdict(pair)), "words": say(f"cause.{pair.cause}")} for pair in one.correlations
+            {**as_plain(pair), "words": say(f"cause.{pair.cause}")} for pair in one.correlations
         ],
         "correlations_with_exterior": [
-            {**as_plain(asdict(pair)), "words": say(f"cause.{pair.cause}")} for pair in one.exterior
+            {**as_plain(pair), "words": say(f"cause.{pair.cause}")} for pair in one.exterior
         ],
         "components": {
-            "steps": [as_plain(asdict(step)) for step in proposal.steps],
-            "final": as_plain(asdict(proposal.final)),
+            "steps": as_plain(proposal.steps),
+            "final": as_plain(proposal.final),
             "removed": list(proposal.removed),
             "kept": list(proposal.kept),
             "recommended": list(proposal.recommended),
             "proposal": [finding_text(remark, say, plain) for remark in proposal.findings],
             "remarks": [finding_record(remark, say) for remark in proposal.findings],
         },
-        "left_out": [as_plain(asdict(outcome)) for outcome in one.left_out],
-        "within_flight": [as_plain(asdict(parameter)) for parameter in one.within],
+        "left_out": as_plain(one.left_out),
+        "within_flight": as_plain(one.within),
     }
 
 
@@ -152,21 +146,6 @@ def _jackknife(search: Search, robust: Robust, names: list[str]) -> dict[str, An
     }
 
 
-def as_plain(value: Any) -> Any:
-    """Replace arrays by lists and what is not a finite number by null."""
-    if isinstance(value, np.ndarray):
-        return as_plain(value.tolist())
-    if isinstance(value, np.generic):
-        return as_plain(value.item())
-    if isinstance(value, dict):
-        return {key: as_plain(each) for key, each in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [as_plain(each) for each in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
 ALPHA = 0.10
 THRESHOLD = 0.8
 
@@ -203,7 +182,7 @@ def analyse_run(
     difference = exterior_difference(read, result)
     content = {
         **analysis_record(outcome, say or catalogue("en")),
-        "exterior_difference": as_plain(asdict(difference)) if difference else None,
+        "exterior_difference": as_plain(difference) if difference else None,
         "result_sha256": digest(folder / RESULT),
     }
     with output_file(folder / ANALYSIS) as aside:

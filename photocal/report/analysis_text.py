@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.arrays import as_plain
 from photocal.analysis.components import Components
 from photocal.analysis.method import MethodCheck
 from photocal.analysis.outcome import CameraAnalysis, Outcome
@@ -206,20 +207,12 @@ def _components_table(components: Components, say: Catalogue) -> list[str]:
 
 
 def _published_record(one: PublishedSet) -> dict[str, Any]:
-    freedom = one.degrees_of_freedom
-    components = one.components
+    shown = ("eigenvalues", "percent", "cumulative_percent", "loadings")
     return {
         "set": one.name or None,
         "parameters": list(one.estimates.names),
-        "degrees_of_freedom": freedom if math.isfinite(freedom) else None,
-        "tests": [{**vars(test), "parameters": list(test.parameters)} for test in one.tests],
-        "correlations": [dict(vars(pair)) for pair in one.correlations],
-        "components": None
-        if components is None
-        else {
-            "eigenvalues": components.eigenvalues.tolist(),
-            "percent": components.percent.tolist(),
-            "cumulative_percent": components.cumulative_percent.tolist(),
-            "loadings": components.loadings.tolist(),
-        },
+        "degrees_of_freedom": as_plain(one.degrees_of_freedom),
+        "tests": as_plain(one.tests),
+        "correlations": as_plain(one.correlations),
+        "components": one.components and {key: as_plain(getattr(one.components, key)) for key in shown},
     }

@@ -33,15 +33,16 @@ from photocal.report.derived_figures import DerivedFigures, derived_figures
 from photocal.report.derived_figures import verdict as keeps
 from photocal.report.document import Document, Highlight, KeyValues, Piece, Section, Statement, Tone
 from photocal.report.image_sections import image_residuals, radial_distortion, rms_px
-from photocal.report.laboratory import laboratory, uncertainty
 from photocal.report.ministry_rows import Context
-from photocal.report.ministry_sections import (
+from photocal.report.required_sections import (
     acceptance,
     acceptance_statement,
     equipment,
     findings,
+    laboratory,
     signature,
     technical_report,
+    uncertainty,
 )
 from photocal.report.sensor import sensor_residuals
 from photocal.report.stored_analysis import Run

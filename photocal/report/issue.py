@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import datetime as dt
 import hashlib
 import json
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from acquire.outputs import output_folder
+from drivers.arrays import as_plain
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.findings.catalogue import Catalogue, catalogue
 from photocal.findings.finding import Finding
@@ -56,8 +56,8 @@ def record(run: Run, particulars: Metadata, say: Catalogue, told: tuple[Finding,
         "exposures": _exposures(run),
         "cameras": {one.camera_id: _camera(run, one) for one in known},
         "technical_reports": {one.camera_id: _report(Context(run, particulars, one, say)) for one in known},
-        "analysis": None if run.analysis is None else dataclasses.asdict(run.analysis),
-        "run_files": [dataclasses.asdict(file) for file in run.files],
+        "analysis": as_plain(run.analysis),
+        "run_files": as_plain(run.files),
         "documents": {},
     }
 
@@ -96,7 +96,7 @@ def _camera(run: Run, known: DerivedFigures) -> dict[str, Any]:
         "expected_altimetric_error_cm": known.dz_cm,
         "acceptance": {
             "verdict": verdict(known.limits),
-            "limits": [{**dataclasses.asdict(limit), "met": limit.met} for limit in known.limits],
+            "limits": [{**as_plain(limit), "met": limit.met} for limit in known.limits],
         },
         "findings": [
             {"code": f.code, "severity": f.severity, "subject": f.subject, "figures": dict(f.figures)}

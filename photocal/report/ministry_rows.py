@@ -100,10 +100,6 @@ def _image_side(axis: int) -> Callable[[Context], Filled]:
     return fill
 
 
-def _gnss(c: Context) -> Filled:
-    return _given(c.particulars.gnss_ins.receiver)
-
-
 def _triple(
     values: tuple[float, ...] | None, sigmas: tuple[float, ...] | None, names: str, c: Context
 ) -> Filled:
@@ -160,14 +156,6 @@ def _test_field(c: Context) -> Filled:
         for name, lat, lon in campaign.vertices
     ]
     return "; ".join([campaign.test_field, *vertices]), "given"
-
-
-def _targets(c: Context) -> Filled:
-    return _count([1.0] * len(c.run.result.points.role), c)
-
-
-def _readings(c: Context) -> Filled:
-    return _count(c.run.result.points.rays.tolist(), c)
 
 
 def _count(values: list[float], c: Context) -> Filled:
@@ -240,10 +228,6 @@ def _eo_rows(texts: list[list[str]], c: Context) -> str:
     )
 
 
-def _references(c: Context) -> Filled:
-    return "; ".join([c.say("ministry.references"), *c.particulars.document.references]), "fixed"
-
-
 def _place_date(c: Context) -> Filled:
     place = c.particulars.document.place
     return (f"{place}, {c.say.date(c.particulars.date)}", "given") if place else None
@@ -252,18 +236,6 @@ def _place_date(c: Context) -> Filled:
 def _responsible(c: Context) -> Filled:
     r = c.particulars.responsible
     return _given(", ".join(part for part in (r.name, r.title, r.registration) if part))
-
-
-def _height(c: Context) -> Filled:
-    return _of_flight(c.facts.height_m, "height", 4, c)
-
-
-def _corners(c: Context) -> Filled:
-    return c.say("ministry.corners"), "computed"
-
-
-def _software(c: Context) -> Filled:
-    return f"{c.run.result.software.name} {c.run.result.software.version}", "computed"
 
 
 FILLERS: dict[str, Callable[[Context], Filled]] = {
@@ -283,8 +255,8 @@ FILLERS: dict[str, Callable[[Context], Filled]] = {
     "image_orientation": lambda c: (c.say("ministry.orientation"), "computed"),
     "image_size_x": _image_side(0),
     "image_size_y": _image_side(1),
-    "corner_table": _corners,
-    "gnss_ins": _gnss,
+    "corner_table": lambda c: (c.say("ministry.corners"), "computed"),
+    "gnss_ins": lambda c: _given(c.particulars.gnss_ins.receiver),
     "rtk_advice": lambda c: (c.say("ministry.rtk"), "fixed"),
     "gnss_ins_description": lambda c: _given(c.particulars.gnss_ins.description),
     "lever_arm": _lever_arm,
@@ -294,14 +266,14 @@ FILLERS: dict[str, Callable[[Context], Filled]] = {
     "test_field": _test_field,
     "platform": lambda c: _given(c.particulars.campaign.platform),
     "photos": lambda c: (str(len(c.run.result.images)), "computed"),
-    "flying_height": _height,
+    "flying_height": lambda c: _of_flight(c.facts.height_m, "height", 4, c),
     "gsd": lambda c: _of_flight(c.facts.gsd_cm, "gsd", 3, c),
     "calibrated_focal_length": lambda c: _number(c.facts.focal_mm, 6, "computed", c),
     "iso": lambda c: _number(c.particulars.campaign.iso, 6, "given", c),
     "exposure_time": lambda c: _number(c.particulars.campaign.exposure_time_s, 3, "given", c),
-    "targets": _targets,
-    "readings": _readings,
-    "software": _software,
+    "targets": lambda c: _count([1.0] * len(c.run.result.points.role), c),
+    "readings": lambda c: _count(c.run.result.points.rays.tolist(), c),
+    "software": lambda c: (f"{c.run.result.software.name} {c.run.result.software.version}", "computed"),
     "iop_table": _iop,
     "air_base": lambda c: _of_flight(c.facts.base_m, "base", 4, c),
     "correlation_matrix": _correlation,
@@ -311,7 +283,10 @@ FILLERS: dict[str, Callable[[Context], Filled]] = {
     "altimetric_rmse": _limit("altimetric"),
     "eo_quality": _eo_quality,
     "comments": lambda c: _given(c.particulars.document.comments),
-    "references": _references,
+    "references": lambda c: (
+        "; ".join([c.say("ministry.references"), *c.particulars.document.references]),
+        "fixed",
+    ),
     "place_date": _place_date,
     "responsible": _responsible,
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -15,7 +15,7 @@ import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet
 
-from drivers.arrays import Floats, Integers
+from drivers.arrays import Floats, Integers, as_plain
 from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.block.folder import IMAGE_SIGMAS
 from photocal.block.model import fingerprint
@@ -106,8 +106,7 @@ class _File(Figures):
 
 def result_json(result: Result) -> dict[str, Any]:
     """Content of `result.json`."""
-    figures: dict[str, Any] = {field.name: getattr(result, field.name) for field in fields(Figures)}
-    plain = {name: _plain(value) for name, value in figures.items()}
+    plain = {field.name: as_plain(getattr(result, field.name)) for field in fields(Figures)}
     for optional in ("ellipses", "reliability"):
         if plain[optional] is None:
             del plain[optional]
@@ -122,14 +121,6 @@ def result_json(result: Result) -> dict[str, Any]:
             "rms": [{"image": name, "rays": n, "rms_x": x, "rms_y": y} for name, n, (x, y) in rows],
         },
     }
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(one) for key, one in value.items()}
-    if isinstance(value, tuple):
-        return [_plain(one) for one in value]
-    return asdict(value) if hasattr(value, "__dataclass_fields__") else value
 
 
 def _camera_json(own: Camera) -> dict[str, Any]:

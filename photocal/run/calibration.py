@@ -8,8 +8,7 @@ from pathlib import Path
 
 from photocal.project import Project
 from photocal.report.signing import own_key
-from photocal.run.folders import RECORD
-from photocal.run.stage import Progress, Stage
+from photocal.run.stage import RECORD, Progress, Stage
 from photocal.run.summary import gather
 
 

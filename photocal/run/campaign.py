@@ -17,12 +17,11 @@ from photocal.project import Project, read_project
 from photocal.run.block import block_stage, given_block_stage
 from photocal.run.calibration import analysis_stage, calibration_stage, certificate_stage
 from photocal.run.exposures import exposures_stage
-from photocal.run.folders import Digests, alone
 from photocal.run.georeferencing import georeferencing_stage
 from photocal.run.measurements import measurements_stage
 from photocal.run.ppk import ppk_stage
 from photocal.run.project_checks import check_project, explained
-from photocal.run.stage import Progress, Stage, StageResult, made_in, update_stage, written
+from photocal.run.stage import Digests, Progress, Stage, StageResult, alone, made_in, update_stage, written
 from photocal.run.summary import gather, kind, summary
 
 _MEMORY = ".digests.json"

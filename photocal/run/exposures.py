@@ -106,9 +106,8 @@ def exposures_of(project: Project, show: Progress) -> tuple[ExposureRun, Rig, st
     from photocal.navigation.exposure_run import Choices, place_exposures
     from photocal.navigation.ppk_inputs import Sources
     from photocal.navigation.rig import Rig
-    from photocal.run.folders import Digests
     from photocal.run.ppk import kept_trajectory
-    from photocal.run.stage import made_in, update_stage
+    from photocal.run.stage import Digests, made_in, update_stage
 
     if project.contents.flight is None:
         choices = Choices(Sources(), project.picture_folder)

@@ -13,7 +13,7 @@ from photocal.run.stage import Progress, Stage
 if TYPE_CHECKING:
     from photocal.accuracy.standard import Question
     from photocal.block.model import Block
-    from photocal.georeferencing.calibrated import Calibration
+    from photocal.georeferencing.direct import Calibration
 
 FIGURES = "check.json"
 
@@ -95,7 +95,7 @@ def own_calibration(block: Block) -> Calibration | None:
 
 def calibrated_on_the_job(block: Block) -> tuple[Block, Calibration]:
     """Calibrate camera and mounting of a flight."""
-    from photocal.georeferencing.calibrated import calibrate
+    from photocal.georeferencing.direct import calibrate
     from photocal.georeferencing.local import in_local_frame, with_attitude_angles
     from photocal.georeferencing.methods import checkable, without_weak_images
 

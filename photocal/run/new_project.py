@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import os
 import re
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from acquire.outputs import rows_text
 from drivers.errors import InputNotFoundError, OutputError, PhotocalError
 from photocal.block.model import ROLES, ObjectPoints
 from photocal.exchange.parts import Mark
@@ -290,12 +290,11 @@ class _Text:
     def pictures_table(self) -> str:
         """Camera and exposure of each picture."""
         exposure = {} if self.frame is None else {p.name: e for p, e in self.frame.exposure.items()}
-        rows = [["image", "camera", "exposure"]]
-        rows += [
+        rows = [
             [own.name, self.cameras[k], exposure.get(own.name, "")]
             for own, k in zip(self.facts, self.member, strict=True)
         ]
-        return _csv(rows)
+        return rows_text(("image", "camera", "exposure"), rows)
 
     def _control(self) -> Iterator[str]:
         given, points = self.given, self.control_points
@@ -388,8 +387,7 @@ def _plain(text: str) -> str:
 
 
 def _points_table(points: ObjectPoints) -> str:
-    rows = [["point", "X", "Y", "Z", "sX", "sY", "sZ", "role"]]
-    rows += [
+    rows = [
         [
             name,
             *(f"{v:.4f}" for v in value),
@@ -400,21 +398,12 @@ def _points_table(points: ObjectPoints) -> str:
             points.names, points.values, points.sigma, points.role, strict=True
         )
     ]
-    return _csv(rows)
+    return rows_text(("point", "X", "Y", "Z", "sX", "sY", "sZ", "role"), rows)
 
 
 def _marks_table(marks: Sequence[Mark]) -> str:
-    rows = [["image", "point", "x", "y", "sx", "sy"]]
-    rows += [[m.image, m.point, f"{m.x:.3f}", f"{m.y:.3f}", *(f"{s:.3f}" for s in m.sigma)] for m in marks]
-    return _csv(rows)
-
-
-def _csv(rows: Sequence[Sequence[str]]) -> str:
-    import io
-
-    out = io.StringIO()
-    csv.writer(out, lineterminator="\n").writerows(rows)
-    return out.getvalue()
+    rows = [[m.image, m.point, f"{m.x:.3f}", f"{m.y:.3f}", *(f"{s:.3f}" for s in m.sigma)] for m in marks]
+    return rows_text(("image", "point", "x", "y", "sx", "sy"), rows)
 
 
 def _quoted(text: str) -> str:

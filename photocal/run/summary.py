@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from drivers.arrays import as_plain
 from photocal.block.model import InputFile
 from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding, of_global_test, verdict
@@ -239,9 +240,7 @@ def _calibration(run: Run) -> dict[str, Any]:
             }
             for name, camera in result.cameras.items()
         },
-        "mounting": None
-        if result.mounting is None
-        else {key: dict(vars(value)) for key, value in result.mounting.items()},
+        "mounting": as_plain(result.mounting),
     }
 
 

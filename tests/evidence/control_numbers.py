@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from photocal.block.folder import read_block
-from photocal.georeferencing.control_numbers import control_numbers
+from photocal.georeferencing.experiment import control_numbers
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
 OUTPUT = Path(__file__).parents[2] / "docs" / "evidence" / "control-numbers.md"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import IllPosedError
-from photocal.accuracy.significance_tests import critical_deviate, outliers, similarity_trend
+from photocal.accuracy.statistics import critical_deviate, outliers, similarity_trend
 
 Published = Callable[[str], list[dict[str, str]]]
 

@@ -9,15 +9,16 @@ from scipy import stats
 
 from drivers.errors import ConfigurationError, IllPosedError
 from photocal.accuracy.classes import component_sigma
-from photocal.accuracy.significance_tests import (
+from photocal.accuracy.statistics import (
+    Moments,
     bias_test,
+    moments_from_rmse_and_t,
     normality_test,
     precision_quantile,
     precision_test,
     rmse_after_trend_removal,
     std_interval_factors,
 )
-from photocal.accuracy.statistics import Moments, moments_from_rmse_and_t
 
 Published = Callable[[str], list[dict[str, str]]]
 

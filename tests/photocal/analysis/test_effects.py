@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from photocal.analysis.effects import effect, effects
 from photocal.analysis.estimates import Estimates, from_sigmas
+from photocal.analysis.outcome import effect, effects
 from photocal.analysis.stability.methods import sensor_grid
 from photocal.geometry.camera import Camera, camera
 

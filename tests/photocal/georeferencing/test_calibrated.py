@@ -14,8 +14,8 @@ from drivers.errors import ConfigurationError
 from photocal.adjustment.mounting import STRIPS
 from photocal.block.folder import read_block
 from photocal.block.model import Block
-from photocal.georeferencing.calibrated import Calibration, calibrate
 from photocal.georeferencing.differences import differences
+from photocal.georeferencing.direct import Calibration, calibrate
 from photocal.georeferencing.local import with_attitude_angles
 from photocal.georeferencing.methods import of_method
 from tests.photocal.georeferencing.flights import Errors, Plan, fly

@@ -9,7 +9,7 @@ import pytest
 
 from drivers.errors import ConfigurationError
 from photocal.block.folder import read_block
-from photocal.georeferencing.control_numbers import CHOICES, control_numbers, numbers_text
+from photocal.georeferencing.experiment import CHOICES, control_numbers, numbers_text
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
 PLAN = Plan(tie=20, control=4, check=3)

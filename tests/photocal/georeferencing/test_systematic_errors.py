@@ -16,8 +16,8 @@ from photocal.findings.finding import Finding
 from photocal.findings.hypotheses import Fault
 from photocal.findings.texts import finding_text
 from photocal.georeferencing.findings import named, separation_findings
+from photocal.georeferencing.freed_groups import separation
 from photocal.georeferencing.local import with_attitude_angles
-from photocal.georeferencing.separation import separation
 from photocal.georeferencing.systematic import SystematicErrors, systematic_errors
 from photocal.run.summary import causes_first
 from tests.photocal.findings.english import english

@@ -10,7 +10,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from photocal.cli import app
-from photocal.report.laboratory import combined
+from photocal.report.required_sections import combined
 
 
 def test_welch_and_satterthwaite() -> None:

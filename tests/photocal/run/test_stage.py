@@ -17,8 +17,7 @@ from typing import Any
 import pytest
 
 from drivers.errors import InputNotFoundError, OutputError
-from photocal.run.folders import Digests, alone
-from photocal.run.stage import Progress, Stage, made_in, needed_modules, update_stage
+from photocal.run.stage import Digests, Progress, Stage, alone, made_in, needed_modules, update_stage
 from tests.photocal.run.toy_stages import sequence
 
 
@@ -156,7 +155,7 @@ _SLOW = """
 import sys, time
 from pathlib import Path
 from tests.photocal.run.test_stage import quiet
-from photocal.run.folders import Digests
+from photocal.run.stage import Digests
 from photocal.run.stage import Stage, update_stage
 
 def make(out, _):
@@ -208,8 +207,8 @@ def test_content_decides_whatever_size_and_time_say(tmp_path: Path, monkeypatch:
     os.utime(path, (1, 1))
     assert Digests(memory).of_file(path) != digest
     # Of large files the memory answers, which makes folders of pictures fast ...
-    monkeypatch.setattr("photocal.run.folders._SMALL_BYTES", 4)
-    monkeypatch.setattr("photocal.run.folders.time.time_ns", lambda: path.stat().st_ctime_ns + 10**11)
+    monkeypatch.setattr("photocal.run.stage._SMALL_BYTES", 4)
+    monkeypatch.setattr("photocal.run.stage.time.time_ns", lambda: path.stat().st_ctime_ns + 10**11)
     large = Digests(memory)
     digest = large.of_file(path)
     large.keep()

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from photocal.run.folders import Digests
-from photocal.run.stage import Progress, Stage, made_in, update_stage
+from photocal.run.stage import Digests, Progress, Stage, made_in, update_stage
 
 NAMES = ("first", "second", "third")
 KINDS = ("content", "keep times", "touch", "add", "remove", "foreign", "change", "delete", "move")
