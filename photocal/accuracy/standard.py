@@ -7,17 +7,20 @@ import re
 import tomllib
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from acquire.checked_toml import Table, checked_tables, parse_toml
 from drivers.errors import ConfigurationError, InputNotFoundError
 
 Component = Literal["planimetry", "height"]
 Basis = Literal["scale", "interval"]
+# Text over several lines of a file, as one.
+Prose = Annotated[str, AfterValidator(lambda text: " ".join(text.split()))]
 
 
 @dataclass(frozen=True)
@@ -64,15 +67,14 @@ class PublishedLimit:
     limit: ClassLimit
 
 
-@dataclass(frozen=True)
-class LimitTable:
+class LimitTable(Table):
     """The classes of one product of a standard.
 
     product: what is judged.
     component: which discrepancies judge it.
     basis: whether the limits grow with the scale denominator or with the contour interval.
-    unit_limits: limits in m at a denominator of 1, or at an interval of 1 m.
-    published: printed figures, with their rounding.
+    pec, ep: limits of each class: mm at map scale, or shares of the interval, as numbers or fractions.
+    listed: printed figures: class, scale denominator, interval (m), PEC and EP (m).
     source, source_note: where the figures come from and what to know about that.
     second_hand: whether the figures were taken from another place than the standard itself.
     """
@@ -80,11 +82,32 @@ class LimitTable:
     product: str
     component: Component
     basis: Basis
-    unit_limits: tuple[ClassLimit, ...]
-    published: tuple[PublishedLimit, ...]
+    pec: dict[str, float | str]
+    ep: dict[str, float | str]
     source: str
-    source_note: str
+    source_note: str = ""
     second_hand: bool
+    listed: list[tuple[str, float, float, float, float]] = Field(default=[], alias="published")
+
+    @cached_property
+    def published(self) -> tuple[PublishedLimit, ...]:
+        """Printed figures, with their rounding."""
+        return tuple(
+            PublishedLimit(scale, interval, ClassLimit(name, pec, ep))
+            for name, scale, interval, pec, ep in self.listed
+        )
+
+    @cached_property
+    def unit_limits(self) -> tuple[ClassLimit, ...]:
+        """Limits in m at a denominator of 1, or at an interval of 1 m; ValueError for what is no limit."""
+        # Millimetres at map scale become metres on the ground at a denominator of 1.
+        factor = Fraction(1, 1000) if self.basis == "scale" else Fraction(1)
+        if list(self.pec) != list(self.ep):
+            raise ValueError(f"pec and ep of {self.product!r} have not the same classes")
+        return tuple(
+            ClassLimit(name, _metres(pec, factor), _metres(self.ep[name], factor))
+            for name, pec in self.pec.items()
+        )
 
     def limits(self, size: float) -> tuple[ClassLimit, ...]:
         """Give the limits by the rule.
@@ -121,29 +144,16 @@ class LimitTable:
         return tuple(sorted({float(getattr(entry, key)) for entry in self.published}))
 
 
-@dataclass(frozen=True)
-class ScaleStandard:
-    """A standard whose classes belong to a scale or a contour interval."""
-
-    id: str
-    title: str
-    fraction_within_pec: float
-    tables: tuple[LimitTable, ...]
-    note: str
-
-
-@dataclass(frozen=True)
-class Figure:
+class Figure(Table):
     """One figure of a standard with its source."""
 
     value: float
     source: str
-    source_note: str
+    source_note: str = ""
     second_hand: bool
 
 
-@dataclass(frozen=True)
-class ValueStandard:
+class ValueStandard(Table):
     """A standard whose class is the value reached.
 
     minimum_points, maximum_points: number of check points for a tested product; more than the maximum is
@@ -155,17 +165,16 @@ class ValueStandard:
     """
 
     id: str
+    kind: Literal["value"]
     title: str
+    authority: str
+    note: Prose = ""
     minimum_points: Figure
     maximum_points: Figure
     survey_accuracy_included: Figure
     mean_share_of_target: Figure
     survey_share_of_target: Figure
     blunder_over_target: Figure
-    note: str
-
-
-Standard = ScaleStandard | ValueStandard
 
 
 _SCALE = re.compile(r"^(?:1:)?(?P<denominator>[0-9]+(?:\.[0-9]+)?)$")
@@ -192,47 +201,19 @@ def size_text(basis: str, size: float) -> str:
 SHIPPED = ("decree-89817", "pec-pcd", "asprs-2024")
 
 
-class _TableFile(Table):
-    product: str
-    component: Component
-    basis: Basis
-    pec: dict[str, float | str]
-    ep: dict[str, float | str]
-    source: str
-    source_note: str = ""
-    second_hand: bool
-    published: list[tuple[str, float, float, float, float]] = Field(default=[])
+class ScaleStandard(Table):
+    """A standard whose classes belong to a scale or a contour interval."""
 
-
-class _ScaleFile(Table):
     id: str
     kind: Literal["scale"]
     title: str
     authority: str
     fraction_within_pec: float
-    note: str = ""
-    table: list[_TableFile]
+    note: Prose = ""
+    tables: tuple[LimitTable, ...] = Field(alias="table")
 
 
-class _FigureFile(Table):
-    value: float
-    source: str
-    source_note: str = ""
-    second_hand: bool
-
-
-class _ValueFile(Table):
-    id: str
-    kind: Literal["value"]
-    title: str
-    authority: str
-    note: str = ""
-    minimum_points: _FigureFile
-    maximum_points: _FigureFile
-    survey_accuracy_included: _FigureFile
-    mean_share_of_target: _FigureFile
-    survey_share_of_target: _FigureFile
-    blunder_over_target: _FigureFile
+Standard = ScaleStandard | ValueStandard
 
 
 def load_standard(name: str) -> Standard:
@@ -262,47 +243,16 @@ def parse_standard(text: str, where: str) -> Standard:
     try:
         content = parse_toml(text)
         if content.get("kind") == "value":
-            return _value_standard(checked_tables(content, _ValueFile, where))
-        return _scale_standard(checked_tables(content, _ScaleFile, where))
+            return checked_tables(content, ValueStandard, where)
+        standard = checked_tables(content, ScaleStandard, where)
+        _ = [
+            one.unit_limits for one in standard.tables
+        ]  # worked out here, where what is wrong with them can be said
     except tomllib.TOMLDecodeError as refusal:
         raise ConfigurationError(f"is not TOML ({refusal})", where=where) from refusal
     except (ValueError, ZeroDivisionError) as refusal:
         raise ConfigurationError(f"a limit is not a number ({refusal})", where=where) from refusal
-
-
-def _scale_standard(content: _ScaleFile) -> ScaleStandard:
-    return ScaleStandard(
-        content.id,
-        content.title,
-        content.fraction_within_pec,
-        tuple(_table(table) for table in content.table),
-        " ".join(content.note.split()),
-    )
-
-
-def _table(table: _TableFile) -> LimitTable:
-    # Millimetres at map scale become metres on the ground at a denominator of 1.
-    factor = Fraction(1, 1000) if table.basis == "scale" else Fraction(1)
-    if list(table.pec) != list(table.ep):
-        raise ValueError(f"pec and ep of {table.product!r} have not the same classes")
-    units = tuple(
-        ClassLimit(name, _metres(table.pec[name], factor), _metres(table.ep[name], factor))
-        for name in table.pec
-    )
-    published = tuple(
-        PublishedLimit(scale, interval, ClassLimit(name, pec, ep))
-        for name, scale, interval, pec, ep in table.published
-    )
-    return LimitTable(
-        table.product,
-        table.component,
-        table.basis,
-        units,
-        published,
-        table.source,
-        table.source_note,
-        table.second_hand,
-    )
+    return standard
 
 
 def _metres(value: float | str, factor: Fraction) -> float:
@@ -311,20 +261,3 @@ def _metres(value: float | str, factor: Fraction) -> float:
     if not metres > 0.0:
         raise ValueError(f"{value} is not positive")
     return metres
-
-
-def _value_standard(content: _ValueFile) -> ValueStandard:
-    def figure(entry: _FigureFile) -> Figure:
-        return Figure(entry.value, entry.source, entry.source_note, entry.second_hand)
-
-    return ValueStandard(
-        content.id,
-        content.title,
-        figure(content.minimum_points),
-        figure(content.maximum_points),
-        figure(content.survey_accuracy_included),
-        figure(content.mean_share_of_target),
-        figure(content.survey_share_of_target),
-        figure(content.blunder_over_target),
-        " ".join(content.note.split()),
-    )
