@@ -28,6 +28,7 @@ from photocal.measurement.block_files import write_block
 from photocal.measurement.control_files import in_map_system, read_control_marks
 from photocal.measurement.marks import with_marks
 from photocal.measurement.marks_files import named_after
+from photocal.measurement.start_block import without_images
 from photocal.measurement.tie_block import intersected, views_of
 from photocal.measurement.tracks import Tracks
 from photocal.results.adjusted import adjust_block, adjusted, result_of
@@ -227,6 +228,8 @@ def adoption_text(figures: dict[str, Any]) -> str:
 SCHEMA = "photocal.adoption/1"
 FIGURES = "adoption.json"
 FEWEST_CONTROL = 3
+# Three rays give a pose that nothing checks; images that are named in one remark.
+FEWEST_RAYS, MOST_NAMED = 4, 6
 # How often the sigmas of image coordinates are estimated, where the program states none.
 _WEIGHTINGS = 2
 FEWEST_FREE = 5.0
@@ -248,8 +251,8 @@ def adopt(
 
     with progress("reading the project", None):
         foreign = with_control(read_foreign_project(path), path, gcp)
-        block, weak = without_weak_points(estimating_what_it_has(foreign.block, weighted=foreign.weighted))
-        foreign = replace(foreign, block=block)
+        block = estimating_what_it_has(foreign.block, weighted=foreign.weighted)
+        foreign = _without_what_hangs_loose(replace(foreign, block=block))
     source, run = output / "block", output / "calibration"
     source.mkdir(parents=True, exist_ok=True)
     with progress("weights of the image coordinates", None):
@@ -267,10 +270,10 @@ def adopt(
         "schema": SCHEMA,
         "program": foreign.program,
         "project": path.name,
-        "images": len(block.images.names),
-        "points": len(block.points.names),
-        "observations": 2 * len(block.observations.image),
-        "remarks": [*foreign.remarks, *([f"{weak} points have one ray only: left out"] if weak else [])],
+        "images": len(foreign.block.images.names),
+        "points": len(foreign.block.points.names),
+        "observations": 2 * len(foreign.block.observations.image),
+        "remarks": list(foreign.remarks),
         "sigma0_squared": result.sigma0_squared,
         "cameras": camera_figures(foreign, result),
         "sigmas": sigma_figures(foreign, weighed or result, factors),
@@ -372,6 +375,31 @@ def _write(folder: Path, foreign: ForeignProject) -> None:
         keys = MountingKeys(lever_arm_sigma_m=0.0, flight_shift_sigma_m="free" if controlled else 0.0)
         setup = folder / "block.toml"
         setup.write_text(setup.read_text(encoding="utf-8") + "\n" + mounting_text(keys), encoding="utf-8")
+
+
+def _without_what_hangs_loose(foreign: ForeignProject) -> ForeignProject:
+    """Leave out points with one ray, and images whose pose their rays do not check."""
+    lost, names, weak = 0, list[str](), foreign.block
+    while True:
+        block, fewer = without_weak_points(weak)
+        lost += fewer
+        count = np.bincount(block.observations.image, minlength=len(block.images.names))
+        few = count < FEWEST_RAYS
+        if not few.any() or few.all():
+            break
+        names += [block.images.names[k] for k in np.flatnonzero(few)]
+        weak, kept = without_images(block, few), ~few
+        foreign = replace(
+            foreign,
+            position=foreign.position[kept],
+            position_sigma=foreign.position_sigma[kept],
+            pose_sigma=foreign.pose_sigma[kept],
+        )
+    remarks = [f"{lost} points have one ray only: left out"] if lost else []
+    if names:
+        listed = ", ".join(names[:MOST_NAMED]) + (" ..." if len(names) > MOST_NAMED else "")
+        remarks += [f"{len(names)} images have fewer than {FEWEST_RAYS} rays: left out ({listed})"]
+    return replace(foreign, block=block, remarks=(*foreign.remarks, *remarks))
 
 
 def _determined(folder: Path, foreign: ForeignProject) -> ForeignProject:
