@@ -77,8 +77,6 @@ class LengthStatistics:
 def moments(values_m: Floats) -> Moments:
     """Compute number, mean and standard deviation of one component.
 
-    Notes
-    -----
     Alves Junior et al. 2015, equations 2-4 and 9-11.
     """
     n = len(values_m)

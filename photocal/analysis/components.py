@@ -44,8 +44,6 @@ def principal_components(estimates: Estimates) -> Components:
 
     The correlations are used, not the covariances, because the parameters have different units.
 
-    Notes
-    -----
     Tank study (Silva, UFPR, 1995), equation 78: loading = c_ij sqrt(lambda_j) / sigma_i, sigma_i = 1 here.
     """
     positive_definite(estimates)
@@ -97,31 +95,23 @@ class Proposal:
     findings: tuple[Finding, ...]
 
 
-def propose_removal(
-    estimates: Estimates,
-    *,
-    essential: tuple[str, ...] = ESSENTIAL,
-    negligible_percent: float = NEGLIGIBLE_PERCENT,
-    strong: float = STRONG,
-) -> Proposal:
+def propose_removal(estimates: Estimates) -> Proposal:
     """Apply the removal rule of the tank study until the remaining parameters are distinct.
 
     As many parameters leave in a round as there are negligible components; they are taken from those
     that load together on one component, the least significant first, higher radial terms before lower ones.
     The covariance without them follows from the inverse with their rows and columns deleted.
 
-    Notes
-    -----
     Tank study (Silva, UFPR, 1995), section on the choice of additional parameters.
     """
     current, steps = estimates, list[RemovalStep]()
     while True:
         components = principal_components(current)
-        negligible = int(np.sum(np.cumsum(components.percent[::-1]) < negligible_percent))
-        crowd = _crowd(components, negligible, strong)
-        candidates = _leaving_order(current, [name for name in crowd if name not in essential])
+        negligible = int(np.sum(np.cumsum(components.percent[::-1]) < NEGLIGIBLE_PERCENT))
+        crowd = _crowd(components, negligible)
+        candidates = _leaving_order(current, [name for name in crowd if name not in ESSENTIAL])
         # One of a crowd stays to speak for it, unless an essential parameter does that already.
-        spared = 0 if any(name in essential for name in crowd) else 1
+        spared = 0 if any(name in ESSENTIAL for name in crowd) else 1
         leaving = tuple(candidates[: min(max(negligible, 1), len(candidates) - spared)])
         if not leaving:
             return _proposal(steps, components, negligible)
@@ -131,10 +121,10 @@ def propose_removal(
         current, _ = without(current, leaving)
 
 
-def _crowd(components: Components, negligible: int, strong: float) -> tuple[str, ...]:
+def _crowd(components: Components, negligible: int) -> tuple[str, ...]:
     """Name the parameters that cannot be told apart, or none."""
     for column in np.abs(components.loadings).T:
-        together = np.flatnonzero(column > strong)
+        together = np.flatnonzero(column > STRONG)
         if len(together) > 1:
             return tuple(components.names[i] for i in together)
     if negligible:

@@ -77,8 +77,6 @@ ARITHMETIC = 1e-10
 def correlation_findings(names: tuple[str, ...], matrix: Floats | None, rounding: float) -> list[Finding]:
     """Check that a matrix is symmetric with ones on its diagonal and no negative eigenvalue.
 
-    Notes
-    -----
     Rounding adds a symmetric matrix with zero diagonal and entries up to `rounding`, whose eigenvalues
     are at most (n - 1) rounding (Gershgorin 1931); by Weyl (1912) no eigenvalue moves farther.
     """

@@ -159,8 +159,6 @@ def f_test(
 ) -> FTest:
     """Test one group of parameters, F = x' S^-1 x / p against F(1 - alpha; p, dof).
 
-    Notes
-    -----
     Canon ELPH study (FCT-UNESP), equations 11 to 13.
     """
     from scipy import stats

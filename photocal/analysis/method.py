@@ -101,8 +101,6 @@ def shape(network: Network, state: State) -> Shape:
 def check_method(method: str, found: Shape) -> MethodCheck:
     """Compare a network with what a method asks for.
 
-    Notes
-    -----
     Requirements after Brown (1971, 1989) and Merchant (1972), as the Canon ELPH study lists them.
     """
     needed = {

@@ -41,8 +41,6 @@ class Jackknife:
 def jackknife(fit: Fit, done: Callable[[], None] = lambda: None) -> Jackknife:
     """Take each image out of the minimum, or each group of neighbours in a large network.
 
-    Notes
-    -----
     Efron, The jackknife, the bootstrap and other resampling plans, 1982.
     """
     names = fit.network.image_names
@@ -131,8 +129,6 @@ def apart(formal: float, robust: float | None) -> bool:
 def sandwich(fit: Fit) -> Floats:
     """Give standard deviations of camera parameters from the residuals, image by image, (cameras, 14).
 
-    Notes
-    -----
     Q (sum g g') Q with g the part of an image in A'Pv (White 1980, Liang and Zeger 1986), residuals divided
     by the root of their redundancy numbers (HC2 of MacKinnon and White 1985), the whole times
     m / (m - k) for m images and k parameters. Every other observation, and every control point, is a part of
@@ -173,8 +169,6 @@ def bootstrap(
     An image that is drawn twice counts twice, with all of its observations. Draws that leave something
     undetermined are left out.
 
-    Notes
-    -----
     Efron, The jackknife, the bootstrap and other resampling plans, 1982.
     """
     network, images = fit.network, len(fit.network.image_names)

@@ -133,14 +133,9 @@ CHECK_DISTANCES = "check_distances.csv"
 def read_block(folder: Path) -> Block:
     """Read a block folder.
 
-    Raises
-    ------
-    InputNotFoundError
-        For a missing or empty file.
-    ConfigurationError
-        For a wrong key or value in block.toml.
-    InputMalformedError
-        For a wrong table or cell, an unknown name, or a name that comes twice.
+    raises InputNotFoundError: for a missing or empty file.
+    raises ConfigurationError: for a wrong key or value in block.toml.
+    raises InputMalformedError: for a wrong table or cell, an unknown name, or a name that comes twice.
     """
     if not folder.is_dir():
         what = "is a file, a block folder was expected" if folder.exists() else "does not exist"

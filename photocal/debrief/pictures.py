@@ -243,10 +243,7 @@ def orient_quickly(
 
     A camera that was calibrated keeps all that was found but its principal distance.
 
-    Raises
-    ------
-    PhotocalError
-        When they do not hold together.
+    raises PhotocalError: when they do not hold together.
     """
     pairs, _ = select_pairs(stated_footprints(facts), len(facts))
     with progress("matching reduced pictures", len(pairs)) as done:

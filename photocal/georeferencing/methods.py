@@ -15,7 +15,7 @@ from photocal.adjustment.joint import joint_covariance as covariance_of
 from photocal.adjustment.mounting import NO_ATTITUDES, NO_MOUNTING, NO_POSITIONS, Attitudes, Positions
 from photocal.adjustment.readout import READOUT, with_readouts
 from photocal.adjustment.solution import GlobalTest, Solution, global_test
-from photocal.block.model import ROLES, Block, Role
+from photocal.block.model import ROLES, Block
 from photocal.block.network import NetworkOfBlock, assemble, plane_per_unit
 from photocal.geometry.rotation import angles_from_matrix
 from photocal.georeferencing.direct import Calibration, direct_orientation, joint_covariance, with_calibration
@@ -169,10 +169,10 @@ def checkable(block: Block) -> Block:
     return _keep(block, ~alone[block.observations.point])
 
 
-def with_roles(block: Block, control: Integers, role_of_rest: Role = "check") -> Block:
-    """Return the block with these control points; the other control points get another role."""
+def with_roles(block: Block, control: Integers) -> Block:
+    """Return the block with these control points; its other control points become check points."""
     role = block.points.role.copy()
-    role[block.points.of_role("control")] = ROLES.index(role_of_rest)
+    role[block.points.of_role("control")] = ROLES.index("check")
     role[control] = ROLES.index("control")
     return replace(block, points=replace(block.points, role=role))
 

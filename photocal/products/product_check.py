@@ -136,8 +136,6 @@ def _heights(dtm: Path, points: GroundPoints, kind: str | None, said: str | None
 def find_target(raster: RasterFile, place: Floats, diameter: float, search: float) -> Floats:
     """Find a round target near a place in a raster.
 
-    Notes
-    -----
     The place of the best normalised correlation with a disc, then the centre of gravity of what stands out
     from the surroundings there.
     """

@@ -63,8 +63,6 @@ def fit(
     raises InputMalformedError: for a covariance that gives a condition no variance.
     raises NotConvergedError: when the steps do not end.
 
-    Notes
-    -----
     Helmert (1872); in the form of Pope (1972) with the misclosure reduced to the measured points.
     """
     residuals = np.zeros_like(points)

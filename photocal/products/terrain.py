@@ -49,8 +49,6 @@ def ground_points(x: Floats, y: Floats, terrain: Terrain, frame: Frame) -> Float
     frame: from the terrain's coordinates to local ones.
     returns (rows * columns, 3): m; NaN without terrain.
 
-    Notes
-    -----
     The frame is evaluated on a lattice over the window at its lowest and highest height and interpolated:
     over a window of a few hundred metres the curvature of the earth between two nodes is micrometres.
     """

@@ -168,10 +168,7 @@ def analyse_run(
     done : callable
         Gets the share of the work that was done since it was called last.
 
-    Raises
-    ------
-    PhotocalError
-        As reading, adjusting and writing do.
+    raises PhotocalError: as reading, adjusting and writing do.
     """
     result = read_result(folder)
     source = block_of_run(folder, result, block, Path.cwd())

@@ -47,8 +47,6 @@ class Limit:
 def expected_altimetric_error_cm(height_m: float, base_m: float, focal_mm: float, pixel_mm: float) -> float:
     """Expected altimetric accuracy dz by which the ministry measures the check points.
 
-    Notes
-    -----
     Ministry of Defence of Brazil, technical report for aerial survey with remotely piloted aircraft,
     item 2.r.
     """

@@ -71,8 +71,6 @@ def _with_unit(value: float | None, unit: str, say: Catalogue) -> str:
 def uncertainty(title: str, run: Run, particulars: Metadata, say: Catalogue) -> Section:
     """Give the budget of each principal distance and its expanded uncertainty.
 
-    Notes
-    -----
     JCGM 100:2008, 5.1.2 (combination), G.4.1 (effective degrees of freedom, Welch and Satterthwaite), 6.2
     (expansion). The adjustment's own part is scaled by the a posteriori factor where that is above 1, or by
     what images say of each other, see `Run.stated`.

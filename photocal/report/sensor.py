@@ -34,8 +34,6 @@ class RadialProfile:
 def radial_profile(camera: Camera, radius: Floats) -> RadialProfile:
     """Evaluate the radial distortion and its standard deviation.
 
-    Notes
-    -----
     d(r) = K1 (r^3 - R0^2 r) + K2 (r^5 - R0^4 r) + ..., Brown (1971), the part of the camera equations
     that is added to the projection. The decentring part along the line of its largest effect is
     3 sqrt(P1^2 + P2^2) r^2 (1 + P3 r^2 + P4 r^4) (Brown 1966).

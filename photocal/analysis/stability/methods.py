@@ -51,8 +51,6 @@ def sensor_grid(size_px: tuple[int, int], step_px: float | None = None) -> Float
         points would fit. The first point stands half a step from the upper left.
     returns (n, 2): column and row of each point, px.
 
-    Notes
-    -----
     With 100 px on 4608 x 3456 this is the grid of the Canon ELPH study: 46 x 35 points from (50, 50).
     """
     width, height = size_px
@@ -219,8 +217,6 @@ def fitted_pose(method: Method, misfit: Misfit, first: View, second: View) -> tu
 def figure(method: Method, misfit_px: Floats) -> Floats:
     """Condense misfits into the figure of a method.
 
-    Notes
-    -----
     Without a pose the root mean square is that of the distances, sqrt(sum(dx^2 + dy^2) / n); with a pose it
     is the standard deviation of unit weight of a coordinate, sqrt(v'v / (2n - k)), as in the study.
     """

@@ -70,8 +70,6 @@ class Repeatability:
 def repeatability(occasions: Sequence[Occasion]) -> tuple[Repeatability, ...]:
     """Judge every parameter that all calibrations estimated; nothing for fewer than three of one unit.
 
-    Notes
-    -----
     x_i = mean + b_i + e_i with known variances of e_i; that of b_i after Paule and Mandel (1982).
     """
     if len(occasions) < 3 or len({one.camera.unit for one in occasions}) > 1:

@@ -319,8 +319,6 @@ def agreed(fit: Fit, candidate: Candidate, amount: float) -> float:
 
     fit: with the amount corrected.
 
-    Notes
-    -----
     The F test takes rays for independent. What matching, focus or a moving shutter do to one image they do to
     all of its rays, and the next image has it otherwise: a test over images as they are (Liang and Zeger
     1986) sees that. With many images by the sandwich, see `robust.sandwich`, with few by the jackknife.

@@ -35,8 +35,6 @@ def variance_components(
 
     names: names of the m groups.
 
-    Notes
-    -----
     sigma_i^2 = v'Pv_i / r_i (Foerstner 1979, one step), judged by F with r_i and r - r_i degrees of freedom.
     """
     from scipy import stats
