@@ -8,48 +8,58 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, FiniteFloat, PositiveFloat, PositiveInt
 
 from acquire.checked_toml import Table, checked_tables, read_tables
 from drivers.errors import ConfigurationError, PhotocalError
 from photocal.analysis.estimates import Estimates, from_sigmas
 from photocal.analysis.stability.comparison import Printed
 from photocal.analysis.stability.methods import Calibration, Terrain
+from photocal.block.camera_setup import CameraKeys, make_camera
 from photocal.geometry.camera import PARAMETERS, Camera, camera
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 # Two decimals of p correlations move an eigenvalue by no more than 0.005 p: more is no rounding.
 ROUNDING_OF_A_CORRELATION = 0.005
 
 
 class _Correlation(Table):
     names: list[str]
-    matrix: list[list[Finite]]
+    matrix: list[list[FiniteFloat]]
 
 
-class _Camera(Table):
-    id: str
-    model: Literal["brown-observed", "brown-ideal", "pix4d"]
-    unit: Literal["mm", "px"]
-    size_px: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
-    parameters: dict[str, Finite]
-    pitch_mm: Positive | tuple[Positive, Positive] | None = None
-    sigma: dict[str, Positive] | None = None
+class _Camera(CameraKeys):
+    sigma: dict[str, PositiveFloat] | None = None
     correlation: _Correlation | None = None
-    reference_radius: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
-    affinity: Literal["additive", "before", "after"] = "additive"
-    affinity_form: Literal["fraser", "canon-elph", "tank"] = "fraser"
+
+
+class _Pix4dParameters(Table):
+    f: PositiveFloat
+    Px: FiniteFloat
+    Py: FiniteFloat
+    R1: FiniteFloat = 0.0
+    R2: FiniteFloat = 0.0
+    R3: FiniteFloat = 0.0
+    T1: FiniteFloat = 0.0
+    T2: FiniteFloat = 0.0
+
+
+class _Pix4d(Table):
+    id: str
+    model: Literal["pix4d"]
+    unit: Literal["mm"]
+    size_px: tuple[PositiveInt, PositiveInt]
+    pitch_mm: PositiveFloat | tuple[PositiveFloat, PositiveFloat]
+    parameters: _Pix4dParameters
 
 
 class _Terrain(Table):
-    height_m: Positive
+    height_m: PositiveFloat
     relief_m: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
 
 class _Setup(Table):
-    grid_step_px: Positive | None = None
-    thresholds_px: list[Positive] = Field(default=[0.33, 0.5], min_length=1)
+    grid_step_px: PositiveFloat | None = None
+    thresholds_px: list[PositiveFloat] = Field(default=[0.33, 0.5], min_length=1)
     terrain: tuple[_Terrain, ...] = (
         _Terrain(height_m=250.0, relief_m=100.0),
         _Terrain(height_m=250.0, relief_m=20.0),
@@ -61,8 +71,8 @@ class _Setup(Table):
 class _Published(Table):
     method: Literal["MIS", "ZROT", "ROT", "SPR"]
     definition: str
-    tolerance_px: Positive
-    values: list[tuple[str, str, Finite]]
+    tolerance_px: PositiveFloat
+    values: list[tuple[str, str, FiniteFloat]]
 
 
 class _File(Table):
@@ -107,6 +117,8 @@ def read_camera_file(path: Path) -> CameraFile:
 
 def camera_file(tables: dict[str, Any], path: Path) -> CameraFile:
     """Check the tables of such a file."""
+    if isinstance(entries := tables.get("camera"), list):
+        tables = {**tables, "camera": [_ours(entry, path) for entry in entries]}
     file = checked_tables(tables, _File, path)
     printed = tuple(
         Printed(one.method, one.definition, a, b, value, one.tolerance_px)
@@ -151,45 +163,20 @@ def _below(terrain: _Terrain, path: Path) -> float:
     return terrain.relief_m
 
 
+def _ours(entry: Any, path: Path) -> Any:
+    """Keys of a camera of Pix4D as those of ours with the same distortion; others as they are."""
+    if not isinstance(entry, dict) or entry.get("model") != "pix4d":
+        return entry
+    given = checked_tables(entry, _Pix4d, f"{path}, camera {entry.get('id', '')}")
+    pitch = given.pitch_mm if isinstance(given.pitch_mm, tuple) else (given.pitch_mm,) * 2
+    made = brown_from_pix4d(given.id, given.size_px, pitch, given.parameters.model_dump())
+    values = {name: made.value(name) for name in made.lens.names}
+    return {**entry, "model": made.model, "pitch_mm": pitch, "size_px": given.size_px, "parameters": values}
+
+
 def _calibration(one: _Camera, path: Path) -> Calibration:
-    where = f"{path}, camera {one.id}"
-    known = PIX4D_PARAMETERS if one.model == "pix4d" else PARAMETERS
-    unknown = [name for name in one.parameters if name not in known]
-    if unknown:
-        raise ConfigurationError(
-            f"parameter {unknown[0]} is unknown", where=where, remedy=f"the model has {' '.join(known)}"
-        )
-    made = _brown(one, where)
-    if not made.value("c") > 0.0:
-        raise ConfigurationError("has no positive principal distance", where=where, remedy="give c")
-    return Calibration(made, _uncertainty(one, made, where))
-
-
-def _brown(one: _Camera, where: str) -> Camera:
-    if one.unit == "mm" and one.pitch_mm is None:
-        raise ConfigurationError("has no pitch_mm", where=where, remedy="give the size of a pixel in mm")
-    if one.unit == "px" and one.pitch_mm is not None and one.model == "pix4d":
-        raise ConfigurationError("model pix4d is in mm here", where=where, remedy='set unit = "mm"')
-    given = (1.0, 1.0) if one.unit == "px" or one.pitch_mm is None else one.pitch_mm
-    pitch = given if isinstance(given, tuple) else (given, given)
-    if one.model == "pix4d":
-        missing = [name for name in ("f", "Px", "Py") if name not in one.parameters]
-        if missing:
-            raise ConfigurationError(f"has no {missing[0]}", where=where, remedy="give f, Px and Py in mm")
-        if not one.parameters["f"] > 0.0:
-            raise ConfigurationError("has no positive focal length f", where=where, remedy="give f in mm")
-        return brown_from_pix4d(one.id, one.size_px, pitch, one.parameters)
-    return camera(
-        one.id,
-        one.model,
-        one.unit,
-        one.size_px,
-        pitch,
-        one.parameters,
-        reference_radius=one.reference_radius,
-        affinity=one.affinity,
-        affinity_form=one.affinity_form,
-    )
+    made = make_camera(one, path)
+    return Calibration(made, _uncertainty(one, made, f"{path}, camera {one.id}"))
 
 
 def _uncertainty(one: _Camera, made: Camera, where: str) -> Estimates | None:
@@ -199,10 +186,6 @@ def _uncertainty(one: _Camera, made: Camera, where: str) -> Estimates | None:
                 "has correlations but no sigma", where=where, remedy="add [camera.sigma]"
             )
         return None
-    if one.model == "pix4d":
-        raise ConfigurationError(
-            "sigmas of model pix4d are not known here", where=where, remedy="leave them out"
-        )
     names = tuple(one.sigma) if one.correlation is None else tuple(one.correlation.names)
     stray = [name for name in names if name not in PARAMETERS or name not in one.sigma]
     if stray or len(set(names)) != len(one.sigma):
@@ -233,9 +216,6 @@ def _uncertainty(one: _Camera, made: Camera, where: str) -> Estimates | None:
             remedy="correct the entry that was misprinted",
         )
     return estimates
-
-
-PIX4D_PARAMETERS = ("f", "Px", "Py", "R1", "R2", "R3", "T1", "T2")
 
 
 def brown_from_pix4d(
