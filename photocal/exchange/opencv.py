@@ -8,9 +8,10 @@ zero. Four coefficients beside `distortion_model` equidistant or fisheye are of 
 
 from __future__ import annotations
 
+import json
+import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,12 +19,15 @@ from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.exchange.pinhole import Pinhole, from_pinhole, to_pinhole
 from photocal.exchange.reconstruction import Choices, Reconstruction, cameras_alone, file_name
-from photocal.exchange.source import files_of, image_size, read_text
+from photocal.exchange.source import files_of, image_size, number, read_json, read_text, structured
 from photocal.geometry.camera import MODELS, PARAMETERS, Camera, Model
 from photocal.geometry.conversion import Conversion
 
 MATRICES = ("camera_matrix", "cameraMatrix", "K")
-MOST_NUMBERS = 64
+# An entry of the file begins a line, what belongs to it is indented; the size and the numbers of a matrix.
+_ENTRY = re.compile(r"^(\w+) *:(.*(?:\n[ \t].*)*)", re.MULTILINE)
+_SHAPE = re.compile(r"\b(rows|cols)\"? *: *(\d{1,4})\b")
+_DATA = re.compile(r"\bdata\"? *: *\[([^\]]*)\]")
 _FISHEYE = ("equidistant", "fisheye")
 _OF_FISHEYE = ("k1", "k2", "k3", "k4")
 _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")
@@ -34,28 +38,11 @@ COEFFICIENTS = ("distortion_coefficients", "dist_coeffs", "distCoeffs", "D")
 
 def read_opencv(path: Path, camera_id: str = "") -> Camera:
     """Read a calibration."""
-    import cv2
-
-    text = read_text(path)
-    json = path.suffix.lower() == ".json"
-    if not json and not text.startswith("%YAML"):
-        raise InputMalformedError(
-            "is no YAML file of OpenCV", where=path, remedy="it must begin with %YAML:1.0"
-        )
-    kind = cv2.FileStorage_FORMAT_JSON if json else cv2.FileStorage_FORMAT_YAML
-    try:
-        storage = cv2.FileStorage(text, cv2.FileStorage_READ | cv2.FileStorage_MEMORY | kind)
-        try:
-            matrix = _matrix(storage, MATRICES, path)
-            coefficients = np.ravel(_matrix(storage, COEFFICIENTS, path))
-            lens = storage.getNode("distortion_model").string().lower()
-            width, height = (float(storage.getNode(f"image_{name}").real()) for name in ("width", "height"))
-        finally:
-            storage.release()
-    except (cv2.error, SystemError) as failure:
-        raise InputMalformedError(
-            "cannot be parsed by OpenCV", where=path, remedy="was it written completely?"
-        ) from failure
+    entries = _entries(path)
+    matrix = _matrix(entries, MATRICES, path)
+    coefficients = np.ravel(_matrix(entries, COEFFICIENTS, path))
+    lens = entries.get("distortion_model", "").strip(' \n"').lower()
+    width, height = (number(entries.get(key, ""), path, key) for key in ("image_width", "image_height"))
     if matrix.shape != (3, 3) or matrix[0, 1] or not np.allclose(matrix[2], [0, 0, 1], atol=0):
         raise InputMalformedError("the camera matrix is not fx, 0, cx, 0, fy, cy, 0, 0, 1", where=path)
     fisheye = lens in _FISHEYE
@@ -99,18 +86,32 @@ def write_opencv(path: Path, own: Camera) -> Conversion:
     return conversion
 
 
-def _matrix(storage: Any, names: tuple[str, ...], path: Path) -> Floats:
-    for name in names:
-        node = storage.getNode(name)
-        if not node.empty():
-            # A few numbers are expected; more is not even allocated.
-            if node.isMap() and node.getNode("rows").real() * node.getNode("cols").real() > MOST_NUMBERS:
-                raise InputMalformedError(f"{name} claims an impossible size", where=path)
-            found = node.mat()
-            if found is None or not np.isfinite(found).all():
-                raise InputMalformedError(f"{name} is no matrix of finite numbers", where=path)
-            return np.asarray(found, dtype=float)
-    raise InputMalformedError(f"has no {names[0]}", where=path, remedy="is it a calibration?")
+def _entries(path: Path) -> dict[str, str]:
+    """Text of each entry of a file, which OpenCV's own reader answers with a crash when it is damaged."""
+    if path.suffix.lower() == ".json":
+        content = structured(path, "a file of OpenCV", lambda: dict(read_json(path)))
+        return {
+            name: value if isinstance(value, str) else json.dumps(value) for name, value in content.items()
+        }
+    text = read_text(path)
+    if not text.startswith("%YAML"):
+        raise InputMalformedError(
+            "is no YAML file of OpenCV", where=path, remedy="it must begin with %YAML:1.0"
+        )
+    return dict(_ENTRY.findall(text))
+
+
+def _matrix(entries: dict[str, str], names: tuple[str, ...], path: Path) -> Floats:
+    name = next((name for name in names if name in entries), None)
+    if name is None:
+        raise InputMalformedError(f"has no {names[0]}", where=path, remedy="is it a calibration?")
+    size = dict(_SHAPE.findall(entries[name]))
+    shape = [int(size.get(side, 0)) for side in ("rows", "cols")]
+    data = _DATA.search(entries[name])
+    cells = data[1].split(",") if data else []
+    if not cells or shape[0] * shape[1] != len(cells):
+        raise InputMalformedError(f"{name} is no matrix of rows, cols and data", where=path)
+    return np.array([number(cell, path, name) for cell in cells]).reshape(shape)
 
 
 def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
