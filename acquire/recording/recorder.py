@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import mimetypes
+import os
 import shutil
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,13 +16,13 @@ from acquire.channels.link import Tally
 from acquire.log.writer import LogWriter
 from acquire.recording.alarms import LEAST_JUMP_S, Alarm, ClockWatch, FloodWatch, SilenceWatch, write_alarms
 from acquire.recording.caster_position import CasterPosition, caster_positions
-from acquire.recording.configuration import Configuration
+from acquire.recording.configuration import Configuration, Link
 from acquire.recording.files import Limits, LogFiles, Told, WholeWrites, new_file, unclosed
 from acquire.recording.link_session import LinkSession, link_sessions
 from acquire.recording.reader import Inbox, left_behind, start_readers
-from acquire.transports.of_link import source_of_link
-from acquire.transports.sources import Source
-from drivers.errors import InputNotFoundError
+from acquire.transports.ntrip import NtripSource, ntrip_address
+from acquire.transports.sources import Source, source_of
+from drivers.errors import ConfigurationError, InputNotFoundError
 from drivers.gnsstime import expiry_warning
 from drivers.mavlink.dialect import ardupilotmega
 from drivers.scan import compile_search
@@ -117,6 +118,25 @@ def record(
         raise
     tallies = {name: session.log.tally for name, session in flight.sessions.items()}
     return Recorded(tuple(files.paths), tallies, tuple(flight.alarms))
+
+
+def source_of_link(
+    link: Link, environment: Mapping[str, str] = os.environ, position: Callable[[], bytes] | None = None
+) -> Source:
+    """Return the source of a link.
+
+    raises ConfigurationError: when the address cannot be meant or the password is missing.
+    """
+    address = ntrip_address(link.url)
+    if address is None:
+        return source_of(link.url, link.baud)
+    if link.password_env and link.password_env not in environment:
+        raise ConfigurationError(
+            f"the environment variable {link.password_env} with the password is not set",
+            where=link.url,
+            remedy="set it before recording",
+        )
+    return NtripSource(address, link.user, environment.get(link.password_env, ""), position=position)
 
 
 def sources_of(

@@ -96,16 +96,23 @@ class UdpSink:
         return waiting
 
 
-class TcpSink:
-    """A stream to the one reader that has connected."""
+class _TcpSink:
+    """A stream to the one reader that connects, for whom the first frame waits."""
 
     lost = 0
 
-    def __init__(self, port: socket.socket) -> None:
-        self._port = port
+    def __init__(self, server: socket.socket) -> None:
+        self._server = server
+        self._port: socket.socket | None = None
 
     def send(self, frame: bytes) -> None:
-        """Send one frame."""
+        if self._port is None:
+            try:
+                self._port, _ = self._server.accept()
+            except TimeoutError as failure:
+                raise DeviceError(
+                    f"no reader has connected within {PATIENCE_S:.0f} s", remedy="start the reader"
+                ) from failure
         try:
             self._port.sendall(frame)
         except OSError as failure:
@@ -114,16 +121,19 @@ class TcpSink:
             ) from failure
 
 
-class PtySink:
-    """A pseudo terminal that a program opens like a serial port."""
+class _PtySink:
+    """A pseudo terminal that a program opens like a serial port; the first frame waits for it."""
 
     lost = 0
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
+        self.read_by_someone = False
 
     def send(self, frame: bytes) -> None:
-        """Send one frame."""
+        if not self.read_by_someone:
+            _await_reader(self._descriptor)
+            self.read_by_someone = True
         view = memoryview(frame)
         while view:
             view = view[os.write(self._descriptor, view) :]
@@ -149,32 +159,11 @@ def open_sink(url: str) -> Iterator[tuple[Sink, str]]:
         else:
             with socket.create_server((host, port)) as server:
                 server.settimeout(PATIENCE_S)
-                yield _WaitingTcpSink(server), "tcp://{}:{}".format(*server.getsockname()[:2])
+                yield _TcpSink(server), "tcp://{}:{}".format(*server.getsockname()[:2])
     except OSError as failure:
         raise DeviceError(
             f"cannot be opened ({failure.strerror or failure})", where=url, remedy="choose another address"
         ) from failure
-
-
-class _WaitingTcpSink:
-    """Waits for its reader with the first frame."""
-
-    lost = 0
-
-    def __init__(self, server: socket.socket) -> None:
-        self._server = server
-        self._sink: TcpSink | None = None
-
-    def send(self, frame: bytes) -> None:
-        if self._sink is None:
-            try:
-                connection, _ = self._server.accept()
-            except TimeoutError as failure:
-                raise DeviceError(
-                    f"no reader has connected within {PATIENCE_S:.0f} s", remedy="start the reader"
-                ) from failure
-            self._sink = TcpSink(connection)
-        self._sink.send(frame)
 
 
 @contextmanager
@@ -183,7 +172,7 @@ def _pty() -> Iterator[tuple[Sink, str]]:
     # Only when nobody has it open can be seen that somebody opens it.
     os.close(theirs)
     try:
-        sink = _WaitingPtySink(ours)
+        sink = _PtySink(ours)
         yield sink, path
         if sink.read_by_someone:
             theirs = os.open(path, os.O_RDWR | getattr(os, "O_NOCTTY", 0))
@@ -195,27 +184,8 @@ def _pty() -> Iterator[tuple[Sink, str]]:
         os.close(ours)
 
 
-class _WaitingPtySink:
-    """Waits for its reader with the first frame."""
-
-    lost = 0
-
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
-        self._sink = PtySink(descriptor)
-        self.read_by_someone = False
-
-    def send(self, frame: bytes) -> None:
-        if not self.read_by_someone:
-            _await_reader(self._descriptor)
-            self.read_by_someone = True
-        self._sink.send(frame)
-
-
 def _await_reader(descriptor: int) -> None:
     """Wait until a program has opened a terminal, and for a moment: many throw away what is there by then."""
-    import time
-
     end = time.monotonic() + PATIENCE_S
     while not has_reader(descriptor):
         if time.monotonic() > end:
@@ -228,8 +198,6 @@ def _await_reader(descriptor: int) -> None:
 
 def _drain(theirs: int) -> None:
     """Wait until the reader has taken everything: closing a terminal throws away what it holds."""
-    import time
-
     now = time.monotonic()
     until, taken = now + PATIENCE_S, now
     # The kernel passes bytes on in pieces: between two of them a terminal looks empty for a moment.

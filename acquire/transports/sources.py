@@ -9,6 +9,8 @@ import struct
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from ssl import SSLWantReadError
 from typing import Any, Protocol
@@ -102,7 +104,35 @@ def connect(host: str, port: int, patience: Patience) -> socket.socket:
     raise LinkLostError(f"{host}: {reason}")
 
 
-class UdpSource:
+class _Port:
+    """What all sources share: a port that is open or not, and that a failure of it loses the link."""
+
+    def __init__(self) -> None:
+        self._port: Any = None
+
+    @property
+    def _opened(self) -> Any:
+        if self._port is None:
+            raise LinkLostError("not open")
+        return self._port
+
+    def close(self) -> None:
+        """Close the port."""
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+
+@contextmanager
+def _losing(*failures: type[Exception]) -> Iterator[None]:
+    """Within it such failures mean that the link is lost."""
+    try:
+        yield
+    except failures as failure:
+        raise LinkLostError(str(failure)) from failure
+
+
+class UdpSource(_Port):
     """Datagrams that arrive at a local address; answers go to whoever sent last.
 
     A sender that changes its port is followed.
@@ -111,34 +141,34 @@ class UdpSource:
     lossy = sys.platform != "linux"
 
     def __init__(self, host: str, port: int) -> None:
+        super().__init__()
         self._address = host, port
-        self._port: socket.socket | None = None
         self._sender: Any = None
         self._missed_before = 0
 
     def open(self, _stop: threading.Event) -> None:
         """Bind the local address."""
         port = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            # Room for a second of a fast link while the disk is busy.
-            port.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-            port.bind(self._address)
-        except (OSError, UnicodeError, OverflowError) as failure:
-            port.close()
-            raise LinkLostError(str(failure)) from failure
+        with _losing(OSError, UnicodeError, OverflowError):
+            try:
+                # Room for a second of a fast link while the disk is busy.
+                port.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+                port.bind(self._address)
+            except BaseException:
+                port.close()
+                raise
         self._port = port
 
     def read(self, timeout_s: float) -> bytes:
         """Return one datagram."""
-        port = self._opened()
+        port = self._opened
         port.settimeout(timeout_s)
-        try:
-            data, self._sender = port.recvfrom(PIECE_BYTES)
-        except TimeoutError:
-            return b""
-        except OSError as failure:
-            raise LinkLostError(str(failure)) from failure
-        return data
+        with _losing(OSError):
+            try:
+                data, self._sender = port.recvfrom(PIECE_BYTES)
+            except TimeoutError:
+                return b""
+        return bytes(data)
 
     @property
     def missed(self) -> int:
@@ -151,22 +181,13 @@ class UdpSource:
     def write(self, data: bytes) -> None:
         """Send one datagram to the last sender; before there is one nothing is sent."""
         if self._sender is not None:
-            try:
-                self._opened().sendto(data, self._sender)
-            except OSError as failure:
-                raise LinkLostError(str(failure)) from failure
+            with _losing(OSError):
+                self._opened.sendto(data, self._sender)
 
     def close(self) -> None:
         """Close the port."""
-        if self._port is not None:
-            self._missed_before = self.missed
-            self._port.close()
-            self._port = None
-
-    def _opened(self) -> socket.socket:
-        if self._port is None:
-            raise LinkLostError("not open")
-        return self._port
+        self._missed_before = self.missed
+        super().close()
 
     @property
     def peer(self) -> str:
@@ -176,17 +197,17 @@ class UdpSource:
     @property
     def local_port(self) -> int:
         """The port that is bound, also where any free one was asked for."""
-        return int(self._opened().getsockname()[1])
+        return int(self._opened.getsockname()[1])
 
 
-class TcpSource:
+class TcpSource(_Port):
     """A stream from a server that we connect to."""
 
     peer, lossy, missed = "", False, 0
 
     def __init__(self, host: str, port: int) -> None:
+        super().__init__()
         self._address = host, port
-        self._port: socket.socket | None = None
 
     def open(self, stop: threading.Event) -> None:
         """Connect."""
@@ -201,33 +222,21 @@ class TcpSource:
 
     def _received(self, timeout_s: float) -> bytes | None:
         """Return what the connection brings: nothing when it has ended, None when nothing came in time."""
-        if self._port is None:
-            raise LinkLostError("not open")
-        self._port.settimeout(timeout_s)
-        try:
-            return self._port.recv(PIECE_BYTES)
-        except (TimeoutError, SSLWantReadError):
-            return None
-        except OSError as failure:
-            raise LinkLostError(str(failure)) from failure
+        port = self._opened
+        port.settimeout(timeout_s)
+        with _losing(OSError):
+            try:
+                return bytes(port.recv(PIECE_BYTES))
+            except (TimeoutError, SSLWantReadError):
+                return None
 
     def write(self, data: bytes) -> None:
         """Send bytes to the server."""
-        if self._port is None:
-            raise LinkLostError("not open")
-        try:
-            self._port.sendall(data)
-        except OSError as failure:
-            raise LinkLostError(str(failure)) from failure
-
-    def close(self) -> None:
-        """Close the connection."""
-        if self._port is not None:
-            self._port.close()
-            self._port = None
+        with _losing(OSError):
+            self._opened.sendall(data)
 
 
-class SerialSource:
+class SerialSource(_Port):
     """A serial port, or what pyserial makes look like one.
 
     url: device path, or a URL of pyserial (``socket://``, ``loop://``, ``rfc2217://``).
@@ -236,9 +245,9 @@ class SerialSource:
     peer, lossy, missed = "", False, 0
 
     def __init__(self, url: str, baud: int) -> None:
+        super().__init__()
         self._url = url
         self._baud = baud
-        self._port: Any = None
 
     def open(self, _stop: threading.Event) -> None:
         """Open the port for us alone: of two readers each would get a part of the bytes."""
@@ -247,43 +256,28 @@ class SerialSource:
         # pySerial knows no time limit of writing to a port behind RFC 2217.
         limit_s = None if self._url.startswith("rfc2217:") else _WRITE_LIMIT_S
         alone: Any = {} if "://" in self._url else {"exclusive": True}
-        try:
+        with _losing(OSError, ValueError, UnicodeError):
             self._port = serial.serial_for_url(
                 self._url, baudrate=self._baud, timeout=0.1, write_timeout=limit_s, **alone
             )
-        except (OSError, ValueError, UnicodeError) as failure:
-            raise LinkLostError(str(failure)) from failure
         line = getattr(self._port, "_socket", None)
         if limit_s is None and line is not None:
             line.settimeout(_WRITE_LIMIT_S)
 
     def read(self, timeout_s: float) -> bytes:
         """Return what has arrived."""
-        if self._port is None:
-            raise LinkLostError("not open")
-        try:
+        port = self._opened
+        with _losing(OSError, TypeError):
             # Each change sets up the whole port anew, behind RFC 2217 by a conversation.
-            if self._port.timeout != timeout_s:
-                self._port.timeout = timeout_s
-            first = self._port.read(1)
-            return bytes(first + self._port.read(self._port.in_waiting)) if first else b""
-        except (OSError, TypeError) as failure:
-            raise LinkLostError(str(failure)) from failure
+            if port.timeout != timeout_s:
+                port.timeout = timeout_s
+            first = port.read(1)
+            return bytes(first + port.read(port.in_waiting)) if first else b""
 
     def write(self, data: bytes) -> None:
         """Send bytes to the device."""
-        if self._port is None:
-            raise LinkLostError("not open")
-        try:
-            self._port.write(data)
-        except (OSError, TypeError, AttributeError) as failure:
-            raise LinkLostError(str(failure)) from failure
-
-    def close(self) -> None:
-        """Close the port."""
-        if self._port is not None:
-            self._port.close()
-            self._port = None
+        with _losing(OSError, TypeError, AttributeError):
+            self._opened.write(data)
 
 
 class FileSource:
@@ -297,10 +291,8 @@ class FileSource:
 
     def open(self, _stop: threading.Event) -> None:
         """Open the file, the first time only."""
-        try:
+        with _losing(OSError):
             self._stream = self._stream or self._path.open("rb")
-        except OSError as failure:
-            raise LinkLostError(str(failure)) from failure
 
     def read(self, timeout_s: float) -> bytes:
         """Return the next bytes."""

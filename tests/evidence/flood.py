@@ -26,8 +26,7 @@ from acquire.log.records import MAGIC
 from acquire.log.recovery import recover
 from acquire.log.replay import raw_frames
 from acquire.recording.configuration import Configuration
-from acquire.recording.recorder import record
-from acquire.transports.of_link import source_of_link
+from acquire.recording.recorder import record, source_of_link
 from drivers import ubx
 from drivers.frames import GNSS, StreamFramer, Wire
 from tests.acquire.live import Recorder, free_port, is_bound, until

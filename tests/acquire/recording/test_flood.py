@@ -23,8 +23,7 @@ from acquire.recording.configuration import Configuration
 from acquire.recording.files import Limits, LogFiles
 from acquire.recording.link_session import link_sessions
 from acquire.recording.reader import MOST_AT_ONCE, Arrival, Inbox, read_link
-from acquire.recording.recorder import record
-from acquire.transports.of_link import source_of_link
+from acquire.recording.recorder import record, source_of_link
 from acquire.transports.sources import LinkLostError, SerialSource, TcpSource, UdpSource
 from drivers import ubx
 from drivers.mavlink.dialect import ardupilotmega

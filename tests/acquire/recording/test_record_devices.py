@@ -13,11 +13,11 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as tables
 
 from acquire.recording.configuration import Link
+from acquire.recording.recorder import source_of_link
 from acquire.recording.vehicle_dialogue import VehicleDialogue
 from acquire.simulate.autopilot import Autopilot
 from acquire.simulate.hardware import on_pty, on_udp
 from acquire.simulate.receiver import Receiver
-from acquire.transports.of_link import source_of_link
 from acquire.transports.sources import Source
 from drivers import rtcm3, ubx
 from drivers.frames import StreamFramer, Wire

@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 from acquire.recording.configuration import Link
+from acquire.recording.recorder import source_of_link
 from acquire.transports.ntrip import NtripSource, ntrip_address
-from acquire.transports.of_link import source_of_link
 from acquire.transports.sources import LinkLostError
 from drivers import rtcm3
 from drivers.errors import ConfigurationError, PhotocalError
