@@ -51,22 +51,6 @@ def _merged(channel: Channel, parts: list[Decoded]) -> Decoded:
     return Decoded(channel, [payloads[i] for i in order.tolist()], index[order], publish[order])
 
 
-@dataclass(frozen=True)
-class NewMessages:
-    """Messages of one channel made from messages of one source and kind.
-
-    channel: where they go.
-    payloads (n,): the encoded messages.
-    rows (n,): the rows that they were made from.
-    common: whether all sources share the topic, since each message names its own.
-    """
-
-    channel: Channel
-    payloads: list[bytes]
-    rows: Integers
-    common: bool = False
-
-
 class Decoder(Protocol):
     """Makes decoded messages from the frames of one link, batch after batch.
 

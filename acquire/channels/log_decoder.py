@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from acquire.channels.decoded import Decoded, JsonLayout, Times, in_order
-from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, HEALTH, PARAMETER
-from acquire.channels.receiver import ELLIPSOIDAL
-from acquire.channels.vehicle_messages import FIX_NAMES, SEA_LEVEL
+from acquire.channels.decoded import Decoded, Times, in_order
+from acquire.channels.layouts import PARAMETER
+from acquire.channels.source_messages import ELLIPSOIDAL, SourceMessages
+from acquire.channels.vehicle_messages import FIX_NAMES
 from acquire.log import foxglove
-from acquire.log.records import Channel
 from drivers import mrk
 from drivers.arrays import Flags, Floats, Integers
 from drivers.dataflash import DataflashFormats
@@ -25,99 +24,35 @@ from drivers.ulog import UlogFormats
 
 
 @dataclass(frozen=True)
-class Logged:
-    """Records of one kind with the link and the name that their messages carry, and their UTC (n,)."""
+class Logged(SourceMessages):
+    """Records of one kind."""
 
-    link: str
-    source: str
     records: Records
-    utc_ns: Integers
-
-    def __len__(self) -> int:
-        return len(self.records)
 
     def rows(self, kept: Flags) -> Logged:
         """Return some of the records."""
-        return Logged(self.link, self.source, self.records.rows(kept), self.utc_ns[kept])
-
-    def json(self, topic: str, layout: JsonLayout, columns: Mapping[str, Any]) -> Decoded:
-        """Return messages of a JSON type."""
-        payloads = layout.rows({"link": self.link, "source": self.source, **columns}, len(self))
-        channel = Channel(topic, "json", layout.schema())
-        return Decoded(channel, payloads, self.records.index, self.utc_ns)
-
-    def location(
-        self,
-        topic: str,
-        place: tuple[Floats, Floats, Floats],
-        claimed_m: tuple[Floats, Floats] | None = None,
-        height: str = SEA_LEVEL,
-    ) -> Decoded:
-        """Return positions: latitude, longitude (deg), height (m), claimed accuracy in plane and height."""
-        lat, lon, up = place
-        there = np.isfinite(lat) & np.isfinite(lon) & np.isfinite(up) & ((lat != 0) | (lon != 0))
-        there &= (np.abs(lat) <= 90) & (np.abs(lon) <= 360)
-        unknown = np.full(len(lat), np.nan)
-        horizontal, vertical = claimed_m or (unknown, unknown)
-        utc = self.utc_ns[there]
-        payloads = foxglove.location_fixes(
-            f"{self.link}/body_frd",
-            utc,
-            lat[there],
-            lon[there],
-            up[there],
-            horizontal[there],
-            vertical[there],
-        )
-        metadata = {"source": self.source, "height": height}
-        channel = Channel(topic, "protobuf", foxglove.schema("foxglove.LocationFix"), metadata)
-        return Decoded(channel, payloads, self.records.index[there], utc)
-
-    def attitude(self, quaternion_xyzw: Floats) -> Decoded:
-        """Return rotations from body to north-east-down; those with a number missing are left out."""
-        there = np.isfinite(quaternion_xyzw).all(axis=1)
-        utc = self.utc_ns[there]
-        payloads = foxglove.frame_transforms(
-            f"{self.link}/local_ned", f"{self.link}/body_frd", utc, quaternion_xyzw[there]
-        )
-        metadata = {"source": self.source, "rotation": "body forward-right-down to north-east-down"}
-        schema = foxglove.schema("foxglove.FrameTransform")
-        channel = Channel(f"/{self.link}/attitude", "protobuf", schema, metadata)
-        return Decoded(channel, payloads, self.records.index[there], utc)
+        return replace(super().rows(kept), records=self.records.rows(kept))
 
     def whole(self, **members: str) -> dict[str, Integers]:
         """Return members that count something under names of ours, where every record has a number."""
         found = {name: self.records.number(member) for name, member in members.items()}
         return {name: v.astype(np.int64) for name, v in found.items() if np.isfinite(v).all()}
 
-    def status(self, receiver: str, fix: list[str], columns: Mapping[str, Any]) -> Decoded:
-        """Return the quality of the fixes of a receiver."""
-        told = {"time": Times(self.utc_ns), "fix": fix, **columns}
-        return self.json(f"/gnss/{self.link}{receiver}/status", GNSS_STATUS, told)
-
-    def exposure(self, edge: str, columns: Mapping[str, Any]) -> Decoded:
-        """Return exposures; `columns` may have a better time than that of the records."""
-        return self.json("/camera/exposure", EXPOSURE, {"edge": edge, "time": Times(self.utc_ns), **columns})
-
-    def clock(self, device_utc_ns: Integers, boot_ns: Integers) -> Decoded:
+    def clock_of(self, device_utc_ns: Integers, boot_ns: Integers) -> Decoded:
         """Return UTC of a receiver beside the running time of the autopilot."""
-        columns = {"device": Times(device_utc_ns), "boot_s": boot_ns / 1e9}
-        return self.json("/clock", CLOCK, columns)
+        return self.clock({"device": Times(device_utc_ns), "boot_s": boot_ns / 1e9})
 
     def battery(self, voltage: str, current: str) -> Decoded:
         """Return the state of the battery from members in V and A."""
-        found = self.records.number(voltage), self.records.number(current)
-        return self.health(dict(zip(("voltage_v", "current_a"), found, strict=True)))
+        return self.health(
+            {"voltage_v": self.records.number(voltage), "current_a": self.records.number(current)}
+        )
 
     def parameters(self, name: str, value: str) -> Decoded:
         """Return the autopilot's parameters from members with their names and values."""
         logged = self if name in self.records else self.rows(np.zeros(len(self), bool))
         columns = {"name": logged.records.columns.get(name, ()), "value": logged.records.number(value)}
         return logged.json(f"/{self.link}/parameter", PARAMETER, columns)
-
-    def health(self, columns: Mapping[str, Any]) -> Decoded:
-        """Return texts and the state of the battery."""
-        return self.json("/health", HEALTH, columns)
 
 
 def fix_names(types: Floats) -> list[str]:
@@ -187,8 +122,11 @@ class Part(Generic[Formats]):
 
     def logged(self, name: str) -> Logged:
         """Return the records of a kind."""
-        records = self.formats.decode(self.batch, name)
-        return Logged(self.link, name, records, self.utc_ns[records.index])
+        return self.of(name, self.formats.decode(self.batch, name))
+
+    def of(self, name: str, records: Records) -> Logged:
+        """Return records under a name."""
+        return Logged(self.link, name, records.index, self.utc_ns[records.index], records)
 
 
 class LogDecoder(ABC, Generic[Formats]):
@@ -243,11 +181,8 @@ class UlogDecoder(LogDecoder[UlogFormats]):
         for topic, edge in (("camera_capture", "feedback"), ("camera_trigger", "trigger")):
             yield _exposure(part.logged(topic), edge)
         texts = part.formats.texts(part.batch)
-        logged = Logged(part.link, "logging", texts, part.utc_ns[texts.index])
-        yield logged.health({"severity": texts["severity"], "text": texts["text"]})
-        parameters = part.formats.parameters(part.batch)
-        told = Logged(part.link, "parameter", parameters, part.utc_ns[parameters.index])
-        yield told.parameters("name", "value")
+        yield part.of("logging", texts).health({"severity": texts["severity"], "text": texts["text"]})
+        yield part.of("parameter", part.formats.parameters(part.batch)).parameters("name", "value")
         yield part.logged("battery_status").battery("voltage_v", "current_a")
 
 
@@ -264,9 +199,10 @@ def _receiver(logged: Logged, receiver: str, part: Part[UlogFormats]) -> Iterato
         "horizontal_m": found.number("eph"),
         "vertical_m": found.number("epv"),
     }
-    yield logged.status(receiver, fix_names(fix), {**logged.whole(satellites="satellites_used"), **quality})
+    satellites = logged.whole(satellites="satellites_used")
+    yield logged.status(receiver, {"fix": fix_names(fix), **satellites, **quality})
     device = _told_utc(found.number("time_utc_usec"), earliest_us=0.0)
-    yield logged.clock(device, part.boot_ns[found.index])
+    yield logged.clock_of(device, part.boot_ns[found.index])
 
 
 def _gps_place(logged: Logged) -> tuple[Floats, Floats, Floats]:
@@ -334,10 +270,10 @@ class EventListDecoder:
         """Return the time of each event and the decoded messages."""
         told = self._clock.feed(batch)
         utc = np.where(told >= 0, told, log_ns)
-        events = Logged(self._link, "MRK", mrk.decode(batch), utc)
+        found = mrk.decode(batch)
+        events = SourceMessages(self._link, "MRK", found.index, utc[found.index])
         if not len(events):
             return utc, []
-        found = events.records
         horizontal = np.hypot(found["sigma_north_m"], found["sigma_east_m"])
         place = found["latitude_deg"], found["longitude_deg"], found["height_m"]
         claimed = horizontal, found["sigma_up_m"]
@@ -347,11 +283,12 @@ class EventListDecoder:
             "latitude_deg": found["latitude_deg"],
             "longitude_deg": found["longitude_deg"],
         }
-        quality = {"horizontal_m": horizontal, "vertical_m": found["sigma_up_m"]}
+        fix = [_FIXES.get(int(flag), "3d") for flag in found["flag"].tolist()]
+        quality = {"fix": fix, "horizontal_m": horizontal, "vertical_m": found["sigma_up_m"]}
         return utc, [
             events.exposure("feedback", columns),
             events.location(f"/gnss/{self._link}/fix", place, claimed, ELLIPSOIDAL),
-            events.status("", [_FIXES.get(int(flag), "3d") for flag in found["flag"].tolist()], quality),
+            events.status("", quality),
         ]
 
 
@@ -402,8 +339,8 @@ def _dataflash_receiver(every: Logged, part: Part[DataflashFormats]) -> Iterator
         kept = logged.rows(fix >= 2)
         yield kept.location(f"/gnss/{part.link}{receiver}/fix", _place(kept))
         quality = {**logged.whole(satellites="NSats"), "hdop": found.number("HDop")}
-        yield logged.status(receiver, fix_names(fix), quality)
-        yield logged.clock(
+        yield logged.status(receiver, {"fix": fix_names(fix), **quality})
+        yield logged.clock_of(
             _dataflash_utc(found, ("GWk", "Week"), ("GMS", "TimeMS")), part.boot_ns[found.index]
         )
 

@@ -8,18 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.channels.decoded import Decoded, JsonLayout, Times, in_order
-from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, STATION
+from acquire.channels.decoded import Decoded, Times, in_order
+from acquire.channels.layouts import STATION
 from acquire.channels.receiver_time import ReceiverClock
-from acquire.log import foxglove
-from acquire.log.records import Channel
+from acquire.channels.source_messages import ELLIPSOIDAL, SourceMessages
 from drivers import nmea, rtcm3
 from drivers.arrays import Flags, Floats, Integers
 from drivers.frames import Batch
 from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS, gps_to_utc_ns
 from drivers.ubx import decode as ubx
 
-ELLIPSOIDAL = "above the ellipsoid"
 _PVT_FIXES = ("none", "dead_reckoning", "2d", "3d", "3d", "time_only")
 _GGA_FIXES = {1: "3d", 2: "differential", 3: "3d", 4: "rtk_fixed", 5: "rtk_float", 6: "dead_reckoning"}
 
@@ -48,11 +46,17 @@ class ReceiverDecoder:
     def _positions(self, batch: Batch, publish: Integers) -> Iterator[Decoded]:
         found = {name: read(batch) for name, read in _READERS.items()}
         for source, fixes in self._fix_rank.used(found, len(batch)):
-            yield self._fix_messages(source, fixes, publish)
+            f = fixes.rows(fixes.valid)
+            yield self._messages(source, f.index, publish).location(
+                f"/gnss/{self._link}/fix",
+                (f.latitude_deg, f.longitude_deg, f.height_m),
+                (f.horizontal_m, f.vertical_m),
+                ELLIPSOIDAL,
+                "antenna",
+            )
         telling = {name: found[name] for name in _STATUS_SOURCES}
         for source, fixes in self._status_rank.used(telling, len(batch)):
             columns = {
-                "time": Times(publish[fixes.index]),
                 "fix": fixes.fix,
                 "satellites": fixes.satellites,
                 "hdop": fixes.hdop,
@@ -60,24 +64,7 @@ class ReceiverDecoder:
                 "vertical_m": fixes.vertical_m,
                 "correction_age_s": fixes.age_s,
             }
-            yield self._json(f"/gnss/{self._link}/status", GNSS_STATUS, source, columns, fixes.index, publish)
-
-    def _fix_messages(self, source: str, fixes: _Fixes, publish: Integers) -> Decoded:
-        there = np.isfinite(fixes.latitude_deg) & np.isfinite(fixes.height_m) & fixes.valid
-        f = fixes.rows(there)
-        payloads = foxglove.location_fixes(
-            f"{self._link}/antenna",
-            publish[f.index],
-            f.latitude_deg,
-            f.longitude_deg,
-            f.height_m,
-            f.horizontal_m,
-            f.vertical_m,
-        )
-        metadata = {"source": source, "height": ELLIPSOIDAL}
-        schema = foxglove.schema("foxglove.LocationFix")
-        channel = Channel(f"/gnss/{self._link}/fix", "protobuf", schema, metadata)
-        return Decoded(channel, payloads, f.index, publish[f.index])
+            yield self._messages(source, fixes.index, publish).status("", columns)
 
     def _time_marks(self, batch: Batch, publish: Integers) -> Iterator[Decoded]:
         marks = ubx.decode(batch, ubx.TIM_TM2)
@@ -86,12 +73,11 @@ class ReceiverDecoder:
             utc = np.where(new.base == ubx.BASE_UTC, new.time_ns + GPS_EPOCH_NS, gps_to_utc_ns(new.time_ns))
             columns = {
                 "sequence": new.count,
-                "edge": edge,
                 "time": Times(np.where(new.valid & (new.base != ubx.BASE_RECEIVER), utc, -1)),
                 "accuracy_ns": new.accuracy_ns,
             }
             index = marks.index[new.index]
-            yield self._json("/camera/exposure", EXPOSURE, "TIM-TM2", columns, index, publish)
+            yield self._messages("TIM-TM2", index, publish).exposure(edge, columns)
 
     def _clocks(self, batch: Batch, log_ns: Integers, publish: Integers) -> Iterator[Decoded]:
         epochs = ubx.decode_rawx(batch).epochs
@@ -104,7 +90,7 @@ class ReceiverDecoder:
             "gps_seconds_of_week_s": f["rcvTow"],
             "leap_s": np.where(f["recStat"] & 1, f["leapS"].astype(int), -1),
         }
-        yield self._json("/clock", CLOCK, "RXM-RAWX", columns, epochs.index, publish)
+        yield self._messages("RXM-RAWX", epochs.index, publish).clock(columns)
 
     def _stations(self, batch: Batch, publish: Integers) -> Iterator[Decoded]:
         topic = f"/gnss/{self._link}/station"
@@ -116,7 +102,7 @@ class ReceiverDecoder:
             "z_m": announced.ecef_m[:, 2],
             "antenna_height_m": announced.antenna_height_m,
         }
-        yield self._json(topic, STATION, "1005/1006", columns, announced.index, publish)
+        yield self._messages("1005/1006", announced.index, publish).json(topic, STATION, columns)
         survey = ubx.decode(batch, ubx.NAV_SVIN)
         # A receiver that surveys nothing sends zeros.
         surveyed = survey.fields["obs"] > 0
@@ -126,19 +112,10 @@ class ReceiverDecoder:
             for axis, letter in (("x_m", "X"), ("y_m", "Y"), ("z_m", "Z"))
         }
         columns |= {"accuracy_m": f["meanAcc"] * 1e-4, "survey_valid": f["valid"] != 0}
-        yield self._json(topic, STATION, "NAV-SVIN", columns, index, publish)
+        yield self._messages("NAV-SVIN", index, publish).json(topic, STATION, columns)
 
-    def _json(
-        self,
-        topic: str,
-        layout: JsonLayout,
-        source: str,
-        columns: Mapping[str, Any],
-        index: Integers,
-        publish: Integers,
-    ) -> Decoded:
-        payloads = layout.rows({"link": self._link, "source": source, **columns}, len(index))
-        return Decoded(Channel(topic, "json", layout.schema()), payloads, index, publish[index])
+    def _messages(self, source: str, index: Integers, publish: Integers) -> SourceMessages:
+        return SourceMessages(self._link, source, index, publish[index])
 
 
 class _Rank:

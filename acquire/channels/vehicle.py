@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.channels.decoded import Decoded, NewMessages, in_order
-from acquire.channels.vehicle_messages import MAKERS, Sent
+from acquire.channels.decoded import Decoded, in_order
+from acquire.channels.vehicle_messages import COMMON_TOPICS, MAKERS, Sent
 from drivers.arrays import Integers
 from drivers.frames import Batch, Wire
 from drivers.mavlink.decode import Messages, decode
@@ -89,32 +89,15 @@ class VehicleDecoder:
             own = senders == sender
             index = messages.index[own]
             source = divmod(sender, 256)
-            sent = Sent(
-                self._link,
-                self._dialect.name(kind),
-                source,
-                messages.fields[own],
-                log_ns[index],
-                publish[index],
-            )
-            for make in MAKERS[self._dialect.name(kind)]:
-                yield self._placed(make(sent), source, index, publish)
-
-    def _placed(
-        self,
-        made: NewMessages,
-        source: tuple[int, int],
-        index: Integers,
-        publish: Integers,
-    ) -> Decoded:
-        channel = made.channel
-        if not made.common:
-            channel = replace(channel, topic=self._topic(channel.topic, source))
-        rows = index[made.rows]
-        return Decoded(channel, made.payloads, rows, publish[rows])
+            name, fields = self._dialect.name(kind), messages.fields[own]
+            sent = Sent(self._link, name, index, publish[index], source, fields, log_ns[index])
+            for make in MAKERS[name]:
+                made = make(sent)
+                topic = self._topic(made.channel.topic, source)
+                yield replace(made, channel=replace(made.channel, topic=topic))
 
     def _topic(self, topic: str, source: tuple[int, int]) -> str:
-        owner = self._owners.setdefault(topic, source)
+        owner = source if topic in COMMON_TOPICS else self._owners.setdefault(topic, source)
         return topic if owner == source else f"{topic}/system-{source[0]}-{source[1]}"
 
 
