@@ -266,7 +266,8 @@ class _Text:
             self.found.append(f"camera {name}: {taken} pictures, {said}")
             yield f"[[camera]]  # {taken} pictures; {said}"
             yield from _camera(own)
-            yield 'shutter = "unknown"  # tested, and a readout is estimated when it rolls; or "global"'
+            if not own.camera.rolling:
+                yield 'shutter = "unknown"  # tested, and a readout is estimated when it rolls; or "global"'
             if own.guessed:
                 self.missing.append(f"nothing tells the c of camera {name}: it is a guess, to be estimated")
 

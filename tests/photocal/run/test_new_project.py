@@ -108,3 +108,12 @@ def test_sigmas_of_dji_rtk(tmp_path: Path) -> None:
     names = zip(("Lon", "Lat", "Hgt"), ("0.012", "0.011", "0.025"), strict=True)
     picture(tmp_path / "a.jpg", xmp=" ".join(f'drone-dji:RtkStd{n}="{v}"' for n, v in names))
     assert read_facts(tmp_path / "a.jpg").position_sigma_m == (0.012, 0.011, 0.025)
+
+
+def test_the_readout_that_a_maker_states(tmp_path: Path) -> None:
+    tags = 'Camera:RigName="Sequoia" Camera:LineReadoutTime="47500" Camera:IMULinearVelocity="-2.5,11,-0.95"'
+    for k in range(3):
+        picture(tmp_path / f"a{k}.jpg", 20.0 * k, xmp=tags)
+    (own,) = read_project(new_project(tmp_path).path).cameras
+    assert own.rolling
+    assert own.value("readout") == pytest.approx(47.5e-6 * 120)
