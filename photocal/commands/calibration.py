@@ -182,7 +182,7 @@ def certificate(
             client=client,
             operator=operator,
             key=own.fingerprint if own else "",
-            told=told_beside(run),
+            warnings=told_beside(run),
             pictures=pictures,
             done=lambda: step(1),
         )

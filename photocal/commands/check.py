@@ -106,8 +106,8 @@ def judge_block(
     say, of_project = catalogue("en"), on_the_job or is_stage(source)
     final = project_verdict(source.parent) if of_project else None
     if final is not None:
-        own, content["verdict"] = content["verdict"]["text"], finding_json(final, say)
-        text = text.replace(own, content["verdict"]["text"])
+        own_verdict, content["verdict"] = content["verdict"]["text"], finding_json(final, say)
+        text = text.replace(own_verdict, content["verdict"]["text"])
     elif of_project and outdated(source.parent):
         note = Finding("certificate-outdated", "note")
         content["findings"].append(finding_json(note, say))
@@ -117,8 +117,8 @@ def judge_block(
 
         system = system or reference_system(None if read.frame == "local" else read.frame)
         write_check(result, content, output, system, changed_utc(source))
-    said = "" if output is None else f"\nwritten to {output}"
-    answer(as_json, lambda: content, lambda: text + said)
+    written = "" if output is None else f"\nwritten to {output}"
+    answer(as_json, lambda: content, lambda: text + written)
 
 
 def with_project(path: Path, question: Question) -> tuple[Project, Question]:
@@ -147,8 +147,8 @@ def judge_experiment(path: Path, output: Path | None, *, as_json: bool) -> None:
         outcome = run_experiment(asked, lambda: advance(1))
     if output is not None:
         write_experiment(outcome, output)
-    said = "" if output is None else f"\nwritten to {output}"
-    answer(as_json, lambda: to_json(outcome), lambda: to_text(outcome) + said)
+    written = "" if output is None else f"\nwritten to {output}"
+    answer(as_json, lambda: to_json(outcome), lambda: to_text(outcome) + written)
 
 
 def judge_numbers(source: Path, counts: str, output: Path | None, *, as_json: bool) -> None:
@@ -176,8 +176,8 @@ def judge_numbers(source: Path, counts: str, output: Path | None, *, as_json: bo
             plot = control_plot(outcome)
             if plot is not None:
                 plot.savefig(folder / "control_numbers.pdf")
-    said = "" if output is None else f"\nwritten to {output}"
-    answer(as_json, lambda: figures, lambda: numbers_text(figures) + said)
+    written = "" if output is None else f"\nwritten to {output}"
+    answer(as_json, lambda: figures, lambda: numbers_text(figures) + written)
 
 
 def _interiors(path: Path) -> tuple[Camera, ...]:

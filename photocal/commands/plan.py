@@ -106,11 +106,11 @@ def plan(
         raise ConfigurationError("a mission needs both --home and --ground-height")
     flight = plan_flight(read_area(area), wish)
     targets = () if scale is None else targets_of(load_standard(standard), parse_scale(scale), map_class)
-    said = remarks(flight, targets, None if exposure_ms is None else exposure_ms * 1e-3, shortest_interval)
+    notes = remarks(flight, targets, None if exposure_ms is None else exposure_ms * 1e-3, shortest_interval)
     # Half a base keeps the points on several photos without leaving the corners.
     layout = suggest_layout(flight.corners_m, control, check, flight.levels[0].base_m / 2.0)
     takeoff = None if home is None or ground_height is None else (_home(home), ground_height)
-    figures = to_json(flight, targets, said)
+    figures = to_json(flight, targets, notes)
     simulated = ""
     if simulation:
         survey = _survey(image_sigma_px, control_sigma_m, gnss_sigma_m, calibrate, relief_m)
@@ -121,7 +121,7 @@ def plan(
         as_json,
         lambda: figures,
         lambda: (
-            f"{to_text(flight, targets, said)}{simulated}\nwritten to {output}: {', '.join(names)}{missing}"
+            f"{to_text(flight, targets, notes)}{simulated}\nwritten to {output}: {', '.join(names)}{missing}"
         ),
     )
 
@@ -221,8 +221,8 @@ def flown(
     moving = np.linalg.norm(way if timed else velocity, axis=1)
     moving = np.where(np.isfinite(moving), moving, np.nan if speed is None else speed)
     facts = {path.name: read_facts(path) for path in list_images(images)} if images is not None else {}
-    told = [(f.exposure_s, f.iso) if (f := facts.get(name)) else (np.nan, np.nan) for name in shots.names]
-    exposure, iso = np.array(told).T
+    stated = [(f.exposure_s, f.iso) if (f := facts.get(name)) else (np.nan, np.nan) for name in shots.names]
+    exposure, iso = np.array(stated).T
     exposure = np.where(np.isfinite(exposure), exposure, np.nan if exposure_ms is None else exposure_ms / 1e3)
     points = model.points.values if run is None else read_result(run).points.values
     measured = flown_block(shots, strip, ground_through(shots, frame.to_local(points)), moving, exposure)

@@ -52,7 +52,9 @@ WEAK = "weak_principal_distance"
 WORDS = ("table", "figure", "page", "of", "contents")
 
 
-def certificate(run: Run, particulars: Metadata, say: Catalogue, told: tuple[Finding, ...] = ()) -> Document:
+def certificate(
+    run: Run, particulars: Metadata, say: Catalogue, warnings: tuple[Finding, ...] = ()
+) -> Document:
     """Compose the certificate.
 
     raises InputMalformedError: when a figure cannot be right: it is not printed.
@@ -64,11 +66,11 @@ def certificate(run: Run, particulars: Metadata, say: Catalogue, told: tuple[Fin
         language=say.language,
         title=say("title.certificate"),
         subtitle=_subtitle(run, say),
-        number=certificate_number(run, particulars, told),
-        facts=_facts(run, particulars, certificate_number(run, particulars, told), say),
-        highlights=_highlights(run, told, say),
-        verdicts=_verdicts(run, known, told, say),
-        sections=(*warning_sections(told, say), *_sections(run, particulars, known, told, say)),
+        number=certificate_number(run, particulars, warnings),
+        facts=_facts(run, particulars, certificate_number(run, particulars, warnings), say),
+        highlights=_highlights(run, warnings, say),
+        verdicts=_verdicts(run, known, warnings, say),
+        sections=(*warning_sections(warnings, say), *_sections(run, particulars, known, warnings, say)),
         words={word: say(f"word.{word}") for word in WORDS},
     )
 
@@ -79,11 +81,11 @@ def _subtitle(run: Run, say: Catalogue) -> str:
     return say("title.subtitle" if calibrated else "title.subtitle_held", cameras=", ".join(cameras))
 
 
-def certificate_number(run: Run, particulars: Metadata, told: tuple[Finding, ...] = ()) -> str:
+def certificate_number(run: Run, particulars: Metadata, warnings: tuple[Finding, ...] = ()) -> str:
     """Make a certificate's number from date, inputs, software and particulars, in whatever language."""
     software = run.result.software
     files = (f"{f.path} {f.sha256}" for f in run.result.inputs)
-    content = [f"{software.name} {software.version}", *files, repr(particulars), *map(identity, told)]
+    content = [f"{software.name} {software.version}", *files, repr(particulars), *map(identity, warnings)]
     digest = hashlib.sha256("\n".join(content).encode()).hexdigest()
     return f"PC-{particulars.date:%Y%m%d}-{digest[:8].upper()}"
 
@@ -101,7 +103,7 @@ def _facts(run: Run, particulars: Metadata, number: str, say: Catalogue) -> KeyV
     return KeyValues(tuple((label, value) for label, value in rows if value))
 
 
-def _highlights(run: Run, told: tuple[Finding, ...], say: Catalogue) -> tuple[Highlight, ...]:
+def _highlights(run: Run, warnings: tuple[Finding, ...], say: Catalogue) -> tuple[Highlight, ...]:
     cameras = run.result.cameras
     several = len(cameras) > 1
     shown: list[Highlight] = []
@@ -117,11 +119,11 @@ def _highlights(run: Run, told: tuple[Finding, ...], say: Catalogue) -> tuple[Hi
     if not several:
         shown.append(_principal_point(run, next(iter(cameras)), say))
     shown += [_residuals(run, say), _network(run, say)]
-    return (*shown, _test(run, told, say), _checks(run, say))
+    return (*shown, _test(run, warnings, say), _checks(run, say))
 
 
-def _test(run: Run, told: tuple[Finding, ...], say: Catalogue) -> Highlight:
-    test, judged = run.result.global_test, _tested(run, told)
+def _test(run: Run, warnings: tuple[Finding, ...], say: Catalogue) -> Highlight:
+    test, judged = run.result.global_test, _tested(run, warnings)
     if test is None:
         return Highlight(say("highlight.test"), say("highlight.untested"), say("highlight.untested_remark"))
     if judged.severity == "untested":
@@ -179,34 +181,34 @@ def _checks(run: Run, say: Catalogue) -> Highlight:
     )
 
 
-def overall(run: Run, known: tuple[DerivedFigures, ...], told: tuple[Finding, ...]) -> Finding:
+def overall(run: Run, known: tuple[DerivedFigures, ...], warnings: tuple[Finding, ...]) -> Finding:
     """Give the one verdict over everything that processing, adjustment and analysis found."""
     analysed = run.analysis.findings if run.analysis is not None else ()
     plausible = (finding for of in known for finding in of.findings)
     diverged = () if run.result.converged else (Finding("not-converged", "grave"),)
-    return verdict((*diverged, *told, _tested(run, told), *plausible, *analysed))
+    return verdict((*diverged, *warnings, _tested(run, warnings), *plausible, *analysed))
 
 
-def _tested(run: Run, told: tuple[Finding, ...]) -> Finding:
+def _tested(run: Run, warnings: tuple[Finding, ...]) -> Finding:
     """The global test, as far as it tests anything."""
     result, test = run.result, run.result.global_test
-    estimated = bool(result.variance_components) or any(f.code == "sigmas-from-residuals" for f in told)
+    estimated = bool(result.variance_components) or any(f.code == "sigmas-from-residuals" for f in warnings)
     accepted = None if test is None else test.accepted
     return of_global_test(result.chi_squared, result.degrees_of_freedom, accepted, estimated=estimated)
 
 
 def _verdicts(
-    run: Run, known: tuple[DerivedFigures, ...], told: tuple[Finding, ...], say: Catalogue
+    run: Run, known: tuple[DerivedFigures, ...], warnings: tuple[Finding, ...], say: Catalogue
 ) -> tuple[Statement, ...]:
     """The verdict first, then what it rests on; nothing is green where it is not."""
-    result, final = run.result, overall(run, known, told)
+    result, final = run.result, overall(run, known, warnings)
     tone: Tone = {"passed": "good", "doubtful": "note"}.get(final.severity, "bad")  # type: ignore[assignment]
     head = Statement(tone, say(f"verdict.{final.code}"), finding_text(final, say))
-    verdicts = [head, *warned(told, say)]
+    verdicts = [head, *warned(warnings, say)]
     if not result.converged:
         text = say("verdict.diverged", iterations=result.iterations)
         verdicts.append(Statement("bad", say("verdict.diverged_title"), text))
-    test = _tested(run, told)
+    test = _tested(run, warnings)
     if test.severity != "passed":
         verdicts.append(Statement("note", say("verdict.test_title"), finding_text(test, say)))
     verdicts += [acceptance_statement(of, final, say) for of in known if keeps(of.limits) != "not_determined"]
@@ -223,7 +225,7 @@ def _sections(
     run: Run,
     particulars: Metadata,
     known: tuple[DerivedFigures, ...],
-    told: tuple[Finding, ...],
+    warnings: tuple[Finding, ...],
     say: Catalogue,
 ) -> tuple[Section, ...]:
     cameras = run.result.cameras
@@ -232,7 +234,7 @@ def _sections(
     facts: tuple[Piece, ...] = tuple(
         camera_facts(name, camera, readouts.get(name), say) for name, camera in cameras.items()
     )
-    number = certificate_number(run, particulars, told)
+    number = certificate_number(run, particulars, warnings)
     sections = [Section(say("camera.section"), facts), method(say("method.section"), run, say)]
     for position, (camera_id, camera) in enumerate(cameras.items(), start=1):
         name = str(position)
@@ -258,7 +260,7 @@ def _sections(
         exterior_orientation(say("eop.section"), run, say),
         check_points(say("checks.section"), run, say),
         global_test(say("test.section"), run, say),
-        *_judgements(run, particulars, known, overall(run, known, told), say),
+        *_judgements(run, particulars, known, overall(run, known, warnings), say),
         laboratory(say("laboratory.section"), particulars, number, say),
         inputs(say("inputs.section"), run, say),
         signature(say("signature.section"), particulars, say),

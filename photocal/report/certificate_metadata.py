@@ -167,10 +167,10 @@ def read_particulars(
 ) -> Metadata:
     """Read the particulars of a certificate; what nobody typed may stand in the pictures, by section."""
     keys: dict[str, Any] = read_tables(path) if path is not None else {}
-    for section, told in (pictures or {}).items():
+    for section, stated in (pictures or {}).items():
         typed = keys.get(section, {})
         if isinstance(typed, dict):
-            keys[section] = {**{name: f"{value} (EXIF)" for name, value in told.items()}, **typed}
+            keys[section] = {**{name: f"{value} (EXIF)" for name, value in stated.items()}, **typed}
     if "date" in keys:
         raise ConfigurationError("unknown key 'date'", where=path, remedy="give the day by --date")
     named = {"client": client, "operator": operator}

@@ -38,19 +38,21 @@ RESULT_KEYS = (
 )
 
 
-def record(run: Run, particulars: Metadata, say: Catalogue, told: tuple[Finding, ...] = ()) -> dict[str, Any]:
+def record(
+    run: Run, particulars: Metadata, say: Catalogue, warnings: tuple[Finding, ...] = ()
+) -> dict[str, Any]:
     """Make the machine-readable certificate; `say`: language of the technical report's texts."""
     result = {key: value for key, value in result_json(run.result).items() if key in RESULT_KEYS}
     known = tuple(derived_figures(run, name, particulars) for name in run.result.cameras)
     return {
         "schema": SCHEMA,
-        "number": certificate_number(run, particulars, told),
-        "verdict": finding_json(overall(run, known, told), say),
+        "number": certificate_number(run, particulars, warnings),
+        "verdict": finding_json(overall(run, known, warnings), say),
         "date": particulars.date.isoformat(),
         "language": say.language,
         "particulars": particulars.model_dump(mode="json", exclude={"date"}),
-        "warnings": [finding_json(one, say) for one in told if one.severity != "note"],
-        "notes": [finding_json(one, say) for one in told if one.severity == "note"],
+        "warnings": [finding_json(one, say) for one in warnings if one.severity != "note"],
+        "notes": [finding_json(one, say) for one in warnings if one.severity == "note"],
         # Where the block lay is nobody's concern: the certificate carries its inputs.
         "result": {**result, "block": {**result["block"], "source": ""}},
         "exposures": _exposures(run),
@@ -125,10 +127,10 @@ def _report(context: Context) -> list[dict[str, str]]:
 
 
 def plain_record(
-    run: Run, particulars: Metadata, say: Catalogue, told: tuple[Finding, ...] = ()
+    run: Run, particulars: Metadata, say: Catalogue, warnings: tuple[Finding, ...] = ()
 ) -> dict[str, Any]:
     """Make the certificate as it comes back from JSON: lists for tuples."""
-    content: dict[str, Any] = json.loads(json.dumps(record(run, particulars, say, told), allow_nan=False))
+    content: dict[str, Any] = json.loads(json.dumps(record(run, particulars, say, warnings), allow_nan=False))
     return content
 
 
@@ -211,7 +213,7 @@ def issue(
     client: str = "",
     operator: str = "",
     key: str = "",
-    told: tuple[Finding, ...] = (),
+    warnings: tuple[Finding, ...] = (),
     pictures: Mapping[str, Mapping[str, str]] | None = None,
     done: Callable[[], None] = lambda: None,
 ) -> Document:
@@ -230,11 +232,11 @@ def issue(
     _refuse_a_guess(run, results.result)
     source = _source(run, results, block)
     done()
-    document = certificate(results, given, say, told)
+    document = certificate(results, given, say, warnings)
     done()
     forms = printed(document, day)
     done()
-    forms[NAME] = with_documents(record(results, given, say, told), forms)
+    forms[NAME] = with_documents(record(results, given, say, warnings), forms)
     done()
     with output_folder(output) as folder:
         for name, content in forms.items():

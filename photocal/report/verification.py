@@ -209,15 +209,15 @@ def as_certified(run: Run, certified: dict[str, Any], folder: Path) -> Run:
 
 def record_of(run: Run, certified: dict[str, Any]) -> dict[str, Any]:
     """Make the certificate of a repeated run, comparable by `verification.differences`."""
-    return plain_record(run, *_told_by(certified))
+    return plain_record(run, *_given_by(certified))
 
 
 def pages_of(run: Run, certified: dict[str, Any]) -> dict[str, bytes]:
     """Print the certificate of a repeated run."""
-    return printed(certificate(run, *_told_by(certified)), dt.date.fromisoformat(certified["date"]))
+    return printed(certificate(run, *_given_by(certified)), dt.date.fromisoformat(certified["date"]))
 
 
-def _told_by(certified: dict[str, Any]) -> tuple[Metadata, Catalogue, tuple[Finding, ...]]:
+def _given_by(certified: dict[str, Any]) -> tuple[Metadata, Catalogue, tuple[Finding, ...]]:
     particulars = given_particulars(certified["particulars"], certified["date"])
-    told = findings_of([*certified["warnings"], *certified["notes"]], "certificate.json")
-    return particulars, catalogue(certified["language"]), told
+    warnings = findings_of([*certified["warnings"], *certified["notes"]], "certificate.json")
+    return particulars, catalogue(certified["language"]), warnings

@@ -65,7 +65,7 @@ def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple
                 client=keys.client,
                 operator=keys.operator,
                 key=fingerprint,
-                told=gather(work),
+                warnings=gather(work),
                 pictures=told_conditions(facts_of_pictures(project)),
             )
 
