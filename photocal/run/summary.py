@@ -75,8 +75,8 @@ def project_verdict(work: Path, stages: Container[str] | None = None) -> Finding
 def outdated(work: Path) -> bool:
     """Whether the certificate of a project, or else its adjustment, was made of another block than this."""
     certified = read_json(work / "certificate" / "certificate.json")
-    adjusted = read_json(work / "calibration" / RESULT) if certified is None else certified["result"]
-    inputs = () if adjusted is None else tuple(InputFile(**one) for one in adjusted["inputs"])
+    adjusted = read_json(work / "calibration" / RESULT) if certified is None else certified.get("result")
+    inputs = tuple(InputFile(**one) for one in (adjusted or {}).get("inputs", ()))
     return bool(changed_inputs(inputs, work / "block"))
 
 
