@@ -57,7 +57,8 @@ def main() -> int:
     if not tests:
         sys.stdout.write("nothing has changed that a test looks at\n")
         return 0
-    command = [sys.executable, "-m", "pytest", "-q", "-n", "auto", "--dist", "loadfile"]
+    shared = ["-n", "auto", "--dist", "loadfile", "--no-loadscope-reorder"]
+    command = [sys.executable, "-m", "pytest", "-q", *shared]
     return subprocess.run(
         [*command, "-m", "not slow and not browser", *tests], cwd=ROOT, check=False
     ).returncode

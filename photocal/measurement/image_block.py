@@ -24,6 +24,7 @@ from photocal.measurement.position_files import local_places, map_places
 from photocal.measurement.project_block import OTHER_SURFACE_M, findings_of_marks, suspected_marks
 from photocal.measurement.start_block import position_sigma, start_block
 from photocal.measurement.tie_block import marked_control
+from photocal.tasks.workers import one_crew
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,7 @@ class GivenControl:
             )
 
 
+@one_crew()
 def measure_images(
     paths: Sequence[Path],
     name: str,

@@ -60,6 +60,7 @@ from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, camera_fi
 from photocal.measurement.tie_block import GROSS, brought_nearer, marked_control, place, with_ties
 from photocal.measurement.tracks import Tracks
 from photocal.project import Project
+from photocal.tasks.workers import one_crew
 
 # While gross errors are sought these are held: a level block determines them only with precise positions,
 # which the measurement does not use.
@@ -79,6 +80,7 @@ OTHER_SURFACE_M = 50.0
 MARKS_NAMED = 3
 
 
+@one_crew()
 def measure_project(
     project: Project,
     exposures: Orientation | None,

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -38,11 +39,45 @@ def run_tasks(
         yield from _on_processes(function, tasks, workers)
 
 
+_CREW: ContextVar[dict[int, ProcessPoolExecutor] | None] = ContextVar("crew", default=None)
+
+
+@contextmanager
+def one_crew() -> Iterator[None]:
+    """Let all work within go to the same processes: each takes seconds to start."""
+    if _CREW.get() is not None:
+        yield
+        return
+    crew: dict[int, ProcessPoolExecutor] = {}
+    before = _CREW.set(crew)
+    try:
+        yield
+    finally:
+        _CREW.reset(before)
+        for pool in crew.values():
+            pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
+    crew = _CREW.get()
+    if crew is not None and processes in crew:
+        yield crew[processes]
+        return
+    pool = ProcessPoolExecutor(processes, get_context("spawn"), _prepare)
+    if crew is not None:
+        crew[processes] = pool
+        yield pool
+        return
+    with pool:
+        yield pool
+
+
 def _on_processes(
     function: Callable[[Task], Result], tasks: Iterable[Task], processes: int
 ) -> Iterator[Result]:
     waiting: deque[Future[Result]] = deque()
-    with _one_thread_each(), ProcessPoolExecutor(processes, get_context("spawn"), _prepare) as pool:
+    with _one_thread_each(), _pool(processes) as pool:
         try:
             for task in tasks:
                 waiting.append(pool.submit(function, task))

@@ -122,10 +122,10 @@ def seen_by_other(model: str, values: Numbers, q: Numbers) -> tuple[Any, Any]:
 
 
 def exponential(turn: Numbers) -> Numbers:
-    """Rotation matrix of a rotation vector, by its series; the turns of mountings are small."""
-    x, y, z = turn
-    skew = np.array([[0 * x, -z, y], [z, 0 * x, -x], [-y, x, 0 * x]])
-    result = term = np.eye(3).astype(skew.dtype)
+    """Rotation matrices of rotation vectors (..., 3), by their series; the turns of mountings are small."""
+    x, y, z = np.moveaxis(turn, -1, 0)
+    skew = np.moveaxis(np.array([[0 * x, -z, y], [z, 0 * x, -x], [-y, x, 0 * x]]), (0, 1), (-2, -1))
+    result = term = np.broadcast_to(np.eye(3, dtype=skew.dtype), skew.shape)
     for n in range(1, 25):
         term = term @ skew / n
         result = result + term
@@ -272,10 +272,10 @@ def _rolled(
     move = values["deviation"][i, len(PARAMETERS) :]
     if given is not None:
         move = move + given[i] * values["camera"][network.exposures.camera[i], READOUT]
-    points = [
-        exponential(s * move[3:]) @ (one - s * (matrix @ move[:3])) for s, one in zip(later, q.T, strict=True)
-    ]
-    return np.array(points).T
+    share = later[:, None]
+    return np.asarray(
+        np.einsum("nij,nj->in", exponential(share * move[3:]), q.T - share * (matrix @ move[:3]))
+    )
 
 
 def _residuals(network: Network, values: dict[str, Numbers], helmert: Helmert) -> Numbers:

@@ -74,6 +74,7 @@ def test_counter_runs_over() -> None:
     assert not any("missing" in r for r in time_marks(table, RISING, "rover").remarks)
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_moving_rover(moving_run: Run) -> None:
     recording = read_receivers(FlightLog((moving_run.log,)))["rover"]

@@ -90,6 +90,7 @@ def test_lever_arm_needs_an_attitude() -> None:
         Rig(np.ones(3))
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_moving_rover_with_images(photocal: Photocal, moving_run: Run, tmp_path: Path) -> None:
     plain = photocal("exposures", moving_run.log, "-o", tmp_path / "plain", "--json")

@@ -89,6 +89,7 @@ def test_swapped_axes_of_the_lever_arm(flight: Flight) -> None:
     assert any(found["code"] == "lever-arm-axes" for found in run.figures["findings"])
 
 
+@pytest.mark.slow
 def test_orthometric_heights_declared_ellipsoidal(flight: Flight, tmp_path: Path) -> None:
     sources = flight.choices.sources
     assert sources.base_position is not None

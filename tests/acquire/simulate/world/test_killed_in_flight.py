@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from acquire.simulate.hardware import awaited, on_ports, record_settings
@@ -59,6 +60,7 @@ def positions(path: Path) -> tuple[NDArray[np.int64], NDArray[np.float64], list[
     return times, metres, [row.get("status", "") for row in table]
 
 
+@pytest.mark.slow
 def test_both_logs_give_one_trajectory(small: Flight, tmp_path: Path) -> None:
     flight = read_flight(small.folder)
     watch = Stopwatch()

@@ -116,6 +116,7 @@ def saved(survey: Survey) -> dict[tuple[str, str], tuple[float, float]]:
 
 
 # Fifty targets are found one after the other: minutes where many programs want the processor.
+@pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_ten_points_in_five_images_from_clicks_to_residuals(
     browser: Browser, serve: Serve, mine: Survey, port: int
