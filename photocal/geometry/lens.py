@@ -441,9 +441,10 @@ def all_recorded(camera: Floats, optics_of: Floats, q: Floats, plane: Floats) ->
     """Find where one camera records points, NaN where it does not."""
     room, found = scratch(0), np.zeros(2)
     for n in range(len(q)):
-        plane[n] = np.nan
-        if recorded(camera, optics_of, 0, q[n, 0], q[n, 1], q[n, 2], room, found):
-            plane[n] = found
+        seen = recorded(camera, optics_of, 0, q[n, 0], q[n, 1], q[n, 2], room, found)
+        # One by one: for whole rows the compiler brings a check of shapes that takes it ten seconds.
+        for a in range(2):
+            plane[n, a] = found[a] if seen else np.nan
 
 
 @allocating
@@ -451,6 +452,6 @@ def all_directions(camera: Floats, optics_of: Floats, angular: bool, plane: Floa
     """Find the directions in which one camera sees, NaN where there is none."""
     room, found = scratch(0), np.zeros(3)
     for n in range(len(q)):
-        q[n] = np.nan
-        if direction(camera, optics_of, 0, angular, plane[n, 0], plane[n, 1], room, found):
-            q[n] = found
+        seen = direction(camera, optics_of, 0, angular, plane[n, 0], plane[n, 1], room, found)
+        for a in range(3):
+            q[n, a] = found[a] if seen else np.nan

@@ -83,9 +83,8 @@ def without_twins(tracks: Tracks, apart_px: float) -> Tracks:
     """Take out tracks that show a place again that a track with more rays shows."""
     rank = np.empty(tracks.count, dtype=np.int64)
     rank[np.argsort(-tracks.rays, kind="stable")] = np.arange(tracks.count)
-    cell = np.column_stack([tracks.image, np.floor(tracks.pixels / apart_px).astype(np.int64)])
-    _, inverse = np.unique(cell, axis=0, return_inverse=True)
-    cell = np.ravel(inverse)
+    rows = np.column_stack([tracks.image, np.floor(tracks.pixels / apart_px).astype(np.int64)])
+    cell = np.unique(_numbered(rows), return_inverse=True)[1]
     first = np.full(int(cell.max(initial=-1)) + 1, tracks.count, dtype=np.int64)
     np.minimum.at(first, cell, rank[tracks.track])
     twin = np.zeros(tracks.count, dtype=np.bool_)
@@ -152,5 +151,14 @@ def _strongest_first(tracks: Tracks) -> tuple[Integers, Integers]:
 def _places(features: Features) -> Integers:
     """For each feature the first one of its image at the same place."""
     key = np.round(features.pixels / _SAME_PX).astype(np.int64)
-    _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
-    return np.asarray(first[np.ravel(inverse)], dtype=np.int64)
+    _, first, inverse = np.unique(_numbered(key), return_index=True, return_inverse=True)
+    return np.asarray(first[inverse], dtype=np.int64)
+
+
+def _numbered(rows: Integers) -> Integers:
+    """A number for each row, the same for equal rows: to sort rows themselves takes ten times as long."""
+    low = rows.min(axis=0, initial=0)
+    number = np.zeros(len(rows), dtype=np.int64)
+    for column, size in zip((rows - low).T, rows.max(axis=0, initial=0) - low + 1, strict=True):
+        number = number * size + column
+    return number
