@@ -107,6 +107,11 @@ class Ephemeris:
         """Return a parameter in SI units and radians."""
         return self.raw[name] * fields_of(self.system)[name].scale
 
+    def bits(self, names: str) -> list[tuple[int, int]]:
+        """Return what is transmitted of some fields, whose names stand between blanks, and their lengths."""
+        fields = fields_of(self.system)
+        return [(self.raw[name], fields[name].bits) for name in names.split()]
+
     @property
     def name(self) -> str:
         """Satellite as RINEX names it."""

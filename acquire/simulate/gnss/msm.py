@@ -7,9 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.simulate.gnss.bits import field, joined, octets
 from acquire.simulate.gnss.ephemeris import Ephemeris
-from acquire.simulate.gnss.navigation_messages import GST_BEHIND_WEEKS
+from acquire.simulate.gnss.navigation_messages import GST_BEHIND_WEEKS, field, joined, octets
 from acquire.simulate.gnss.observations import Observations
 from acquire.simulate.gnss.session import Session
 from acquire.simulate.gnss.settings import GALILEO, GPS, LIGHT_M_S
@@ -105,6 +104,8 @@ def _mask(numbers: list[int], width: int) -> str:
 _STATION_EVERY_S, _EPHEMERIS_EVERY_S = 10, 30
 _STATION_LATENCY_NS = 110_000_000
 _MJD_1970 = 40_587
+# In the order of 1019 and 1046.
+_ORBIT = "crs delta_n m0 cuc e cus sqrt_a toe cic omega0 cis i0 crc omega omega_dot"
 
 
 def _times(session: Session, every_s: int) -> range:
@@ -116,21 +117,8 @@ def positions(session: Session, station: int) -> list[tuple[int, bytes]]:
     """Return 1006: the announced position; the antenna stands on its mark."""
     x, y, z = (round(float(value) * 1e4) for value in session.announced_m)
     flags = [(1, 1), (0, 1), (1, 1), (0, 1)]  # GPS, no GLONASS, Galileo, a real station
-    bits = joined(
-        [
-            (1006, 12),
-            (station, 12),
-            (0, 6),
-            *flags,
-            (x, 38),
-            (1, 1),
-            (0, 1),
-            (y, 38),
-            (0, 2),
-            (z, 38),
-            (0, 16),
-        ]
-    )
+    place = [(x, 38), (1, 1), (0, 1), (y, 38), (0, 2), (z, 38), (0, 16)]
+    bits = joined([(1006, 12), (station, 12), (0, 6), *flags, *place])
     return [(time + _STATION_LATENCY_NS, octets(bits)) for time in _times(session, _STATION_EVERY_S)]
 
 
@@ -157,30 +145,14 @@ def ephemerides(session: Session) -> Iterator[tuple[int, bytes]]:
 
 
 def _gps(e: Ephemeris) -> str:
-    r = e.raw
-    return joined(
-        [
-            *[(1019, 12), (e.number, 6), (e.week % 1024, 10), (e.accuracy, 4), (1, 2), (r["idot"], 14)],
-            *[(e.issue & 0xFF, 8), (r["toc"], 16), (r["af2"], 8), (r["af1"], 16), (r["af0"], 22)],
-            *[(e.issue, 10), (r["crs"], 16), (r["delta_n"], 16), (r["m0"], 32), (r["cuc"], 16), (r["e"], 32)],
-            *[(r["cus"], 16), (r["sqrt_a"], 32), (r["toe"], 16), (r["cic"], 16), (r["omega0"], 32)],
-            *[(r["cis"], 16), (r["i0"], 32), (r["crc"], 16), (r["omega"], 32), (r["omega_dot"], 24)],
-            *[(r["tgd"], 8), (e.health, 6), (0, 1), (0, 1)],
-        ]
-    )
+    head = [(1019, 12), (e.number, 6), (e.week % 1024, 10), (e.accuracy, 4), (1, 2), *e.bits("idot")]
+    clock = [(e.issue & 0xFF, 8), *e.bits("toc af2 af1 af0"), (e.issue, 10)]
+    return joined([*head, *clock, *e.bits(f"{_ORBIT} tgd"), (e.health, 6), (0, 1), (0, 1)])
 
 
 def _galileo(e: Ephemeris) -> str:
-    r = e.raw
     bad = int(e.health != 0)
-    return joined(
-        [
-            *[(1046, 12), (e.number, 6), ((e.week - GST_BEHIND_WEEKS) % 4096, 12), (e.issue, 10)],
-            *[(e.accuracy, 8), (r["idot"], 14), (r["toc"], 14), (r["af2"], 6), (r["af1"], 21)],
-            *[(r["af0"], 31), (r["crs"], 16), (r["delta_n"], 16), (r["m0"], 32), (r["cuc"], 16)],
-            *[(r["e"], 32), (r["cus"], 16), (r["sqrt_a"], 32), (r["toe"], 14), (r["cic"], 16)],
-            *[(r["omega0"], 32), (r["cis"], 16), (r["i0"], 32), (r["crc"], 16), (r["omega"], 32)],
-            *[(r["omega_dot"], 24), (r["bgd_e5a"], 10), (r["bgd_e5b"], 10)],
-            *[(e.health, 2), (bad, 1), (e.health, 2), (bad, 1), (0, 2)],
-        ]
-    )
+    week = (e.week - GST_BEHIND_WEEKS) % 4096
+    head = [(1046, 12), (e.number, 6), (week, 12), (e.issue, 10), (e.accuracy, 8)]
+    health = [(e.health, 2), (bad, 1), (e.health, 2), (bad, 1), (0, 2)]
+    return joined([*head, *e.bits(f"idot toc af2 af1 af0 {_ORBIT} bgd_e5a bgd_e5b"), *health])

@@ -7,12 +7,11 @@ Sources: IS-GPS-200N, figures 20-1 (subframes), 20-2 (TLM and HOW), sections 20.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from acquire.simulate.gnss.bits import field, joined
 from acquire.simulate.gnss.ephemeris import Ephemeris
 from acquire.simulate.gnss.observations import Observations
 from acquire.simulate.gnss.settings import GALILEO, GPS, SEMICIRCLE_RAD, UBX_SYSTEM, SkySettings
@@ -39,6 +38,27 @@ _SUBFRAME_4 = (
     *(57, 25, 26, 27, 28, 57, 29, 30, 31, 32, 57, 62, 52, 53, 54, 57, 55),
     *(56, 58, 59, 57, 60, 61, 62, 63),
 )
+
+
+def field(value: int, width: int) -> str:
+    """Return the bits of a number, two's complement where it is negative.
+
+    raises OverflowError: when it does not fit.
+    """
+    if not -(1 << width - 1 if width else 0) <= value < 1 << width:
+        raise OverflowError(f"{value} does not fit {width} bits")
+    return format(value & (1 << width) - 1, f"0{width}b") if width else ""
+
+
+def joined(fields: Iterable[tuple[int, int]]) -> str:
+    """Return the bits of (value, width) pairs one after another."""
+    return "".join(field(value, width) for value, width in fields)
+
+
+def octets(bits: str) -> bytes:
+    """Return whole bytes, the last one filled up with zeros."""
+    length = (len(bits) + 7) // 8
+    return int(bits.ljust(8 * length, "0"), 2).to_bytes(length, "big") if bits else b""
 
 
 @dataclass(frozen=True)
@@ -102,50 +122,20 @@ def parity(data: str, last: tuple[int, int]) -> str:
 
 
 def _subframe_1(e: Ephemeris, week: int) -> list[str]:
-    r = e.raw
-    bits = joined(
-        [
-            (week % 1024, 10),
-            (1, 2),  # P code on L2
-            (e.accuracy, 4),
-            (e.health, 6),
-            (e.issue >> 8, 2),
-            (0, 1),
-            (0, 23),
-            (0, 24),
-            (0, 24),
-            (0, 16),
-            (r["tgd"], 8),
-            (e.issue & 0xFF, 8),
-            (r["toc"], 16),
-            (r["af2"], 8),
-            (r["af1"], 16),
-            (r["af0"], 22),
-        ]
-    )
-    return _split(bits)
+    issue = [(e.issue >> 8, 2), (0, 88), *e.bits("tgd"), (e.issue & 0xFF, 8)]
+    # After the week: P code on L2.
+    head = [(week % 1024, 10), (1, 2), (e.accuracy, 4), (e.health, 6)]
+    return _split(joined([*head, *issue, *e.bits("toc af2 af1 af0")]))
 
 
 def _subframe_2(e: Ephemeris) -> list[str]:
-    r = e.raw
-    bits = joined(
-        [
-            *[(e.issue & 0xFF, 8), (r["crs"], 16), (r["delta_n"], 16), (r["m0"], 32), (r["cuc"], 16)],
-            *[(r["e"], 32), (r["cus"], 16), (r["sqrt_a"], 32), (r["toe"], 16), (0, 1), (27, 5)],
-        ]
-    )
-    return _split(bits)
+    orbit = e.bits("crs delta_n m0 cuc e cus sqrt_a toe")
+    return _split(joined([(e.issue & 0xFF, 8), *orbit, (0, 1), (27, 5)]))
 
 
 def _subframe_3(e: Ephemeris) -> list[str]:
-    r = e.raw
-    bits = joined(
-        [
-            *[(r["cic"], 16), (r["omega0"], 32), (r["cis"], 16), (r["i0"], 32), (r["crc"], 16)],
-            *[(r["omega"], 32), (r["omega_dot"], 24), (e.issue & 0xFF, 8), (r["idot"], 14)],
-        ]
-    )
-    return _split(bits)
+    orbit = e.bits("cic omega0 cis i0 crc omega omega_dot")
+    return _split(joined([*orbit, (e.issue & 0xFF, 8), *e.bits("idot")]))
 
 
 def _subframe_4(page: int, week: int, broadcast: Broadcast) -> list[str]:
@@ -385,26 +375,22 @@ def page(
 
 
 def _word(kind: int, e: Ephemeris, week: int, tow: int, leap_s: int) -> str:
-    r = e.raw
     issue = field(kind, 6) + field(e.issue, 10)
     time = field(week % 4096, 12) + field(tow, 20)
     if kind == 0:
         return field(0, 6) + "10" + "10" * 44 + time
     if kind == 1:
-        return issue + joined([(r["toe"], 14), (r["m0"], 32), (r["e"], 32), (r["sqrt_a"], 32), (0, 2)])
+        return issue + joined([*e.bits("toe m0 e sqrt_a"), (0, 2)])
     if kind == 2:
-        return issue + joined([(r["omega0"], 32), (r["i0"], 32), (r["omega"], 32), (r["idot"], 14), (0, 2)])
+        return issue + joined([*e.bits("omega0 i0 omega idot"), (0, 2)])
     if kind == 3:
-        harmonics = [(r[name], 16) for name in ("cuc", "cus", "crc", "crs")]
-        return issue + joined([(r["omega_dot"], 24), (r["delta_n"], 16), *harmonics, (e.accuracy, 8)])
+        return issue + joined([*e.bits("omega_dot delta_n cuc cus crc crs"), (e.accuracy, 8)])
     if kind == 4:
-        clock = [(r["toc"], 14), (r["af0"], 31), (r["af1"], 21), (r["af2"], 6), (0, 2)]
-        return issue + joined([(e.number, 6), (r["cic"], 16), (r["cis"], 16), *clock])
+        return issue + joined([(e.number, 6), *e.bits("cic cis toc af0 af1 af2"), (0, 2)])
     if kind == 5:
         # Effective ionisation a0 of a quiet sun (NeQuick G), no disturbed region.
         ionosphere = [(240, 11), (0, 11), (0, 14), (0, 5)]
         health = [(e.health, 2), (e.health, 2), (int(e.health != 0), 1), (int(e.health != 0), 1)]
-        delays = [(r["bgd_e5a"], 10), (r["bgd_e5b"], 10)]
-        return field(5, 6) + joined([*ionosphere, *delays, *health]) + time + "0" * 23
+        return field(5, 6) + joined([*ionosphere, *e.bits("bgd_e5a bgd_e5b"), *health]) + time + "0" * 23
     utc = [(0, 32), (0, 24), (leap_s, 8), (0, 8), (week % 256, 8), (905 % 256, 8), (7, 3), (leap_s, 8)]
     return field(6, 6) + joined(utc) + field(tow, 20) + "0" * 3

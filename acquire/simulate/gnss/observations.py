@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.simulate.gnss.atmosphere import Atmosphere, Sight, on
-from acquire.simulate.gnss.clock import Clock, run
 from acquire.simulate.gnss.constellation import Satellite
 from acquire.simulate.gnss.geometry import Antenna, Link, Place, link, place
 from acquire.simulate.gnss.settings import GPS, LIGHT_M_S, SIGNALS, Outage, ReceiverModel, Signal
@@ -20,6 +19,45 @@ _LOCKED_BEFORE_S, _ACQUIRING_S, _RELOCKING_S = (60.0, 900.0), (0.5, 4.0), (0.05,
 # Until the navigation data have shown the sign of the phase.
 _HALF_CYCLE_S = (0.6, 6.0)
 _LARGEST_SLIP = 40
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Epochs of a receiver, whose clock is a crystal with bias, drift and noise, set by whole milliseconds.
+
+    tag_gps_ns (n,): what the receiver's clock shows at its measurements.
+    bias_s (n,): receiver time minus GPS time at the measurements.
+    rate (n,): derivative of the bias.
+    step: whether the clock was set since the last epoch.
+    """
+
+    tag_gps_ns: Integers
+    bias_s: Floats
+    rate: Floats
+    step: Flags
+
+    def __len__(self) -> int:
+        return len(self.tag_gps_ns)
+
+    @property
+    def true_gps_ns(self) -> Integers:
+        """GPS time of the measurements to the nanosecond."""
+        return np.asarray(self.tag_gps_ns - np.rint(self.bias_s * SECOND_NS).astype(np.int64))
+
+
+def run_clock(model: ReceiverModel, start_gps_ns: int, stop_gps_ns: int, rng: np.random.Generator) -> Clock:
+    """Let a clock run through a session."""
+    every = round(model.interval_s * SECOND_NS)
+    tag = np.arange(-(-start_gps_ns // every) * every, stop_gps_ns + 1, every, dtype=np.int64)
+    bias = rng.uniform(-4e-4, 4e-4) if model.clock_bias_s is None else model.clock_bias_s
+    drift = rng.uniform(-5e-7, 5e-7) if model.clock_drift is None else model.clock_drift
+    rate = drift + model.clock_noise / np.sqrt(model.interval_s) * rng.standard_normal(len(tag))
+    total = bias + np.concatenate([[0.0], np.cumsum(rate[:-1])]) * model.interval_s
+    steps = np.rint(total * 1e3) if model.clock_steps else np.zeros(len(tag))
+    # The epoch after a step comes a millisecond later: the clock has gone on meanwhile.
+    total[1:] += np.cumsum(rate[:-1] * np.diff(steps)) * 1e-3
+    moved = np.concatenate([[False], np.diff(steps) != 0])
+    return Clock(tag, total - steps * 1e-3, rate, moved)
 
 
 @dataclass(frozen=True)
@@ -202,7 +240,7 @@ def observe(
 ) -> Observations:
     """Measure through a session."""
     start = span_gps_ns[0]
-    clock = run(model, *span_gps_ns, rng)
+    clock = run_clock(model, *span_gps_ns, rng)
     true_ns = clock.true_gps_ns
     here = place(antenna.position(true_ns), antenna.velocity(true_ns))
     # To the fraction of a nanosecond, with small numbers.

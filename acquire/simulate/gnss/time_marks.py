@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from acquire.simulate.gnss.clock import Clock
+from acquire.simulate.gnss.observations import Clock
 from drivers.arrays import Integers
 from drivers.gnsstime import SECOND_NS, WEEK_S
 

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquire.simulate.gnss.clock import run
 from acquire.simulate.gnss.geometry import Antenna
-from acquire.simulate.gnss.observations import track
+from acquire.simulate.gnss.observations import run_clock, track
 from acquire.simulate.gnss.session import Session, simulate
 from acquire.simulate.gnss.settings import Faults, Outage, ReceiverModel, SkySettings
 from acquire.simulate.gnss.streams import base_rtcm, base_ubx, rover_ubx
@@ -202,7 +201,7 @@ def test_sessions_that_cannot_be_are_refused() -> None:
 
 def decoded(events: Events, start: int = START) -> list[tuple[int, int, int, int]]:
     """Week and milliseconds of the rising edge, count and flags, by the byte offsets of the description."""
-    clock = run(
+    clock = run_clock(
         ReceiverModel(clock_bias_s=2e-4, clock_drift=0.0),
         start,
         start + 20 * SECOND,
